@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from minidual import emergency
-from minidual.cli.progress import progress_for
+from minidual.cli.progress import ConsoleProgress
 from minidual.cli.session import Session
 from minidual.cli.tables import print_explanation, print_lowest, print_outcome, print_status
 from minidual.cli.viewing import live_view
@@ -59,7 +59,7 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
             session.loaded.profile,
             folder,
             typed,
-            progress_for(session.people),
+            ConsoleProgress(session.people),
             session.typed.command,
             tool.name,
             view,

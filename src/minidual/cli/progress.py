@@ -32,19 +32,14 @@ class BarTask(Task):
         self._bars.stop()
 
 
-class BarProgress(Progress):
-    """Bars drawn by rich."""
+class ConsoleProgress(Progress):
+    """Bars on a terminal, plain lines elsewhere."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
         self._console = console
 
     def task(self, description: str, total: float | None = None) -> Task:
-        """Begin a bar."""
-        return BarTask(self._console, description, total)
-
-
-def progress_for(console: Console) -> Progress:
-    """Return bars on a terminal, plain lines elsewhere."""
-    bars = BarProgress(console)
-    return bars if console.is_terminal else Progress(bars.note)
+        """Begin a bar or plain lines."""
+        bars = self._console.is_terminal
+        return BarTask(self._console, description, total) if bars else super().task(description, total)

@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 
 from minidual.cli.console import console
-from minidual.cli.progress import progress_for
+from minidual.cli.progress import ConsoleProgress
 from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
 from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, printable
@@ -101,7 +101,7 @@ class Session:
 
     def runner(self, view: View | None = None) -> Runner:
         """Return a runner with progress and `view`."""
-        progress = progress_for(self.people)
+        progress = ConsoleProgress(self.people)
         if view is not None and self.loaded.config.workers > 1:
             progress.note("what is watched runs in this process: one worker for this run")
         return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)

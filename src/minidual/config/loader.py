@@ -185,11 +185,8 @@ def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple
 
 
 def _origin(location: Sequence[str], document: Document) -> str:
-    for length in range(len(location), 0, -1):
-        found = document.origins.get(".".join(location[:length]))
-        if found is not None:
-            return found
-    return document.source
+    paths = (".".join(location[:length]) for length in range(len(location), 0, -1))
+    return next((document.origins[path] for path in paths if path in document.origins), document.source)
 
 
 def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> set[str]:

@@ -79,14 +79,7 @@ def run(context: StageContext) -> StageResult:
     }
     checks = carry_checks(results, config.carry.limits, task.scene.task)
     checks += worded("carry", reported, jerk_filter=JERK_FILTER)
-    data = {
-        "object": config.carry.object,
-        "motion": config.carry.motion,
-        **summary.record(),
-        "stopped": {str(m.index): m.aborted for m in metrics if m.aborted},
-        "shown": shown,
-    }
-    return StageResult(checks=checks, data=data)
+    return StageResult(checks=checks, data={**summary.record(), "shown": shown})
 
 
 def _record(
