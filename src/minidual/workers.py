@@ -19,9 +19,7 @@ from minidual import emergency
 _LOOK_S = 0.2
 
 
-def in_workers[Item, Result](
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Iterator[Result]:
+def in_workers[Item, Out](function: Callable[[Item], Out], items: Sequence[Item], workers: int) -> Iterator[Out]:
     """Yield function(item) in the order of the items; with one worker, in this process."""
     # More than one numeric thread per process: they wait for each other on a busy machine.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -72,10 +72,8 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     )
     config = typer.Typer(help="The resolved configuration.", no_args_is_help=True)
 
-    def add(
-        name: str, summary: str, examples: Sequence[str], body: Body, options: Iterable[Option], panel: str
-    ) -> None:
-        parameters = _parameters(options)
+    def add(name: str, summary: str, examples: Sequence[str], body: Body, own: Iterable[Option], panel: str) -> None:
+        parameters = _parameters(own)
 
         def command(**values: Any) -> None:
             session = Session(Typed(**{f.name: values.pop(f.name) for f in fields(Typed)}), table)

@@ -71,9 +71,7 @@ def print_explanation(console: Console, entry: StageEntry, state: StageState, up
         _lines(console, [f"made with {text}" for text in verdict.overrides])
 
 
-def _print_verdict(
-    console: Console, state: StageState, verdict: Verdict, title: str, *, explained: bool = False
-) -> None:
+def _print_verdict(console: Console, state: StageState, verdict: Verdict, title: str, explained: bool = False) -> None:
     console.print(checks_table(verdict.checks, title, explained=explained))
     _lines(console, [label(verdict)], "bold yellow")
     _lines(console, verdict.notes)

@@ -46,10 +46,8 @@ def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], con
             missed = f" (trial {cell.undisturbed[0]} succeeded undisturbed)" if cell and cell.undisturbed else ""
             holes.append(f"{m} under {c}{missed}")
     missing = [f"{c.method} under {c.condition}: {name}" for c in cells if c.summary for name in c.summary.not_finite()]
-    rows: Rows = {
-        "cells_settled": (len(asked) - len(holes), "==", len(asked)),
-        "cells_not_finite": (len(missing), "==", 0),
-    }
+    n = len(asked)
+    rows: Rows = {"cells_settled": (n - len(holes), "==", n), "cells_not_finite": (len(missing), "==", 0)}
     checks = worded("benchmark", rows, holes=_first(holes), missing=_first(missing))
     for cell in cells:
         if cell.summary is not None and cell.condition != CLEAN:

@@ -90,9 +90,7 @@ def find_checkpoint(context: ToolContext) -> Path:
     )
 
 
-def _demo(
-    context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, ...], checkpoint: Path | None
-) -> ModesDemo:
+def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, ...], policy: Path | None) -> ModesDemo:
     config, seed, robot = context.config, context.seed, world.robot
     task = make_task(config)
     trial = task.trial(seed, "modes", 0)
@@ -112,8 +110,8 @@ def _demo(
             turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=share))
         elif mode == "teleop":
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
-        elif checkpoint is not None:
-            runtime = load_runtime(checkpoint, config.deploy, robot)
+        elif policy is not None:
+            runtime = load_runtime(policy, config.deploy, robot)
             picture = lambda name: (eyes.picture(world.data, name), world.time)  # noqa: E731
             turns.append(modes_turns.policy(stack, runtime, picture, task, trial))
     return ModesDemo(stack, turns)

@@ -81,14 +81,12 @@ def _row(values: object) -> str:
 
 
 def _repeats(found: Replayed) -> str:
-    off, n = found.deviates, found.compared
+    off, n, versions = found.deviates, found.compared, found.versions_differ
     if off is None:
         return (
             f"to the bit, at {n} of {n} check points" if n else "nothing compared: no check point lies in this stretch"
         )
-    why = (
-        "another version may round differently" if found.versions_differ else "the state was changed between two steps"
-    )
+    why = "another version may round differently" if versions else "the state was changed between two steps"
     return (
         f"no: {off.what} is off by {off.size:.3g} at {off.time_s:.3f} s, {found.largest_deviation:.3g} at most; {why}"
     )
