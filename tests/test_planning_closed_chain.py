@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from panda import A_MAX, HOME, V_MAX
+from pydantic import ValidationError
 
 from minidual.collision.errors import ClosedChainError, OutOfLimitsError
 from minidual.collision.scene import PlanningScene
@@ -99,11 +100,12 @@ def test_the_proof_covers_the_rod(carried, q_start, waypoints):
 
 
 def test_slower_object_takes_longer(carried, q_start, waypoints):
-    slow = HeldPlanner().follow(q_start, waypoints, GRASPS, along=PathLimits(0.1, 0.5))
+    limits = PathLimits(speed_m_per_s=0.1, acceleration_m_per_s2=0.5)
+    slow = HeldPlanner().follow(q_start, waypoints, GRASPS, along=limits)
     assert slow.duration_s > 1.8 * carried.duration_s
     assert slow.verification is None
-    with pytest.raises(UsageError, match="speed limit along the path is 0"):
-        HeldPlanner().follow(q_start, waypoints, GRASPS, along=PathLimits(0.0, 0.5))
+    with pytest.raises(ValidationError, match="speed_m_per_s"):
+        PathLimits(speed_m_per_s=0.0)
 
 
 def test_same_query_same_bytes(carried, q_start, waypoints):

@@ -89,7 +89,7 @@ def test_distance_is_that_of_the_geometry():
 def test_what_is_close_is_no_collision(engines):
     engine = engines[0]
     assert engine.closest(HOME, 1.0)
-    assert not engine.in_collision(HOME)
+    assert not engine.contact_count(HOME)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 30, 100])

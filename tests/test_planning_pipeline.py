@@ -78,7 +78,7 @@ def measured(drive, world, on_step=lambda phase: None):
     done, last = [], None
     while not drive.done:
         drive.step()
-        segment, t = drive.segment, drive.elapsed_s
+        segment, t = next(iter(drive._left), None), drive.elapsed_s
         if segment is None or t == 0.0:
             continue
         if segment is not last:

@@ -26,8 +26,6 @@ def load_mesh(
     Raises:
         UsageError, DataError: The file, its scale, size or number of pieces is unfit.
     """
-    if not (np.isfinite(scale) and scale > 0.0):
-        raise UsageError(f"mesh '{name}': scale {scale}; it must be a finite number > 0")
     mesh = _read(path, name)
     mesh.apply_scale(scale)
     extent = float(np.max(mesh.extents))

@@ -44,15 +44,12 @@ class MujocoEngine:
         self._body_names = [self.model.body(i).name for i in range(self.model.nbody)]
         self._margin_m = 0.0
 
-    def _set_margin(self, margin_m: float) -> None:
-        """Also report pairs nearer than `margin_m`."""
+    def contact_count(self, q: Array, margin_m: float = 0.0) -> int:
+        """Count contacts at q (n,), and pairs nearer than `margin_m`."""
         if margin_m != self._margin_m:
             self.model.geom_margin[:] = 0.5 * margin_m  # MuJoCo adds the margins of the two geoms
             self.model.body_margin[:] = 0.5 * margin_m
             self._margin_m = margin_m
-
-    def contact_count(self, q: Array) -> int:
-        """Count contacts at q (n,), within the last margin."""
         self.data.qpos[self._addresses] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -64,19 +61,13 @@ class MujocoEngine:
         self.model.body_pos[body] = T_parent_shape[:3, 3]
         mujoco.mju_mat2Quat(self.model.body_quat[body], T_parent_shape[:3, :3].ravel())
 
-    def in_collision(self, q: Array) -> bool:
-        """Return whether parts touch at q (n,)."""
-        self._set_margin(0.0)
-        return self.contact_count(q) > 0
-
     def collisions(self, Q: Array) -> np.ndarray:
         """See `ENGINES`."""
-        return np.fromiter((self.in_collision(q) for q in Q), dtype=bool, count=len(Q))
+        return np.fromiter((self.contact_count(q) > 0 for q in Q), dtype=bool, count=len(Q))
 
     def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:
         """Return pairs nearer than `within_m`, nearest first."""
-        self._set_margin(within_m)
-        count = self.contact_count(q)
+        count = self.contact_count(q, within_m)
         if not count:
             return []
         bodies = self.model.geom_bodyid[self.data.contact.geom[:count]]

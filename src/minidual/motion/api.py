@@ -181,11 +181,11 @@ class _Work:
             goal = goals[attempt % len(goals)]
             attempt += 1
             # All pairs were checked at start and goal; only pairs with a moving part can change.
+            name = effort.planner(config.planner, config.fallback_planners)
             with times.phase("search"):
                 checker = EdgeChecker(self.engines, effort.padding_m, (self.q_start, goal), effort.step_rad, self.arms)
-                path = self._search(goal, checker, effort, attempt)
+                path = self._search(goal, checker, name, effort.checks_n, attempt)
             if path is None:
-                name = effort.planner(config.planner, config.fallback_planners)
                 notes.append(f"{name} found no path in {checker.checks_n} state checks")
                 effort = effort.after_no_path()
                 continue
@@ -203,20 +203,12 @@ class _Work:
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
 
-    def _search(self, goal: Array, checker: EdgeChecker, effort: Effort, attempt: int) -> Array | None:
+    def _search(self, goal: Array, checker: EdgeChecker, planner: str, checks_max: int, attempt: int) -> Array | None:
         if checker.edge_free(self.q_start, goal):
             return np.array([self.q_start, goal])
-        return search(
-            checker,
-            self.q_start,
-            goal,
-            self.planner.robot.groups[self.group],
-            planner=effort.planner(self.config.planner, self.config.fallback_planners),
-            range_rad=self.config.range_rad,
-            seed=subseed(self.seed, "motion/search", attempt),
-            checks_max=effort.checks_n,
-            deadline=self.times.started + self.budget_s,
-        )
+        joints, seed = self.planner.robot.groups[self.group], subseed(self.seed, "motion/search", attempt)
+        limits = {"range_rad": self.config.range_rad, "deadline": self.times.started + self.budget_s}
+        return search(checker, self.q_start, goal, joints, planner=planner, seed=seed, checks_max=checks_max, **limits)
 
     def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array, Verification]:
         trajectory, path = self._timed(path, checker, attempt)

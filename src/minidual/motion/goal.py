@@ -94,7 +94,12 @@ def load_goal(path: Path) -> Goal:
         DataError: Not a trajectory.
     """
     if path.suffix.lower() == ".json":
-        return _end_of_trajectory(path)
+        try:
+            content = read_json(path, _BYTES_MAX)
+            return Goal(joints_by_name_rad=dict(zip(content["joint_names"], content["q_rad"][-1], strict=True)))
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            what = f"{type(error).__name__}: {error}"
+            raise DataError(f"{path} is no trajectory of `minidual plan --out`: {what}") from error
     document = read_document(path)
     if not document.tree:
         raise ConfigError(f"{path.name}: the goal file is empty", remedy=f"give one of {', '.join(_KINDS)}")
@@ -117,11 +122,3 @@ def goal_of(word: str, state_names: Iterable[str]) -> Goal:
         return load_goal(path)
     error = unknown_name("named state", word, names)
     raise UsageError(f"{error.message}; a file ends in .yaml or .json", remedy=error.remedy)
-
-
-def _end_of_trajectory(path: Path) -> Goal:
-    try:
-        content = read_json(path, _BYTES_MAX)
-        return Goal(joints_by_name_rad=dict(zip(content["joint_names"], content["q_rad"][-1], strict=True)))
-    except (ValueError, TypeError, KeyError, IndexError) as error:
-        raise DataError(f"{path} is no trajectory of `minidual plan --out`: {type(error).__name__}: {error}") from error

@@ -5,14 +5,14 @@ over a window bounds jerk; k times slower means 1/k^3 of it.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from pydantic import Field
 
 from minidual.collision.errors import TimingError
+from minidual.config.base import StrictModel
 from minidual.config.planning import MotionLimits
-from minidual.errors import UsageError
 from minidual.motion.speed_profile import squared_speeds
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics
@@ -26,21 +26,11 @@ _STEPS_MAX = 1e8
 _TORQUE_EVERY = 8
 
 
-@dataclass(frozen=True)
-class PathLimits:
-    """Limits along a path in space and of each coordinate; one radian counts as 0.2 m.
+class PathLimits(StrictModel):
+    """Limits along a path in space and of each coordinate; one radian counts as 0.2 m."""
 
-    Raises:
-        UsageError: Not finite and > 0.
-    """
-
-    speed_m_per_s: float = 0.3
-    acceleration_m_per_s2: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, value in (("speed", self.speed_m_per_s), ("acceleration", self.acceleration_m_per_s2)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise UsageError(f"the {name} limit along the path is {value}; it must be a finite number > 0")
+    speed_m_per_s: float = Field(default=0.3, gt=0.0)
+    acceleration_m_per_s2: float = Field(default=1.0, gt=0.0)
 
 
 class Curve(Protocol):

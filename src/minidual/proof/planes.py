@@ -439,28 +439,6 @@ def _to_front(order: Rows, at: int) -> int:
     return row
 
 
-@inlined
-def _free(geometry: Geometry, q: Array, chosen: Rows, keep: Keep, work: Work) -> bool:
-    """Return whether one state is free, see `survey`."""
-    padding, tight, clearances, relax = keep
-    pairs = geometry[4]
-    need = padding
-    for t in range(len(tight)):
-        away = 0.0
-        for c in range(len(q)):
-            away = max(away, abs(q[c] - tight[t, c]))
-        need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
-    _place(geometry, q, 0, work)
-    for at in range(len(chosen)):
-        pair = pairs[chosen[at]]
-        if _between_balls(geometry, pair, 0, 0, work) > need or _beside(geometry, pair, 0, 0, work) > need:
-            continue
-        if not _apart(geometry, pair, 0, 0, need, False, work) > need:
-            _to_front(chosen, at)
-            return False
-    return True
-
-
 @kernel()
 def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -> int:
     """Return the first row of Q (n, dof) that is not free, or n.
@@ -468,9 +446,23 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
     Free: all pairs are proven farther apart than the padding; near a tight state its clearance suffices (see `Keep`).
     `chosen` is reordered, blocking pairs first.
     """
+    padding, tight, clearances, relax = keep
+    pairs = geometry[4]
     for k in range(len(Q)):
-        if not _free(geometry, Q[k], chosen, keep, work):
-            return k
+        need = padding
+        for t in range(len(tight)):
+            away = 0.0
+            for c in range(Q.shape[1]):
+                away = max(away, abs(Q[k, c] - tight[t, c]))
+            need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
+        _place(geometry, Q[k], 0, work)
+        for at in range(len(chosen)):
+            pair = pairs[chosen[at]]
+            if _between_balls(geometry, pair, 0, 0, work) > need or _beside(geometry, pair, 0, 0, work) > need:
+                continue
+            if not _apart(geometry, pair, 0, 0, need, False, work) > need:
+                _to_front(chosen, at)
+                return k
     return len(Q)
 
 

@@ -38,12 +38,10 @@ def thing_of(body: ObjectConfig) -> Thing:
 
 def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
     """Return a task's obstacles."""
-    block = scene.task.obstacle
+    room, block = PlanningScene(robot=robot), scene.task.obstacle
     if block is None:
-        return PlanningScene(robot=robot)
-    x, y = block.xy_m
-    box = Box(OBSTACLE, (x, y, block.size_m[2] / 2), size_m=block.size_m)
-    return PlanningScene(robot=robot).with_obstacles(box)
+        return room
+    return room.with_obstacles(Box(OBSTACLE, (*block.xy_m, block.size_m[2] / 2), size_m=block.size_m))
 
 
 def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
@@ -72,13 +70,11 @@ def pipeline_of(task: Task, trial: Trial) -> Pipeline:
     for (carrying, hands), run in itertools.groupby(steps, lambda step: (step.phase in _CARRYING, step.hands)):
         of_hands = "" if len(hands) == len(SIDES) else f" {hands[0]}"
         if carrying:  # one stage for lift, carry and lower
-            moves = list(run)
+            moves, asked = list(run), task.scene.task
             rests = any(step.phase == "lower" for step in moves)
             poses = [T for step in moves for T in step.places]
             places = [Place(f"place {k + 1}", T, 0.5 * k, rests) for k, T in enumerate(poses)] or [goal]
-            asked = task.scene.task
-            tilt_max_rad = _PLANNED_TILT * asked.tilt_max_rad
-            stages.append(Carry(f"carry{of_hands}", places, asked.lift_height_m, tilt_max_rad))
+            stages.append(Carry(f"carry{of_hands}", places, asked.lift_height_m, _PLANNED_TILT * asked.tilt_max_rad))
             continue
         for step in run:
             label = f"{step.phase}{of_hands}"

@@ -41,8 +41,7 @@ def grasp_posture(
         if not solution.reached:
             x, y, z = T_world_tcp[:3, 3]
             raise GraspUnreachableError(
-                f"the {solver.arm} hand misses its grasp at ({x:.3f}, {y:.3f}, {z:.3f}) m by "
-                f"{1e3 * solution.residual_m:.1f} mm, {solution.residual_rad:.3f} rad",
+                f"the {solver.arm} hand misses its grasp at ({x:.3f}, {y:.3f}, {z:.3f}) m by {solution.off}",
                 remedy="place the object nearer to the bases, or turn it less",
             )
         q[columns] = solution.q

@@ -175,10 +175,9 @@ class _Effort:
 
     def after(self, error: PlanningError) -> _Effort:
         """Return finer steps, and more padding for a path that is not proven."""
-        step_scale, unproven = max(0.5 * self.step_scale, 0.125), isinstance(error, NotFreeError | TimingError)
-        return replace(
-            self, step_scale=step_scale, padding_m=more_padding(self.padding_m) if unproven else self.padding_m
-        )
+        unproven = isinstance(error, NotFreeError | TimingError)
+        padding_m = more_padding(self.padding_m) if unproven else self.padding_m
+        return replace(self, step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
 
 
 class HeldWork:
@@ -251,10 +250,8 @@ class HeldWork:
         return EdgeChecker(self._engines, padding_m, (self._q_start, q_goal), self._config.edge_step_rad)
 
     def _touching(self, joints: Array) -> str:
-        near = [
-            (pair.distance_m, str(pair)) for q in joints for pair in self._engines.closest(q, self._config.padding_m)
-        ]
-        return min(near)[1] if near else "parts come nearer than the padding"
+        near = [pair for q in joints for pair in self._engines.closest(q, self._config.padding_m)]
+        return str(min(near, key=lambda p: p.distance_m)) if near else "parts come nearer than the padding"
 
     def goal_postures(self, end: Array | None, wanted_n: int, restarts_scale: int = 1) -> list[Array]:
         """Return free goal postures (n,): the straight end first, then the nearest.
@@ -318,19 +315,16 @@ class HeldWork:
             return search_object(space, start, ends, rng, **limits)
         left, right = self._hands.grasps
         constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
-        start = self._hands.solve(self._T_start, self._q_start)
+        start, seed = self._hands.solve(self._T_start, self._q_start), subseed(query.seed, "held/manifold", attempt)
         for goal in goals[:_MANIFOLD_GOALS_N]:
             if start is None or time.perf_counter() > self._deadline:
                 break
-            seed = subseed(query.seed, "held/manifold", attempt)
             found = search_manifold(constraint, space.checker, start, goal, space=method, seed=seed, **limits)
             if found is not None:
                 points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
                 kept = [z for z in points if z is not None]
-                connected = len(kept) == len(points) and all(
-                    space.edge_free(*ends) for ends in itertools.pairwise(kept)
-                )
-                return np.array(kept) if connected else None
+                joined = len(kept) == len(points) and all(itertools.starmap(space.edge_free, itertools.pairwise(kept)))
+                return np.array(kept) if joined else None
         return None
 
     def rounded(self, points: Array, method: str) -> CarriedTrajectory:

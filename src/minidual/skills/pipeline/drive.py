@@ -31,11 +31,6 @@ class Drive:
             stack.request(SOURCE)
 
     @property
-    def segment(self) -> Segment | None:
-        """The present segment."""
-        return self._left[0] if self._left else None
-
-    @property
     def phase(self) -> str:
         """Present phase."""
         return self._left[0].phase if self._left else "done"
