@@ -260,7 +260,7 @@ def driven():
     generator = HeldMoveGenerator(5, scene, from_table=True)
     planner, world = HeldPlanner(), World(scene)
     plans = [planner.plan(generator.move(i).query) for i in (0, 1)]
-    return scene, plans, [execute(plan, scene, world=world) for plan in plans]
+    return scene, plans, [execute(plan, world) for plan in plans]
 
 
 def test_the_rod_follows_the_plan_within_2_mm_and_1_degree(driven):
@@ -279,13 +279,13 @@ def test_an_execution_that_strays_is_seen(driven):
     scene, plans, _ = driven
     elsewhere = plans[0].Ts_world_object.copy()
     elsewhere[200:, 0, 3] += 0.003
-    assert execute(dataclasses.replace(plans[0], Ts_world_object=elsewhere), scene).error_max_m > 0.0025
-    dropped = execute(plans[0], scene, close_s=0.001)
+    assert execute(dataclasses.replace(plans[0], Ts_world_object=elsewhere), World(scene)).error_max_m > 0.0025
+    dropped = execute(plans[0], World(scene), close_s=0.001)
     assert dropped.error_max_m > 0.002
     tilted = plans[0].Ts_world_object.copy()
     tilted[0, :3, :3] = rot_x(0.2)
     with pytest.raises(ValueError, match="must lie level"):
-        execute(dataclasses.replace(plans[0], Ts_world_object=tilted), scene)
+        execute(dataclasses.replace(plans[0], Ts_world_object=tilted), World(scene))
 
 
 def test_every_check_can_fail(outcomes, driven):

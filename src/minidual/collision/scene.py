@@ -83,22 +83,17 @@ class PlanningScene:
         moved_a, moved_b = self._moved_by[a], self._moved_by[b]
         if moved_a[1] == 0 and moved_b[1] == 0:
             return "neither moves"
-        for mine, other in ((a, b), (b, a)):
-            held = self._attached_by_name.get(mine)
-            if held is not None:
+        for held in self.attached:
+            if held.name in (a, b):
                 if moved_a == moved_b:
                     return "rigid"
-                if other in held.touch_links:
+                if a in held.touch_links or b in held.touch_links:
                     return f"held by {held.link}"
         return self._reasons.get((a, b) if a < b else (b, a))
 
     @cached_property
     def _reasons(self) -> dict[tuple[str, str], str]:
         return {(a, b): reason for a, b, reason in self.allowed}
-
-    @cached_property
-    def _attached_by_name(self) -> dict[str, Attached]:
-        return {a.name: a for a in self.attached}
 
     @cached_property
     def _moved_by(self) -> dict[str, tuple[str, int]]:

@@ -45,13 +45,11 @@ class NamedStates(dict[str, dict[str, Array]]):
             where, n = f"semantics.states.{name}.{side}_rad", self.robot.dof_per_arm
             if len(joints) != n:
                 raise ConfigError(f"{where}: {len(joints)} values; an arm has {n} joints")
-            columns = self.robot.groups[f"{side}_arm"]
-            q = self.robot.home.copy()
-            q[columns] = joints
             try:
-                parts[side] = check_joints(q, where, self.robot)[columns]
+                q = goal_joints(f"{side}_arm", self.robot.home, np.array(joints), self.robot, where)
             except OutOfLimitsError as error:
                 raise ConfigError(error.message) from error
+            parts[side] = q[self.robot.groups[f"{side}_arm"]]
         if not parts:
             raise ConfigError(f"semantics.states.{name}: it gives neither left_rad nor right_rad")
 

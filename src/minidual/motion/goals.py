@@ -42,7 +42,7 @@ def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
     return np.clip(q, robot.q_lower, robot.q_upper)
 
 
-def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA) -> Array:
+def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA, what: str = "goal") -> Array:
     """Return the goal (n,), completed from the start if of the group's size.
 
     Raises:
@@ -54,8 +54,8 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_P
     full = np.array(q_start)
     if q_goal.shape == full[joints].shape:
         full[joints] = q_goal
-        return check_joints(full, "goal", robot)
-    full[joints] = check_joints(q_goal, "goal", robot)[joints]
+        return check_joints(full, what, robot)
+    full[joints] = check_joints(q_goal, what, robot)[joints]
     if np.abs(full - q_goal).max() > 1e-6:
         raise UsageError(
             f"the goal moves joints outside {group}, which holds the other arm",

@@ -4,6 +4,8 @@ The audit tests the certificate by dense sampling with all collision engines, to
 verified trajectory is an error of the certificate.
 """
 
+import functools
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -57,7 +59,8 @@ class SceneEngines:
         self.solids = Solids(scene)
         self._step_rad = step_rad
         self._kinematics = kinematics or Kinematics(scene.robot)
-        self._engines: dict[str, Any] = {}
+        self.engine: Callable[[str], Any] = functools.cache(lambda name: ENGINES[name](scene))
+        """Return an engine by name, built on first use (20 ms)."""
 
     def in_collision(self, q: Array) -> bool:
         """Return whether parts touch or cannot be proven apart."""
@@ -80,12 +83,6 @@ class SceneEngines:
         Up to 0.1 mm too small, never too large.
         """
         return self.solids.clearance(collision_samples(trajectory, self._step_rad), CLEARANCE_MAX_M)
-
-    def engine(self, name: str) -> Any:
-        """Return an engine, built on first use (20 ms)."""
-        if name not in self._engines:
-            self._engines[name] = ENGINES[name](self.scene)
-        return self._engines[name]
 
     def audit(self, trajectory: Trajectory) -> Audit:
         """Sample densely and ask all engines."""

@@ -41,14 +41,12 @@ class Solids:
         self.robot, self.pairs = scene.robot, scene.checked_pairs
         model, turns = Kinematics(self.robot).model, hinges(self.robot)[1]
         parts = dict(_robot_parts(self.robot))
-        for shape in scene.solid_obstacles:
-            place = pin.SE3(shape.T_parent_shape)
-            parts[shape.name] = _part(self.robot, 0, [(solid, place) for solid in convex_solids(shape)])
-        for held in scene.attached:
-            frame = model.frames[model.getFrameId(held.link)]
-            place = turns[frame.parentJoint] * frame.placement * pin.SE3(held.shape.T_parent_shape)
-            solids = [(solid, place) for solid in convex_solids(held.shape)]
-            parts[held.name] = _part(self.robot, frame.parentJoint, solids)
+        placed = [(shape, 0) for shape in scene.solid_obstacles]
+        placed += [(held.shape, model.getFrameId(held.link)) for held in scene.attached]
+        for shape, index in placed:
+            frame = model.frames[index]  # 0: the world
+            place = turns[frame.parentJoint] * frame.placement * pin.SE3(shape.T_parent_shape)
+            parts[shape.name] = _part(self.robot, frame.parentJoint, [(s, place) for s in convex_solids(shape)])
         rows: list[tuple[Any, ...]] = []
         balls: list[tuple[Any, ...]] = []
         end = 0

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.config.scene import SceneConfig
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
 from minidual.motion.held.path import CarriedTrajectory
@@ -48,9 +47,7 @@ def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, flo
     return float(np.linalg.norm(E[:3, 3])), float(np.linalg.norm(rotation_log(E[:3, :3])))
 
 
-def execute(
-    plan: CarriedTrajectory, scene: SceneConfig, *, world: World | None = None, close_s: float = PHASES["close"].hold_s
-) -> Execution:
+def execute(plan: CarriedTrajectory, world: World, *, close_s: float = PHASES["close"].hold_s) -> Execution:
     """Execute a plan that starts at rest, with the object level on the table and open hands round it.
 
     Raises:
@@ -60,7 +57,6 @@ def execute(
     T_start = plan.Ts_world_object[0]
     if abs(T_start[2, 1]) > _FLAT or abs(T_start[2, 0]) > _FLAT:
         raise ValueError(f"the plan starts with the object tilted: {T_start[2, :3]}; it must lie level on the table")
-    world = world or World(scene)
     yaw = float(np.arctan2(T_start[1, 0], T_start[0, 0]))
     world.reset(plan.q[0], poses={world.objects[0]: (float(T_start[0, 3]), float(T_start[1, 3]), yaw)})
     segments = [

@@ -157,7 +157,7 @@ def run_held(context: StageContext) -> HeldResults:
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
         for trajectory in driven:
             with watched(context.view, world, lambda: words):
-                executions.append(execute(trajectory, config.scene, world=world))
+                executions.append(execute(trajectory, world))
             task.advance(note="driven")
     write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
     failed = [

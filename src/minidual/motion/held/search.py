@@ -109,9 +109,6 @@ class _Tree:
         self.points = np.array(roots, dtype=float)
         self.parents = [-1] * len(roots)
 
-    def nearest(self, space: HeldSpace, z: Array) -> int:
-        return int(np.argmin(space.distance(z, self.points)))
-
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
         """Return one of the `among` nearest points."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
@@ -206,7 +203,7 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
     """Grow towards z; return the index where they meet, or None."""
-    current = tree.nearest(space, z)
+    current = int(np.argmin(space.distance(z, tree.points)))
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])
         share = min(1.0, _CONNECT_M / max(away, _SAME_M))
