@@ -127,14 +127,8 @@ def test_images_are_normalised_in_one_pass_as_by_hand() -> None:
 
 def test_unusable_datasets_are_refused_with_the_column_and_the_episode() -> None:
     demos = tiny()
-    state = demos.state.copy()
-    state[70, 2] = np.nan
-    with pytest.raises(DataError, match="'state' is not finite in 1 ticks, first in episode 1"):
-        Demonstrations(demos.images, state, demos.action, demos.episode_index)
     with pytest.raises(DataError, match="'action' has shape"):
         Demonstrations(demos.images, demos.state, demos.action[:, :14], demos.episode_index)
-    with pytest.raises(DataError, match="camera 'high' has float64 images"):
-        Demonstrations({"high": demos.images["high"] / 255.0}, demos.state, demos.action, demos.episode_index)
     with pytest.raises(DataError, match="not ascending"):
         Demonstrations(demos.images, demos.state, demos.action, demos.episode_index[::-1].copy())
     with pytest.raises(DataError, match="no camera images"):

@@ -16,7 +16,7 @@ from minidual.config.scene import SceneConfig
 from minidual.config.teleop import MirrorConfig, TeleopConfig
 from minidual.demos.keyboard import KeyboardLeader
 from minidual.demos.leader import LEADERS, LeaderSetup
-from minidual.demos.mirror import LeaderOffsetError, Mirror
+from minidual.demos.session import check_start, follower_target
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -27,23 +27,23 @@ HOME = DUAL_PANDA.home
 def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None:
     leader = HOME.copy()
     leader[10] += 0.25
-    with pytest.raises(LeaderOffsetError, match=r"\+0\.250 rad away from the follower at right_panda_joint4") as error:
-        Mirror(DUAL_PANDA, MirrorConfig()).check_start(leader, HOME)
+    with pytest.raises(UsageError, match=r"\+0\.250 rad away from the follower at right_panda_joint4") as error:
+        check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
     assert "joint order" in (error.value.remedy or "")
     leader[10] = HOME[10] + 0.09
-    Mirror(DUAL_PANDA, MirrorConfig()).check_start(leader, HOME)
+    check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
 
 
 def test_targets_stay_inside_the_limits_and_what_is_no_posture_is_left_for_the_arbiter() -> None:
-    mirror = Mirror(DUAL_PANDA, MirrorConfig(workspace_margin_rad=0.1))
+    config = MirrorConfig(workspace_margin_rad=0.1)
     leader = HOME.copy()
     leader[5] = 9.0
-    assert mirror.target(leader)[5] == pytest.approx(DUAL_PANDA.q_upper[5] - 0.1)
+    assert follower_target(DUAL_PANDA, config, leader)[5] == pytest.approx(DUAL_PANDA.q_upper[5] - 0.1)
     leader[5] = np.nan
-    assert np.isnan(mirror.target(leader)[5])
-    np.testing.assert_array_equal(mirror.target(np.zeros(14)), np.zeros(14))
+    assert np.isnan(follower_target(DUAL_PANDA, config, leader)[5])
+    np.testing.assert_array_equal(follower_target(DUAL_PANDA, config, np.zeros(14)), np.zeros(14))
     with pytest.raises(UsageError, match=r"shape \(7,\)"):
-        mirror.target(HOME[:7])
+        follower_target(DUAL_PANDA, config, HOME[:7])
 
 
 def test_leaders_are_found_by_name(scene: SceneConfig) -> None:

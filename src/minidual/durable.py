@@ -20,6 +20,11 @@ from typing import Any
 from minidual.errors import DataError, EnvironmentMissingError, MinidualError, NothingEvaluatedError, UsageError
 
 JSON_BYTES_MAX = 2**24
+DAMAGED = (
+    *(OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, AssertionError, ImportError),
+    *(RuntimeError, MemoryError),
+)
+"""What libraries raise over damaged content."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 _KINDS = {"d": "folder", "-": "file", "p": "FIFO", "s": "socket", "c": "device", "b": "device"}
@@ -201,6 +206,21 @@ def regular_file(path: Path, bytes_max: int) -> Path:
     if (size := path.stat().st_size) > bytes_max:
         raise DataError(f"{path} holds {size:,} bytes; at most {bytes_max:,} are read")
     return path
+
+
+@contextlib.contextmanager
+def reading(what: Path | str, remedy: str, *others: type[Exception]) -> Generator[None]:
+    """Turn an error of damaged content, one of Python's or `others`, into DataError."""
+    try:
+        yield
+    except DataError as error:
+        error.remedy = error.remedy or remedy
+        raise
+    except (*DAMAGED, *others) as error:
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise DataError(
+            f"{what} cannot be read, it is missing, truncated or corrupt: {said:.300}", remedy=remedy
+        ) from error
 
 
 def read_json(path: Path, bytes_max: int = JSON_BYTES_MAX) -> Any:

@@ -22,7 +22,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from numpy.typing import NDArray
 
 from minidual import durable
-from minidual.demos.episode import Episode, read_episode, read_meta
+from minidual.demos.episode import Episode, read_episode
 from minidual.demos.lerobot_reader import ACTION, STATE, LeRobotTables, camera_key, read_dataset
 from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Robot
@@ -67,17 +67,6 @@ def convert(
     return read_dataset(out_dir)
 
 
-def _common_rate(paths: Sequence[Path]) -> int:
-    rates = [read_meta(path).fps for path in paths]
-    for path, rate in zip(paths, rates, strict=True):
-        if rate != rates[0] or not rate.is_integer():
-            raise DataError(
-                f"{path} runs at {rate:g} Hz, {paths[0].name} at {rates[0]:g} Hz; a LeRobot dataset needs one whole "
-                "number"
-            )
-    return int(rates[0])
-
-
 def _write_dataset(
     root: Path, name: str, paths: Sequence[Path], robot: Robot, progress: Callable[[], None] | None
 ) -> None:
@@ -85,7 +74,8 @@ def _write_dataset(
     features: dict[str, dict[str, Any]] = {
         key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key in (STATE, ACTION)
     }
-    shapes = {camera: frames.shape[1:] for camera, frames in read_episode(paths[0]).images.items()}
+    first = read_episode(paths[0])
+    shapes = {camera: frames.shape[1:] for camera, frames in first.images.items()}
     for camera, shape in shapes.items():
         features[camera_key(camera)] = {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
     records: list[dict[str, Any]] = []
@@ -101,7 +91,7 @@ def _write_dataset(
         stack.callback(image_log.removeFilter, _raise_report)
         dataset = LeRobotDataset.create(
             repo_id=f"local/{name}",
-            fps=_common_rate(paths),
+            fps=int(first.meta.fps),
             features=features,
             root=root,
             robot_type=f"dual_{robot.arm.name}",
@@ -113,6 +103,8 @@ def _write_dataset(
         stack.callback(dataset.finalize)
         for path in paths:
             episode = read_episode(path, cameras=tuple(shapes))
+            if episode.meta.fps != dataset.fps:
+                raise DataError(f"{path} runs at {episode.meta.fps:g} Hz, the dataset at {dataset.fps} Hz (whole, one)")
             for camera, shape in shapes.items():
                 if episode.images[camera].shape[1:] != shape:
                     raise DataError(f"{path}: camera '{camera}' is {episode.images[camera].shape[1:]}, not {shape}")

@@ -1,8 +1,8 @@
 """Read LeRobot v3 datasets without LeRobot, to verify them independently."""
 
-import contextlib
 import itertools
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from av.error import FFmpegError
 from numpy.typing import NDArray
 
-from minidual.durable import read_json, regular_file
+from minidual.durable import read_json, reading, regular_file
 from minidual.errors import DataError, unknown_name
 
 STATE = "observation.state"
@@ -25,7 +25,6 @@ Image = NDArray[np.uint8]
 Rows = NDArray[np.int64]
 _AGAIN = "convert the episodes again: minidual teleop-record --force"
 _VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_BAD = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError)
 PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
 """Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
 BYTES_MAX = 2**36
@@ -173,16 +172,8 @@ def _integers(table: Any, key: str) -> Rows:
         return np.asarray(table[key].to_numpy(), dtype=np.int64)
 
 
-@contextlib.contextmanager
-def _reading(what: Path | str) -> Iterator[None]:
-    """Turn an error of damaged content into DataError."""
-    try:
-        yield
-    except DataError as error:
-        error.remedy = error.remedy or _AGAIN
-        raise
-    except (*_BAD, pa.ArrowException, FFmpegError) as error:
-        raise DataError(f"{what} is missing, truncated or corrupt: {error!r:.300}", remedy=_AGAIN) from error
+def _reading(what: Path | str) -> AbstractContextManager[None]:
+    return reading(what, _AGAIN, pa.ArrowException, FFmpegError)
 
 
 def _read_parquet(root: Path, folder: str) -> Any:

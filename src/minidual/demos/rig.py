@@ -1,7 +1,6 @@
 """Run and write one demonstration."""
 
 import json
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -25,8 +24,7 @@ from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.smoothness import rms_jerk
 from minidual.demos.writer import EpisodeWriter
-from minidual.errors import DataError, MinidualError
-from minidual.plant.render import Camera, Image, write_video
+from minidual.errors import DataError
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
@@ -40,7 +38,6 @@ PURPOSE = "demonstrations"
 KEPT, REJECTED, ATTEMPTS = "episodes", "rejected", "attempts"
 """Folders of a recording: demonstrations, other episodes, and one JSON file for each attempt."""
 MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad")
-FILM_SIZE = (640, 480)
 
 
 class _Said(StrictModel):
@@ -54,13 +51,9 @@ class _Said(StrictModel):
     path: str | None = Field(pattern=rf"^({KEPT}|{REJECTED})/episode_\d{{6}}\.hdf5$")
 
 
-class OrphanedError(MinidualError):
-    """The process that asked for the recording has ended."""
-
-
 @dataclass(frozen=True)
 class Job:
-    """Inputs shared by all trials; `owner` is the id of the recording process."""
+    """Inputs shared by all trials."""
 
     folder: Path
     task: Task
@@ -68,7 +61,6 @@ class Job:
     arbiter: ArbiterConfig
     seed: int
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
-    owner: int = field(default_factory=os.getpid)
 
     @property
     def robot(self) -> Robot:
@@ -179,7 +171,6 @@ class Rig:
         with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
 
             def append(k: int, tick: Tick) -> None:
-                self._check_owner()
                 seen = tick.observation
                 writer.append(
                     qpos=seen.q,
@@ -225,7 +216,6 @@ class Rig:
         return replace(attempt, quality=episode_quality(episode, self.kinematics), views=thumbnails(episode.images))
 
     def _concluded(self, attempt: Attempt, began: float) -> Attempt:
-        self._check_owner()
         attempt = replace(attempt, wall_s=time.perf_counter() - began)
         record = {key: getattr(attempt, key) for key in ("success", "reason", "measures", "latencies_s", "wall_s")}
         record["path"] = attempt.path and f"{attempt.path.parent.name}/{attempt.path.name}"
@@ -235,11 +225,6 @@ class Rig:
 
     def _attempt_path(self, trial: Trial) -> Path:
         return self.job.folder / ATTEMPTS / f"{trial.index:06d}.json"
-
-    def _check_owner(self) -> None:
-        # A worker that outlives a killed recording must not write into the next one.
-        if self.job.owner not in (os.getpid(), os.getppid()):
-            raise OrphanedError("the recording was ended while this worker ran")
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
         teleop, task = self.job.teleop, self.job.task
@@ -261,19 +246,3 @@ class Rig:
     def close(self) -> None:
         """Free the renderer."""
         self.observer.close()
-
-
-def film(job: Job, index: int, path: Path) -> None:
-    """Run trial `index` again and film it."""
-    rig = Rig(job, ())
-    frames: list[Image] = []
-    every = max(1, round(job.teleop.rate_hz / 25.0))
-    with Camera(rig.world.model, *FILM_SIZE, shadows=True) as camera:
-
-        def shoot(k: int, tick: Tick) -> None:
-            if k % every == 0:
-                frames.append(camera.picture(rig.world.data, "overview").copy())
-
-        rig.lead(job.trial(index), shoot)
-    rig.close()
-    write_video(path, frames, fps=round(job.teleop.rate_hz / every))

@@ -8,18 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.config.teleop import TeleopConfig
+from minidual.config.teleop import MirrorConfig, TeleopConfig
 from minidual.control.commands import ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import Leader
-from minidual.demos.mirror import Mirror
 from minidual.demos.observation import Observation, Observer
-from minidual.errors import MinidualError
+from minidual.errors import MinidualError, UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, Robot
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.task import Task, Trial
 
@@ -28,6 +27,29 @@ SOURCE = "teleop"
 
 class HandoverError(MinidualError):
     """The arbiter did not accept the leader."""
+
+
+def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower: Array) -> None:
+    """Raise UsageError if a joint of leader and follower differs by more than the limit."""
+    difference = follower_target(robot, config, q_leader) - q_follower
+    worst, limit = int(np.argmax(np.abs(difference))), config.start_error_max_rad
+    if abs(difference[worst]) > limit:
+        raise UsageError(
+            f"the leader starts {difference[worst]:+.3f} rad away from the follower at {robot.joint_names[worst]} "
+            f"({int(np.sum(np.abs(difference) > limit))} of {robot.dof} joints over the limit of {limit} rad)",
+            remedy="bring the leader to the follower's posture; check the joint order, the signs and the offsets",
+        )
+
+
+def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Array:
+    """Return the leader's joints clipped to the follower's limits (n,) [rad]; UsageError for another shape.
+
+    All zeros (lost values) and NaN pass unchanged, so that the arbiter refuses them.
+    """
+    q, margin = np.asarray(q_leader, dtype=float), config.workspace_margin_rad
+    if q.shape != (robot.dof,):
+        raise UsageError(f"the leader gives joints of shape {q.shape}; it must be ({robot.dof},), left then right")
+    return np.clip(q, robot.q_lower + margin, robot.q_upper - margin) if q.any() else q
 
 
 @dataclass(frozen=True)
@@ -91,7 +113,6 @@ class TeleopSession:
         supervisor: Supervisor | None = None,
     ) -> None:
         self.world, self.observer, self.config = world, observer, config
-        self.mirror = Mirror(world.robot, config.mirror)
         self._steps = round(1.0 / (config.rate_hz * world.dt))
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz, supervisor=supervisor)
 
@@ -101,7 +122,7 @@ class TeleopSession:
         """Run one episode; `on_tick` is called after each command.
 
         Raises:
-            LeaderOffsetError: Leader and follower are apart.
+            UsageError: Leader and follower are apart, or have other joints.
             HandoverError: The arbiter refused.
         """
         world, stack, period_s = self.world, self.stack, 1.0 / self.config.rate_hz
@@ -109,7 +130,7 @@ class TeleopSession:
         stack.reset()
         first = leader.read(0.0)
         if first is not None:
-            self.mirror.check_start(first[0], world.q)
+            check_start(world.robot, self.config.mirror, first[0], world.q)
         self._hand_over(judge)
         # The judge applies the task's own limit to people too.
         limit_s = self.config.person_time_limit_s if leader.realtime else world.scene.task.time_limit_s
@@ -127,7 +148,8 @@ class TeleopSession:
             before = time.perf_counter()
             reading = leader.read(elapsed_s)
             if reading is not None:
-                command = JointCommand(self.mirror.target(reading[0]), reading[1], observation.time_s, k)
+                target = follower_target(world.robot, self.config.mirror, reading[0])
+                command = JointCommand(target, reading[1], observation.time_s, k)
                 stack.propose(SOURCE, command)
             out = stack.arbitrate()
             tick = Tick(observation, out.q_target, out.gripper)

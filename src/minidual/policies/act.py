@@ -1,7 +1,7 @@
 """ACT policies through LeRobot."""
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +32,6 @@ from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
 from minidual.policies.train import Trained, threads, train
 
 REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json")
-
-_UNREADABLE = (
-    *(OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, AssertionError, ImportError),
-    *(RuntimeError, MemoryError, SafetensorError, DecodingError, ParsingError),
-)
 
 
 class ActKind(PolicyKind):
@@ -135,17 +130,8 @@ class SpatialActKind(ActKind):
         return policy
 
 
-@contextlib.contextmanager
-def _reading(folder: Path) -> Iterator[None]:
-    """Turn an error of a damaged checkpoint into DataError."""
-    try:
-        yield
-    except DataError as error:
-        error.remedy = error.remedy or f"{REMEDY} --force"
-        raise
-    except _UNREADABLE as error:
-        said = " ".join((str(error) or type(error).__name__).split())
-        raise DataError(f"checkpoint {folder} cannot be read: {said[:300]}", remedy=f"{REMEDY} --force") from error
+def _reading(folder: Path) -> AbstractContextManager[None]:
+    return durable.reading(f"checkpoint {folder}", f"{REMEDY} --force", SafetensorError, DecodingError, ParsingError)
 
 
 ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()

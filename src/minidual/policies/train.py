@@ -207,7 +207,7 @@ class _Loop:
             chunk = self.policy.predict_action_chunk(observation)
             l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
             if getattr(self.policy.config, "keyframe_weight", 0.0) > 0:
-                error = (self.policy.predict_keyframes(observation) - batch["keyframe"]).abs()
+                error = (self.policy.model(observation)[2] - batch["keyframe"]).abs()
                 error = error * self.stats["action"]["std"].to(error.device)
                 keyframe.append(error[..., : self.joints_n].mean(-1)[batch["keyframe_is_valid"]])
         self._set_weights(current)

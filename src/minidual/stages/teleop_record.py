@@ -15,6 +15,7 @@ from minidual.errors import NothingEvaluatedError
 from minidual.gate.check import Check
 from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
+from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
 from minidual.show.watch import watch_recording
 from minidual.stages.words import Rows, worded
@@ -78,7 +79,7 @@ def run(context: StageContext) -> StageResult:
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice
         with context.progress.task("film", 1) as task:
-            rig.film(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
+            film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
             task.advance()
     draw_quality(recorded.attempts, config.scene.task, teleop.jerk_max_rad_s3, folder / "quality.png")
     rejected = [a for a in recorded.attempts if not a.kept]

@@ -79,15 +79,6 @@ class SpatialActPolicy(ACTPolicy):
         self.model = SpatialActModel(config)
         self.reset()
 
-    @torch.no_grad()
-    def predict_keyframes(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return normalised keyframes (B, K, A); ValueError without keyframe head."""
-        self.eval()
-        keyframe = self.model(batch)[2]
-        if keyframe is None:
-            raise ValueError("this policy has no keyframe head: keyframe_weight is 0")
-        return keyframe
-
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
         """Return the loss and its parts.
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from minidual.demos.rig import Job, Rig
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.robot.pair import Array
@@ -25,6 +26,14 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
     result, _ = bench.run(trial, on_step=lambda world, _method: postures(world))
     film_postures(bench.world.model, postures.qpos, path)
     return result
+
+
+def film_demonstration(job: Job, index: int, path: Path) -> None:
+    """Lead trial `index` of a recording again and film it."""
+    rig, postures = Rig(job, ()), Postures(1.0 / FILM_FPS)
+    rig.lead(job.trial(index), lambda _k, _tick: postures(rig.world))
+    rig.close()
+    film_postures(rig.world.model, postures.qpos, path)
 
 
 class Postures:
