@@ -12,11 +12,7 @@ from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError
 from minidual.policies.demonstrations import Demonstrations, WeightedRows, gripper_switches, split_episodes
 
-torch, batches, normalisation = (
-    late("torch"),
-    late("minidual.policies.batches"),
-    late("minidual.policies.normalisation"),
-)
+torch, batches = late("torch"), late("minidual.policies.batches")
 pytestmark = pytest.mark.torch
 
 
@@ -80,7 +76,7 @@ def test_statistics_are_those_of_the_data_and_floored() -> None:
     demos = tiny()
     demos.state[:, 3] = 0.5  # a joint that never moves
     rows = np.arange(len(demos))
-    stats = normalisation.dataset_statistics(demos, rows, 0.01)
+    stats = batches.dataset_statistics(demos, rows, 0.01)
     assert np.allclose(stats["action"]["mean"], demos.action.mean(axis=0), atol=1e-6)
     assert stats["observation.state"]["std"][3] == pytest.approx(0.01)
     pixels = demos.images["high"].reshape(-1, 3) / 255.0
@@ -89,7 +85,7 @@ def test_statistics_are_those_of_the_data_and_floored() -> None:
 
 def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> None:
     demos = tiny()
-    stats = normalisation.dataset_statistics(demos, np.arange(len(demos)), 0.01)
+    stats = batches.dataset_statistics(demos, np.arange(len(demos)), 0.01)
     batch = batches.BatchMaker(demos, TrainConfig(chunk_size=10), stats).clean(np.array([5, 55, 100]))
     actions = batch["action"] * stats["action"]["std"] + stats["action"]["mean"]
     assert np.allclose(actions[0], demos.action[5:15], atol=1e-5)
@@ -103,7 +99,7 @@ def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> 
 
 def test_state_noise_is_large_in_the_approach_and_small_after_it() -> None:
     demos = tiny()
-    stats = normalisation.dataset_statistics(demos, np.arange(len(demos)), 0.01)
+    stats = batches.dataset_statistics(demos, np.arange(len(demos)), 0.01)
     config = TrainConfig(chunk_size=5, state_noise_approach_rad=0.06, state_noise_rad=0.01)
     maker = batches.BatchMaker(demos, config, stats)
 
@@ -122,7 +118,7 @@ def test_images_are_normalised_in_one_pass_as_by_hand() -> None:
     images = torch.randint(0, 256, (4, 6, 8, 3), generator=generator, dtype=torch.uint8)
     stats = {"mean": torch.tensor([0.3, 0.4, 0.5]).view(3, 1, 1), "std": torch.tensor([0.2, 0.1, 0.3]).view(3, 1, 1)}
     by_hand = (images.permute(0, 3, 1, 2) / 255.0 - stats["mean"]) / stats["std"]
-    assert torch.allclose(normalisation.normalise_images(images, stats), by_hand, atol=1e-5)
+    assert torch.allclose(batches.normalise_images(images, stats), by_hand, atol=1e-5)
 
 
 def test_unusable_datasets_are_refused_with_the_column_and_the_episode() -> None:

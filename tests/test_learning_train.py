@@ -224,9 +224,8 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
 
 def test_processors_of_the_checkpoint_normalise_as_training_does(demos: Demonstrations, tmp_path: Path) -> None:
     from minidual.config.seeds import stream
-    from minidual.policies.batches import BatchMaker
+    from minidual.policies.batches import BatchMaker, dataset_statistics
     from minidual.policies.demonstrations import split_episodes
-    from minidual.policies.normalisation import dataset_statistics
 
     config = TrainConfig(**SMALL)
     train(demos, config, 0, tmp_path / "a")

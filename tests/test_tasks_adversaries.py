@@ -22,8 +22,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks.judge import Outcome, begin
-from minidual.tasks.motions import MOTIONS
-from minidual.tasks.objects import OBJECTS
+from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial, make_task
 

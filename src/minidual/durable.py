@@ -219,7 +219,7 @@ def reading(what: Path | str, remedy: str, *others: type[Exception]) -> Generato
     except (*DAMAGED, *others) as error:
         said = " ".join(f"{type(error).__name__}: {error}".split())
         raise DataError(
-            f"{what} cannot be read, it is missing, truncated or corrupt: {said:.300}", remedy=remedy
+            f"{what} is missing, truncated or corrupt, and cannot be read: {said:.300}", remedy=remedy
         ) from error
 
 

@@ -130,9 +130,9 @@ class CarryConfig(StrictModel):
 
     trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     object: str = "rod"
-    """Row of tasks/objects.py."""
+    """Row of OBJECTS in tasks/objects.py."""
     motion: str = "straight"
-    """Row of tasks/motions.py."""
+    """Row of MOTIONS in tasks/objects.py."""
     impedance: ImpedanceConfig = ImpedanceConfig()
     sensing: SensingConfig = SensingConfig()
     pace: PaceConfig = PaceConfig()

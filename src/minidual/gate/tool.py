@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from minidual.durable import remove, set_aside
 from minidual.errors import ExitCode
-from minidual.gate.place import Place
 from minidual.gate.progress import Progress
+from minidual.gate.store import Place
 
 if TYPE_CHECKING:
     from minidual.config.root import Config

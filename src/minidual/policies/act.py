@@ -22,10 +22,10 @@ from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import ACTION, IMAGE_PREFIX, STATE, camera_key
 from minidual.durable import read_json
 from minidual.errors import DataError, EnvironmentMissingError
+from minidual.policies.batches import Stats
 from minidual.policies.checkpoint import check_processor, check_sizes, read_tensors
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import REMEDY, Advance, ChunkPolicy, Image, PolicyKind
-from minidual.policies.normalisation import Stats
 from minidual.policies.records import TrainResult
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy

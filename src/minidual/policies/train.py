@@ -23,10 +23,9 @@ from minidual import durable
 from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
 from minidual.errors import DataError, UsageError
-from minidual.policies.batches import BatchMaker
+from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
 from minidual.policies.demonstrations import Demonstrations, WeightedRows, split_episodes
 from minidual.policies.kinds import Advance
-from minidual.policies.normalisation import Stats, dataset_statistics
 from minidual.policies.records import LossRow, TrainResult
 
 VALIDATION_ROWS = 512

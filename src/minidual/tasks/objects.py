@@ -1,30 +1,15 @@
-"""Table of objects to carry, with internal force and stiffness.
+"""Tables of objects and motions of a carry (docs/carry.md); a row is configuration defaults {dotted path: value}.
 
-Parallel grippers hold them from above: 80 mm opening, pads 3 mm over the axis.
+Parallel grippers hold the objects from above: 80 mm opening, pads 3 mm over the axis.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
+from minidual.config.scene import ObstacleConfig
 from minidual.control.pinch import SAFETY, pinch_force
 from minidual.registry import Registry
-
-
-@dataclass(frozen=True)
-class CarryObject:
-    """One object.
-
-    Attributes:
-        squeeze_range_n: Recommended internal force.
-        stiffness_range_n_per_m: Recommended translational stiffness.
-        values: Configuration defaults {dotted path: value}.
-    """
-
-    summary: str
-    squeeze_range_n: tuple[float, float]
-    stiffness_range_n_per_m: tuple[float, float]
-    values: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _values(
@@ -65,37 +50,39 @@ _GLASS: dict[str, Any] = {
     "colour": (0.62, 0.84, 0.86, 0.55),
 }
 
-OBJECTS: Registry[CarryObject] = Registry(
+OBJECTS: Registry[Mapping[str, Any]] = Registry(
     "object",
     {
-        "rod": CarryObject("aluminium rod, 30 cm, 0.2 kg", (25.0, 40.0), (300.0, 500.0)),
+        "rod": {},
         # Twice the usual safety: on a flat face, pads lose contact for one step in 3 of 10 carries at 30 N, in 0 of 12
         # at 60 N.
-        "board": CarryObject(
-            "laminate board, 40 x 5 x 3 cm, 1.0 kg",
-            (20.0, 30.0),
-            (400.0, 600.0),
-            _values(_BOARD, 27.0, 500.0, safety=3.0),
-        ),
+        "board": _values(_BOARD, 27.0, 500.0, safety=3.0),
         # The hand allows 70 N continuously, 140 N at most; a carry lasts seconds.
-        "box": CarryObject(
-            "plastic box, 30 x 6 x 6 cm, 0.5 kg",
-            (40.0, 60.0),
-            (300.0, 500.0),
-            {**_values(_BOX, 42.0, 400.0), "scene.physics.finger_force_max_n": 110.0},
-        ),
+        "box": {**_values(_BOX, 42.0, 400.0), "scene.physics.finger_force_max_n": 110.0},
         # Slow landing: with low stiffness the tracking error of a fast one becomes an impact.
-        "glass": CarryObject(
-            "glass tube, 30 cm, 0.15 kg, breaks at 20 N of a hand or 40 N of pinch",
-            (10.0, 15.0),
-            (100.0, 200.0),
-            {
-                **_values(_GLASS, 13.0, 200.0, force_correction_max_n=3.0),
-                "carry.pace.object_acceleration_m_per_s2": 0.9,
-                "carry.pace.landing_m": 0.003,
-                "carry.pace.landing_s": 0.35,
-            },
-        ),
+        "glass": {
+            **_values(_GLASS, 13.0, 200.0, force_correction_max_n=3.0),
+            "scene.task.internal_force_min_n": 10.0,
+            "carry.pace.object_acceleration_m_per_s2": 0.9,
+            "carry.pace.landing_m": 0.003,
+            "carry.pace.landing_s": 0.35,
+        },
     },
     group="minidual.objects",
+)
+
+MOTIONS: Registry[Mapping[str, Any]] = Registry(
+    "motion",
+    {
+        "straight": {},
+        # Clockwise, so that the arms do not cross. With the goal 10 cm farther right the left arm is almost stretched:
+        # its smallest singular value falls from 0.11 to 0.02.
+        "rotate": {
+            "scene.task.goal_xy_m": (0.5, -0.15),
+            "scene.task.goal_yaw_rad": -round(math.pi / 2, 6),
+            "scene.task.yaw_tolerance_rad": 0.08727,
+        },
+        "over": {"scene.task.obstacle": ObstacleConfig(), "scene.task.lift_height_m": 0.17},
+    },
+    group="minidual.motions",
 )

@@ -6,15 +6,14 @@ import math
 
 import numpy as np
 
-from minidual.config.change import preset, replaced
+from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import OBSTACLE, ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
-from minidual.tasks.motions import MOTIONS
-from minidual.tasks.objects import OBJECTS
+from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
 _DRAWS_MAX, _ROOM_M = 1000, 0.02
@@ -24,18 +23,11 @@ _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", 
 def carry_config(config: Config) -> Config:
     """Return the configuration with object and motion applied; idempotent.
 
-    Lowers the required internal force to the low end of the object's range.
-
     Raises:
         UsageError: Unknown object or motion.
     """
     item, motion = OBJECTS[config.carry.object], MOTIONS[config.carry.motion]
-    config = preset(config, {"scene.object.name": config.carry.object, **item.values, **motion.values})
-    task = config.scene.task
-    least = min(task.internal_force_min_n, item.squeeze_range_n[0])
-    if least == task.internal_force_min_n:
-        return config
-    return replaced(config, scene=replaced(config.scene, task=replaced(task, internal_force_min_n=least)))
+    return preset(config, {"scene.object.name": config.carry.object, **item, **motion})
 
 
 def rod_carry(config: Config) -> Task:
