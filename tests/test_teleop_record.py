@@ -158,7 +158,7 @@ def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, Recording]
     first, second = recorded[1].attempts
     broken = dataclasses.replace(second, faults=("cameras_swapped: ...",), sync_error_max_s=float("nan"))
     first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
-    numbers = Recording((first, broken), 100.0, workers=2).numbers(conversion_s=20.0)
+    numbers = Recording((first, broken), workers=2).numbers(conversion_s=20.0)
     assert numbers["schema_ok"] is False
     assert np.isnan(numbers["sync_error_max_s"]), "an unknown value must not vanish"
     assert numbers["recorded_per_min"] == pytest.approx(3.0)
@@ -180,7 +180,7 @@ def test_images_taken_after_the_joints_are_counted_and_refused(
     attempt, sound = rig.record(0), ToyRig(job(tmp_path / "sound"), ()).record(0)
     assert (attempt.success, attempt.kept, sound.kept) == (True, False, True)
     assert "out_of_sync" in attempt.reason
-    late = Recording((sound, attempt), 1.0, 1).numbers()["sync_error_max_s"]
+    late = Recording((sound, attempt), 1).numbers()["sync_error_max_s"]
     assert late == pytest.approx(0.025)
     checks = record_checks(GOOD | {"sync_error_max_s": late}, TeleopConfig())
     assert {c.name for c in checks if c.passed is False} == {"sync_error_max_s"}
@@ -226,14 +226,17 @@ def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_
     assert not (tmp_path / "episodes").exists()
 
 
-def _fake(outcomes: list[bool], calls: list[list[int]]) -> Any:
-    def record_attempts(job: Job, indices: Any, *, workers: int, observe: None = None) -> Any:
+def _fake(patch: pytest.MonkeyPatch, outcomes: list[bool], calls: list[list[int]]) -> None:
+    def in_workers(function: Any, indices: Any, workers: int) -> Any:
         calls.append(list(indices))
-        for index in indices:
-            good = outcomes[index]
-            yield Attempt(job.trial(index), good, "" if good else "held at 3.00 s: left hand")
+        yield from map(function, indices)
 
-    return record_attempts
+    def attempt(job: Job, index: int, observe: None) -> Attempt:
+        good = outcomes[index]
+        return Attempt(job.trial(index), good, "" if good else "held at 3.00 s: left hand")
+
+    patch.setattr(teleop_recording, "in_workers", in_workers)
+    patch.setattr(teleop_recording, "_record_in_worker", attempt)
 
 
 def test_failures_are_made_up_for_in_a_way_that_no_worker_can_change(
@@ -241,7 +244,7 @@ def test_failures_are_made_up_for_in_a_way_that_no_worker_can_change(
 ) -> None:
     calls: list[list[int]] = []
     outcomes = [True, False, True, False, False, True, True]
-    monkeypatch.setattr(teleop_recording, "record_attempts", _fake(outcomes, calls))
+    _fake(monkeypatch, outcomes, calls)
     recording = record(_job(tmp_path, episodes_n=4, attempts_max_ratio=2.0), workers=2)
     assert calls == [[0, 1, 2, 3], [4, 5], [6]]
     assert [a.trial.index for a in recording.kept] == [0, 2, 5, 6]
@@ -251,7 +254,7 @@ def test_attempts_are_bounded_and_their_commonest_reason_reported(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     calls: list[list[int]] = []
-    monkeypatch.setattr(teleop_recording, "record_attempts", _fake([False] * 50, calls))
+    _fake(monkeypatch, [False] * 50, calls)
     config = CONFIG.model_copy(update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 4})})
     with pytest.raises(NothingEvaluatedError, match=r"none of 6 attempts.*6 x held at 3\.00 s: left hand"):
         run(StageContext(tmp_path, config, config.seed, "standard"))

@@ -97,11 +97,9 @@ class LeRobotTables:
                 mean = result[start:stop:every].mean(axis=(0, 1, 2)) / 255.0
                 apart = float(np.abs(mean - np.ravel(self._episodes[recorded][e].as_py())).max())
                 if not apart <= BRIGHTNESS_MAX:
-                    raise DataError(
-                        f"{self.root}: camera '{camera}' of episode {e} shows other pictures than were recorded (mean "
-                        f"colour {apart:.3f} apart, limit {BRIGHTNESS_MAX:g})",
-                        remedy=_AGAIN,
-                    )
+                    other = f"mean colour {apart:.3f} apart, limit {BRIGHTNESS_MAX:g}"
+                    what = f"camera '{camera}' of episode {e} shows other pictures than were recorded ({other})"
+                    raise DataError(f"{self.root}: {what}", remedy=_AGAIN)
         return result
 
     def _videos(self, key: str) -> dict[str, Rows]:
@@ -143,26 +141,19 @@ def read_dataset(root: Path | str) -> LeRobotTables:
         state, action = (np.stack(table[key].to_numpy()).astype(np.float32) for key in (STATE, ACTION))
         index, episode, frame = (_integers(table, key) for key in ("index", "episode_index", "frame_index"))
         starts, stops = (_integers(episodes, key) for key in ("dataset_from_index", "dataset_to_index"))
-        if not all(
-            values.shape == (len(index), len(names)) and np.isfinite(values).all() for values in (state, action)
-        ):
+        rows = np.arange(len(index))
+        if not all(values.shape == (len(rows), len(names)) and np.isfinite(values).all() for values in (state, action)):
             raise ValueError(f"state {state.shape} or action {action.shape} is not finite or not as declared")
-    if declared != (len(index), len(starts)):
-        raise DataError(
-            f"{root}: info.json declares {declared[0]} frames in {declared[1]} episodes, the tables hold {len(index)} "
-            f"in {len(starts)}",
-            remedy=_AGAIN,
-        )
-    runs = (
-        np.array_equal(starts, np.r_[0, stops][: len(starts)]) and np.all(stops > starts) and stops[-1:] == len(index)
-    )
-    counted = (
-        np.concatenate([np.arange(stop - start) for start, stop in zip(starts, stops, strict=True)]) if runs else 0
-    )
-    if not (runs and np.array_equal(index, np.arange(len(index))) and np.array_equal(frame, counted)):
-        raise DataError(f"{root}: row or frame indices do not run without gaps", remedy=_AGAIN)
-    if action_names != names:
-        raise DataError(f"{root}: action is named {action_names}, state {names}", remedy=_AGAIN)
+        if declared != (len(rows), len(starts)):
+            held = f"the tables hold {len(rows)} in {len(starts)}"
+            raise ValueError(f"info.json declares {declared[0]} frames in {declared[1]} episodes, {held}")
+        follow = np.array_equal(np.r_[starts, len(rows)], np.r_[0, stops]) and np.all(stops > starts)
+        if not (
+            follow and np.array_equal(index, rows) and np.array_equal(frame, rows - np.repeat(starts, stops - starts))
+        ):
+            raise ValueError("row or frame indices do not run without gaps")
+        if action_names != names:
+            raise ValueError(f"action is named {action_names}, state {names}")
     columns = (state, action, episode, frame, starts, stops)
     return LeRobotTables(root, fps, names, cameras, *columns, episodes)
 

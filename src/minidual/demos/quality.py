@@ -24,7 +24,6 @@ class EpisodeQuality:
         cells_n: 5 cm cubes that hands visit.
     """
 
-    file: str
     ticks: int
     duration_s: float
     rms_jerk_rad_s3: float
@@ -37,7 +36,6 @@ def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
     """Return the measures; DataError if shorter than 0.5 s."""
     hands = tcp_positions(episode.qpos, kinematics)
     return EpisodeQuality(
-        file=episode.path.name if episode.path is not None else "",
         ticks=len(episode),
         duration_s=episode.duration_s,
         rms_jerk_rad_s3=rms_jerk(episode.qpos, episode.meta.fps),

@@ -7,20 +7,19 @@ have known size.
 import contextlib
 import json
 import os
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from minidual import durable
 from minidual.demos.checks import camera_references, check_swapped
 from minidual.demos.leader import LEADERS
-from minidual.demos.rig import ATTEMPTS, KEPT, MEASURES, REJECTED, Attempt, Job, Rig
-from minidual.demos.smoothness import JERK_FILTER
+from minidual.demos.quality import EpisodeQuality
+from minidual.demos.rig import ATTEMPTS, KEPT, REJECTED, Attempt, Job, Rig
 from minidual.errors import DataError
 from minidual.workers import in_workers
 
@@ -66,7 +65,7 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     return note
 
 
-def _record_in_worker(job: Job, index: int, observe: Observe | None = None) -> Attempt:
+def _record_in_worker(job: Job, index: int, observe: Observe | None) -> Attempt:
     key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.config}/{job.arbiter}"
     if key not in _rigs:
         for rig in _rigs.values():
@@ -83,20 +82,11 @@ def usable_workers(job: Job, workers: int) -> int:
     return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
-def record_attempts(
-    job: Job, indices: Sequence[int], *, workers: int, observe: Observe | None = None
-) -> Iterator[Attempt]:
-    """Yield attempts in order; `observe` needs one worker."""
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
-    yield from in_workers(lambda index: _record_in_worker(job, index, observe), indices, workers)
-
-
 @dataclass(frozen=True)
 class Recording:
-    """All attempts in order; `wall_s` includes process start."""
+    """All attempts in order."""
 
     attempts: tuple[Attempt, ...]
-    wall_s: float
     workers: int
 
     @property
@@ -114,6 +104,7 @@ class Recording:
 
         Rates leave process start out; `episodes_per_min` includes `conversion_s`.
         """
+        qualities = [cast(EpisodeQuality, a.quality) for a in self.kept]
         latencies = np.concatenate([a.latencies_s for a in self.attempts])
         recording_s = sum(a.wall_s for a in self.attempts) / self.workers
         synchronised = [a.sync_error_max_s for a in self.attempts if a.kept or np.isfinite(a.sync_error_max_s)]
@@ -122,35 +113,14 @@ class Recording:
             "attempts": len(self.attempts),
             "success_rate": float(np.mean([a.success for a in self.attempts])),
             "schema_ok": bool(self.kept) and not any(a.faults for a in self.kept),
-            "jerk_rms_max": max(self._qualities("rms_jerk_rad_s3")),
+            "jerk_rms_max": max(quality.rms_jerk_rad_s3 for quality in qualities),
             "sync_error_max_s": float(np.max(synchronised)),
             "latency_p50_s": float(np.percentile(latencies, 50)),
             "latency_p99_s": float(np.percentile(latencies, 99)),
             "episodes_per_min": 60.0 * len(self.kept) / (recording_s + conversion_s),
             "recorded_per_min": 60.0 * len(self.kept) / recording_s,
-            "recorded_ticks": sum(self._qualities("ticks")),
+            "recorded_ticks": sum(quality.ticks for quality in qualities),
         }
-
-    def facts(self) -> dict[str, Any]:
-        """Return the verdict's data."""
-        worst = {name: float(np.max([a.measures.get(name, np.nan) for a in self.kept])) for name in MEASURES}
-        return {
-            "attempts": len(self.attempts),
-            "kept": len(self.kept),
-            "rejected": {str(a.trial.index): a.reason for a in self.attempts if not a.kept},
-            "faults": {str(a.trial.index): list(a.faults) for a in self.attempts if a.faults},
-            "trials": [a.trial.index for a in self.kept],
-            "jerk_filter": JERK_FILTER,
-            "jerk_rms_median": float(np.median(self._qualities("rms_jerk_rad_s3"))),
-            "path_efficiency_median": float(np.median(self._qualities("path_efficiency"))),
-            "duration_median_s": float(np.median(self._qualities("duration_s"))),
-            "goal_error_max_m": worst["goal_error_m"],
-            "tilt_max_rad": worst["tilt_max_rad"],
-            "recording_s": self.wall_s,
-        }
-
-    def _qualities(self, name: str) -> list[Any]:
-        return [getattr(a.quality, name) for a in self.kept]
 
 
 def record(
@@ -158,19 +128,19 @@ def record(
 ) -> Recording:
     """Record until there are `episodes_n` demonstrations or the attempts allowed are used up.
 
-    Attempts that an interrupted recording left in `job.folder` count (see `claim`).
+    Attempts that an interrupted recording left in `job.folder` count (see `claim`). `observe` needs one worker.
 
     Raises:
         UsageError, HandoverError: The leader is unknown, displaced or refused.
         EnvironmentMissingError: Missing device or renderer.
     """
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
     wanted, used = job.teleop.episodes_n, usable_workers(job, workers)
     allowed = int(np.ceil(wanted * job.teleop.attempts_max_ratio))
     attempts: list[Attempt] = []
-    began = time.perf_counter()
     while (missing := wanted - sum(a.kept for a in attempts)) > 0 and len(attempts) < allowed:
         indices = range(len(attempts), min(len(attempts) + missing, allowed))
-        for attempt in record_attempts(job, indices, workers=used, observe=observe):
+        for attempt in in_workers(lambda index: _record_in_worker(job, index, observe), indices, used):
             attempts.append(attempt)
             if on_attempt is not None:
                 on_attempt(attempt)
@@ -178,4 +148,4 @@ def record(
     for k, a in enumerate(attempts):
         swapped = tuple(map(str, check_swapped(a.views, references)))
         attempts[k] = replace(a, faults=a.faults + swapped)
-    return Recording(tuple(attempts), time.perf_counter() - began, min(used, wanted))
+    return Recording(tuple(attempts), min(used, wanted))

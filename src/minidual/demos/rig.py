@@ -108,6 +108,7 @@ class Attempt:
         row: dict[str, Any] = {"trial": self.trial.index, "start_x_m": x, "start_y_m": y, "start_yaw_rad": yaw}
         row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
         row |= dict.fromkeys(MEASURES, float("nan")) | dict(self.measures)
+        row["file"] = self.path.name if self.path and self.quality else ""
         row |= dict.fromkeys(EpisodeQuality.__dataclass_fields__, "") if self.quality is None else asdict(self.quality)
         return {key: round(value, 6) if isinstance(value, float) else value for key, value in row.items()}
 
@@ -196,8 +197,7 @@ class Rig:
             partial = writer.finish(success=result.success, extra={"reason": attempt.reason, **said})
             attempt = self._read_back(attempt, partial)
             path = job.folder / (KEPT if attempt.kept else REJECTED) / name
-            quality = attempt.quality and replace(attempt.quality, file=name)
-            attempt = self._concluded(replace(attempt, path=path, quality=quality), began)
+            attempt = self._concluded(replace(attempt, path=path), began)
             writer.publish(path)
             return attempt
 

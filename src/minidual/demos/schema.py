@@ -127,15 +127,10 @@ class EpisodeMeta:
         try:
             if (version := int(attrs["schema_version"])) != SCHEMA_VERSION:
                 raise DataError(f"schema version {version}; this program reads version {SCHEMA_VERSION}")
-            meta = EpisodeMeta(
-                fps=float(attrs["fps"]),
-                task=str(attrs["task"]),
-                seed=int(attrs["seed"]),
-                cameras=tuple(str(name) for name in json.loads(attrs["cameras"])),
-                sim=bool(attrs["sim"]),
-                success=bool(attrs["success"]),
-                extra=json.loads(attrs.get("extra", "{}")),
-            )
+            kinds = {"fps": float, "task": str, "seed": int, "sim": bool, "success": bool}
+            plain: dict[str, Any] = {name: kind(attrs[name]) for name, kind in kinds.items()}
+            cameras = tuple(map(str, json.loads(attrs["cameras"])))
+            meta = EpisodeMeta(cameras=cameras, extra=json.loads(attrs.get("extra", "{}")), **plain)
             if (ticks := int(attrs[TICKS])) < 0:
                 raise DataError(f"{TICKS} is {ticks}")
             return meta, ticks

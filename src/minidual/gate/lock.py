@@ -47,7 +47,8 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
     for _ in range(5):
         make_folder(folder)
         with suppress(BlockingIOError, FileNotFoundError):  # the last holder has just removed the file
-            stream = (path := _lock_file(folder, name)).open("a+", encoding="utf-8")
+            require(path := folder / name, "file")
+            stream = path.open("a+", encoding="utf-8")
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
                 return stream
@@ -57,7 +58,7 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
 
 def lock_holder(folder: Path, name: str = LOCK_FILE) -> str | None:
     """Return the holder, "process 12 (minidual carry, since ...)", or None."""
-    record = _record(_lock_file(folder, name))
+    record = _record(folder / name)
     if record is None:
         return None
     try:
@@ -75,7 +76,7 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
     found: dict[int, str] = {}
     for path in sorted(folder.glob(".*lock")):
-        record = _record(_lock_file(folder, path.name)) or {}
+        record = _record(path) or {}
         with suppress(psutil.Error, KeyError, TypeError):
             process = psutil.Process(record["pid"])
             if str(path.resolve()) in {opened.path for opened in process.open_files()}:
@@ -85,6 +86,7 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
 def _record(path: Path) -> dict[str, Any] | None:
     """Return what the holder of a lock wrote, {} if that cannot be read, None if nobody holds it."""
+    require(path, "file")
     try:
         with path.open(encoding="utf-8") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -99,8 +101,3 @@ def _record(path: Path) -> dict[str, Any] | None:
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}", remedy="change its permissions") from error
     return None
-
-
-def _lock_file(folder: Path, name: str) -> Path:
-    require(folder / name, "file")
-    return folder / name

@@ -13,7 +13,7 @@ from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError
 
 
-@dataclass(frozen=True)
+@dataclass
 class Demonstrations:
     """N ticks of recorded episodes.
 
@@ -39,22 +39,19 @@ class Demonstrations:
     def __post_init__(self) -> None:
         """Derive phases; DataError for invalid data."""
         _check(self)
-        phase = np.zeros(len(self), dtype=np.int64)
-        ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
-        last = np.zeros(len(self), dtype=np.int64)
+        self.phase = np.zeros(len(self), dtype=np.int64)
+        self.keyframe_ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
+        self.last_tick = np.zeros(len(self), dtype=np.int64)
         gripper = self.action[:, self.joints_n :]
         span = gripper.max(axis=0) - gripper.min(axis=0)
         for start, stop in self.episode_bounds().values():
             switches = gripper_switches(gripper[start:stop], span)
             for tick in switches:
                 # The switching tick belongs to the phase before it.
-                phase[start + tick + 1 : stop] += 1
+                self.phase[start + tick + 1 : stop] += 1
             for k, tick in enumerate(switches[: self.keyframes_n]):
-                ticks[start:stop, k] = start + tick
-            last[start:stop] = stop - 1
-        object.__setattr__(self, "phase", phase)
-        object.__setattr__(self, "keyframe_ticks", ticks)
-        object.__setattr__(self, "last_tick", last)
+                self.keyframe_ticks[start:stop, k] = start + tick
+            self.last_tick[start:stop] = stop - 1
 
     def __len__(self) -> int:
         return int(self.state.shape[0])

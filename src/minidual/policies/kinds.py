@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.config.learning import TrainConfig
-from minidual.durable import read_json
+from minidual.durable import read_json, reading
 from minidual.errors import DataError, unknown_name
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.records import TrainResult
@@ -88,13 +88,8 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
     """Load any checkpoint; raises as `PolicyKind.load`."""
     if not folder.is_dir():
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
-    path = folder / "config.json"
-    if not path.is_file():
-        raise DataError(f"checkpoint {folder} lacks config.json", remedy=f"{REMEDY} --force")
-    record = read_json(path)
-    kind = record.get("type") if isinstance(record, dict) else None
-    if not isinstance(kind, str):
-        raise DataError(f"{path} names no policy type", remedy=f"{REMEDY} --force")
-    if kind not in POLICIES:
-        raise DataError(f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}", remedy=REMEDY)
+    with reading(f"checkpoint {folder}", f"{REMEDY} --force"):
+        kind = read_json(folder / "config.json")["type"]
+        if kind not in POLICIES:
+            raise DataError(f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}")
     return POLICIES[kind].load(folder, device, threads)

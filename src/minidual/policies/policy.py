@@ -43,18 +43,15 @@ class PolicyRuntime:
             raise UsageError(
                 f"n_action_steps {n_action_steps} is outside 1..{policy.chunk_size}, the chunk of this checkpoint"
             )
-        if blend_ticks < 0:
-            raise UsageError(f"blend_ticks {blend_ticks} is negative")
         self._steps, self._blend = n_action_steps, blend_ticks
         self._lower, self._upper = np.full(policy.dim, -np.inf), np.full(policy.dim, np.inf)
         if limits is not None:
-            low, high = (np.asarray(bound, dtype=float) for bound in limits)
-            if low.shape != high.shape or low.shape != (self.joints_n,) or np.any(low > high):
+            if np.shape(limits) != (2, self.joints_n):
                 raise UsageError(
-                    f"the checkpoint drives {self.joints_n} joints; the limits are {low.shape} and {high.shape}",
+                    f"the checkpoint drives {self.joints_n} joints; the limits are {np.shape(limits)}",
                     remedy="choose the arm that was recorded: --set robot.arm=NAME",
                 )
-            self._lower[: self.joints_n], self._upper[: self.joints_n] = low, high
+            self._lower[: self.joints_n], self._upper[: self.joints_n] = limits
         self._plausible = Plausible(self._lower[: self.joints_n], self._upper[: self.joints_n])
         self.times_s: list[float] = []
         """Inference times without rendering."""

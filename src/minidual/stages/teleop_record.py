@@ -10,6 +10,7 @@ from minidual.config.teleop import TeleopConfig
 from minidual.demos import recording, rig
 from minidual.demos.leader import LEADERS
 from minidual.demos.schema import MAX_SYNC_S
+from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.check import Check
@@ -82,12 +83,17 @@ def run(context: StageContext) -> StageResult:
             film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
             task.advance()
     draw_quality(recorded.attempts, config.scene.task, teleop.jerk_max_rad_s3, folder / "quality.png")
+    data = {
+        "rejected": {str(a.trial.index): a.reason for a in recorded.attempts if not a.kept},
+        "faults": {str(a.trial.index): list(a.faults) for a in recorded.attempts if a.faults},
+        "jerk_filter": JERK_FILTER,
+    }
     rejected = [a for a in recorded.attempts if not a.kept]
     notes = [f"{len(rejected)} of {len(recorded.attempts)} attempts were left out"]
     notes[0] += f"; {_commonest(rejected)}" if rejected else ""
     if adopted := sum(a.adopted for a in recorded.attempts):
         notes.append(f"{adopted} attempts were recorded before an interruption")
-    return StageResult(checks=record_checks(numbers, teleop), data=recorded.facts(), notes=notes)
+    return StageResult(checks=record_checks(numbers, teleop), data=data, notes=notes)
 
 
 def _commonest(attempts: Sequence[rig.Attempt]) -> str:
