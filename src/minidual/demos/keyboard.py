@@ -2,7 +2,6 @@
 
 import os
 import select
-import sys
 import termios
 import tty
 from typing import ClassVar, Self
@@ -44,8 +43,14 @@ class KeyboardLeader(Leader):
         "enter ends the episode  x or escape: EMERGENCY STOP"
     )
 
-    def __init__(self, kinematics: Kinematics, *, descriptor: int | None = None) -> None:
-        self._fd = _terminal(descriptor)
+    def __init__(self, kinematics: Kinematics, *, descriptor: int = 0) -> None:
+        if not os.isatty(descriptor):
+            raise EnvironmentMissingError(
+                "the keyboard leader needs a terminal, and standard input is not one",
+                remedy="run it in an interactive terminal, or let the scripted operator lead: "
+                "--set teleop.leader=scripted",
+            )
+        self._fd = descriptor
         self._saved = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)
         self._q = kinematics.robot.home.copy()
@@ -101,16 +106,3 @@ class KeyboardLeader(Leader):
             self._selected = (self._selected + 1) % len(_SELECTIONS)
         elif key in "\r\n":
             self._ended = True
-
-
-def _terminal(descriptor: int | None) -> int:
-    try:
-        fd = sys.stdin.fileno() if descriptor is None else descriptor
-        if os.isatty(fd):
-            return fd
-    except (OSError, ValueError, AttributeError):  # standard input is closed or replaced
-        pass
-    raise EnvironmentMissingError(
-        "the keyboard leader needs a terminal, and standard input is not one",
-        remedy="run it in an interactive terminal, or let the scripted operator lead: --set teleop.leader=scripted",
-    )

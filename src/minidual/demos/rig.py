@@ -153,17 +153,16 @@ class Rig:
             for path in (record, *self.job.folder.glob(f"*/episode_{trial.index:06d}.hdf5")):
                 durable.set_aside(path, path.name)
             return None
-        path = said.path and self.job.folder / said.path
+        path = self.job.folder / said.path if said.path else None
         values: dict[str, Any] = dict(said) | {"path": path}
         attempt = Attempt(trial, **values, adopted=True)
-        if attempt.path is None:
+        if path is None:
             return attempt
-        if not attempt.path.exists():  # killed before the file got its name
-            return None
-        judged = self._read_back(attempt, attempt.path)
-        if judged.kept == attempt.kept:
-            return judged
-        durable.set_aside(attempt.path, attempt.path.name)  # damaged since
+        if path.exists():  # else killed before the file got its name
+            judged = self._read_back(attempt, path)
+            if judged.kept == attempt.kept:
+                return judged
+            durable.set_aside(path, path.name)  # damaged since
         return None
 
     def _recorded(self, trial: Trial) -> Attempt:

@@ -138,7 +138,9 @@ class SpatialActKind(ActKind):
         """Return a policy of the configured precision."""
         described = SpatialActConfig(keypoints=config.keypoints, keyframe_weight=config.keyframe_weight, **common)
         policy = SpatialActPolicy(described)
-        policy.model.use_precision(bf16=use_bf16(config))
+        encoders: Any = policy.model.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        for encoder in encoders:
+            encoder.bf16 = use_bf16(config)
         return policy
 
 

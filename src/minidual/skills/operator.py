@@ -22,7 +22,7 @@ from minidual.tasks.task import Trial
 
 _ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
 _OVERLAPPING, _HOLDING = ("correct", "descend"), ("close", "open")
-_WRIST_COST = 0.1
+_CONFIG, _WRIST_COST = OperatorConfig(), 0.1
 """The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
 as fast."""
 
@@ -34,13 +34,11 @@ class Demonstration:
     Attributes:
         q: Joint targets (T, n) [rad]; q[0] is home.
         gripper: (T, 2), 0 closed or 1 open.
-        phases: {name: (start, end) [s]}; they may overlap.
     """
 
     rate_hz: float
     q: Array
     gripper: Array
-    phases: Mapping[str, tuple[float, float]]
 
     @property
     def duration_s(self) -> float:
@@ -57,11 +55,10 @@ class ScriptedOperator:
     """Plans demonstrations of the rod task."""
 
     def __init__(
-        self, scene: SceneConfig, config: OperatorConfig | None = None, *, kinematics: Kinematics | None = None
+        self, scene: SceneConfig, config: OperatorConfig = _CONFIG, *, kinematics: Kinematics | None = None
     ) -> None:
-        self.scene = scene
-        self.config = OperatorConfig() if config is None else config
-        kinematics = Kinematics() if kinematics is None else kinematics
+        self.scene, self.config = scene, config
+        kinematics = kinematics or Kinematics()
         self._robot = robot = kinematics.robot
         cost = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
         self._ik = PostureIK(kinematics, posture=robot.home, weights=cost)
@@ -102,7 +99,7 @@ class ScriptedOperator:
             q[k] = current
         closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
         gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
-        return Demonstration(rate_hz, q, gripper, phases)
+        return Demonstration(rate_hz, q, gripper)
 
     def _hand_poses(
         self, t: float, trial: Trial, error: Array, phases: Mapping[str, tuple[float, float]]

@@ -23,8 +23,3 @@ class SpatialActConfig(ACTConfig):
     def transformer(self, **changes: Any) -> ACTConfig:
         """Return the transformer's ACT configuration."""
         return ACTConfig(**{f.name: getattr(self, f.name) for f in fields(ACTConfig) if f.init} | changes)
-
-    def validate_features(self) -> None:
-        """Raise ValueError without camera or action."""
-        if not self.image_features or self.action_feature is None:
-            raise ValueError("spatial_act needs at least one camera among its inputs, and an output 'action'")

@@ -17,8 +17,6 @@ from torch import Tensor, nn
 from minidual.policies.backbone import KeypointEncoder
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 
-KEYFRAME = "keyframe"
-KEYFRAME_VALID = "keyframe_is_valid"
 Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]
 
 
@@ -44,13 +42,6 @@ class SpatialActModel(nn.Module):
         inputs = {key: ft for key, ft in (config.input_features or {}).items() if ft.type is not FeatureType.VISUAL}
         inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(keypoint_dim + keyframe_dim,))
         self.act = ACT(config.transformer(input_features=inputs))
-
-    def use_precision(self, *, bf16: bool) -> None:
-        """Set bfloat16 and channels-last weights."""
-        encoders: Any = self.backbone
-        encoders.to(memory_format=torch.channels_last)
-        for encoder in encoders:
-            encoder.bf16 = bf16
 
     def forward(self, batch: dict[str, Tensor]) -> Parts:
         """Return action chunk (B, S, A), latent parameters, keyframes (B, K, A) or None."""
@@ -88,8 +79,8 @@ class SpatialActPolicy(ACTPolicy):
         actions, (mean, log_variance), keyframe = self.model(batch)
         loss = _masked_l1(actions, batch[ACTION], ~batch["action_is_pad"])
         parts = {"l1_loss": float(loss.detach())}
-        if keyframe is not None and KEYFRAME in batch:
-            posture = _masked_l1(keyframe, batch[KEYFRAME], batch[KEYFRAME_VALID])
+        if keyframe is not None and "keyframe" in batch:
+            posture = _masked_l1(keyframe, batch["keyframe"], batch["keyframe_is_valid"])
             parts["keyframe_loss"] = float(posture.detach())
             loss = loss + self.config.keyframe_weight * posture
         if self.config.use_vae and mean is not None and log_variance is not None:
