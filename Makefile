@@ -17,7 +17,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 CAMPAIGN := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.campaign
 
-.PHONY: help all bench campaign campaign-small test test-slow lint format typecheck wheel setup egl clean
+.PHONY: help all learn bench campaign campaign-small test test-slow lint format typecheck wheel setup egl clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
@@ -25,6 +25,9 @@ help: ## show this list
 all: $(READY) egl ## run every stage, PROFILE=standard by default, and say where the report is
 	@$(BIN)/minidual run --profile $(PROFILE) $(if $(RUN),--run $(RUN)) $(ARGS)
 	@echo "report: $${MINIDUAL_RUNS:-runs}/$(or $(RUN),$(basename $(notdir $(PROFILE))))/report/report.html"
+
+learn: $(READY) egl ## train three seeds, and run each policy: half an hour more than `make all`
+	@$(BIN)/minidual run --profile $(PROFILE) --until deploy --set train.seeds_n=3 --run $(or $(RUN),learn) $(ARGS)
 
 test: $(READY) egl ## run the fast tests
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 \

@@ -57,6 +57,8 @@ class TrainConfig(StrictModel):
     """Weight of the grasp-posture loss (spatial_act only)."""
 
     # Optimisation
+    seeds_n: AtLeast[int] = Field(default=1, ge=1, le=10)
+    """Trainings, each with its own seed; deploy runs every policy, benchmark the first."""
     steps: int = Field(default=12000, ge=1, le=10_000_000)
     time_limit_s: float = Field(default=1800.0, gt=0.0, le=1e7)
     """Training that takes longer is stopped and fails its check."""

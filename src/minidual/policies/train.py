@@ -140,8 +140,8 @@ class _Loop:
                 self._log()
             now = time.perf_counter()
             state.spent_s, last = state.spent_s + now - last, now
-            if state.step % config.checkpoint_every_steps == 0 and state.step < config.steps:
-                self.save()
+            if state.step % config.checkpoint_every_steps == 0 or state.step == config.steps:
+                self.save()  # the last one too: the next seed may be interrupted
             if advance is not None:
                 advance(1, loss)
             if state.spent_s > config.time_limit_s and state.step < config.steps:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,50 +65,54 @@ def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, set
 
 
 def run(context: StageContext) -> StageResult:
-    """Run held-out and training starts; film one success and one failure."""
-    config = context.config
-    checkpoint = context.upstream["train-act"] / "checkpoint"
-    inputs, watch = MethodInputs(config, context.seed, checkpoint), watch_trials(context.view)
+    """Run every trained policy on held-out and training starts; film one success and one failure."""
+    config, trained = context.config, context.upstream["train-act"]
+    checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
+    watch = watch_trials(context.view)
     episodes = episode_paths(context.upstream["teleop-record"] / "episodes")
     starts, seen_n = deploy_starts(config, context.seed, [read_meta(path).trial for path in episodes])
-    conditions = config.deploy.conditions
     sets = {name: (CLEAN, trials) for name, trials in starts.items()}
-    for name in conditions:
-        widen = CONDITIONS[name].widen
-        sets[name] = (
-            name,
-            [make_task(config).trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]],
-        )
+    for name in config.deploy.conditions:
+        task, widen = make_task(config), CONDITIONS[name].widen
+        sets[name] = name, [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]]
     results: dict[str, list[TrialResult]] = {name: [] for name in sets}
-    with context.progress.task("policy trials", sum(len(trials) for _, trials in sets.values())) as bar:
-        for name, (condition, trials) in sets.items():
-            for result in run_trials(METHOD, inputs, trials, workers=context.workers, condition=condition, watch=watch):
-                # The tables list the undisturbed sets as conditions, too.
-                results[name].append(replace(result, metrics=replace(result.metrics, condition=name)))
-                bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")
-    everything = [r for rows in results.values() for r in rows]
-    write_csv(context.folder / "trials.csv", [r.metrics.to_row() for r in everything])
+    with context.progress.task("policy trials", len(checkpoints) * sum(len(t) for _, t in sets.values())) as bar:
+        for k, checkpoint in enumerate(checkpoints):
+            inputs = MethodInputs(config, context.seed, checkpoint)
+            for name, (under, trials) in sets.items():
+                for result in run_trials(METHOD, inputs, trials, workers=context.workers, condition=under, watch=watch):
+                    # The tables list the undisturbed sets as conditions, too, and count on from policy to policy.
+                    index = k * len(trials) + result.metrics.index
+                    labelled = replace(result.metrics, condition=name, index=index)
+                    results[name].append(replace(result, metrics=labelled))
+                    bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")
+    write_csv(context.folder / "trials.csv", [r.metrics.to_row() for rows in results.values() for r in rows])
     rng = stream(context.seed, "bootstrap/deploy")
     summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
-    _film(context, inputs, starts["held_out"], results["held_out"])
+    _film(context, MethodInputs(config, context.seed, checkpoints[0]), starts["held_out"], results["held_out"])
 
-    checks = deploy_checks(summaries["held_out"], seen_n, measure_inference(checkpoint, context), config.deploy)
-    data = summaries["held_out"].record()
-    if "training" in summaries:
-        checks += worded("deploy", {"training_success_rate": summaries["training"]["success_rate"]})
-        data["training"] = summaries["training"].record()
-    for name in conditions:
-        summary = summaries[name]
-        checks.append(
-            Check(f"{name}_success_rate", summary["success_rate"], why=f"held-out starts: {summary.interval}")
-        )
-        data[name] = summary.record()
+    inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
+    checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
+    data: dict[str, Any] = {}
+    for name, summary in summaries.items():
+        rows: dict[str, float] = {} if name == "held_out" else {"success_rate": summary["success_rate"]}
+        record = summary.record()
+        if len(checkpoints) > 1:
+            record["by_seed"] = rates = seed_rates(results[name], len(checkpoints))
+            rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
+        checks += worded("deploy-set", rows, f"{name}_", set=name, interval=summary.interval)
+        data |= record if name == "held_out" else {name: record}
     clear_m = make_task(config).scene.task.clear_height_m
     undisturbed = [r for name in starts for r in results[name]]
     errors = [r.metrics.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
     if errors:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
+
+
+def seed_rates(results: Sequence[TrialResult], seeds_n: int) -> list[float]:
+    """Return the success rate of each training seed; equally many results of each, in order."""
+    return np.reshape([result.success for result in results], (seeds_n, -1)).mean(axis=1).tolist()
 
 
 def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], results: Sequence[TrialResult]) -> None:

@@ -116,7 +116,8 @@ STAGES = StageTable(
             "Train the ACT policy on the recorded dataset",
             reads=("robot", "train"),
             check="minidual.stages.config_checks:check_policy",
-            examples=("train-act", "train-act --set train.steps=2000"),
+            options=(Option("seeds", "Trainings, each with its own seed.", int, "train.seeds_n"),),
+            examples=("train-act", "train-act --seeds 3"),
         ),
         StageEntry(
             "deploy",

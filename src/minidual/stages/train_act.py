@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
+from minidual.config.seeds import subseed
 from minidual.demos.schema import GRIPPERS_N
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
@@ -35,41 +37,54 @@ def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConf
 
 
 def run(context: StageContext) -> StageResult:
-    """Train, reload the checkpoint as deployment does, and write records."""
+    """Train with every seed, reload each checkpoint as deployment does, and write records."""
     from minidual.policies import records
     from minidual.policies.acceptance import exercise_checkpoint
     from minidual.policies.demonstrations import load_demonstrations
     from minidual.policies.kinds import POLICIES
     from minidual.robot.arms import robot_from
 
-    config, folder, robot = context.config.train, context.folder, robot_from(context.config.robot)
+    config, robot = context.config.train, robot_from(context.config.robot)
     kind = POLICIES[config.policy]
     kind.require(config.device)  # before the dataset is read: this is quick to mend
     with context.progress.task("reading frames") as task:
         demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, task.advance)
     # Kept outside the temporary folder, so that an interrupted training resumes. A fingerprint of data, settings and
     # seed prevents reuse by another training.
-    resume = folder.parent / ".train-act.progress"
-    with context.progress.task("training steps", config.steps) as task:
+    resume = context.folder.parent / ".train-act.progress"
+    checks, all_records, notes = list[Check](), list[dict[str, Any]](), list[str]()
+    for k, seed in enumerate(training_seeds(context.seed, config.seeds_n)):
+        folder = context.folder if k == 0 else context.folder / f"seed-{k + 1}"
+        folder.mkdir(exist_ok=True)
+        with context.progress.task(f"training steps{f', seed {k + 1}' if k else ''}", config.steps) as task:
 
-        def advance(steps: int, loss: float) -> None:
-            task.advance(steps, f"loss {loss:.4f}")
+            def advance(steps: int, loss: float) -> None:
+                task.advance(steps, f"loss {loss:.4f}")
 
-        result = kind.train(demos, config, context.seed, folder / "checkpoint", resume_dir=resume, advance=advance)
-    emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
-    records.write_loss_csv(result.curve, folder / "loss.csv")
-    records.draw_loss(result, folder / "loss.png")
-    extra = {
-        "policy": config.policy,
-        "seed": context.seed,
-        "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
-        "inference_hz": emitted.inference_hz,
-    }
-    record = records.write_train_json(result, extra, folder / "train.json")
+            place = resume if k == 0 else resume / f"seed-{k + 1}"
+            result = kind.train(demos, config, seed, folder / "checkpoint", resume_dir=place, advance=advance)
+        emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
+        records.write_loss_csv(result.curve, folder / "loss.csv")
+        records.draw_loss(result, folder / "loss.png")
+        extra = {
+            "policy": config.policy,
+            "seed": seed,
+            "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
+            "inference_hz": emitted.inference_hz,
+        }
+        all_records.append(records.write_train_json(result, extra, folder / "train.json"))
+        prefix = f"seed_{k + 1}." if k else ""
+        checks += [replace(check, name=prefix + check.name) for check in train_checks(result, emitted, config, robot)]
+        if k == 0:
+            notes.append(f"policy: {config.policy}, {'bfloat16' if result.bf16 else 'float32'} image encoder")
+        if result.resumed_from_step:
+            notes.append(f"{prefix}continued an interrupted training from step {result.resumed_from_step}")
+        if result.set_aside:
+            notes.append(f"the progress of an interrupted training was damaged; it was moved to {result.set_aside}")
     shutil.rmtree(resume, ignore_errors=True)
-    notes = [f"policy: {config.policy}, {'bfloat16' if result.bf16 else 'float32'} image encoder"]
-    if result.resumed_from_step:
-        notes.append(f"continued an interrupted training from step {result.resumed_from_step}")
-    if result.set_aside:
-        notes.append(f"the progress of an interrupted training was damaged; it was moved to {result.set_aside}")
-    return StageResult(checks=train_checks(result, emitted, config, robot), data=record, notes=notes)
+    return StageResult(checks=checks, data={**all_records[0], "seeds": all_records[1:]}, notes=notes)
+
+
+def training_seeds(seed: int, count: int) -> list[int]:
+    """Return the seeds of the trainings; the first is the run's."""
+    return [seed, *(subseed(seed, "train.seeds", k) for k in range(1, count))]
