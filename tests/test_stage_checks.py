@@ -20,7 +20,8 @@ from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
 from minidual.stages.config_checks import check_deploy
-from minidual.stages.deploy import deploy_checks, deploy_starts
+from minidual.stages.deploy import deploy_checks, deploy_starts, seed_rates
+from minidual.stages.train_act import training_seeds
 from minidual.tasks.task import make_task
 from minidual.trials.metrics import TrialMetrics, summarise
 from minidual.trials.runner import TrialResult
@@ -178,3 +179,16 @@ def test_deploy_refuses_conditions_that_the_policy_does_not_feel() -> None:
         check_deploy(Config(deploy=DeployConfig(conditions=("pose noise x3",))))
     with pytest.raises(UsageError, match="did you mean 'room'"):
         check_deploy(Config(deploy=DeployConfig(conditions=("rooom",))))
+
+
+def test_rates_of_seeds_are_told_apart_and_each_training_has_its_own_seed() -> None:
+    results = [
+        TrialResult(TrialMetrics(**{**GOOD, **won, "index": i})) for i, won in enumerate([{}, {}, BAD, {}, BAD, BAD])
+    ]
+    assert seed_rates(results, 3) == [1.0, 0.5, 0.0]
+    with pytest.raises(ValueError, match="reshape"):
+        seed_rates(results[:5], 3)
+    seeds = training_seeds(20260, 3)
+    assert seeds[0] == 20260
+    assert len(set(seeds)) == 3
+    assert training_seeds(20260, 1) == seeds[:1]
