@@ -1,10 +1,12 @@
 """Configuration of `train-act` and `deploy`."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from minidual.config.base import AtLeast, AtMost, StrictModel
+
+_Log = Annotated[float, Field(ge=-5.0, le=5.0)]
 
 
 class AugmentConfig(StrictModel):
@@ -12,7 +14,7 @@ class AugmentConfig(StrictModel):
 
     photometric: bool = True
     geometric: bool = True
-    light_log: tuple[float, float] = (-0.6, 0.5)
+    light_log: tuple[_Log, _Log] = (-0.6, 0.5)
     """Range of the logarithm of the light."""
     channel_gain_log: float = Field(default=0.25, ge=0.0, le=2.0)
     channel_mixing: float = Field(default=0.3, ge=0.0, le=1.0)
@@ -30,8 +32,8 @@ class AugmentConfig(StrictModel):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         low, high = self.light_log
-        if not -5.0 <= low <= high <= 5.0:
-            raise ValueError(f"light_log is {low} to {high}; it may be -5 to 5, low first")
+        if low > high:
+            raise ValueError(f"light_log is {low} to {high}; the lower value comes first")
         return self
 
 
