@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import pytest
 from late import late
 from PIL.Image import Image
 
+from minidual.demos import lerobot_reader
 from minidual.demos.episode import read_episode
 from minidual.demos.lerobot_reader import LeRobotTables, read_dataset
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
@@ -85,6 +88,26 @@ def test_memory_holds_what_was_recorded(made: tuple) -> None:
             distance = np.abs(shown[k] - episode.images["high"]).mean(axis=(1, 2, 3))
             assert int(np.argmin(distance)) == k
             assert distance[k] < 2.0
+
+
+def test_images_for_which_memory_is_short_are_mapped_from_a_file_without_a_name(
+    made: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = read_dataset(made[0])
+    kept = data.images("high", folder=tmp_path)
+    assert kept.base is None, "there is memory enough"
+    monkeypatch.setattr(lerobot_reader, "MEMORY_SHARE", 0.0)
+    mapped = data.images("high", folder=tmp_path)
+    assert isinstance(mapped.base, np.memmap)
+    assert list(tmp_path.iterdir()) == []
+    np.testing.assert_array_equal(mapped, kept)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(EnvironmentMissingError, match="no space left on the disk of"):
+        data.images("high", folder=tmp_path)
 
 
 def test_lerobot_itself_opens_it_and_agrees(made: tuple) -> None:

@@ -1,6 +1,9 @@
 """Read LeRobot v3 datasets without LeRobot, to verify them independently."""
 
 import itertools
+import math
+import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -9,12 +12,13 @@ from typing import Any
 
 import av
 import numpy as np
+import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 from av.error import FFmpegError
 from numpy.typing import NDArray
 
-from minidual.durable import read_json, reading, regular_file
+from minidual.durable import disk_errors, read_json, reading, regular_file
 from minidual.errors import DataError, unknown_name
 
 STATE = "observation.state"
@@ -27,7 +31,9 @@ _AGAIN = "convert the episodes again: minidual teleop-record --force"
 _VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
 """Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
-BYTES_MAX = 2**36
+BYTES_MAX = 2**36  # of a file
+MEMORY_SHARE = 0.5
+"""Share of the available memory that one camera's images may take."""
 BRIGHTNESS_MAX = 0.03
 """Limit of a video's difference to the mean that LeRobot recorded, by colour; 1 is full scale."""
 
@@ -79,13 +85,15 @@ class LeRobotTables:
         parts = (zip(rows.tolist(), _decode(self.root / n, len(rows), size), strict=True) for n, rows in videos.items())
         return itertools.chain.from_iterable(parts)
 
-    def images(self, camera: str, progress: Callable[[int], None] | None = None) -> Image:
-        """Return all images (N, H, W, 3); raises as `frames`.
+    def images(
+        self, camera: str, progress: Callable[[int], None] | None = None, *, folder: Path | None = None
+    ) -> Image:
+        """Return all images (N, H, W, 3), mapped from a file in `folder` if memory is short; raises as `frames`.
 
         `progress` gets the count since its last call.
         """
         frames = self.frames(camera)
-        result = np.empty((len(self), *self.cameras[camera], 3), dtype=np.uint8)
+        result = _room_for((len(self), *self.cameras[camera], 3), folder)
         for count, (row, image) in enumerate(frames, start=1):
             result[row] = image
             if progress is not None and (count % 1000 == 0 or count == len(self)):
@@ -156,6 +164,16 @@ def read_dataset(root: Path | str) -> LeRobotTables:
             raise ValueError(f"action is named {action_names}, state {names}")
     columns = (state, action, episode, frame, starts, stops)
     return LeRobotTables(root, fps, names, cameras, *columns, episodes)
+
+
+def _room_for(shape: tuple[int, ...], folder: Path | None) -> Image:
+    """Return an array; one over `MEMORY_SHARE` lies in a file without a name, which goes with the process."""
+    size = math.prod(shape)
+    if folder is None or size <= MEMORY_SHARE * psutil.virtual_memory().available:
+        return np.empty(shape, dtype=np.uint8)
+    with disk_errors(folder), tempfile.TemporaryFile(dir=folder) as file:
+        os.posix_fallocate(file.fileno(), 0, size)  # a full disk shows here, not as SIGBUS
+        return np.asarray(np.memmap(file, dtype=np.uint8, shape=shape))
 
 
 def _integers(table: Any, key: str) -> Rows:

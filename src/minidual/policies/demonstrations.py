@@ -84,9 +84,9 @@ class Demonstrations:
 
 
 def load_demonstrations(
-    root: Path, cameras: Sequence[str], progress: Callable[[int], None] | None = None
+    root: Path, cameras: Sequence[str], progress: Callable[[int], None] | None = None, *, folder: Path | None = None
 ) -> Demonstrations:
-    """Read a LeRobot dataset with `cameras` (all if empty).
+    """Read a LeRobot dataset with `cameras` (all if empty); `folder` takes images for which memory is short.
 
     Raises:
         DataError: Missing or corrupt dataset.
@@ -94,7 +94,7 @@ def load_demonstrations(
     """
     tables = read_dataset(root)
     wanted = sorted(cameras or tables.cameras)
-    images = {camera: tables.images(camera, progress) for camera in wanted}
+    images = {camera: tables.images(camera, progress, folder=folder) for camera in wanted}
     return Demonstrations(images, tables.state, tables.action, tables.episode_index)
 
 

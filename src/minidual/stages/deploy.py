@@ -15,8 +15,12 @@ from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
+from minidual.plant.render import Camera, Image
+from minidual.policies.occlusion import occlusion, on_object
 from minidual.policies.pilot import load_runtime
 from minidual.robot.arms import robot_from
+from minidual.robot.pair import Array
+from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import Rows, worded
@@ -24,7 +28,7 @@ from minidual.tasks.task import Trial, make_task
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, summarise
-from minidual.trials.runner import TrialResult, run_trials
+from minidual.trials.runner import Bench, TrialResult, run_trials
 
 METHOD = "act"
 HELD_OUT = "deploy"
@@ -102,6 +106,7 @@ def run(context: StageContext) -> StageResult:
             rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
         checks += worded("deploy-set", rows, f"{name}_", set=name, interval=summary.interval)
         data |= record if name == "held_out" else {name: record}
+    checks += _looks(context, checkpoints[0], starts["held_out"][0])
     clear_m = make_task(config).scene.task.clear_height_m
     undisturbed = [r for name in starts for r in results[name]]
     errors = [r.metrics.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
@@ -121,6 +126,30 @@ def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], 
         if index is not None:
             filmed = film_trial(METHOD, inputs, trials[index], context.folder / f"{label}.mp4")
             context.progress.note(f"{label}.mp4 shows trial {index}: {filmed.text}")
+
+
+def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]:
+    """Draw on which parts of the first picture the policy's joint targets depend; return the object's share."""
+    config = context.config
+    bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
+    runtime, world = load_runtime(checkpoint, config.deploy, bench.world.robot), bench.world
+    world.reset(poses=trial.start)
+    state, hidden = np.concatenate([world.q, world.gripper]), CONDITIONS["object hidden"]
+    rng, maps, shares = stream(context.seed, "deploy/looks"), dict[str, tuple[Image, Array]](), list[float]()
+    with Camera.recorded(world.model, config.scene.camera) as camera:
+        pictures = {name: camera.picture(world.data, name) for name in runtime.cameras}
+        with hidden.applied(world.model, bench.task, trial.index, rng):
+            without = {name: camera.picture(world.data, name) for name in runtime.cameras}
+    for name, picture in pictures.items():
+
+        def targets(image: Image, name: str = name) -> Array:
+            return runtime.predict_chunk({**pictures, name: image}, state)[:, : runtime.joints_n]
+
+        changes = occlusion(targets, picture)
+        maps[name] = picture, changes
+        shares.append(on_object(changes, picture, without[name]))
+    draw_occlusion(maps, context.folder / "occlusion.png")
+    return worded("deploy", {"looks_at_object": max(shares)})
 
 
 def measure_inference(checkpoint: Path, context: StageContext) -> float:

@@ -48,7 +48,8 @@ def run(context: StageContext) -> StageResult:
     kind = POLICIES[config.policy]
     kind.require(config.device)  # before the dataset is read: this is quick to mend
     with context.progress.task("reading frames") as task:
-        demos = load_demonstrations(context.upstream["teleop-record"] / "lerobot", config.cameras, task.advance)
+        dataset = context.upstream["teleop-record"] / "lerobot"
+        demos = load_demonstrations(dataset, config.cameras, task.advance, folder=context.folder)
     # Kept outside the temporary folder, so that an interrupted training resumes. A fingerprint of data, settings and
     # seed prevents reuse by another training.
     resume = context.folder.parent / ".train-act.progress"

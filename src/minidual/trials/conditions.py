@@ -198,6 +198,11 @@ def object_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.
     model.geom(task.carried).rgba[:3] = OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))]
 
 
+def object_hidden(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+    """Make the carried object invisible."""
+    model.geom_rgba[model.geom_bodyid == model.body(task.carried).id, 3] = 0.0
+
+
 def table_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
     """Paint the table."""
     model.geom("table_top").rgba[:3] = TABLE_COLOURS[rng.integers(len(TABLE_COLOURS))]
@@ -334,6 +339,7 @@ for _row in (
             ("camera moved", "the camera stands 20 mm and 3 degrees off", _CAMERA_MOVED),
             ("object colour", "an object of another colour", object_colour),
             ("table colour", "a table of another colour", table_colour),
+            ("object hidden", "an object that no camera sees: a policy that looks must fail", object_hidden),
             ("distractors", "two more things on the table", distractors),
             ("room", "light of 0.7 to 1.4, camera, colours and distractors at once", room),
         )

@@ -1,6 +1,6 @@
 """Shared style of the figures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,4 +40,22 @@ def sheet(
         axis.set_title(name, fontsize=10, loc="left")
     if title:
         figure.suptitle(title, fontsize=12)
+    figure.savefig(path, metadata={"Software": None})
+
+
+def draw_occlusion(maps: Mapping[str, tuple[Any, Any]], path: Path) -> None:
+    """Write each camera's picture (H, W, 3) beside the change of the targets [rad] by its covered cells."""
+    height, width = next(iter(maps.values()))[0].shape[:2]
+    figure, axes = new_figure(len(maps), 2, 8.4, len(maps) * (3.7 * height / width + 0.4))
+    for (name, (picture, changes)), (left, right) in zip(maps.items(), axes, strict=True):
+        left.imshow(picture)
+        left.set_title(f"camera {name}", fontsize=10, loc="left")
+        right.imshow(picture.mean(axis=2), cmap="gray", vmin=0, vmax=255)
+        shown = right.imshow(
+            changes, cmap="inferno", alpha=0.65, extent=(-0.5, width - 0.5, height - 0.5, -0.5), vmin=0.0
+        )
+        right.set_title("joint targets change where this is covered", fontsize=10, loc="left")
+        figure.colorbar(shown, ax=right, label="mean change [rad]")
+        for axis in (left, right):
+            axis.set_axis_off()
     figure.savefig(path, metadata={"Software": None})
