@@ -1,4 +1,4 @@
-"""Integral action of a hold along gravity: the motors learn to bear what a hand holds.
+"""Integral action of a hold along gravity: learns what a hand holds.
 
     F <- sat_[0, F_max](F + k e_z dt),  tau = J_z^T F
 
@@ -22,7 +22,7 @@ _LEAVE_N_PER_S = 100.0
 
 
 class Payload:
-    """The load of each hand; shared by the controllers of one stack."""
+    """The load of each hand, for all controllers of a stack."""
 
     def __init__(self, kinematics: Kinematics, dt_s: float) -> None:
         self._kinematics, self._hands, self._dt = kinematics, Hands(kinematics), dt_s

@@ -33,7 +33,7 @@ def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDAr
 
 
 def warps(n: int, height: int, width: int, config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw maps (n, 2, 3) of picture places [pixels]."""
+    """Draw maps (n, 2, 3) of places [pixels]."""
     turn = np.radians(config.turn_deg) * rng.uniform(-1.0, 1.0, n)
     scale = 1.0 + config.scale * rng.uniform(-1.0, 1.0, n)
     shift = config.shift * rng.uniform(-1.0, 1.0, (n, 2)) * (width, height)

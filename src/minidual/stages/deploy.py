@@ -116,7 +116,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def seed_rates(results: Sequence[TrialResult], seeds_n: int) -> list[float]:
-    """Return the success rate of each training seed; equally many results of each, in order."""
+    """Return the success rate of each training seed, from equally many results in order."""
     return np.reshape([result.success for result in results], (seeds_n, -1)).mean(axis=1).tolist()
 
 
@@ -129,7 +129,7 @@ def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], 
 
 
 def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]:
-    """Draw on which parts of the first picture the policy's joint targets depend; return the object's share."""
+    """Draw on which parts of the first picture the targets depend; return the object's share."""
     config = context.config
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
     runtime, world = load_runtime(checkpoint, config.deploy, bench.world.robot), bench.world

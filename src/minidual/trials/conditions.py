@@ -43,9 +43,9 @@ DRY_NM = 0.36
 2019."""
 OBJECT_COLOURS = ((0.78, 0.12, 0.12), (0.15, 0.55, 0.20), (0.50, 0.18, 0.60), (0.10, 0.65, 0.70), (0.88, 0.88, 0.86))
 TABLE_COLOURS = ((0.60, 0.45, 0.30), (0.85, 0.85, 0.83), (0.18, 0.18, 0.20), (0.35, 0.50, 0.38), (0.28, 0.38, 0.56))
-"""Red, green, violet, cyan, white; wood, white, black, green, blue. Discrete, unlike the trainer's augmentation."""
+"""Discrete, unlike the trainer's augmentation."""
 _BESIDE_M = (0.64, -0.35), (0.80, 0.35)
-"""Range of the distractors' places (x, y): nearer to the camera than the object ever is."""
+"""Range of the distractors' places (x, y)."""
 _MOVED_AT_S = 0.5  # the hands have left home and are not yet near
 
 
@@ -194,7 +194,7 @@ def camera_moved(
 
 
 def object_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
-    """Paint the carried object, but not the bands at its grasps."""
+    """Paint the carried object, not its bands."""
     model.geom(task.carried).rgba[:3] = OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))]
 
 
@@ -209,7 +209,7 @@ def table_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.G
 
 
 def distractors(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
-    """Put the scene's two distractors on the table, between the camera and the object."""
+    """Put the distractors between camera and object."""
     for name in DISTRACTORS:
         thing, yaw = model.geom(name), rng.uniform(-np.pi, np.pi)
         x, y = rng.uniform(*_BESIDE_M)
