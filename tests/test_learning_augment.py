@@ -9,7 +9,7 @@ from minidual.config.learning import AugmentConfig
 from minidual.policies.augment import augment, colour_maps, warps
 
 NOTHING = {"light_log": (0.0, 0.0)} | dict.fromkeys(
-    ("channel_gain_log", "channel_mixing", "offset", "permuted_share", "turn_deg", "scale", "shift"), 0.0
+    ("channel_gain_log", "channel_mixing", "offset", "permuted_share", "turn_deg", "scale", "shift", "things_max"), 0
 )
 
 

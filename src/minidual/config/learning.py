@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from minidual.config.base import AtLeast, AtMost, StrictModel
+from minidual.config.base import AtLeast, AtMost, Rate, StrictModel
 
 _Log = Annotated[float, Field(ge=-5.0, le=5.0)]
 
@@ -14,6 +14,8 @@ class AugmentConfig(StrictModel):
 
     photometric: bool = True
     geometric: bool = True
+    things: bool = True
+    """Whether things are painted into pictures."""
     light_log: tuple[_Log, _Log] = (-0.6, 0.5)
     """Range of the logarithm of the light."""
     channel_gain_log: float = Field(default=0.25, ge=0.0, le=2.0)
@@ -28,12 +30,16 @@ class AugmentConfig(StrictModel):
     """Of width and height."""
     straight_share: float = Field(default=0.3, ge=0.0, le=1.0)
     """Pictures that keep their place."""
+    things_max: int = Field(default=4, ge=0, le=50)
+    thing_size: tuple[Rate, Rate] = (0.03, 0.15)
+    """Least and largest axis, of the width."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        low, high = self.light_log
-        if low > high:
-            raise ValueError(f"light_log is {low} to {high}; the lower value comes first")
+        for name in ("light_log", "thing_size"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} is {low} to {high}; the lower value comes first")
         return self
 
 
