@@ -55,6 +55,35 @@ def test_an_import_that_swallows_errors_does_not_swallow_a_signal(number: int, t
     assert (process.returncode, out, err) == (130, "imported whole\n", "minidual: interrupted\n")
 
 
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_the_interpreter_ends_kills_nothing(number: int) -> None:
+    """Before, the process died of the signal: Python takes its handlers away before the last objects go."""
+    late = f"type('Late', (), {{'__del__': lambda self, kill=os.kill, me=os.getpid(): kill(me, {int(number)})}})()"
+    process = start(f"setattr(sys, 'kept', {late}) or print('done') or 3")
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (3, "done\n", "")
+
+
+def test_an_interrupt_that_a_library_turns_into_its_own_error_is_an_interrupt() -> None:
+    """Before, exit 70: pydantic had made a SchemaError of it."""
+    turning = (
+        "import os, signal, types\n"
+        "from minidual.cli.session import Session, Typed\n"
+        "def greedy(session):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        __import__('time').sleep(5)\n"
+        "    except BaseException as error:\n"
+        "        raise ValueError('Error building a serializer') from error\n"
+        "run = lambda: Session(types.SimpleNamespace(json=False, debug=False), None).end(greedy)\n"
+    )
+    made = f"exec({turning!r}, (m := __import__('types').ModuleType('turning')).__dict__) or m.run()"
+    process = start(made)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert err.startswith("minidual: interrupted; nothing half-written counts")
+
+
 def test_an_import_without_end_is_interrupted(tmp_path: Path) -> None:
     (tmp_path / "endless.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)\n")
     process = start("__import__('endless')", env={**os.environ, "PYTHONPATH": path(tmp_path)})

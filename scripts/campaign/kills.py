@@ -129,7 +129,7 @@ STAGES_S = {
     "env-check": (11.0, ()),
     "plan": (14.0, ("--queries", "2")),
     "teleop-record": (20.0, ("--episodes", "2")),
-    "train-act": (20.0, ()),
+    "train-act": (20.0, ("--set", "train.threads=1")),  # two at once on two cores: more threads wait for each other
     "deploy": (20.0, ("--trials", "2")),
 }
 """Stages that are killed: how long they take at most [s] and their options."""

@@ -11,6 +11,7 @@ from types import FrameType
 
 _IMPORT_PATIENCE_S = 1.0
 _INTERRUPTED = "minidual: interrupted\n"
+_SIGNALS = signal.SIGALRM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 class Output(io.TextIOWrapper):
@@ -58,6 +59,8 @@ class _Interrupt:
     """
 
     asked_s: float | None = None
+    raised = False
+    """Whether it did; libraries turn the interrupt into errors of their own."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.asked_s = self.asked_s or time.monotonic()
@@ -69,15 +72,17 @@ class _Interrupt:
                 signal.setitimer(signal.ITIMER_REAL, 0.02)
                 return
             frame = frame.f_back
-        self.asked_s = None
+        self.asked_s, self.raised = None, True
         raise KeyboardInterrupt
+
+
+interrupt = _Interrupt()
 
 
 def main() -> None:
     """Entry point of the `minidual` command."""
     _open_output()
-    interrupt = _Interrupt()
-    for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, interrupt)
     # Some libraries' docstrings hold invalid escapes, which warn when compiled.
@@ -85,7 +90,9 @@ def main() -> None:
     warnings.filterwarnings("ignore", ".* tasks which were still being processed by the workers")  # when interrupted
     try:
         code = _run()
+        _end()
     except KeyboardInterrupt:
+        _end()
         sys.stderr.write(_INTERRUPTED)
         code = 130
     sys.stdout.flush()
@@ -94,6 +101,12 @@ def main() -> None:
         print(f"minidual: cannot write the output: {lost.strerror}", file=sys.stderr)
         code = code or 4
     sys.exit(code)
+
+
+def _end() -> None:
+    """Ignore signals from now on: the interpreter takes handlers away while it ends, and they would kill it."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _run() -> int:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from minidual.cli import interrupt
 from minidual.cli.console import console
 from minidual.cli.progress import ConsoleProgress
 from minidual.config.loader import LoadedConfig, Override, load_config
@@ -158,17 +159,22 @@ class Session:
             _check_working_directory()
             return int(body(self))
         except KeyboardInterrupt as error:
-            message = f"{str(error) or 'interrupted'}; nothing half-written counts, the same command goes on from here"
-            return self._fail(error, message, None, ExitCode.INTERRUPTED)
+            return self._interrupted(error, str(error))
         except MinidualError as error:
             return self._fail(error, error.message, error.remedy, error.exit_code)
         except Exception as error:
+            if interrupt.raised:
+                return self._interrupted(error)
             message = f"internal error: {type(error).__name__}: {error}"
             try:
                 message += f"; traceback in {self.store.write_crash('cli', error)}"
             except Exception:  # the crash may be in the very code that finds the run folder
                 _print_error("".join(traceback.format_exception(error)))
             return self._fail(error, message, "please report it with the traceback", ExitCode.INTERNAL)
+
+    def _interrupted(self, error: BaseException, what: str = "") -> int:
+        message = f"{what or 'interrupted'}; nothing half-written counts, the same command goes on from here"
+        return self._fail(error, message, None, ExitCode.INTERRUPTED)
 
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
         if self.typed.debug:
