@@ -60,7 +60,7 @@ class _Interrupt:
 
     asked_s: float | None = None
     raised = False
-    """Whether it did; libraries turn the interrupt into errors of their own."""
+    """Libraries turn it into errors of their own."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.asked_s = self.asked_s or time.monotonic()
@@ -104,7 +104,7 @@ def main() -> None:
 
 
 def _end() -> None:
-    """Ignore signals from now on: the interpreter takes handlers away while it ends, and they would kill it."""
+    """Ignore signals: the ending interpreter takes handlers away."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 

@@ -40,7 +40,7 @@ class Payload:
             self._gripper[arm] = opening
 
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
-        """Return the torques (n,) [Nm] that bear the loads of these arms, or None; `learn` first if they hold still."""
+        """Return the torques (n,) [Nm] that bear these arms' loads, or None; `learn` if they hold still."""
         if not (learn or any(self.force_n)):
             return None
         self._hands.update(q)

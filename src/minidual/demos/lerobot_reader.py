@@ -33,7 +33,7 @@ PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
 """Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
 BYTES_MAX = 2**36  # of a file
 MEMORY_SHARE = 0.5
-"""Share of the available memory that one camera's images may take."""
+"""Largest share of available memory for one camera."""
 BRIGHTNESS_MAX = 0.03
 """Limit of a video's difference to the mean that LeRobot recorded, by colour; 1 is full scale."""
 
@@ -167,7 +167,7 @@ def read_dataset(root: Path | str) -> LeRobotTables:
 
 
 def _room_for(shape: tuple[int, ...], folder: Path | None) -> Image:
-    """Return an array; one over `MEMORY_SHARE` lies in a file without a name, which goes with the process."""
+    """Return an array; one over `MEMORY_SHARE` lies in a nameless file."""
     size = math.prod(shape)
     if folder is None or size <= MEMORY_SHARE * psutil.virtual_memory().available:
         return np.empty(shape, dtype=np.uint8)

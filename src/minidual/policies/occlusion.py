@@ -11,10 +11,7 @@ CELL_PX = 8
 
 
 def occlusion(predict: Callable[[Image], NDArray[np.float64]], image: Image) -> NDArray[np.float64]:
-    """Return the mean change of predicted values when a cell of `CELL_PX` is covered, (H, W) in cells.
-
-    A covered cell shows the median colour of its surroundings: another colour would be a new thing to see.
-    """
+    """Return the mean change of predicted values when a cell shows the median colour around it, (H, W) in cells."""
     plain, (height, width, _) = predict(image), image.shape
     changes = np.zeros((height // CELL_PX, width // CELL_PX))
     for row, column in np.ndindex(*changes.shape):
@@ -26,7 +23,7 @@ def occlusion(predict: Callable[[Image], NDArray[np.float64]], image: Image) -> 
 
 
 def on_object(changes: NDArray[np.float64], image: Image, without: Image) -> float:
-    """Return the mean change in cells that show the object over that in the others; `without` shows no object."""
+    """Return the mean change in cells with the object over the others; `without` lacks it."""
     rows, columns = changes.shape
     differs = (image != without).any(axis=2)[: CELL_PX * rows, : CELL_PX * columns]
     shown = differs.reshape(rows, CELL_PX, columns, CELL_PX).any(axis=(1, 3))
