@@ -102,6 +102,11 @@ def _edit(record: dict, **changes) -> str:
     return dumps({**record, "digest": digest(record)})
 
 
+def _doubled() -> str:
+    """Return a verdict that says "fail" first and its own "pass" last: the digest holds for the last."""
+    return make_verdict(Check("x", 1, "<", 2)).text().replace("{", '{"status": "fail",', 1)
+
+
 def _reasons():
     record = make_verdict(Check("x", 2, "<", 1), acceptance_profile=False).to_json()
     loose = [{**record["checks"][0], "passed": True}]
@@ -109,7 +114,8 @@ def _reasons():
     yield "empty", "", "is corrupt"
     yield "a list", "[]", "not a JSON object"
     yield "a NaN", '{"duration_s": NaN}', "schema None is not 2"
-    yield "a key twice", '{"stage": 1, "stage": 2}', "schema None is not 2"
+    yield "a key twice", '{"stage": 1, "stage": 2}', "the key 'stage' stands 2 times"
+    yield "a key twice, last one true", _doubled(), "the key 'status' stands 2 times"
     yield "edited", json.dumps({**record, "duration_s": 9.0}), "edited after it was written"
     yield "status", _edit(record, status="pass"), "it says status 'pass', its content says 'fail'"
     yield "acceptance", _edit(record, acceptance=True), "it says acceptance True"

@@ -1,6 +1,8 @@
 """Verdict of a stage, derived from its checks."""
 
 import hashlib
+import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
@@ -131,6 +133,13 @@ def _by_name(record: dict[str, Any]) -> dict[str, Any]:
     return {**record, "checks": {check["name"]: check for check in record["checks"]}, "digest": ""}
 
 
+def _distinct(pairs: list[tuple[str, Any]]) -> None:
+    """Refuse keys that stand twice: readers disagree about which of the values holds."""
+    for key, count in Counter(key for key, _ in pairs).items():
+        if count > 1:
+            raise DataError(f"the key {key!r} stands {count} times in one object")
+
+
 def read_verdict(path: Path) -> tuple[Verdict, str]:
     """Return (verdict, sha256 of its file); DataError if absent or corrupt."""
     try:
@@ -138,6 +147,7 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
         record: Any = from_json(content)  # unlike json: refuses deep nesting and characters that cannot be printed
         if not isinstance(record, dict):
             raise DataError("not a JSON object")
+        json.loads(content, object_pairs_hook=_distinct)
         return verdict_from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
     except (DataError, OSError, ValueError) as error:
         raise DataError(f"{path} is corrupt: {getattr(error, 'message', error)}") from error
