@@ -40,6 +40,7 @@ from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.stages.teleop_record import READS, record_checks, recording_inputs, run
 from minidual.tasks.task import make_task
+from minidual.trials.conditions import rooms
 
 lerobot_adapter = late("minidual.demos.lerobot_adapter")
 pytestmark = pytest.mark.torch
@@ -122,6 +123,30 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, shared_model: None) -> tu
     """Two demonstrations recorded in this process."""
     real = _job(tmp_path_factory.mktemp("recorded"))
     return real, record(real, workers=1)
+
+
+def test_episodes_take_turns_in_the_rooms(tmp_path: Path, shared_model: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each episode is led in a room of its own, the same for the same trial; afterwards the model is as before."""
+    job = dataclasses.replace(_job(tmp_path), rooms=rooms(["clean", "room"]))
+    rig = Rig(job, ())
+    look = lambda: (rig.world.model.geom_rgba.copy(), rig.world.model.cam_pos.copy())  # noqa: E731
+    seen: list[Any] = []
+    monkeypatch.setattr(rig.session, "run", lambda *_, **__: seen.append(look()))
+    before = look()
+    for index in (0, 1, 3, 1):
+        rig.lead(job.trial(index), lambda *_: None)
+    same = lambda a, b: all(map(np.array_equal, a, b))  # noqa: E731
+    assert same(seen[0], before)
+    assert same(seen[1], seen[3])
+    assert not any(same(a, b) for a, b in [(seen[0], seen[1]), (seen[1], seen[2])])
+    assert same(look(), before)
+
+
+def test_only_what_changes_the_model_can_be_recorded_under() -> None:
+    with pytest.raises(UsageError, match=r"cannot be recorded under 'push \+x'; there are clean, .*room"):
+        rooms(["clean", "push +x"])
+    with pytest.raises(UsageError, match=r"no condition 'rom'.*room"):
+        rooms(["rom"])
 
 
 def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Recording]) -> None:

@@ -75,7 +75,6 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
 
 
 def _was_typed(value: Any) -> bool:
-    """Return whether an option was given; 0 counts."""
     return value is not None and value is not False
 
 

@@ -126,7 +126,6 @@ class Session:
                     self.store.link(name, base)
 
     def _own_run(self, run: str, *options: Mapping[str, Any]) -> str:
-        """Return a run name from what was typed, such as "standard-glass-over"."""
         typed = self.typed
         words = [] if typed.profile == "standard" or typed.run is None else [Path(typed.profile).stem]
         for name, value in (pair for given in options for pair in given.items()):

@@ -74,7 +74,6 @@ def _read(path: Path, name: str) -> Any:
 
 
 def _hull(mesh: Any) -> Any:
-    """Return SciPy's hull, or None for coplanar points."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

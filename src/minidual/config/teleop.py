@@ -47,6 +47,8 @@ class TeleopConfig(StrictModel):
     leader: str = Field(default="scripted", min_length=1)
     rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
+    conditions: tuple[str, ...] = Field(default=("clean",), min_length=1)
+    """Conditions that the episodes take in turn; only those that change what is there."""
     widen: float = Field(default=1.3, ge=1.0, le=2.0)
     """Start range as a multiple of the tests'."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)

@@ -202,7 +202,6 @@ class CommandArbiter:
         self.state = ArbiterState.SETTLING
 
     def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
-        """Carry out a pending halt; return whether one was."""
         if self._halt is None:
             return False
         (source, gripper), self._halt = self._halt, None

@@ -124,7 +124,6 @@ class ControllerManager:
         return self._joined(lambda controller: cast("Array", controller.acceleration))
 
     def _joined(self, part: Callable[[Controller], Array]) -> Array:
-        """Join (n,) values, each joint's from its controller."""
         if len(self._active) == 1:
             return part(self._active[0])
         joined = np.empty(self._robot.dof)

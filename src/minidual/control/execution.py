@@ -108,7 +108,6 @@ class _Execution:
             self._rate = self._slope = 0.0
 
     def _slowed(self, v: Array, a: Array) -> tuple[Array, Array]:
-        """Return velocity and acceleration at the present rate."""
         return v * self._rate, a * self._rate**2 - v * self._slope
 
 

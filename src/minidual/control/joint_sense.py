@@ -117,7 +117,6 @@ class JointSense:
         return usable
 
     def _judge(self, q: Array, v: Array, tau: Array, new_s: float) -> None:
-        """Find which values are lost, and since when."""
         kept, bad = self._kept, ~np.isfinite(np.stack([q, v]))
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)

@@ -386,7 +386,6 @@ class ControlStack[P: Plant]:
                 self._due = True
 
     def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        """Return torques (n,), and the error to raise or None."""
         if self.supervisor is None:
             try:
                 return self._asked(q, v)[0], None

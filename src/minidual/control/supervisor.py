@@ -136,7 +136,6 @@ class Supervisor:
 
     @property
     def _stop_asked(self) -> str:
-        """Reason of a pressed emergency stop, or ""."""
         return self._estop or emergency.pressed()
 
     def fail(self, time_s: float, q: Array, v: Array, why: str, stamp_s: float | None = None) -> Array:
@@ -215,7 +214,6 @@ class Supervisor:
         return self.dt_s if stamp_s is None or math.isnan(before_s) else stamp_s - before_s
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
-        """Return this tick's torque of the latched stop."""
         newer_s = self._newer_s(stamp_s)
         if not newer_s > 0.0 and not (np.array_equal(q, self._q) and np.array_equal(v, self._v)):
             newer_s = self.dt_s  # the clock has failed, not the sensors
@@ -228,7 +226,6 @@ class Supervisor:
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
     def _look_closer(self) -> Array:
-        """Raise the reflex, or return the torque to apply."""
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
         for what, values in (("measured position", q), ("measured velocity", v), ("torque", tau), ("reference", a_ref)):
@@ -256,7 +253,6 @@ class Supervisor:
         return self._bound_torque(tau, step)
 
     def _bound_torque(self, tau: Array, step: Array) -> Array:
-        """Limit the torque rate; count saturation and jumps."""
         bounds = self.bounds
         in_order = self._tick - 1 - self._looked_tick
         if in_order:  # ticks within bounds since the last check: their requested torque was applied unchanged
@@ -343,7 +339,6 @@ class Supervisor:
             self._next_slow = self._tick + min(self._slow_every, max(1, int(safe_s / self.dt_s)))
 
     def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:
-        """Call a monitor; an error is a reflex."""
         try:
             return monitor(q)
         except Exception as error:

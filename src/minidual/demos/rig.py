@@ -1,11 +1,14 @@
 """Run and write one demonstration."""
 
+from __future__ import annotations
+
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -13,6 +16,7 @@ from pydantic import Field, ValidationError
 from minidual import durable
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.base import StrictModel
+from minidual.config.seeds import stream
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.demos.checks import Thumbnails, thumbnails
@@ -33,6 +37,9 @@ from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial
 
+if TYPE_CHECKING:
+    import mujoco
+
 PURPOSE = "demonstrations"
 """Random stream, not used by tests."""
 KEPT, REJECTED, ATTEMPTS = "episodes", "rejected", "attempts"
@@ -51,9 +58,24 @@ class _Said(StrictModel):
     path: str | None = Field(pattern=rf"^({KEPT}|{REJECTED})/episode_\d{{6}}\.hdf5$")
 
 
+class Room(Protocol):
+    """Changes what the cameras see in an episode, as a row of minidual.trials.conditions does."""
+
+    @property
+    def name(self) -> str:
+        """Name."""
+        ...
+
+    def applied(
+        self, model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator
+    ) -> AbstractContextManager[None]:
+        """Change a compiled model, then restore it."""
+        ...
+
+
 @dataclass(frozen=True)
 class Job:
-    """Inputs shared by all trials."""
+    """Inputs shared by all trials; they take turns in `rooms`."""
 
     folder: Path
     task: Task
@@ -61,6 +83,7 @@ class Job:
     arbiter: ArbiterConfig
     seed: int
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+    rooms: tuple[Room, ...] = ()
 
     @property
     def robot(self) -> Robot:
@@ -70,6 +93,10 @@ class Job:
     def trial(self, index: int) -> Trial:
         """Return trial `index`."""
         return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
+
+    def room(self, trial: Trial) -> Room | None:
+        """Return the room of a trial."""
+        return self.rooms[trial.index % len(self.rooms)] if self.rooms else None
 
 
 @dataclass(frozen=True)
@@ -130,10 +157,16 @@ class Rig:
     def lead(self, trial: Trial, on_tick: Callable[[int, Tick], None]) -> SessionResult:
         """Run one episode."""
         leader = LEADERS[self.job.teleop.leader].for_trial(self._setup, trial)
-        try:
+        with closing(leader), self.room(trial):
             return self.session.run(self.job.task, trial, leader, on_tick=on_tick)
-        finally:
-            leader.close()
+
+    def room(self, trial: Trial) -> AbstractContextManager[None]:
+        """Show the trial's room to the cameras."""
+        job, room = self.job, self.job.room(trial)
+        if room is None:
+            return nullcontext()
+        rng = stream(job.seed, f"room/{trial.purpose}/{room.name}", trial.index)
+        return room.applied(self.world.model, job.task, trial.index, rng)
 
     def record(self, index: int) -> Attempt:
         """Return trial `index` as an interrupted recording left it, else run it.
@@ -201,7 +234,6 @@ class Rig:
             return attempt
 
     def _read_back(self, attempt: Attempt, path: Path) -> Attempt:
-        """Judge the file; an episode with faults is no demonstration."""
         camera = self.job.task.config.scene.camera
         size = (camera.height_px, camera.width_px)
         episode, found = inspect_episode(path, cameras=self.job.teleop.cameras, size=size, robot=self.job.robot)
@@ -234,6 +266,8 @@ class Rig:
             "start_x_y_yaw": list(placement(trial.start[task.carried])),
             "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
         }
+        if (room := self.job.room(trial)) is not None:
+            extra["condition"] = room.name
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
     def _reason(self, result: SessionResult) -> str:

@@ -70,7 +70,6 @@ class Replayed:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence MuJoCo's warnings."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _message: None)
     try:
@@ -184,7 +183,6 @@ def replay(
 
 
 def _state_names(model: mujoco.MjModel) -> list[str]:
-    """Name every number in (time, qpos, qvel)."""
     names = [model.joint(i).name for i in range(model.njnt)]
     positions, velocities = (
         np.diff([*places, n]) for places, n in ((model.jnt_qposadr, model.nq), (model.jnt_dofadr, model.nv))

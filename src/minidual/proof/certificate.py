@@ -65,7 +65,6 @@ def first_stretches(q: Array, length_rad: float) -> np.ndarray:
 
 
 def _refusal(solids: Solids, trajectory: Trajectory, samples: list[int], pair: int) -> Certificate:
-    """Tell contact from a failed proof."""
     a, b = sorted(solids.pairs[pair])
     for k in samples:
         if not solids.clearance(trajectory.q[[k]], 1.0, np.array([pair])) > 0.0:

@@ -202,7 +202,6 @@ class CarryWatch:
         return [2.0 * half for half in self._world.fingers.tolist()]
 
     def _feel(self) -> None:
-        """Measure the internal force."""
         y, (left, right) = self.T_world_object[:3, 1].tolist(), self._forces.tolist()
         pressed = -inner(left, y), inner(right, y)
         self._felt_n = min(pressed) if pressed[1] == pressed[1] else math.nan  # `min` drops a NaN that comes second

@@ -147,7 +147,6 @@ class ImpedanceCarry:
     # Phases ---------------------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Continue the cycle, or wait for the arms to stop."""
         self._stop_if_due()
         if self.phase == "stop":
             if self.world.time - self._began_s > self._stop_s + _STOPPED_S:
@@ -210,7 +209,6 @@ class ImpedanceCarry:
         return grasp_posture(self.world.scene, self.world.robot, level, q_near, above_m=above_m)
 
     def _move(self, phase: str, q: Array, q_goal: Array, duration_s: float | None = None) -> Iterator[None]:
-        """Move the open hands."""
         world = self.world
         motion = joint_move(q, q_goal, world.robot, self._config.pace, world.dt, duration_s)
         self._propose(phase, TrajectoryCommand, motion, _OPEN)
@@ -222,7 +220,6 @@ class ImpedanceCarry:
             yield
 
     def _propose(self, phase: str, kind: Callable[..., Command], *what: object) -> None:
-        """Propose a command and enter its phase."""
         self._sequence += 1
         refusal = self.stack.propose(SOURCE, kind(*what, self.world.time, self._sequence))
         if refusal is not None:
@@ -240,7 +237,6 @@ class ImpedanceCarry:
         return self.stack.manager.active == OBJECT_CONTROLLERS
 
     def _look(self) -> None:
-        """Sense, and halt on a fault."""
         self.watch.sense()
         lost = None if self._told is None else self.watch.motors(self._told)
         if lost is not None:
@@ -275,7 +271,6 @@ class ImpedanceCarry:
         self._note(fault.name, fault.detail)
 
     def _heed_arbiter(self) -> None:
-        """Note why the arbiter stopped the carry."""
         stack, refused = self.stack, None
         if len(stack.refusals) > self._refusals_seen:
             news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
@@ -294,7 +289,6 @@ class ImpedanceCarry:
             self._note("interrupted", f"the arbiter is {stack.state}: it has not heard of the carry", _BRAKED_S)
 
     def _note(self, name: str, detail: str, stop_s: float | None = None, at_s: float | None = None) -> None:
-        """Record the first fault and the time to stop."""
         if self.fault is not None:
             return
         world = self.world

@@ -125,7 +125,6 @@ class ScriptedOperator:
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:
-    """Interpolate poses of downward hands: line, and turn about z."""
     position = T_from[:3, 3] + s * (T_to[:3, 3] - T_from[:3, 3])
     turn_from, turn_to = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_from, T_to))
     turn = np.arctan2(np.sin(turn_to - turn_from), np.cos(turn_to - turn_from))

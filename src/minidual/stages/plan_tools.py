@@ -67,7 +67,6 @@ def plan_once(context: ToolContext) -> ToolResult:
 
 
 def _scene(context: ToolContext, robot: Robot) -> tuple[PlanningScene, list[str]]:
-    """Return the --scene, by default the bare table, and notes."""
     if "scene" in context.options:
         return load_scene(Path(context.options["scene"]), robot)
     return PlanningScene(robot=robot), []

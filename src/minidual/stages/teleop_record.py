@@ -21,6 +21,7 @@ from minidual.show.figures.teleop import draw_quality
 from minidual.show.watch import watch_recording
 from minidual.stages.words import Rows, worded
 from minidual.tasks.task import make_task
+from minidual.trials.conditions import rooms
 
 READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
 """Sections that the recording depends on."""
@@ -44,7 +45,7 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
 
 def recording_inputs(config: Config) -> dict[str, Any]:
     """Return what determines the episodes (JSON types)."""
-    code = code_of(["minidual.demos.recording:record"])
+    code = code_of(["minidual.demos.recording:record", "minidual.trials.conditions:rooms"])
     return {"seed": config.seed, "code": code.modules, **config.model_dump(mode="json", include=set(READS))}
 
 
@@ -52,7 +53,8 @@ def run(context: StageContext) -> StageResult:
     """Record, convert and film; write quality.csv and quality.png."""
     config, folder = context.config, context.folder
     teleop, leader = config.teleop, LEADERS[config.teleop.leader]
-    job = rig.Job(folder, make_task(config), teleop, config.arbiter, context.seed, config.supervisor)
+    within = rooms(teleop.conditions)
+    job = rig.Job(folder, make_task(config), teleop, config.arbiter, context.seed, config.supervisor, within)
     if earlier := recording.claim(folder, recording_inputs(config), "teleop-record"):
         context.progress.note(earlier)
     if leader.usage:

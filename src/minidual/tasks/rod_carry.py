@@ -68,7 +68,6 @@ def draw_on_table(
 
 
 def _beside(body: ObjectConfig, block: ObstacleConfig, place: tuple[float, float, float]) -> bool:
-    """Return whether the bounding rectangles keep `_ROOM_M`."""
     (x, y, yaw), (a, b, _) = place, body.half_sizes_m
     c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
     away = abs(x - block.xy_m[0]) - c * a - s * b, abs(y - block.xy_m[1]) - s * a - c * b

@@ -47,7 +47,6 @@ def _starts(trials: Sequence[TrialMetrics], method: str, condition: str) -> _Sta
 
 
 def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) -> list[dict[str, Cell]]:
-    """Return the labelled row for the shared starts; none without such."""
     shared = sorted(one.keys() & two.keys())
     if not shared:
         return []

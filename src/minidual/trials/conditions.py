@@ -136,13 +136,11 @@ class Condition:
 
 
 def _arrays(place: Any) -> list[Array]:
-    """Return views of a model's arrays."""
     found = (getattr(place, name) for name in dir(place) if not name.startswith("_"))
     return [values for values in found if isinstance(values, np.ndarray)]
 
 
 def _derive(model: mujoco.MjModel) -> None:
-    """Recompute subtree masses and constraint weights."""
     import mujoco
 
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -361,6 +359,20 @@ def condition(name: str) -> Condition:
     if known is None:
         raise unknown_name("condition", name, CONDITIONS)
     return CONDITIONS[known]
+
+
+def rooms(names: Sequence[str]) -> tuple[Condition, ...]:
+    """Return conditions under which demonstrations can be recorded.
+
+    Raises:
+        UsageError: Unknown name, or a condition that does more than change the model.
+    """
+    chosen = tuple(condition(name) for name in names)
+    for row in chosen:
+        if row.name != CLEAN and row.change is None:
+            known = ", ".join(n for n, other in CONDITIONS.items() if n == CLEAN or other.change)
+            raise UsageError(f"demonstrations cannot be recorded under '{row.name}'; there are {known}")
+    return chosen
 
 
 def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:

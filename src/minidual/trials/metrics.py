@@ -215,10 +215,8 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
 
 
 def _median(values: Sequence[float]) -> float:
-    """Return the median; NaN of nothing."""
     return float(np.median(values)) if len(values) else math.nan
 
 
 def _said(value: Cell, words: str) -> Cell:
-    """Return words for NaN."""
     return words if isinstance(value, float) and not math.isfinite(value) else value

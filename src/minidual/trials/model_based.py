@@ -19,7 +19,6 @@ from minidual.trials.methods import Factory, MethodInputs
 
 
 def _supervisor(inputs: MethodInputs) -> Supervisor:
-    """Return a supervisor that knows the carried object's shape."""
     config, task = inputs.config, make_task(inputs.config)
     shape = thing_of(task.objects[task.carried].body).shape
     return trial_supervisor(config.supervisor, task.scene.physics.timestep_s, robot_from(config.robot), shape=shape)

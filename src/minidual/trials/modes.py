@@ -200,5 +200,4 @@ class ModesDemo:
 
 
 def _larger(so_far: float, steps: Array) -> float:
-    """Return the larger value; NaN stays NaN."""
     return float(np.maximum(so_far, np.max(steps)))

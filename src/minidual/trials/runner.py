@@ -219,7 +219,6 @@ _BENCHES: dict[str, Bench] = {}
 
 
 def _bench(method: str, inputs: MethodInputs) -> Bench:
-    """Return this process's bench, kept until another is asked for."""
     key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
     if key not in _BENCHES:
         _BENCHES.clear()

@@ -128,7 +128,6 @@ class Scene:
             self._add_ghost(f"/plan/ghost{index}", qpos)
 
     def _add_ghost(self, root: str, qpos: Array) -> None:
-        """Draw the displaced bodies half transparent."""
         data = mujoco.MjData(self._model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, data)

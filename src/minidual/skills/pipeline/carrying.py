@@ -62,7 +62,6 @@ class Carry(Stage):
                     yield self._in_parts(place, height, 0.2 * rank + extra, across, start, tools)
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
-        """Raise PlanningError for places out of reach or in collision."""
         group, hands = group_of(start.held_by), _hands_at(place.T_world_object, start)
         engines = tools.planner.engines(tools.scene(start, resting=place.rests))
         rng = stream(tools.seed, "pipeline/place", index)

@@ -77,7 +77,6 @@ class Drive:
             self._abort(f"{refused.name}: {refused.detail}")
 
     def _tell_held(self, segment: Segment) -> None:
-        """Tell the supervisor what the segment's proof holds."""
         supervisor = self.stack.supervisor
         if supervisor is None or segment.scene is None:
             return

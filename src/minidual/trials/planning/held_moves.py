@@ -149,7 +149,6 @@ class HeldMoveGenerator:
     def _held(
         self, rng: np.random.Generator, engine: MujocoEngine, T_world_object: Array, q_near: Array, room_m: float
     ) -> _Held | None:
-        """Return the first free posture, or None."""
         for k in range(_IK_STARTS_N):
             q = np.array(q_near)
             for arm, grasp in zip(self._hands.arms, self._grasps, strict=True):
@@ -173,7 +172,6 @@ class HeldMoveGenerator:
     def _witness(
         self, rng: np.random.Generator, engines: SceneEngines, query: HeldQuery, start: _Held, goal: _Held
     ) -> Array | None:
-        """Return a proven path, searched from the goal, or None."""
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)

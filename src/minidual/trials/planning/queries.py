@@ -163,13 +163,11 @@ def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
 
 
 def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
-    """Return whether the hands exchange sides."""
     a, b = (hands["left"][1, 3] - hands["right"][1, 3] for hands in (before, after))
     return a * b < 0.0 and min(abs(a), abs(b)) > _CROSSED_BY_M
 
 
 def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
-    """Return the contacts along the straight line."""
     count = int(np.ceil(np.abs(goal - start).max() / _STEP_RAD))
     between = (start + x * (goal - start) for x in np.linspace(0.0, 1.0, count + 1)[1:-1])
     return set[frozenset[str]]().union(*map(engine.touching_pairs, between))
