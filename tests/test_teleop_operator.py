@@ -108,6 +108,28 @@ def test_the_hands_never_stand_still_before_the_grasp(operator: ScriptedOperator
     assert moving.min() > 0.05
 
 
+def test_operators_differ_in_pace_pauses_and_grasp() -> None:
+    """Each in its bounds, drawn for each trial; a plain operator's episodes all last as long."""
+    config = OperatorConfig(speed_spread=0.2, pause_s=0.5, grasp_spread_m=0.02, approach_noise_m=0.0)
+    plain, varied = ScriptedOperator(SceneConfig()), ScriptedOperator(SceneConfig(), config)
+    trials = [sample_trial(plain.scene, SEED, "demonstrations", i) for i in range(20)]
+    assert len({plain.phases(plain.style(SEED, trial))["rest"][1] for trial in trials}) == 1
+    lengths = [varied.phases(varied.style(SEED, trial))["rest"][1] for trial in trials]
+    assert np.ptp(lengths) > 0.3
+    styles = [varied.style(SEED, trial) for trial in trials]
+    assert all(0.8 <= factor <= 1.2 for style in styles for factor in style.pace.values())
+    assert max(pause for style in styles for pause in style.pauses_s.values()) > 0.3
+    assert max(abs(shift) for style in styles for shift in style.shifts_m) > 0.01
+    demo, phases = varied.plan(trials[0], seed=SEED), varied.phases(styles[0])
+    q = demo.q[round(phases["lift"][0] * 50.0) - 1]
+    left, right = Kinematics().tcp_poses(q)
+    apart = 2 * plain.scene.object.grasp_offset_m + styles[0].shifts_m[0] - styles[0].shifts_m[1]
+    assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(apart, abs=1e-5)
+    paused = demo.q[round(phases["close"][1] * 50.0) : round(phases["lift"][0] * 50.0)]
+    assert len(paused) >= round(50.0 * styles[0].pauses_s["lift"]) - 1
+    assert np.ptp(paused, axis=0).max() < 1e-5
+
+
 def test_a_trial_is_demonstrated_alike_whatever_came_before(operator: ScriptedOperator) -> None:
     trials = [sample_trial(operator.scene, SEED, "demonstrations", i) for i in range(2)]
     first = operator.plan(trials[1], seed=SEED)

@@ -23,6 +23,12 @@ class OperatorConfig(StrictModel):
     approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
     """Standard deviation of the position error before the correction."""
     approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)
+    speed_spread: float = Field(default=0.0, ge=0.0, le=0.5)
+    """Largest relative change of a phase's duration, drawn for each trial, as the next two."""
+    pause_s: float = Field(default=0.0, ge=0.0, le=5.0)
+    """Longest pause before the lift and before the lowering."""
+    grasp_spread_m: float = Field(default=0.0, ge=0.0, le=0.05)
+    """Largest shift of each hand's grasp along the object."""
 
     @model_validator(mode="after")
     def _overlap_fits(self) -> Self:

@@ -1,10 +1,10 @@
 """Scripted operator: joint targets for the rod cycle.
 
-It knows the rod's start and goal; fixed timing makes its motion a smooth, learnable function of them.
+It knows the rod's start and goal. By default, fixed timing makes its motion a smooth, learnable function of them.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Trial
 
 _ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
-_OVERLAPPING, _HOLDING = ("correct", "descend"), ("close", "open")
+_OVERLAPPING, _HOLDING, _PAUSED = ("correct", "descend"), ("close", "open"), ("lift", "lower")
 _CONFIG, _WRIST_COST = OperatorConfig(), 0.1
 """The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
 as fast."""
@@ -51,6 +51,24 @@ class Demonstration:
         return self.q[tick], self.gripper[tick]
 
 
+@dataclass(frozen=True)
+class Style:
+    """What a trial's operator does in its own way.
+
+    Attributes:
+        pace: Factors of the durations, by phase.
+        pauses_s: Before phases.
+        shifts_m: Of the left and right grasp along the object.
+    """
+
+    pace: Mapping[str, float] = field(default_factory=dict)
+    pauses_s: Mapping[str, float] = field(default_factory=dict)
+    shifts_m: tuple[float, float] = (0.0, 0.0)
+
+
+_PLAIN = Style()
+
+
 class ScriptedOperator:
     """Plans demonstrations of the rod task."""
 
@@ -65,13 +83,22 @@ class ScriptedOperator:
         self._home_poses = kinematics.tcp_poses(robot.home)
         self._grasps = grasp_offsets(scene)
 
-    def phases(self) -> dict[str, tuple[float, float]]:
-        """Return {name: (start, end) [s]}, the same in every trial."""
+    def style(self, seed: int, trial: Trial) -> Style:
+        """Draw the style of a trial."""
+        rng, config = stream(seed, f"operator-style/{trial.purpose}", trial.index), self.config
+        pace = 1.0 + config.speed_spread * rng.uniform(-1.0, 1.0, len(_ORDER))
+        pauses = config.pause_s * rng.uniform(0.0, 1.0, len(_PAUSED))
+        left, right = config.grasp_spread_m * rng.uniform(-1.0, 1.0, 2)
+        return Style(dict(zip(_ORDER, pace, strict=True)), dict(zip(_PAUSED, pauses, strict=True)), (left, right))
+
+    def phases(self, style: Style = _PLAIN) -> dict[str, tuple[float, float]]:
+        """Return {name: (start, end) [s]}."""
         # they overlap over the rod, where a policy without speed or time could learn to wait for ever
         phases, end = {}, 0.0
         for name in _ORDER:
-            start = end - (self.config.overlap_s if name in _OVERLAPPING else 0.0)
+            start = end - (self.config.overlap_s if name in _OVERLAPPING else 0.0) + style.pauses_s.get(name, 0.0)
             lasts_s = PHASES[name].hold_s if name in _HOLDING else getattr(self.config, f"{name}_s")
+            lasts_s *= style.pace.get(name, 1.0)
             phases[name] = start, (end := start + lasts_s)
         return phases
 
@@ -87,14 +114,17 @@ class ScriptedOperator:
         Raises:
             UsageError: A pose is out of reach.
         """
-        phases = self.phases()
+        style = self.style(seed, trial)
+        phases = self.phases(style)
+        along = (pose(np.eye(3), (0.0, shift, 0.0)) for shift in style.shifts_m)
+        grasps = [shifted @ T for shifted, T in zip(along, self._grasps, strict=True)]
         ticks = round(phases["rest"][1] * rate_hz)
         times = np.arange(ticks) / rate_hz
         error = self.approach_error(seed, trial)
         q = np.empty((ticks, self._robot.dof))
         current = self._robot.home.copy()
         for k, t in enumerate(times):
-            left, right = self._hand_poses(float(t), trial, error, phases)
+            left, right = self._hand_poses(float(t), trial, error, phases, grasps)
             current = self._ik.solve(left, right, current)
             q[k] = current
         closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
@@ -102,11 +132,11 @@ class ScriptedOperator:
         return Demonstration(rate_hz, q, gripper)
 
     def _hand_poses(
-        self, t: float, trial: Trial, error: Array, phases: Mapping[str, tuple[float, float]]
+        self, t: float, trial: Trial, error: Array, phases: Mapping[str, tuple[float, float]], grasps: Sequence[Array]
     ) -> tuple[Array, Array]:
         progress = {name: minimum_jerk((t - start) / (end - start))[0] for name, (start, end) in phases.items()}
         T_world_rod = self._rod_pose(trial, error, progress)
-        grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in self._grasps]
+        grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in grasps]
         s = progress["approach"]
         if s >= 1.0:
             return grasped[0], grasped[1]
