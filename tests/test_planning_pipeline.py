@@ -8,7 +8,7 @@ import pytest
 
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
-from minidual.config.scene import SceneConfig
+from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
@@ -36,9 +36,9 @@ def lying(x, y, yaw=0.0):
     return pose(rot_z(yaw), (x, y, RADIUS))
 
 
-START = State(np.array(HOME), lying(0.5, 0.25, 0.1))
-GOAL = Place("the goal", lying(0.5, -0.25))
-NEARER = Place("nearer", lying(0.5, -0.05), cost=1.0)
+START = State(np.array(HOME), {"rod": lying(0.5, 0.25, 0.1)})
+GOAL = Place("the goal", {"rod": lying(0.5, -0.25)})
+NEARER = Place("nearer", {"rod": lying(0.5, -0.05)}, cost=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def planner():
 
 
 def tools(planner, *obstacles, gap=None):
-    return Tools(PlanningScene().with_obstacles(*obstacles), ROD, planner, seed=1, gap=gap)
+    return Tools(PlanningScene().with_obstacles(*obstacles), [ROD], planner, seed=1, gap=gap)
 
 
 def carry(places, grips=(BOTH,), arms=SIDES):
@@ -142,7 +142,7 @@ class Only(Stage):
             yield Failure("wrong", f"{start.q[0]:.0f} is not {self.number}")
 
 
-NOTHING = State(np.zeros(14), np.eye(4))
+NOTHING = State(np.zeros(14), {"rod": np.eye(4)})
 
 
 def test_it_goes_back_until_a_candidate_passes_every_stage():
@@ -218,6 +218,25 @@ def test_the_scene_follows_the_object(planner):
     assert scene(held, resting=True).why_unchecked("rod", "table")
 
 
+def test_the_scene_holds_an_object_in_each_hand_and_the_others_as_obstacles(planner):
+    cubes = [thing_of(ObjectConfig(name=name, shape="box", length_m=0.04, grasp_offset_m=0.0)) for name in "abc"]
+    poses = {name: lying(0.5, y) for name, y in zip("abc", (0.3, 0.0, -0.3), strict=True)}
+    held = State(np.array(HOME), poses, {"left": np.eye(4), "right": np.eye(4)}, about={"left": "b", "right": "c"})
+    assert not held.closed_chain
+    scene = Tools(PlanningScene(), cubes, planner).scene(held, resting=True)
+    assert {a.name: a.link for a in scene.attached} == {"b": "left_panda_hand_tcp", "c": "right_panda_hand_tcp"}
+    assert scene.why_unchecked("b", "c") is None
+    assert scene.why_unchecked("a", "b") is None
+    assert scene.why_unchecked("c", "left_panda_hand") is None
+    assert scene.why_unchecked("c", "right_panda_hand")
+    near = Tools(PlanningScene(), cubes, planner).scene(replace(held, held_by={}), touching=("left",))
+    assert near.why_unchecked("b", "left_panda_leftfinger")
+    assert near.why_unchecked("a", "left_panda_leftfinger") is None
+    one = replace(held, about={"left": "b", "right": "b"})
+    assert one.closed_chain
+    assert Tools(PlanningScene(), cubes, planner).scene(one).attached[0].touch_links[0].startswith("left")
+
+
 def test_a_carry_is_a_chain_of_proven_segments(carried):
     phases = [s.phase for s in carried.segments]
     assert phases == ["approach", "descend", "close", "carry", "settle", "open", "retreat", "home"]
@@ -230,7 +249,7 @@ def test_a_carry_is_a_chain_of_proven_segments(carried):
     for segment in carried.segments:
         closed = segment.phase in ("close", "carry", "settle")
         assert segment.openings == ((CLOSED, CLOSED) if closed else (OPEN, OPEN))
-    assert np.abs(carried.states[-1].T_world_object - GOAL.T_world_object).max() < 1e-12
+    assert np.abs(carried.states[-1].objects["rod"] - GOAL.objects["rod"]).max() < 1e-12
     assert "solved" in carried.record.tree("carry")
 
 
@@ -253,7 +272,7 @@ def test_the_carry_is_driven_through_the_control_stack(carried, world):
     assert max(lifted) > 0.1
     assert max(d.tracking_max_rad for d in result) < 0.02
     assert 0.0 < max(d.object_off_max_m for d in result) < 0.002
-    assert np.linalg.norm(world.object_pose()[:3, 3] - GOAL.T_world_object[:3, 3]) < 0.002
+    assert np.linalg.norm(world.object_pose()[:3, 3] - GOAL.objects["rod"][:3, 3]) < 0.002
     assert abs(world.object_pose()[2, 1]) < np.sin(np.deg2rad(1.0))
     assert np.abs(world.q - HOME).max() < 0.02
 
@@ -261,7 +280,7 @@ def test_the_carry_is_driven_through_the_control_stack(carried, world):
 def test_something_at_the_place_makes_it_take_another(planner):
     crate = Box("crate", (0.5, -0.34, 0.05), size_m=(0.06, 0.06, 0.1))
     solution = carry([GOAL, NEARER]).solve(START, tools(planner, crate))
-    assert np.abs(solution.states[-1].T_world_object - NEARER.T_world_object).max() < 1e-12
+    assert np.abs(solution.states[-1].objects["rod"] - NEARER.objects["rod"]).max() < 1e-12
     record = {s.name: s for s in solution.record.stages}["carry"]
     assert record.chosen == "nearer"
     assert "crate" in record.failures["goal_in_collision"][0]
@@ -289,7 +308,7 @@ def test_without_another_place_it_fails_and_names_the_stage(planner):
 
 
 def test_grips_out_of_reach_stop_it_at_the_approach(planner):
-    far = replace(START, T_world_object=lying(1.2, 0.0))
+    far = replace(START, objects={"rod": lying(1.2, 0.0)})
     with pytest.raises(TaskFailedError, match="'approach' stops it") as caught:
         carry([GOAL]).solve(far, tools(planner))
     assert list(caught.value.record.stages[0].failures) == ["ik_unreachable"]
@@ -298,9 +317,8 @@ def test_grips_out_of_reach_stop_it_at_the_approach(planner):
 
 def test_a_grip_that_cannot_be_reached_gives_way_to_the_next(planner):
     beyond = Grip("1 m beside it", {arm: pose(np.eye(3), (1.0, 0.0, 0.0)) @ T for arm, T in GRASPS.items()})
-    solution = Pipeline("fetch", [Reach("approach", SIDES, [beyond, replace(BOTH, cost=1.0)])]).solve(
-        START, tools(planner)
-    )
+    fetch = Pipeline("fetch", [Reach("approach", SIDES, [beyond, replace(BOTH, cost=1.0)])])
+    solution = fetch.solve(START, tools(planner))
     assert solution.record.stages[0].chosen == "both ends"
     assert "1 m beside it" in solution.record.stages[0].failures["ik_unreachable"][0]
 
@@ -342,9 +360,9 @@ def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     T_start = planner.kinematics.tcp_poses(HOME)[0] @ inverse(T)
     turned = T_start.copy()
     turned[:3, :3] = rot_z(0.3) @ rot_x(0.6) @ T_start[:3, :3]
-    place = Place("turned", turned, rests=False)
-    given = Tools(PlanningScene(), bottle, planner, seed=1)
-    held = replace(state, T_world_object=T_start)
+    place = Place("turned", {"rod": turned}, rests=False)
+    given = Tools(PlanningScene(), [bottle], planner, seed=1)
+    held = replace(state, objects={"rod": T_start})
     stages = {limit: Carry("carry", [place], 0.1, limit) for limit in (np.pi, 0.05)}
     assert any(o.label.endswith("round") for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure))
     found = [o for o in stages[0.05].offers(held, given) if isinstance(o, Failure)]
@@ -374,8 +392,8 @@ def test_a_refused_segment_aborts_the_drive_by_name(carried, world):
 def test_one_hand_carries_too(planner, world):
     along_x = lying(0.45, 0.25, np.pi / 2)
     grip = Grip("the middle", {"left": pose(np.eye(3), (0.0, -0.12, 0.0)) @ GRASPS["left"]})
-    place = Place("p", lying(0.45, 0.05, np.pi / 2))
-    solution = carry([place], [grip], ("left",)).solve(replace(START, T_world_object=along_x), tools(planner))
+    place = Place("p", {"rod": lying(0.45, 0.05, np.pi / 2)})
+    solution = carry([place], [grip], ("left",)).solve(replace(START, objects={"rod": along_x}), tools(planner))
     world.reset(poses={"rod": (0.45, 0.25, np.pi / 2)})
     driven(solution, world)
-    assert np.linalg.norm(world.object_pose()[:3, 3] - place.T_world_object[:3, 3]) < 0.005
+    assert np.linalg.norm(world.object_pose()[:3, 3] - place.objects["rod"][:3, 3]) < 0.005

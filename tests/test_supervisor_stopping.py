@@ -98,6 +98,9 @@ def test_a_held_object_is_kept_off_the_table_and_the_arms(world: World) -> None:
     pair, distance, bound = clearance(lower)
     assert pair == "bar in the left hand with table"
     assert distance < bound < 0.0
+    clearance.hold(1, hanging)  # the right hand, too
+    assert clearance(lower)[0] == "bar in the left hand with table"
+    clearance.hold(None)
     clearance.hold(1, hanging)
     assert clearance(lower)[0] == "none"
     clearance.hold(None)

@@ -36,7 +36,7 @@ class Clearance(Protocol):
         ...
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
-        """Attach the object's shape to a hand at a pose (4, 4), or to none."""
+        """Attach the object's shape to a hand at a pose (4, 4), besides what the other holds; None empties both."""
         ...
 
 

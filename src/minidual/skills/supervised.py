@@ -68,7 +68,8 @@ class SceneClearance:
         for index, name in enumerate(self._held):
             away = np.eye(4)
             away[2, 3] = 100.0 * (1 + index)
-            self._engine.place(name, T_tcp_shape if index == arm and T_tcp_shape is not None else away)
+            if arm in (None, index):
+                self._engine.place(name, away if arm is None or T_tcp_shape is None else T_tcp_shape)
 
     def __call__(self, q: Array) -> tuple[str, float, float]:
         """See `Clearance`; "none" beyond 20 mm."""

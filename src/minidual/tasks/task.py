@@ -5,7 +5,7 @@ Other distributions add rows through the entry point group `minidual.tasks` (doc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,14 +51,14 @@ class Step:
 
     Attributes:
         phase: Row of the phase table (minidual.skills).
-        object: Name; empty for the first.
-        places: Target poses (4, 4), preferred first; empty for the trial's goal.
+        objects: One for all hands or one a hand; empty for the task's first.
+        places: Target poses (4, 4) of the object, or {object: pose}, preferred first; empty for the trial's goals.
     """
 
     phase: str
     hands: tuple[str, ...] = SIDES
-    object: str = ""
-    places: tuple[Array, ...] = ()
+    objects: tuple[str, ...] = ()
+    places: tuple[Array | Mapping[str, Array], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class Task:
         objects: By name; the first is carried, disturbed and measured.
         success: (task, trial) -> new conditions.
         draw: (task, rng, widen) -> start and goal, each {object: pose}.
+        arrange: (task, trial, sensed poses) -> lists of steps, preferred first, where they depend on the start.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Task:
     success: Callable[[Task, Trial], Sequence[SuccessCondition]]
     draw: Callable[[Task, np.random.Generator, float], tuple[dict[str, ObjectPose], dict[str, ObjectPose]]]
     stream: str = "trial"
+    arrange: Callable[[Task, Trial, Mapping[str, Array]], Iterable[Sequence[Step]]] | None = None
 
     @property
     def scene(self) -> SceneConfig:

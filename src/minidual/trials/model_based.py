@@ -41,11 +41,12 @@ def planned(inputs: MethodInputs) -> Factory:
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
-        seen = Sensors(world, config.carry.sensing, rng).sense().pose
-        if seen is None:
+        seen = {name: Sensors(world, config.carry.sensing, rng, name).sense().pose for name in task.objects}
+        poses = {name: sample.T_world_object for name, sample in seen.items() if sample is not None}
+        if len(poses) < len(seen):
             raise RuntimeError("the first reading of the sensors holds a pose")
         stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
         own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
-        return PlannedCarry(stack, planner, task, trial, own, T_world_object=seen.T_world_object)
+        return PlannedCarry(stack, planner, task, trial, own, poses=poses)
 
     return make

@@ -1,6 +1,6 @@
 """Stage of the held object: lift, carry, lower."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,18 +22,18 @@ _TILT_EVERY = 10
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A target pose (4, 4) of the object; `rests`: it is supported there."""
+    """Target poses (4, 4) of the held objects; `rests`: they are supported there."""
 
     label: str
-    T_world_object: Array
+    objects: Mapping[str, Array]
     cost: float = 0.0
     rests: bool = True
 
 
 class Carry(Stage):
-    """Bring the held object to one of several places.
+    """Bring the held objects to one of several places.
 
-    Two hands first try one motion without a stop. Then: straight up, across freely (one hand: straight first), straight
+    Two hands on one object first try one motion without a stop. Then: straight up, across freely (else straight first), straight
     down. A free motion may tilt the object by `tilt_max_rad`.
     """
 
@@ -47,7 +47,7 @@ class Carry(Stage):
         """Yield ways to every place."""
         if not start.held_by:
             raise Failure("not_held", "no hand holds the object")
-        both = len(start.held_by) == len(SIDES)
+        both = start.closed_chain
         ways = [(0.2, self._freely)] if both else [(0.0, self._line), (1.0, self._freely)]
         for index, place in enumerate(self._places):
             try:
@@ -62,14 +62,14 @@ class Carry(Stage):
                     yield self._in_parts(place, height, 0.2 * rank + extra, across, start, tools)
 
     def _check(self, place: Place, index: int, start: State, tools: Tools) -> None:
-        group, hands = group_of(start.held_by), _hands_at(place.T_world_object, start)
+        group, hands = group_of(start.held_by), _hands_at(place.objects, start)
         engines = tools.planner.engines(tools.scene(start, resting=place.rests))
         rng = stream(tools.seed, "pipeline/place", index)
         tools.planner.goals.candidates(group, start.q, hands, engines, rng)
 
     def _at_once(self, place: Place, start: State, tools: Tools) -> Offer:
         height = self._heights[0]
-        begin, end = start.T_world_object, place.T_world_object
+        begin, end = (poses[start.object_of(SIDES[0])] for poses in (start.objects, place.objects))
         try:
             segment = self._in_both_hands([begin, raised(begin, height), raised(end, height), end], start, tools)
         except PlanningError as error:
@@ -81,48 +81,51 @@ class Carry(Stage):
         place: Place,
         height: float,
         cost: float,
-        across: Callable[[str, Array, State, Tools], Segment],
+        across: Callable[[str, Mapping[str, Array], State, Tools], Segment],
         start: State,
         tools: Tools,
     ) -> Offer:
         label = f"{place.label}, {100 * height:.0f} cm up, {'straight' if across == self._line else 'round'}"
-        above = raised(place.T_world_object, height) if place.rests else place.T_world_object
-        legs = [("lift", raised(start.T_world_object, height), self._line)] if start.rests else []
-        legs += [("carry", above, across), *([("lower", place.T_world_object, self._line)] if place.rests else [])]
+        held = {start.object_of(arm): start.objects[start.object_of(arm)] for arm in start.held_by}
+        lifted, above = ({name: raised(T, height) for name, T in poses.items()} for poses in (held, place.objects))
+        legs = [("lift", lifted, self._line)] if start.rests else []
+        legs += [("carry", above if place.rests else place.objects, across)]
+        legs += [("lower", place.objects, self._line)] if place.rests else []
         state, segments = start, list[Segment]()
-        for phase, T_world_goal, way in legs:
+        for phase, goals, way in legs:
             try:
-                segments.append(way(phase, T_world_goal, state, tools))
+                segments.append(way(phase, goals, state, tools))
             except PlanningError as error:
                 return failure(error, f"{label}, {phase}")
-            state = replace(state, q=segments[-1].trajectory.q[-1], T_world_object=T_world_goal)
+            state = replace(state, q=segments[-1].trajectory.q[-1], objects={**state.objects, **goals})
         return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
-    def _line(self, phase: str, T_world_goal: Array, state: State, tools: Tools) -> Segment:
-        if len(state.held_by) == len(SIDES):
-            return self._in_both_hands([state.T_world_object, T_world_goal], state, tools, phase)
+    def _line(self, phase: str, goals: Mapping[str, Array], state: State, tools: Tools) -> Segment:
+        if state.closed_chain:
+            name = state.object_of(SIDES[0])
+            return self._in_both_hands([state.objects[name], goals[name]], state, tools, phase)
         scene = tools.scene(state, resting=phase != "carry")
-        return straight(tools, phase, state, _hands_at(T_world_goal, state), scene)
+        return straight(tools, phase, state, _hands_at(goals, state), scene)
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         scene = tools.scene(state, resting=True)
         motion = tools.holder.follow(state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene)
         return Segment(phase, motion, state.openings, scene, motion.verification)
 
-    def _freely(self, phase: str, T_world_goal: Array, state: State, tools: Tools) -> Segment:
-        """Return a collision-free motion to a pose in the air that keeps the object level."""
+    def _freely(self, phase: str, goals: Mapping[str, Array], state: State, tools: Tools) -> Segment:
+        """Return a collision-free motion to poses in the air that keeps the objects level."""
         scene, budget_s = tools.scene(state), _BUDGET_S
-        if len(state.held_by) == len(SIDES):
-            motion = tools.holder.plan(HeldQuery(state.q, T_world_goal, _grasps(state), scene, tools.seed), budget_s)
-            proof, Ts_world_object = motion.verification, motion.Ts_world_object
+        if state.closed_chain:
+            goal = goals[state.object_of(SIDES[0])]
+            motion = tools.holder.plan(HeldQuery(state.q, goal, _grasps(state), scene, tools.seed), budget_s)
+            proof, ways = motion.verification, {SIDES[0]: motion.Ts_world_object}
         else:
-            group, targets = group_of(state.held_by), _hands_at(T_world_goal, state)
+            group, targets = group_of(state.held_by), _hands_at(goals, state)
             plan = tools.planner.plan_to_poses(group, state.q, targets, scene=scene, seed=tools.seed, budget_s=budget_s)
             motion, proof = plan.trajectory, plan.verification
-            ((arm, T_object_tcp),) = state.held_by.items()
-            tips = [tools.planner.kinematics.tcp_poses(q)[SIDES.index(arm)] for q in motion.q[::_TILT_EVERY]]
-            Ts_world_object = np.array(tips) @ inverse(T_object_tcp)
-        tilt = tools.thing.tilt_rad(Ts_world_object)
+            tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in motion.q[::_TILT_EVERY]])
+            ways = {arm: tips[:, SIDES.index(arm)] @ inverse(T) for arm, T in state.held_by.items()}
+        tilt = max(tools.things[state.object_of(arm)].tilt_rad(Ts) for arm, Ts in ways.items())
         if tilt > self._tilt_max_rad:
             raise Failure("tilted", f"the object tilts by {tilt:.2f} rad on the way; at most {self._tilt_max_rad:.2f}")
         return Segment(phase, motion, state.openings, scene, proof)
@@ -132,10 +135,11 @@ def _grasps(state: State) -> tuple[Array, Array]:
     return state.held_by[SIDES[0]], state.held_by[SIDES[1]]
 
 
-def _hands_at(T_world_object: Array, state: State) -> dict[str, Array]:
-    """Return {arm: T_world_tcp (4, 4)} of the hands that hold the object."""
-    return {arm: T_world_object @ T for arm, T in state.held_by.items()}
+def _hands_at(objects: Mapping[str, Array], state: State) -> dict[str, Array]:
+    """Return {arm: T_world_tcp (4, 4)} of the holding hands, their objects at these poses."""
+    return {arm: objects[state.object_of(arm)] @ T for arm, T in state.held_by.items()}
 
 
 def _at(place: Place, state: State, last: Segment) -> State:
-    return replace(state, q=last.trajectory.q[-1], T_world_object=place.T_world_object, rests=place.rests)
+    objects = {**state.objects, **place.objects}
+    return replace(state, q=last.trajectory.q[-1], objects=objects, rests=place.rests)

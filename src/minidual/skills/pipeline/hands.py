@@ -31,17 +31,20 @@ class Grip:
 class Reach(Stage):
     """Free motion of open hands to the approach height."""
 
-    def __init__(self, name: str, arms: Sequence[str], grips: Sequence[Grip]) -> None:
+    def __init__(
+        self, name: str, arms: Sequence[str], grips: Sequence[Grip], about: Mapping[str, str] | None = None
+    ) -> None:
         super().__init__(name, arms)
-        self._grips = sorted(grips, key=lambda grip: grip.cost)
+        self._grips, self._about = sorted(grips, key=lambda grip: grip.cost), about or {}
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield motions to every grip."""
         _require_open_chain(start)
+        start = replace(start, about={**start.about, **self._about})
         scene = tools.scene(start)
         for grip in self._grips:
             grasps = {arm: grip.grasps[arm] for arm in self.arms}
-            at = {arm: start.T_world_object @ T for arm, T in grasps.items()}
+            at = {arm: start.objects[start.object_of(arm)] @ T for arm, T in grasps.items()}
             shift = off(at, PHASES["approach"].rise_m)
             over = {arm: moved(T, shift) for arm, T in at.items()}
             for attempt in range(_ATTEMPTS):
@@ -63,7 +66,7 @@ class Descend(Stage):
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield the motion."""
-        targets = {arm: start.T_world_object @ start.reached[arm] for arm in self.arms}
+        targets = {arm: start.objects[start.object_of(arm)] @ start.reached[arm] for arm in self.arms}
         segment = straight(tools, "descend", start, targets, tools.scene(start, touching=self.arms))
         yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
@@ -88,7 +91,8 @@ class Open(Stage):
         if missing:
             raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
         held = {arm: T for arm, T in start.held_by.items() if arm not in self.arms}
-        if not held and not start.rests:
+        kept = {start.object_of(arm) for arm in held}
+        if not start.rests and any(start.object_of(arm) not in kept for arm in self.arms):
             raise Failure("would_fall", "the object is in the air and no other hand holds it")
         end = replace(start.opened(self.arms, OPEN), held_by=held)
         segments = (
@@ -135,7 +139,7 @@ class Home(Stage):
 
 
 def _require_open_chain(start: State) -> None:
-    if len(start.held_by) == len(SIDES):
+    if start.closed_chain:
         raise Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
 
 

@@ -1,7 +1,7 @@
 """Stages, their offers, and the planners of a search."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,25 +67,30 @@ class Tools:
     """Planners and scene of a search; `around` holds the other obstacles."""
 
     def __init__(
-        self, around: PlanningScene, thing: Thing, planner: Planner, seed: int = 0, gap: Gap | None = None
+        self, around: PlanningScene, things: Sequence[Thing], planner: Planner, seed: int = 0, gap: Gap | None = None
     ) -> None:
-        self.around, self.thing, self.planner, self.seed, self.gap = around, thing, planner, seed, gap
+        self.around, self.planner, self.seed, self.gap = around, planner, seed, gap
+        self.things = {thing.shape.name: thing for thing in things}
         self.robot = planner.robot
         self.linear = LinearPlanner(kinematics=planner.kinematics)
         self.holder = HeldPlanner(planner)
 
-    def scene(self, state: State, *, touching: Iterable[str] = (), resting: bool = False) -> PlanningScene:
-        """Return the scene: the object is an obstacle, or attached to its first holder.
+    def scene(self, state: State, *, touching: Collection[str] = (), resting: bool = False) -> PlanningScene:
+        """Return the scene: an object is an obstacle, or attached to its first holder.
 
-        Hands of the arms `touching` may touch the object; `resting` lets it touch what it rests on.
+        Hands of the arms `touching` may touch their objects; `resting` lets held objects touch what they rest on.
         """
-        shape = self.thing.shape
-        if state.held_by:
-            rests_on = self.thing.rests_on if resting else ()
-            return scene_holding(self.around, shape, state.held_by, rests_on=rests_on, touching=touching)
-        scene = self.around.with_obstacles(placed(shape, state.T_world_object))
-        for link in (link for arm in touching for link in self.robot.hand_links(arm)):
-            scene = scene.allowing(shape.name, link, "the hand is at the object to hold it or let it go")
+        scene = self.around
+        for name, thing in self.things.items():
+            holders = {arm: T for arm, T in state.held_by.items() if state.object_of(arm) == name}
+            near = [arm for arm in touching if state.object_of(arm) == name]
+            if holders:
+                rests_on = thing.rests_on if resting else ()
+                scene = scene_holding(scene, thing.shape, holders, rests_on=rests_on, touching=near)
+                continue
+            scene = scene.with_obstacles(placed(thing.shape, state.objects[name]))
+            for link in (link for arm in near for link in self.robot.hand_links(arm)):
+                scene = scene.allowing(name, link, "the hand is at the object to hold it or let it go")
         return scene
 
 

@@ -19,21 +19,33 @@ OPEN, CLOSED = 1.0, 0.0
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Arms, hands and object between two stages.
+    """Arms, hands and objects between two stages.
 
     Attributes:
+        objects: {object: T_world_object (4, 4)}.
         held_by: {arm: T_object_tcp (4, 4)} of holding hands.
         reached: The same of open hands over or at a grasp.
+        about: {arm: object} it reached last; the first object if missing.
         openings: (left, right), 0 closed to 1 open.
-        rests: Whether the object is supported.
+        rests: Whether what is held is supported.
     """
 
     q: Array
-    T_world_object: Array
+    objects: Mapping[str, Array]
     held_by: Mapping[str, Array] = field(default_factory=dict)
     reached: Mapping[str, Array] = field(default_factory=dict)
+    about: Mapping[str, str] = field(default_factory=dict)
     openings: tuple[float, float] = (OPEN, OPEN)
     rests: bool = True
+
+    def object_of(self, arm: str) -> str:
+        """Return the name of the object that an arm handles."""
+        return self.about.get(arm) or next(iter(self.objects))
+
+    @property
+    def closed_chain(self) -> bool:
+        """Whether both hands hold one object."""
+        return len(self.held_by) == len(SIDES) and len({self.object_of(arm) for arm in SIDES}) == 1
 
     def opened(self, arms: Iterable[str], opening: float) -> State:
         """Return the state with some hands' opening changed."""

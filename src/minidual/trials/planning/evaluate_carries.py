@@ -16,9 +16,8 @@ from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
-from minidual.skills.cycle import around, pipeline_of, pose_of, thing_of
+from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.stage import Tools
 from minidual.skills.pipeline.state import State
 from minidual.tasks.rod_carry import rod_carry
 from minidual.trials.planning.evaluate import Attempt, attempted
@@ -119,14 +118,13 @@ def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], lis
 def failed_carries(config: Config, count: int) -> list[str]:
     """Plan `count` carries as method moveit does; return a line for each failure."""
     task, seed, planner = rod_carry(Config(scene=config.scene)), config.seed, _planner(config)
-    body, room = config.scene.object, around(config.scene, planner.robot)
+    body = task.objects[task.carried].body
     failures = []
     for k in range(count):
         trial = task.trial(seed, "plan", k)
-        start = State(planner.robot.home, pose_of(body, trial.start[body.name]))
-        tools = Tools(room, thing_of(body), planner, subseed(seed, "planner/plan", k))
+        start = State(planner.robot.home, {body.name: pose_of(body, trial.start[body.name])})
         try:
-            pipeline_of(task, trial).solve(start, tools)
+            solve(task, trial, start, planner, subseed(seed, "planner/plan", k))
         except TaskFailedError as error:
             failures.append(f"carry {k}: {error.summary}")
     return failures
