@@ -24,6 +24,7 @@ from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.metrics import TrialMetrics, summarise
 
 METHODS = ("moveit", "impedance", "act")
+TASK = "rod_carry"
 STAGES = (
     ("env-check", "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries"),
     ("plan", "Plan collision-free motions for left_arm, right_arm and both_arms"),
@@ -212,11 +213,11 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageC
         folder.mkdir(parents=True)
         checks, data = _CHECKS.get(stage, []), {}
         if stage == "benchmark":
-            write_csv(folder / "benchmark.csv", [t.to_row() for t in trials])
-            data = benchmark_data(trials)
+            write_csv(folder / "benchmark.csv", [{"task": TASK, **t.to_row()} for t in trials])
+            data = {"tasks": {TASK: benchmark_data(trials)}}
             checks = [
                 Check(f"{method}.success_rate", row["success_rate"], ">", 0.5, why="it works")
-                for method, row in data["methods"].items()
+                for method, row in data["tasks"][TASK]["methods"].items()
             ]
         verdicts[stage], folders[stage] = make_verdict(stage, folder, checks, data), folder
     conditions = list(dict.fromkeys(trial.condition for trial in trials))
@@ -240,10 +241,10 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageC
 
 def with_methods(given: StageContext, table: Mapping[str, Any]) -> StageContext:
     """Return the run with another table of methods in the benchmark's verdict."""
-    return with_data(given, {**given.verdicts["benchmark"].data, "methods": dict(table)})
+    return with_data(given, {**given.verdicts["benchmark"].data["tasks"][TASK], "methods": dict(table)})
 
 
 def with_data(given: StageContext, data: Mapping[str, Any]) -> StageContext:
-    """Return the run with other data in the benchmark's verdict."""
-    benchmark = replace(given.verdicts["benchmark"], data=dict(data))
+    """Return the run with other data of the task in the benchmark's verdict."""
+    benchmark = replace(given.verdicts["benchmark"], data={"tasks": {TASK: dict(data)}})
     return replace(given, verdicts={**given.verdicts, "benchmark": benchmark})

@@ -18,6 +18,7 @@ from minidual.config.evaluation import BenchmarkConfig
 from minidual.config.root import Config
 from minidual.durable import write_csv
 from minidual.errors import UsageError
+from minidual.gate.stage import StageContext
 from minidual.stages.benchmark import benchmark_checks, condition_checks
 from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
@@ -106,7 +107,8 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
     assert {key for key, cell in cells.items() if cell.summary is None} == BLANK
     assert cells["act", "delay 20 ms"].why_not == "act reads no pose or contact force during the motion"
     assert cells["moveit", "light -30 %"].record() == {"applies": False, "why": "moveit reads no picture"}
-    assert count_trials(tuple(METHODS), ASKED, Config()) == sum(len(starts) for _, _, starts, _ in asked)
+    count = count_trials(tuple(METHODS), ASKED, MethodInputs(Config(), SEED))
+    assert count == sum(len(starts) for _, _, starts, _ in asked)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +127,7 @@ def test_what_would_be_the_clean_trials_is_not_run_under_another_name(
     assert [call[1] for call in asked] == [CLEAN]
     assert says in cells[1].why_not
     assert cells[1].settled
-    assert count_trials(("impedance",), {CLEAN: 2, name: 2}, inputs.config) == 2
+    assert count_trials(("impedance",), {CLEAN: 2, name: 2}, inputs) == 2
     assert not CONDITIONS[name].why_not("impedance", Config()), "the standard configuration differs"
 
 
@@ -239,6 +241,47 @@ def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
         check_benchmark(Config.model_validate(loud))
     one, other = Config(), Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
     assert STAGES["benchmark"].parameters(one) != STAGES["benchmark"].parameters(other)
+
+
+def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> None:
+    asked_of = {"tasks": ["rod_carry", "handover"], "trials_n": 3, "perturbed_trials_n": 2}
+    config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean", "mass +50 %"]}})
+    check_benchmark(config)
+    given = StageContext(tmp_path, STAGES["benchmark"].resolved(config), SEED, "standard")
+    result = STAGES["benchmark"].load()(dataclasses.replace(given, upstream={"train-act": tmp_path}))
+    assert all(check.passed is not False for check in result.checks)
+    names = {check.name for check in result.checks}
+    assert {"rod_carry.moveit.success_rate", "handover.moveit.success_rate", "handover.cells_settled"} <= names
+    handed = result.data["tasks"]["handover"]["methods"]
+    assert handed["moveit"]["trials"] == 3
+    assert handed["impedance"] == {"applies": False, "why": "its step 'approach' is of the left hand alone"}
+    assert handed["act"] == {"applies": False, "why": "its policy is trained on 'rod_carry'"}
+    assert {config.scene.object.name for *_, config in asked} == {"rod", "bottle"}
+    with (tmp_path / "benchmark.csv").open(newline="") as stream:
+        rows = [(row["task"], row["method"]) for row in csv.DictReader(stream)]
+    assert rows == [("rod_carry", m) for m in METHODS for _ in range(5)] + [("handover", "moveit")] * 5
+
+
+@pytest.mark.parametrize(
+    ("tasks", "methods", "says"),
+    [
+        (
+            ["handover"],
+            ["impedance"],
+            "'impedance' cannot do 'handover': its step 'approach' is of the left hand alone",
+        ),
+        (["handover"], ["act"], "'act' cannot do 'handover': its policy is trained on 'rod_carry'"),
+        (["handovr"], ["moveit"], "no task 'handovr'; there are handover, "),
+        (["handover", "handover"], ["moveit"], "task 'handover' is named twice"),
+    ],
+)
+def test_a_method_that_can_do_none_of_the_tasks_is_refused_by_name(
+    tasks: list[str], methods: list[str], says: str
+) -> None:
+    with pytest.raises(UsageError, match=says) as caught:
+        check_benchmark(Config.model_validate({"benchmark": {"tasks": tasks, "methods": methods}}))
+    if "cannot" in says:
+        assert "it can do rod_carry" in str(caught.value.remedy)
 
 
 def carried(method: str, condition: str, steps: int) -> Iterator[np.ndarray]:

@@ -6,6 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from report_samples import figures_once  # noqa: F401  (a fixture for every test
 
 from minidual.config.root import Config
 from minidual.gate.stage import StageContext
-from minidual.show.report.facts import Facts, gather
 from minidual.show.report.figures import success_figure
 from minidual.show.report.model import Report, report_checks
 from minidual.show.report.page import build_report
@@ -98,11 +98,11 @@ _PUSH = ("conditions", "push +x", "methods")
 def test_a_hole_is_named_and_fails_the_report(
     data: dict[str, Any], change: Callable[[dict[str, Any]], None], hole: str, given: StageContext
 ) -> None:
-    assert {c.passed for c in report_checks(given, table(data))} == {True}
+    assert {c.passed for c in report_checks(given, {samples.TASK: table(data)})} == {True}
     broken = copy.deepcopy(data)
     change(broken)
     assert hole in table(broken).missing()
-    checks = {check.name: check for check in report_checks(given, table(broken))}
+    checks = {check.name: check for check in report_checks(given, {samples.TASK: table(broken)})}
     assert checks["missing_cells"].passed is False
     assert checks["missing_cells"].observed == len(table(broken).missing()) > 0
     assert checks["stages_not_passing"].passed
@@ -112,14 +112,14 @@ def test_conditions_that_nobody_ran_fail_the_report(given: StageContext, data: d
     plain = {key: value for key, value in data.items() if key not in ("conditions", "losses")}
     report, text = built(samples.with_data(given, plain), tmp_path)
     assert report.state == "fail"
-    assert len(report.tables.missing()) == 6 * 8  # six indicators, the number of trials and the loss
+    assert len(report.tables[samples.TASK].missing()) == 6 * 8  # six indicators, the number of trials and the loss
     assert "This report does not pass" in text
     assert text.count('<td class="missing">') == 6 * (1 + 5)
 
 
 def test_an_undisturbed_benchmark_has_no_such_table_and_passes(tmp_path: Path) -> None:
     report, text = built(samples.make_run(tmp_path), tmp_path)
-    assert (report.state, len(report.tables.rows), "Under disturbances" in text) == ("pass", 1, False)
+    assert (report.state, len(report.tables[samples.TASK].rows), "Under disturbances" in text) == ("pass", 1, False)
     assert 'id="conditions"' not in text
 
 
@@ -144,6 +144,7 @@ def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: S
     assert "Holm" in words
     assert part.count("<table") == 1 + 5
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    document = document["tasks"][samples.TASK]
     act = document["conditions"]["push +x"]["methods"]["act"]
     rate = act["measures"]["success_rate"]
     assert (rate["value"], rate["low"]) == (0.0, 0.0)
@@ -157,19 +158,16 @@ def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Pat
     (tmp_path / "b").mkdir()
     plain, _ = built(samples.make_run(tmp_path / "a"), tmp_path / "a")
     disturbed, _ = built(samples.make_run(tmp_path / "b", samples.disturbed_trials()), tmp_path / "b")
-    assert disturbed.tables.clean == plain.tables.clean
-    assert [f.svg for f in disturbed.figures[1:]] == [f.svg for f in plain.figures[1:]]
-    assert disturbed.facts.pairs == plain.facts.pairs
-
-
-def facts(data: dict[str, Any], given: StageContext) -> Facts:
-    return gather(samples.with_data(given, data).verdicts, table(data))
+    (new,), (old,) = disturbed.tables.values(), plain.tables.values()
+    assert (new.clean, new.pairs) == (old.clean, old.pairs)
+    (drawn,), (known,) = disturbed.figures.values(), plain.figures.values()
+    assert [f.svg for f in drawn[1:]] == [f.svg for f in known[1:]]
 
 
 def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
     data: dict[str, Any], given: StageContext, tmp_path: Path
 ) -> None:
-    found = facts(data, given)
+    found = table(data)
     (loss,) = found.losses
     assert tuple(loss[name] for name in ("method", "first", "rate_difference", "trials_n")) == (
         "act",
@@ -184,24 +182,40 @@ def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
     assert "push +x: moveit against act +95 points" in words
     assert "act under push +x: grip lost (20); it stopped itself in 20." in words
     few = samples.benchmark_data(samples.disturbed_trials(4))
-    assert facts(few, given).losses == []
+    assert table(few).losses == []
 
 
-def test_a_difference_is_shown_after_correction_for_the_number_of_tests(
-    data: dict[str, Any], given: StageContext
-) -> None:
+def test_a_difference_is_shown_after_correction_for_the_number_of_tests(data: dict[str, Any]) -> None:
     """p = 0.02 in one test of four is not below 0.05 over all of them."""
     for rows in (data["losses"], data["comparisons"]):
         for row in rows:
             row["p_value"] = 0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
-    assert facts(data, given).losses == []
+    assert table(data).losses == []
     many = [{**row, "condition": f"other {i}"} for i, row in enumerate(data["comparisons"][:3])]
-    assert facts({**data, "comparisons": data["comparisons"] + many}, given).partings == []
+    assert table({**data, "comparisons": data["comparisons"] + many}).partings == []
     data["losses"] = [row for row in data["losses"] if row["method"] == "act"]
     data["comparisons"] = [r for r in data["comparisons"] if (r["first"], r["condition"]) == ("moveit", "push +x")][1:]
-    alone = facts(data, given)
+    alone = table(data)
     assert [loss["p_holm"] for loss in alone.losses] == [0.02]
     assert [pair["p_holm"] for pair in alone.partings] == [0.02]
+
+
+def test_each_task_has_its_own_tables_and_figures(given: StageContext, data: dict[str, Any], tmp_path: Path) -> None:
+    other = copy.deepcopy(data)
+    other["methods"]["act"] = {"applies": False, "why": "its policy is trained on 'rod_carry'"}
+    given.verdicts["benchmark"].data["tasks"]["handover"] = other
+    changes = {"benchmark": given.config.benchmark.model_copy(update={"tasks": (samples.TASK, "handover")})}
+    report, text = built(replace(given, config=given.config.model_copy(update=changes)), tmp_path)
+    assert list(report.tables) == [samples.TASK, "handover"]
+    assert text.count("<h2>Comparison of the methods: ") == text.count("<h2>Under disturbances: ") == 2
+    assert text.count("Thinnest margins") == 1
+    assert "does not apply</span><small>its policy is trained on &#39;rod_carry&#39;" in text
+    assert report.tables["handover"].clean.cells[2].state == "spared"
+    assert len(list((tmp_path / "report" / "figures").glob("handover-*.svg"))) == 1
+    (tmp_path / "again").mkdir()
+    given.verdicts["benchmark"].data["tasks"].pop("handover")
+    report, _ = built(report.given, tmp_path / "again")
+    assert "handover.moveit.clean.success_rate" in report.checks[0].why, "a task that nobody ran is a hole"
 
 
 def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:

@@ -149,7 +149,7 @@ def test_a_weakened_limit_is_said_and_is_not_acceptance(tmp_path: Path) -> None:
 
 def test_a_missing_method_fails_the_report_and_shows_the_hole(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
-    table = dict(given.verdicts["benchmark"].data["methods"])
+    table = dict(given.verdicts["benchmark"].data["tasks"][samples.TASK]["methods"])
     del table["act"]
     report, text = built(samples.with_methods(given, table), tmp_path)
     assert report.state == "fail"
@@ -244,7 +244,7 @@ def test_a_picture_that_is_gone_is_named(tmp_path: Path) -> None:
 
 def test_every_figure_is_drawn_from_the_data_and_themed(tmp_path: Path) -> None:
     report, _ = built(samples.make_run(tmp_path), tmp_path)
-    names = [figure.name for figure in report.figures]
+    names = [figure.name for figure in report.figures[samples.TASK]]
     assert names == [
         "success",
         *(
@@ -252,7 +252,7 @@ def test_every_figure_is_drawn_from_the_data_and_themed(tmp_path: Path) -> None:
             for n in ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
         ),
     ]
-    for figure in report.figures:
+    for figure in report.figures[samples.TASK]:
         assert "moveit" in figure.svg
         assert "#1a2027" in figure.svg
         assert "#1a2027" not in figure.themed
@@ -265,8 +265,10 @@ def test_the_json_says_what_the_page_says(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert document["state"] == report.state == "pass"
     assert [stage["name"] for stage in document["stages"]] == [name for name, _ in samples.STAGES]
-    assert document["comparison"]["methods"]["act"]["measures"]["success_rate"]["value"] == pytest.approx(0.75)
-    pair = document["analysis"]["pairs"][0]
+    assert document["tasks"][samples.TASK]["comparison"]["methods"]["act"]["measures"]["success_rate"][
+        "value"
+    ] == pytest.approx(0.75)
+    pair = document["tasks"][samples.TASK]["analysis"]["pairs"][0]
     assert (pair["first"], pair["second"], pair["trials_n"]) == ("moveit", "impedance", 20)
     assert "moveit against impedance" in text
     assert document["analysis"]["margins"][0]["check"] in text[text.index("Thinnest margins") :]

@@ -44,7 +44,7 @@ def table() -> dict[str, dict]:
 def own_check(table: dict, name: str = "missing_cells", methods: tuple[str, ...] = samples.METHODS) -> Check:
     """Return one of the report's own checks for a table of methods."""
     given = StageContext(Path(), Config(), 1, "standard")
-    checks = model.report_checks(given, compare(methods, {"methods": table}))
+    checks = model.report_checks(given, {samples.TASK: compare(methods, {"methods": table})})
     return next(check for check in checks if check.name == name)
 
 
@@ -152,7 +152,7 @@ def test_the_figures_read_the_undisturbed_trials(tmp_path: Path) -> None:
 )
 def test_damaged_data_of_the_benchmark_is_named(tmp_path: Path, damage: Callable[[dict], object]) -> None:
     given = samples.make_run(tmp_path)
-    data = copy.deepcopy(dict(given.verdicts["benchmark"].data))
+    data = copy.deepcopy(given.verdicts["benchmark"].data["tasks"][samples.TASK])
     damage(data)
     with pytest.raises(DataError, match=r"the data of a verdict, or benchmark\.csv, is damaged"):
         build_report(samples.with_data(given, data), tmp_path)
@@ -185,7 +185,7 @@ def page(report: Report, tmp_path: Path) -> str:
 
 
 def test_pairs_of_methods_claim_no_more_than_the_trials_show(report: Report, page: str) -> None:
-    pair = report.facts.pairs[0]
+    pair = report.tables[samples.TASK].pairs[0]
     names = ("first", "second", "trials_n", "only_first_n", "only_second_n")
     assert [pair[name] for name in names] == ["moveit", "impedance", 20, 0, 1]
     assert pair["duration_difference_s"] > 0.0  # moveit takes longer
@@ -195,7 +195,7 @@ def test_pairs_of_methods_claim_no_more_than_the_trials_show(report: Report, pag
 
 def test_pairs_of_methods_claim_what_many_trials_show(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path, samples.make_trials(200))
-    pairs = gather(given.verdicts, compare(samples.METHODS, {})).pairs
+    pairs = compare(samples.METHODS, given.verdicts["benchmark"].data["tasks"][samples.TASK]).pairs
     (pair,) = [p for p in pairs if (p["first"], p["second"]) == ("impedance", "act")]
     assert pair["shown"]
     assert pair["rate_difference"] == pytest.approx(0.25)
@@ -223,7 +223,7 @@ def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
 def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
-    first = gather({**given.verdicts, "plan": bad}, compare(samples.METHODS, {})).margins[0]
+    first = gather({**given.verdicts, "plan": bad}).margins[0]
     assert (first["stage"], first["share_of_limit"]) == ("plan", pytest.approx(-0.2))
 
 
@@ -233,8 +233,8 @@ def test_a_share_at_100_percent_has_no_margin_to_be_thin(report: Report) -> None
 
 
 def test_without_numbers_there_is_no_analysis() -> None:
-    found = gather({}, compare(samples.METHODS, {}))
-    assert (found.pairs, found.losses, found.gap, found.margins) == ([], [], None, [])
+    found, nothing = gather({}), compare(samples.METHODS, {})
+    assert (nothing.pairs, nothing.losses, found.gap, found.margins) == ([], [], None, [])
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:

@@ -8,6 +8,8 @@ from minidual.config.base import AtLeast, Rate, StrictModel
 class BenchmarkConfig(StrictModel):
     """Configuration of `benchmark`."""
 
+    tasks: AtLeast[tuple[str, ...]] = ()
+    """Empty: the run's `task`."""
     methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
     conditions: AtLeast[tuple[str, ...]] = Field(default=("clean",), min_length=1)
     """Conditions, with `clean`; or `all`."""

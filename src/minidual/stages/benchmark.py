@@ -1,6 +1,7 @@
 """`minidual benchmark`: all methods on the same task, with and without disturbances."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from minidual.config.evaluation import BenchmarkConfig
 from minidual.demos.smoothness import JERK_FILTER
@@ -9,8 +10,8 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.watch import watch_trials
 from minidual.stages.words import Rows, worded
-from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark
-from minidual.trials.comparisons import compare_all, compare_with_clean
+from minidual.tasks.task import tasks_of
+from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trials, run_benchmark
 from minidual.trials.conditions import CLEAN, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary
@@ -18,7 +19,7 @@ from minidual.trials.metrics import MethodSummary
 _REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
 
 
-def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig) -> list[Check]:
+def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig, prefix: str = "") -> list[Check]:
     """Return the checks of the undisturbed trials.
 
     Limits: trial counts, and success rates where configured.
@@ -27,12 +28,14 @@ def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig
     for s in summaries:
         rows: Rows = {"success_rate": (s["success_rate"], ">", config.success_rate_min.get(s.method))}
         rows = {**rows, **{name: s[name] for name in _REPORTED}}
-        checks += worded("benchmark", rows, f"{s.method}.", interval=s.interval, jerk_filter=JERK_FILTER)
+        checks += worded("benchmark", rows, f"{prefix}{s.method}.", interval=s.interval, jerk_filter=JERK_FILTER)
     evaluated = min((s.trials_n for s in summaries), default=0)
-    return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", config.trials_n)})
+    return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", config.trials_n)}, prefix)
 
 
-def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str]) -> list[Check]:
+def condition_checks(
+    cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str], prefix: str = ""
+) -> list[Check]:
     """Return the checks of the methods-by-conditions table.
 
     It must be complete and finite; disturbed success has no limit.
@@ -48,10 +51,10 @@ def condition_checks(cells: Sequence[BenchmarkCell], methods: Sequence[str], con
     missing = [f"{c.method} under {c.condition}: {name}" for c in cells if c.summary for name in c.summary.not_finite()]
     n = len(asked)
     rows: Rows = {"cells_settled": (n - len(holes), "==", n), "cells_not_finite": (len(missing), "==", 0)}
-    checks = worded("benchmark", rows, holes=_first(holes), missing=_first(missing))
+    checks = worded("benchmark", rows, prefix, holes=_first(holes), missing=_first(missing))
     for cell in cells:
         if cell.summary is not None and cell.condition != CLEAN:
-            name = f"{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"
+            name = f"{prefix}{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"
             checks.append(Check(name, cell.summary["success_rate"], why=cell.summary.interval))
     return checks
 
@@ -64,27 +67,32 @@ def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
     config, seed, folder = context.config.benchmark, context.seed, context.folder
     methods, conditions = METHODS.names(config.methods), parse_conditions(config.conditions)
-    inputs = MethodInputs(context.config, seed, context.upstream["train-act"] / "checkpoint")
+    checkpoint, tasks = context.upstream["train-act"] / "checkpoint", tasks_of(context.config)
+    inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
     trials_n = {name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions}
-    with context.progress.task("benchmark trials", count_trials(methods, trials_n, context.config)) as task:
-        cells, trials = run_benchmark(
-            methods,
-            trials_n,
-            inputs,
-            workers=context.workers,
-            on_trial=lambda result: task.advance(note=f"{result.metrics.method}, {result.metrics.condition}"),
-            watch=watch_trials(context.view),
-        )
-    clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
-    write_csv(folder / "benchmark.csv", [t.to_row() for t in trials])
-    write_csv(folder / "methods.csv", [s.to_row() for s in clean])
-    write_csv(folder / "conditions.csv", [c.row() for c in cells], missing="does not apply")
-    return StageResult(
-        checks=benchmark_checks(clean, config) + condition_checks(cells, methods, conditions),
-        data={
-            "methods": {c.method: c.record() for c in cells if c.condition == CLEAN},
-            "conditions": conditions_data(cells),
-            "comparisons": compare_all(trials, seed),
-            "losses": compare_with_clean(trials, seed),
-        },
-    )
+    count = sum(count_trials(methods, trials_n, given) for given in inputs.values())
+    checks, data = list[Check](), dict[str, Any]()
+    tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
+    with context.progress.task("benchmark trials", count) as progress:
+        for task, given in inputs.items():
+            cells, trials = run_benchmark(
+                methods,
+                trials_n,
+                given,
+                workers=context.workers,
+                on_trial=lambda result, task=task: progress.advance(
+                    note=f"{task}, {result.metrics.method}, {result.metrics.condition}"
+                ),
+                watch=watch_trials(context.view),
+            )
+            clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
+            prefix = f"{task}." if len(tasks) > 1 else ""
+            checks += benchmark_checks(clean, config, prefix)
+            checks += condition_checks(cells, methods, conditions, prefix)
+            data[task] = benchmark_data(cells, trials, seed)
+            tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
+            tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
+            tables["conditions"] += [{"task": task, **c.row()} for c in cells]
+    for name, rows in tables.items():
+        write_csv(folder / f"{name}.csv", rows, missing="does not apply")
+    return StageResult(checks=checks, data={"tasks": data})

@@ -22,7 +22,7 @@ def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every promised condition and compare with clean."""
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
-    count = count_trials(["impedance"], promised(trials_n), inputs.config)
+    count = count_trials(["impedance"], promised(trials_n), inputs)
     with context.progress.task("disturbed carries", count) as task:
         cells, trials = run_benchmark(
             ["impedance"],

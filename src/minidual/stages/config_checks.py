@@ -4,8 +4,9 @@ from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
 from minidual.policies.kinds import POLICIES
+from minidual.tasks.task import tasks_of
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions
-from minidual.trials.methods import METHODS
+from minidual.trials.methods import METHODS, check_able
 
 
 def check_plan(config: Config) -> None:
@@ -37,8 +38,11 @@ def check_deploy(config: Config) -> None:
 
 def check_benchmark(config: Config) -> None:
     """Raise UsageError for invalid methods, conditions and limits."""
-    METHODS.names(config.benchmark.methods)
+    tasks = tasks_of(config).values()
+    for name in METHODS.names(config.benchmark.methods):
+        check_able(name, tasks, config.task)
     for name in config.benchmark.success_rate_min:
         METHODS[name]
     for name in parse_conditions(config.benchmark.conditions):
-        condition(name).config_under(config)
+        for task in tasks:
+            condition(name).config_under(task.config)

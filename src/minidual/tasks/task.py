@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, SceneConfig
 from minidual.config.seeds import stream
@@ -120,6 +121,21 @@ def make_task(config: Config) -> Task:
     return TASKS[config.task](config)
 
 
+def tasks_of(config: Config) -> dict[str, Task]:
+    """Return the benchmark's tasks by name.
+
+    Raises:
+        UsageError: Unknown or repeated name.
+    """
+    names = TASKS.names(config.benchmark.tasks or (config.task,))
+    return {name: make_task(config if name == config.task else changed(config, {"task": name})) for name in names}
+
+
 def task_config(config: Config) -> Config:
     """Return the configuration with the task's values; idempotent."""
     return make_task(config).config
+
+
+def benchmark_config(config: Config) -> Config:
+    """Return `task_config`; with tasks of its own, a benchmark resolves each when it runs."""
+    return config if config.benchmark.tasks else task_config(config)

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.tasks.task import make_task
+from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.conditions import CLEAN, condition
-from minidual.trials.methods import MethodInputs
+from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import TrialResult, Watch, run_trials
 
@@ -21,7 +21,7 @@ class BenchmarkCell:
     """One method under one condition.
 
     Attributes:
-        summary: None where the condition does not apply.
+        summary: None where the condition does not apply, or the method cannot do the task.
         undisturbed: Trials that succeeded without their push or move having taken place.
     """
 
@@ -52,9 +52,14 @@ class BenchmarkCell:
         return {"method": self.method, "condition": self.condition, "applies": applies, **values}
 
 
-def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], config: Config) -> int:
+def _why_not(method: str, name: str, inputs: MethodInputs) -> str:
+    task = make_task(inputs.config)
+    return METHODS[method].cannot(task, inputs.trained or task.name) or condition(name).why_not(method, inputs.config)
+
+
+def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: MethodInputs) -> int:
     """Return how many trials `run_benchmark` runs."""
-    return sum(n for m in methods for c, n in trials_n.items() if not condition(c).why_not(m, config))
+    return sum(n for m in methods for c, n in trials_n.items() if not _why_not(m, c, inputs))
 
 
 def run_benchmark(
@@ -80,7 +85,7 @@ def run_benchmark(
     for method in methods:
         for name, n in trials_n.items():
             under = condition(name)
-            reason = under.why_not(method, inputs.config)
+            reason = _why_not(method, name, inputs)
             if reason:
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
@@ -96,6 +101,16 @@ def run_benchmark(
             cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
             everything += rows
     return cells, everything
+
+
+def benchmark_data(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], seed: int) -> dict[str, Any]:
+    """Return one task's part of the verdict."""
+    return {
+        "methods": {c.method: c.record() for c in cells if c.condition == CLEAN},
+        "conditions": conditions_data(cells),
+        "comparisons": compare_all(trials, seed),
+        "losses": compare_with_clean(trials, seed),
+    }
 
 
 def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:

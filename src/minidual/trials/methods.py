@@ -6,14 +6,16 @@ distributions add rows (docs/howto-method.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from minidual.config.root import Config
+from minidual.errors import UsageError
 from minidual.registry import Registry, load_target
-from minidual.tasks.task import Trial
+from minidual.robot.pair import SIDES
+from minidual.tasks.task import TASKS, Task, Trial, make_task
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World
@@ -60,11 +62,12 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 
 @dataclass(frozen=True)
 class MethodInputs:
-    """Inputs of a factory."""
+    """Inputs of a factory; `trained` is the checkpoint's task, empty for the configured one."""
 
     config: Config
     seed: int
     checkpoint: Path | None = None
+    trained: str = ""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,7 @@ class MethodSpec:
         needs_images: Whether to compile visual meshes.
         demands: Optional conditions of success that its trials must meet.
         senses: Rows of SENSES that it reads.
+        cannot: (task, trained) -> why it cannot do a task, or "".
     """
 
     target: str | Callable[[MethodInputs], Factory]
@@ -83,11 +87,21 @@ class MethodSpec:
     needs_images: bool = False
     demands: frozenset[str] = frozenset()
     senses: frozenset[str] = frozenset(SENSES)
+    cannot: Callable[[Task, str], str] = lambda task, trained: ""
 
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
         make: Any = load_target(self.target) if isinstance(self.target, str) else self.target
         return make(inputs)
+
+
+def _steps_of_one_hand(task: Task, trained: str) -> str:
+    alone = next((step for step in task.steps if step.hands != SIDES), None)
+    return "" if alone is None else f"its step '{alone.phase}' is of the {alone.hands[0]} hand alone"
+
+
+def _another_task(task: Task, trained: str) -> str:
+    return "" if task.name == trained else f"its policy is trained on '{trained}'"
 
 
 METHODS: Registry[MethodSpec] = Registry(
@@ -103,13 +117,24 @@ METHODS: Registry[MethodSpec] = Registry(
             "object impedance with internal force control",
             demands=frozenset({"squeezed"}),
             senses=frozenset({"pose", "feedback"}),
+            cannot=_steps_of_one_hand,
         ),
         "act": MethodSpec(
             "minidual.trials.learned:policy",
             "ACT policy from camera and joints",
             needs_images=True,
             senses=frozenset({"picture"}),
+            cannot=_another_task,
         ),
     },
     group="minidual.methods",
 )
+
+
+def check_able(method: str, tasks: Collection[Task], trained: str) -> None:
+    """Raise UsageError for a method that can do none of these tasks."""
+    spec = METHODS[method]
+    reasons = [f"'{task.name}': {why}" for task in tasks if (why := spec.cannot(task, trained))]
+    if len(reasons) == len(tasks):
+        able = [name for name in TASKS if not spec.cannot(make_task(Config(task=name)), trained)]
+        raise UsageError(f"the method '{method}' cannot do {'; '.join(reasons)}", remedy=f"it can do {', '.join(able)}")

@@ -74,7 +74,8 @@ class TrialMetrics:
         return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
 
 
-_OVER_SUCCESSES = ("duration_", "path_", "internal_", "pinch_")
+_OF_SOME_TASKS = ("internal_", "pinch_")
+_OVER_SUCCESSES = ("duration_", "path_", *_OF_SOME_TASKS)
 """Prefixes of indicators over successful trials; the others are over all."""
 
 
@@ -119,7 +120,7 @@ class MethodSummary:
 
     def not_finite(self) -> list[str]:
         """Return the names of numbers that its trials should have given."""
-        due = [n for n in self.numbers if self.successes_n or not n.startswith(_OVER_SUCCESSES)]
+        due = [n for n in self.numbers if not n.startswith(_OF_SOME_TASKS if self.successes_n else _OVER_SUCCESSES)]
         return [n for n in due if not math.isfinite(self.numbers[n])]
 
     @property

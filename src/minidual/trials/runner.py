@@ -27,7 +27,7 @@ from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
-from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec
+from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec, check_able
 from minidual.trials.metrics import TrialMetrics, trial_metrics
 from minidual.workers import in_workers
 
@@ -115,6 +115,7 @@ class Bench:
         self.method, self.seed = method, inputs.seed
         self.spec: MethodSpec = METHODS[method]
         self.task: Task = make_task(inputs.config)
+        check_able(method, [self.task], inputs.trained or self.task.name)
         robot = robot_from(inputs.config.robot)
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
         self.world = World(self.task.scene, robot, model=model)

@@ -1,4 +1,4 @@
-"""Analysis: paired comparisons, held-out starts, thinnest margins."""
+"""Analysis: held-out starts, thinnest margins."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,8 +6,7 @@ from typing import Any
 
 from minidual.gate.check import Check
 from minidual.gate.verdict import Verdict
-from minidual.show.report.tables import Pair, Tables, corrected, finite
-from minidual.trials.conditions import CLEAN
+from minidual.show.report.tables import finite
 
 _THINNEST = 5
 
@@ -17,28 +16,18 @@ class Facts:
     """The analysis.
 
     Attributes:
-        pairs: Undisturbed pairs of methods.
-        partings: Disturbed pairs with a significant difference.
-        losses: Significant effects of a disturbance.
         gap: Success of the policy on held-out starts with 95 % interval, and on training starts.
         margins: Stage, check and margin as a share of its limit, thinnest first.
         at_best_n: Passed checks at their best value, without margin.
     """
 
-    pairs: list[Pair]
-    partings: list[Pair]
-    losses: list[Pair]
     gap: dict[str, float] | None
     margins: list[dict[str, Any]]
     at_best_n: int
 
 
-def gather(verdicts: Mapping[str, Verdict], tables: Tables) -> Facts:
+def gather(verdicts: Mapping[str, Verdict]) -> Facts:
     """Return the analysis."""
-    rows = verdicts["benchmark"].data.get("comparisons", []) if "benchmark" in verdicts else []
-    # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
-    clean = corrected([row for row in rows if row["condition"] == CLEAN])
-    disturbed = corrected([row for row in rows if row["condition"] != CLEAN])
     ranked, at_best = list[dict[str, Any]](), 0
     for stage, check in [(stage, check) for stage, verdict in verdicts.items() for check in verdict.checks]:
         relative = check.relative_margin
@@ -47,9 +36,6 @@ def gather(verdicts: Mapping[str, Verdict], tables: Tables) -> Facts:
         elif relative is not None:
             ranked.append({"stage": stage, "check": check, "share_of_limit": relative})
     return Facts(
-        pairs=clean,
-        partings=[pair for pair in disturbed if pair["shown"]],
-        losses=[cell.loss for cell in tables.cells if cell.loss and cell.loss["shown"]],
         gap=_gap(verdicts.get("deploy")),
         margins=sorted(ranked, key=lambda margin: margin["share_of_limit"])[:_THINNEST],
         at_best_n=at_best,

@@ -1,6 +1,6 @@
 """Content of the report: its checks, state and warnings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,9 +23,10 @@ class Banner:
     lines: Sequence[str] = ()
 
 
-def report_checks(given: StageContext, tables: Tables) -> list[Check]:
-    """Return the report's checks: complete tables, passing stages."""
-    holes, short = tables.missing(), not_passing(given)
+def report_checks(given: StageContext, tables: Mapping[str, Tables]) -> list[Check]:
+    """Return the report's checks: complete tables of every task, passing stages."""
+    short = not_passing(given)
+    holes = [f"{task}.{hole}" for task, table in tables.items() for hole in table.missing()]
     shown = f"; missing: {shortened(holes)}" if holes else ""
     whole = (
         "every method has every indicator as a finite number with its interval, undisturbed and under every condition "
@@ -47,12 +48,12 @@ def not_passing(given: StageContext) -> list[str]:
 
 @dataclass(frozen=True)
 class Report:
-    """Content of the page; `given` is the input of its stage."""
+    """Content of the page; `given` is the input of its stage, tables and figures are by task."""
 
     given: StageContext
-    tables: Tables
+    tables: Mapping[str, Tables]
     facts: Facts
-    figures: Sequence[Figure]
+    figures: Mapping[str, Sequence[Figure]]
     media: Sequence[Medium]
 
     @property

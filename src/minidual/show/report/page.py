@@ -18,7 +18,7 @@ from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.indicators import INDICATORS
 from minidual.show.report.media import Medium, collect_media
 from minidual.show.report.model import Report, not_passing
-from minidual.show.report.tables import CERTAIN, Cell, tabulate
+from minidual.show.report.tables import CERTAIN, Cell, Tables, tabulate
 from minidual.trials.conditions import parse_conditions
 from minidual.trials.methods import METHODS
 
@@ -37,11 +37,14 @@ def build_report(given: StageContext, folder: Path) -> Report:
         for stage, verdict in given.verdicts.items():
             captions = verdict.data.get("captions", {})
             media += collect_media(stage, given.upstream[stage], verdict.artefacts, captions, folder)
-        data = benchmark.data if benchmark else {}
-        tables = tabulate(wanted.methods, parse_conditions(wanted.conditions), data)
+        data = benchmark.data["tasks"] if benchmark else {}
+        conditions, tasks = parse_conditions(wanted.conditions), wanted.tasks or tuple(data) or (given.config.task,)
+        tables = {task: tabulate(wanted.methods, conditions, data.get(task, {})) for task in tasks}
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
-        facts, figures = gather(given.verdicts, tables), benchmark_figures(tables, trials)
-        report = Report(given, tables, facts, figures, media)
+        figures = {
+            task: benchmark_figures(table, [t for t in trials if t["task"] == task]) for task, table in tables.items()
+        }
+        report = Report(given, tables, gather(given.verdicts), figures, media)
         content, page = dumps(document(report)), render_page(report)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, jinja2.UndefinedError) as error:
         raise DataError(
@@ -49,8 +52,10 @@ def build_report(given: StageContext, folder: Path) -> Report:
             remedy="minidual benchmark --force",
         ) from error
     (folder / "figures").mkdir()
-    for figure in figures:
-        (folder / "figures" / f"{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+    for task, drawn in figures.items():
+        prefix = f"{task}-" if len(figures) > 1 else ""
+        for figure in drawn:
+            (folder / "figures" / f"{prefix}{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
     (folder / "report.json").write_text(content, encoding="utf-8")
     (folder / "report.html").write_text(page, encoding="utf-8")
     return report
@@ -84,10 +89,9 @@ def document(report: Report) -> dict[str, Any]:
     """Return the report as JSON, without pictures."""
     given, facts = report.given, report.facts
     made = report.newest.fingerprint if report.newest else None
-    clean, *disturbed = report.tables.rows
     margins = [{**margin, "check": margin["check"].name} for margin in facts.margins]
     return {
-        "schema": 3,
+        "schema": 4,
         "title": given.config.report.title,
         "state": report.state,
         "acceptance": report.state == "pass",
@@ -98,12 +102,20 @@ def document(report: Report) -> dict[str, Any]:
         "made_with": {n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made},
         "total_s": report.total_s,
         "stages": [_stage(given, name) for name in given.summaries],
-        "comparison": {"missing": report.tables.missing(), "methods": {c.method: _cell(c) for c in clean.cells}},
+        "tasks": {task: _task(tables) for task, tables in report.tables.items()},
+        "analysis": {**vars(facts), "margins": margins},
+    }
+
+
+def _task(tables: Tables) -> dict[str, Any]:
+    clean, *disturbed = tables.rows
+    return {
+        "comparison": {"missing": tables.missing(), "methods": {c.method: _cell(c) for c in clean.cells}},
         "conditions": {
             row.condition: {"summary": row.summary, "methods": {c.method: _cell(c) for c in row.cells}}
             for row in disturbed
         },
-        "analysis": {**vars(facts), "margins": margins},
+        "analysis": {name: getattr(tables, name) for name in ("pairs", "partings", "losses")},
     }
 
 

@@ -106,9 +106,16 @@ class Row:
 
 @dataclass(frozen=True)
 class Tables:
-    """Methods by conditions, the undisturbed row first."""
+    """Methods by conditions of one task, the undisturbed row first.
+
+    Attributes:
+        pairs: Undisturbed pairs of methods.
+        partings: Disturbed pairs with a significant difference.
+    """
 
     rows: tuple[Row, ...]
+    pairs: Sequence[Pair] = ()
+    partings: Sequence[Pair] = ()
 
     @property
     def clean(self) -> Row:
@@ -119,6 +126,11 @@ class Tables:
     def cells(self) -> Iterator[Cell]:
         """Every cell, row by row."""
         return (cell for row in self.rows for cell in row.cells)
+
+    @property
+    def losses(self) -> list[Pair]:
+        """Significant effects of a disturbance."""
+        return [cell.loss for cell in self.cells if cell.loss and cell.loss["shown"]]
 
     def missing(self) -> list[str]:
         """Return "method.condition.number" per hole."""
@@ -142,19 +154,21 @@ def corrected(rows: Sequence[Pair]) -> list[Pair]:
 def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any]) -> Tables:
     """Return the table of required `methods` and `conditions`; CLEAN is always included.
 
-    `data` is that of the benchmark's verdict.
+    `data` is the task's part of the benchmark's verdict.
     """
     records = {CLEAN: ("nothing disturbs the trial", data.get("methods", {}))}
     for name in (name for name in conditions if name != CLEAN):
         entry = data.get("conditions", {}).get(name, {})
         records[name] = entry.get("summary", ""), entry.get("methods", {})
     losses = {(pair["first"], pair["method"]): pair for pair in corrected(data.get("losses", []))}
-    return Tables(
-        tuple(
-            Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m))) for m in methods))
-            for name, (summary, mine) in records.items()
-        )
+    # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
+    pairs = data.get("comparisons", [])
+    clean, disturbed = (corrected([p for p in pairs if (p["condition"] == CLEAN) is c]) for c in (True, False))
+    rows = (
+        Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m))) for m in methods))
+        for name, (summary, mine) in records.items()
     )
+    return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]])
 
 
 def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | None) -> Cell:
