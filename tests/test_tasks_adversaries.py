@@ -40,7 +40,7 @@ TASKS: dict[str, Callable[[], Task]] = {
     f"{item} {motion}": cache(lambda item=item, motion=motion: rod_task(item, motion))
     for item in OBJECTS
     for motion in MOTIONS
-} | {"handover": cache(lambda: make_task(Config(task="handover")))}
+} | {name: cache(lambda name=name: make_task(Config(task=name))) for name in ("handover", "pot_lift")}
 
 
 class Felt(NamedObject):
@@ -209,7 +209,7 @@ def one_arm_alone(s: Script) -> None:
 def beside_the_goal(s: Script) -> None:
     s.lift()
     s.transport()
-    s.go(xy=s.goal[:2] + np.array([0.022, 0.0]))
+    s.go(xy=s.goal[:2] + np.array([s.task.scene.task.goal_tolerance_m + 0.002, 0.0]))
 
 
 def pushed_the_last_four_centimetres(s: Script) -> None:

@@ -12,6 +12,7 @@ from minidual.config.base import AtLeast, AtMost, Coordinate, Rate, Size, Strict
 OBSTACLE = "obstacle"
 DISTRACTORS, DISTRACTOR_HALF_M = ("distractor_box", "distractor_cylinder"), 0.03
 """Geoms without contacts, invisible until a condition of trials shows them."""
+GRASPED_HALF_MAX_M = 0.035
 
 
 class PhysicsConfig(StrictModel):
@@ -24,6 +25,22 @@ class PhysicsConfig(StrictModel):
     finger_force_max_n: float = Field(default=70.0, ge=0.1, le=140.0)
 
 
+class PartConfig(StrictModel):
+    """A convex part, in the object's frame; a cylinder lies along `axis`."""
+
+    shape: Literal["cylinder", "box"] = "box"
+    size_m: tuple[Size, Size, Size]
+    position_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
+    axis: Literal["y", "z"] = "z"
+    colour: tuple[Rate, Rate, Rate, Rate] = (0.10, 0.25, 0.75, 1.0)
+
+    @property
+    def half_m(self) -> tuple[float, float, float]:
+        """Half extents."""
+        x, y, z = self.size_m
+        return x / 2, y / 2, z / 2
+
+
 class ObjectConfig(StrictModel):
     """An object; its long axis is y, or z if upright. A cylinder has a radius, a box width and height."""
 
@@ -31,18 +48,20 @@ class ObjectConfig(StrictModel):
     shape: Literal["cylinder", "box"] = "cylinder"
     upright: bool = False
     length_m: float = Field(default=0.30, gt=0.03, le=0.6)
-    radius_m: float = Field(default=0.00887, gt=0.003, le=0.035)
-    width_m: float = Field(default=0.05, gt=0.005, le=0.07)
-    """Width of a box along x, between the fingers."""
+    radius_m: float = Field(default=0.00887, gt=0.003, le=0.15)
+    width_m: float = Field(default=0.05, gt=0.005, le=0.3)
+    """Width of a box along x."""
     height_m: float = Field(default=0.05, gt=0.005, le=0.2)
     """Height of a box, or depth along y if upright."""
     mass_kg: float = Field(default=0.2, gt=0.01, le=3.0)
     friction: float = Field(default=0.5, gt=0.05, le=2.0)
     rolling_friction: float = Field(default=0.002, ge=0.0, le=0.1)
     grasp_offset_m: float = Field(default=0.12, ge=0.0, le=0.25)
-    """Distance of each hand from the centre along the long axis."""
-    grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.02)
-    """Tool centre point above the axis of a lying object."""
+    """Distance of each hand from the centre, along y or the long axis."""
+    grasp_height_m: float = Field(default=0.003, ge=-0.01, le=0.2)
+    """Tool centre point above the centre."""
+    parts: tuple[PartConfig, ...] = ()
+    """Handles."""
     break_force_n: float | None = Field(default=None, gt=0.0, le=1e4)
     """Net force of one hand; None: unbreakable."""
     break_pinch_n: float | None = Field(default=None, gt=0.0, le=1e4)
@@ -52,16 +71,33 @@ class ObjectConfig(StrictModel):
     """None uses the task's start."""
 
     @property
-    def half_width_m(self) -> float:
-        """Half the width between the fingers."""
-        return self.radius_m if self.shape == "cylinder" else self.width_m / 2
+    def solids(self) -> tuple[PartConfig, ...]:
+        """Every part, the only one with mass first."""
+        x = z = 2.0 * self.radius_m
+        if self.shape == "box":
+            x, z = self.width_m, self.height_m
+        size, axis = ((x, z, self.length_m), "z") if self.upright else ((x, self.length_m, z), "y")
+        return PartConfig(shape=self.shape, size_m=size, axis=axis, colour=self.colour), *self.parts
 
     @property
     def half_sizes_m(self) -> tuple[float, float, float]:
-        """Half extents along x, y and z."""
-        across = self.radius_m if self.shape == "cylinder" else self.height_m / 2
-        long = self.length_m / 2
-        return (self.half_width_m, across, long) if self.upright else (self.half_width_m, long, across)
+        """Half extents of the first solid."""
+        return self.solids[0].half_m
+
+    @property
+    def grasped(self) -> PartConfig:
+        """The part between the fingers."""
+        grasp = (0.0, self.grasp_offset_m, self.grasp_height_m)
+
+        def holds(part: PartConfig) -> bool:
+            return all(abs(g - c) <= h for g, c, h in zip(grasp, part.position_m, part.half_m, strict=True))
+
+        return next(filter(holds, self.parts), self.solids[0])
+
+    @property
+    def half_width_m(self) -> float:
+        """Half the width between the fingers."""
+        return self.grasped.half_m[0]
 
     @property
     def rest_height_m(self) -> float:
@@ -81,8 +117,12 @@ class ObjectConfig(StrictModel):
 
     @model_validator(mode="after")
     def _hands_on_it(self) -> ObjectConfig:
-        if self.grasp_offset_m > self.length_m / 2:
+        if self.parts and self.grasped not in self.parts:
+            raise ValueError(f"no part holds the grasp (0, {self.grasp_offset_m}, {self.grasp_height_m})")
+        if not self.parts and self.grasp_offset_m > self.length_m / 2:
             raise ValueError(f"grasp_offset_m {self.grasp_offset_m} lies beyond the end at {self.length_m / 2}")
+        if self.half_width_m > GRASPED_HALF_MAX_M:
+            raise ValueError(f"{2 * self.half_width_m} m between the fingers; at most {2 * GRASPED_HALF_MAX_M}")
         return self
 
 
@@ -131,7 +171,7 @@ class CameraConfig(StrictModel):
     width_px: int = Field(default=128, ge=32, le=1920)
     height_px: int = Field(default=96, ge=24, le=1080)
     supersample: int = Field(default=2, ge=1, le=4)
-    """Images are rendered this many times larger and averaged, to show edges within a pixel (8 mm)."""
+    """Images are rendered this many times larger and averaged: a pixel is 8 mm."""
 
 
 class SceneConfig(StrictModel):

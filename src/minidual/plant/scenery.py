@@ -5,16 +5,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, OBSTACLE, SceneConfig
-from minidual.robot.pair import Robot
+from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, OBSTACLE, PartConfig, SceneConfig
+from minidual.robot.pair import Array, Robot
 
-GROUP_VISUAL, GROUP_MARKER = 1, 2
+GROUP_VISUAL, GROUP_MARKER, GOAL_MARK = 1, 2, "goal_mark"
 # Stiff contacts with little creep; docs/simulation.md compares cone and impratio.
 SOLREF = [0.002, 1.0]
 SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
 _FACE_MARGIN_M = 0.0002
-"""Contact distance of flat faces, which enlarges boxes. Without it parallel faces lose contact for single steps and the
-fingers jump."""
+"""Contact distance of flat faces. Without it parallel faces lose contact for single steps and the fingers jump."""
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38
@@ -56,13 +55,16 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
             table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
     for arm in robot.sides:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
-    asked, (half_x, half_y, _) = scene.task, scene.object.half_sizes_m
+    asked, part = scene.task, scene.object.solids[0]
+    half_x, half_y, _ = part.half_m
     for name, (x, y), yaw, rgba in (
         ("start_mark", asked.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
-        ("goal_mark", asked.goal_xy_m, asked.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
+        (GOAL_MARK, asked.goal_xy_m, asked.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
     ):
         mark = world.add_geom(name=name, type=_BOX, pos=[x, y, 0.0003], rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)
         mark.size, mark.quat = [1.6 * half_x, half_y + 0.01, 0.0003], [np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]
+        if part.shape == "cylinder" and part.axis == "z":  # a plate
+            mark.type, mark.size = _CYLINDER, [1.6 * half_x, 0.0003, 0.0]
     for name, kind in zip(DISTRACTORS, (_BOX, _CYLINDER), strict=True):
         size = [DISTRACTOR_HALF_M] * 3
         world.add_geom(name=name, type=kind, size=size, pos=[_TABLE_CENTRE_X_M, 0, -0.3], rgba=[0] * 4, **INTANGIBLE)
@@ -77,23 +79,31 @@ def add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         xy_m = scene.task.start_xy_m if item.xy_m is None else item.xy_m
         body = spec.worldbody.add_body(name=item.name, pos=[*xy_m, item.rest_height_m])
         body.add_freejoint(name=f"{item.name}_free")
-        long = 2 if item.upright else 1
-        half = np.array(item.half_sizes_m)
-        if item.shape == "cylinder":
-            shape: dict[str, Any] = {"type": _CYLINDER} | ({} if item.upright else {"quat": _ALONG_Y})
-            condim = 6  # rolling friction: without it a cylinder rolls away by itself
-            margin = 0.0
-            size, band = [item.radius_m, half[long], 0], [item.radius_m + _BAND_M, 0.015, 0]
-        else:
-            shape = {"type": _BOX}
-            condim = 4  # faces do not roll; rolling friction at many contact points over-constrains them
-            margin = _FACE_MARGIN_M
-            size, band = half, half + _BAND_M
-            band[long] = 0.015
-        geom = body.add_geom(name=item.name, size=size, mass=item.mass_kg, rgba=list(item.colour), **shape)
-        geom.condim, geom.margin, geom.solref, geom.solimp = condim, margin, SOLREF, SOLIMP
-        geom.friction = [item.friction, 0.01, item.rolling_friction]
+        for index, part in enumerate(item.solids):
+            half = np.array(part.half_m)
+            shape, size = _geom(part, half)
+            # Rolling friction: without it a cylinder rolls away by itself. Faces do not roll; rolling friction at many
+            # contact points over-constrains them.
+            condim, margin = (6, 0.0) if part.shape == "cylinder" else (4, _FACE_MARGIN_M)
+            name, mass = (f"{item.name}_part{index}", 0.0) if index else (item.name, item.mass_kg)
+            geom = body.add_geom(name=name, size=size, mass=mass, rgba=part.colour, pos=part.position_m, **shape)
+            geom.condim, geom.margin, geom.solref, geom.solimp = condim, margin, SOLREF, SOLIMP
+            geom.friction = [item.friction, 0.01, item.rolling_friction]
+        if item.parts:
+            continue
         # Bands mark the grasps and make the ends visible to the camera.
+        (part,), long = item.solids, 2 if item.upright else 1
+        half = np.array(part.half_m) + _BAND_M
+        half[long] = 0.015
+        shape, size = _geom(part, half)
         for offset in (-item.grasp_offset_m, item.grasp_offset_m):
             pos = [0.0, 0.0, offset] if item.upright else [0.0, offset, 0.0]
-            body.add_geom(size=band, pos=pos, rgba=_BLUE, mass=0, group=GROUP_VISUAL, **shape, **INTANGIBLE)
+            body.add_geom(size=size, pos=pos, rgba=_BLUE, mass=0, group=GROUP_VISUAL, **shape, **INTANGIBLE)
+
+
+def _geom(part: PartConfig, half: Array) -> tuple[dict[str, Any], list[float]]:
+    if part.shape == "box":
+        return {"type": _BOX}, half.tolist()
+    if part.axis == "z":
+        return {"type": _CYLINDER}, [half[0], half[2], 0.0]
+    return {"type": _CYLINDER, "quat": _ALONG_Y}, [half[0], half[1], 0.0]

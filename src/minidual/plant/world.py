@@ -14,6 +14,7 @@ from minidual.errors import MinidualError, UsageError, unknown_name
 from minidual.plant.addresses import map_joints
 from minidual.plant.bodies import NamedObject, ObjectPose
 from minidual.plant.model import build_model
+from minidual.plant.scenery import GOAL_MARK
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
 
@@ -148,6 +149,12 @@ class World:
         found.put(pose)
         found.qvel[:] = 0.0
         mujoco.mj_forward(self.model, self.data)
+
+    def mark_goal(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Move the goal's mark; it touches nothing."""
+        mark = self.model.geom(GOAL_MARK)
+        mark.pos[:2] = x_m, y_m
+        mark.quat[:] = np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)
 
     def contact_pairs(self) -> list[tuple[str, str, float]]:
         """Return (body, body, distance [m]) per contact."""

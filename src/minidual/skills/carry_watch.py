@@ -38,11 +38,9 @@ class CarryWatch:
 
     def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
         self._world, self._kinematics, self._config, self._sensors = world, kinematics, config, sensors
+        self._body, self._width_m = world.scene.object, 2.0 * world.scene.object.half_width_m
         self._monitor = FaultMonitor(
-            config.faults,
-            dt_s=world.dt,
-            width_m=2.0 * world.scene.object.half_width_m,
-            pinch_n=config.impedance.pinch_n,
+            config.faults, dt_s=world.dt, width_m=self._width_m, pinch_n=config.impedance.pinch_n
         )
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:
@@ -177,7 +175,7 @@ class CarryWatch:
         estimate, monitor = self._held, self._monitor
         if estimate is None:
             return None
-        tilt = tilt_rad(estimate.state.T_world_object)
+        tilt = tilt_rad(estimate.state.T_world_object, self._body)
         found = monitor.holding(self._pinch.tolist(), self._gaps_m(), estimate.spread_m, tilt)
         self._ease(estimate.spread_m)
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
@@ -190,8 +188,7 @@ class CarryWatch:
         if now_s - self._gripped_s < _GRIPPERS_S:
             return None
         self._gripped_s = now_s
-        open_m, held_m = 2.0 * self._world.robot.hand.travel_m, 2.0 * self._world.scene.object.half_width_m
-        target_m = open_m - margin_m if told == "open" else held_m + margin_m
+        target_m = 2.0 * self._world.robot.hand.travel_m - margin_m if told == "open" else self._width_m + margin_m
         return self._monitor.grippers(now_s, told, self._gaps_m(), self._pinch.tolist(), target_m)
 
     def motors(self, told: Array) -> Fault | None:

@@ -1,13 +1,16 @@
 """Convert a task to the planner's object, scene and stages."""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
+import numpy as np
+
 from minidual.collision.scene import PlanningScene
-from minidual.collision.shapes import IDENTITY, Box, Cylinder
-from minidual.config.scene import ObjectConfig, SceneConfig
+from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
+from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.bodies import ObjectPose
@@ -24,6 +27,7 @@ from minidual.skills.pipeline.state import State, Thing
 from minidual.tasks.task import Step, Task, Trial
 
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
+_PRISM = 16  # sides of the prism round a cylinder
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
 _PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
@@ -32,12 +36,26 @@ _OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retrea
 
 def thing_of(body: ObjectConfig) -> Thing:
     """Return the planner's object."""
-    if body.shape == "box":
-        x, y, z = (2.0 * half for half in body.half_sizes_m)
-        return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=(x, y, z)), upright=body.upright)
-    quat = IDENTITY if body.upright else _ALONG_Y
-    shape = Cylinder(body.name, (0.0, 0.0, 0.0), quat, body.radius_m, body.length_m)
-    return Thing(shape, upright=body.upright)
+    part, *others = body.solids
+    x, y, z = part.size_m
+    if others:
+        pieces = tuple(_corners(part).tobytes() for part in body.solids)
+        return Thing(Mesh(body.name, (0.0, 0.0, 0.0), pieces=pieces), upright=body.upright)
+    if part.shape == "box":
+        return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=part.size_m), upright=body.upright)
+    quat, length_m = (IDENTITY, z) if part.axis == "z" else (_ALONG_Y, y)
+    return Thing(Cylinder(body.name, (0.0, 0.0, 0.0), quat, x / 2, length_m), upright=body.upright)
+
+
+def _corners(part: PartConfig) -> Array:
+    """Return the corners (n, 3) [m] of a part, or of a prism round it."""
+    if part.shape == "box":
+        ring = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+    else:
+        angles = np.arange(_PRISM) * math.tau / _PRISM
+        ring = np.c_[np.cos(angles), np.sin(angles)] / math.cos(math.pi / _PRISM)
+    ends = [np.insert(ring, "xyz".index(part.axis), end, axis=1) for end in (-1.0, 1.0)]
+    return np.vstack(ends) * part.half_m + part.position_m
 
 
 def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:

@@ -169,11 +169,14 @@ TOOLS: tuple[ToolEntry, ...] = (
         "view",
         "minidual.stages.scene_view:view_scene",
         "Show the scene in real time in a browser, with a slider for each joint",
-        (Option("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),),
+        (
+            Option("task", "Scene of this task: rod_carry, handover, pot_lift.", str, "task"),
+            Option("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),
+        ),
         watchable=True,
         moves=True,
         view_default="web",
-        examples=("view", "view --set robot.arm=xarm7 --for-s 60"),
+        examples=("view", "view --task pot_lift", "view --set robot.arm=xarm7 --for-s 60"),
     ),
     ToolEntry(
         "replay",

@@ -20,6 +20,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 from minidual.show.view import Slider
 from minidual.show.watch import Brake, StackNarrator, watched
+from minidual.tasks.task import task_config
 
 _SOURCE = "teleop"
 _SLICE_S = 0.02  # one tick of the arbiter, which limits the sliders' speed
@@ -60,7 +61,7 @@ def view_scene(context: ToolContext) -> ToolResult:
     if not for_s > 0.0:
         raise UsageError(f"--for-s is {for_s:g}; it must be above 0")
     robot = robot_from(context.config.robot)
-    world, kinematics = World(context.config.scene, robot), Kinematics(robot)
+    world, kinematics = World(task_config(context.config).scene, robot), Kinematics(robot)
     stack, brake, sequence = ControlStack(world, kinematics, context.config.arbiter), Brake(1.0), itertools.count(1)
     stack.request(_SOURCE)
     view.offer(joint_sliders(robot))

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from minidual.plant.world import World
+from minidual.tasks.rod_carry import placement
 from minidual.tasks.success import SuccessCondition, Truth
 from minidual.tasks.task import Task, Trial
 
@@ -53,7 +54,8 @@ class Outcome:
 
 
 def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = (), *, reset: bool = True) -> Judge:
-    """Return the judge of a trial that begins now; reset the world to its start."""
+    """Mark a trial's goal, reset the world to its start and return its judge."""
+    world.mark_goal(*placement(trial.goal[task.carried]))
     if reset:
         world.reset(poses=trial.start)
     return Judge(task, trial, demanding)

@@ -12,7 +12,7 @@ from minidual.control.pinch import SAFETY, pinch_force
 from minidual.registry import Registry
 
 
-def _values(
+def object_values(
     body: Mapping[str, Any], squeeze_n: float, stiffness_n_per_m: float, safety: float = SAFETY, **others: float
 ) -> dict[str, Any]:
     """Return configuration values; `others` belong to `carry.impedance`."""
@@ -56,12 +56,12 @@ OBJECTS: Registry[Mapping[str, Any]] = Registry(
         "rod": {},
         # Twice the usual safety: on a flat face, pads lose contact for one step in 3 of 10 carries at 30 N, in 0 of 12
         # at 60 N.
-        "board": _values(_BOARD, 27.0, 500.0, safety=3.0),
+        "board": object_values(_BOARD, 27.0, 500.0, safety=3.0),
         # The hand allows 70 N continuously, 140 N at most; a carry lasts seconds.
-        "box": {**_values(_BOX, 42.0, 400.0), "scene.physics.finger_force_max_n": 110.0},
+        "box": {**object_values(_BOX, 42.0, 400.0), "scene.physics.finger_force_max_n": 110.0},
         # Slow landing: with low stiffness the tracking error of a fast one becomes an impact.
         "glass": {
-            **_values(_GLASS, 13.0, 200.0, force_correction_max_n=3.0),
+            **object_values(_GLASS, 13.0, 200.0, force_correction_max_n=3.0),
             "scene.task.internal_force_min_n": 10.0,
             "carry.pace.object_acceleration_m_per_s2": 0.9,
             "carry.pace.landing_m": 0.003,

@@ -33,16 +33,22 @@ def carry_config(config: Config) -> Config:
 def rod_carry(config: Config) -> Task:
     """Return the task."""
     config = carry_config(config)
-    body = config.scene.object
+    what = f"Grasp the {config.scene.object.name} with both hands, carry it to the green mark and put it down."
+    return carry_task("rod_carry", what, config, "rod-trial")
+
+
+def carry_task(name: str, instruction: str, config: Config, stream: str) -> Task:
+    """Return a task in which both hands carry `scene.object`."""
+    body, grasps = config.scene.object, dict(zip(SIDES, grasp_offsets(config.scene), strict=True))
     return Task(
-        name="rod_carry",
-        instruction=f"Grasp the {body.name} with both hands, carry it to the green mark and put it down.",
+        name=name,
+        instruction=instruction,
         config=config,
-        objects={body.name: TaskObject(body, dict(zip(SIDES, grasp_offsets(config.scene), strict=True)), symmetry=2)},
+        objects={body.name: TaskObject(body, grasps, symmetry=2)},
         steps=tuple(Step(phase) for phase in _PHASES),
         success=carried_by_both,
         draw=draw_on_table,
-        stream="rod-trial",
+        stream=stream,
     )
 
 
@@ -123,6 +129,8 @@ def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
     return pose(rotation, (0.0, y, z)), pose(rotation, (0.0, -y, z))
 
 
-def tilt_rad(T_world_object: Array) -> float:
-    """Return the long axis' angle from the horizontal."""
+def tilt_rad(T_world_object: Array, body: ObjectConfig) -> float:
+    """Return the long axis' tilt."""
+    if body.upright:
+        return math.acos(min(1.0, abs(T_world_object.item(2, 2))))
     return math.asin(min(1.0, abs(T_world_object.item(2, 1))))

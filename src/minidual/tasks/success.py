@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -40,7 +40,8 @@ class ObjectTruth:
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
         self.name, self.body = name, body
-        self._half_m, self._axis = body.half_sizes_m, 2 if body.upright else 1
+        self._axis = 2 if body.upright else 1
+        self._solids = [(p.position_m, p.half_m, p.shape == "cylinder", "xyz".index(p.axis)) for p in body.solids]
         self._world: World | None = None
 
     def refresh(self, world: World) -> None:
@@ -50,15 +51,19 @@ class ObjectTruth:
         # Plain floats: a success test of arrays costs four times as much.
         x, y, z, *up, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
-        half, axis = self._half_m, self._axis
-        along = min(1.0, abs(up[axis]))  # vertical share of the long axis
+        along = min(1.0, abs(up[self._axis]))  # vertical share of the long axis
         self.tilt_rad = math.acos(along) if self.body.upright else math.asin(along)
-        if self.body.shape == "cylinder":
-            down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
-        else:
-            down = abs(up[0]) * half[0] + abs(up[1]) * half[1] + abs(up[2]) * half[2]
-        self.clearance_m = z - down
+        self.clearance_m = z + min(self._lowest_points(up))
         self.airborne = self.clearance_m > AIRBORNE_M
+
+    def _lowest_points(self, up: Sequence[float]) -> Iterator[float]:
+        for at, half, is_round, axis in self._solids:
+            if is_round:
+                along = min(1.0, abs(up[axis]))
+                down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
+            else:
+                down = abs(up[0]) * half[0] + abs(up[1]) * half[1] + abs(up[2]) * half[2]
+            yield up[0] * at[0] + up[1] * at[1] + up[2] * at[2] - down
 
     def distance_m(self, xy: tuple[float, float]) -> float:
         """Return the horizontal distance of its centre."""
@@ -196,7 +201,7 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(OfObject):
-    """From the first lift on, both hands pinch the object (`both=False`: one) while it is off the table or moves.
+    """Once lifted, both hands pinch the object (`both=False`: one) while it is off the table or moves.
 
     On the table it may slip or roll by `slip_m` after its release.
     """

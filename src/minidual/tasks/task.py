@@ -107,7 +107,11 @@ class Task:
 
 TASKS: Registry[Callable[[Config], Task]] = Registry(
     "task",
-    {"rod_carry": "minidual.tasks.rod_carry:rod_carry", "handover": "minidual.tasks.handover:handover"},
+    {
+        "rod_carry": "minidual.tasks.rod_carry:rod_carry",
+        "handover": "minidual.tasks.handover:handover",
+        "pot_lift": "minidual.tasks.pot_lift:pot_lift",
+    },
     group="minidual.tasks",
 )
 
