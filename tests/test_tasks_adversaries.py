@@ -256,11 +256,12 @@ def test_a_scripted_cheat_is_refused(name: str, cheat: Callable[[Script], None])
 
 TRIAL = Trial("adversary", 0, {"rod": (0.5, 0.25, 0.0)}, {"rod": (0.5, -0.25, 0.0)})
 """Real hands carry from here to there."""
+POT = Trial("adversary", 0, {"pot": (0.48, 0.1, 0.0)}, {"pot": (0.48, -0.15, 0.0)})
 
 
 @cache
-def real_world() -> World:
-    return World(TASKS["rod straight"]().scene)
+def real_world(name: str) -> World:
+    return World(TASKS[name]().scene)
 
 
 DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
@@ -272,13 +273,16 @@ class Hands:
     frozen: tuple[int, ...] = ()
 
     def __init__(self, trial: Trial = TRIAL) -> None:
-        self.task, self.world = TASKS["rod straight"](), real_world()
+        name = "pot_lift" if trial is POT else "rod straight"
+        self.task, self.world = TASKS[name](), real_world(name)
         self.judge = begin(self.world, self.task, trial)
         kinematics = Kinematics()
         self.solvers = [ArmIK(side, kinematics) for side in kinematics.robot.sides]
         self.loop = JointLoop(self.world, kinematics)
         self.q = self.world.q
-        self.at = [np.array([0.5, y, 0.15]) for y in (0.37, 0.13)]
+        x, y, _ = placement(trial.start[self.task.carried])
+        offset = self.task.scene.object.grasp_offset_m
+        self.at = [np.array([x, y + by, 0.15]) for by in (offset, -offset)]
         self.openings = np.ones(2)
         self.go(0.6)
 
@@ -381,6 +385,53 @@ def never_moves_the_right_arm(h: Hands) -> None:
     carries(h)
 
 
+def grasps_the_pot(h: Hands) -> None:
+    h.both(0.4, 0.0, 0.0, -0.07)
+    h.go(0.4, grips=(0.0, 0.0))
+
+
+def carries_the_pot(h: Hands) -> None:
+    grasps_the_pot(h)
+    h.both(0.6, 0.0, 0.0, 0.12)
+    h.both(0.8, 0.0, -0.25, 0.0)
+    h.both(0.6, 0.0, 0.0, -0.12)
+    h.let_go()
+
+
+def pushes_the_pot(h: Hands) -> None:
+    """The left hand's closed fingers push a handle's end."""
+    h.go(0.4, left=(0.0, 0.06, 0.0), right=(-0.1, -0.2, 0.1), grips=(0.0, 0.0))
+    h.go(0.3, left=(0.0, 0.0, -0.07))
+    h.go(1.5, left=(0.0, -0.27, 0.0))
+
+
+def drags_the_pot(h: Hands) -> None:
+    grasps_the_pot(h)
+    h.both(1.0, 0.0, -0.25, 0.0)
+    h.let_go()
+
+
+def drops_the_pot(h: Hands) -> None:
+    grasps_the_pot(h)
+    h.both(0.6, 0.0, 0.0, 0.12)
+    h.both(0.8, 0.0, -0.25, 0.0)
+    h.go(0.6, grips=(1.0, 1.0))
+
+
+def throws_the_pot(h: Hands) -> None:
+    grasps_the_pot(h)
+    h.both(0.6, 0.0, 0.0, 0.12)
+    h.both(0.3, 0.0, -0.12, 0.02)
+    h.go(0.4, grips=(1.0, 1.0), left=(0.0, -0.06, 0.0), right=(0.0, -0.06, 0.0))
+
+
+def lifts_the_pot_with_one_hand(h: Hands) -> None:
+    h.frozen = (1,)
+    grasps_the_pot(h)
+    h.both(0.6, 0.0, 0.0, 0.12)
+    h.both(0.6, 0.0, -0.12, 0.0)
+
+
 TURNED = Trial("adversary", 0, TRIAL.start, {"rod": (0.5, -0.25, np.radians(86.0))})
 OPPOSITE = Trial("adversary", 0, TRIAL.start, {"rod": (0.5, -0.25, np.radians(-178.0))})
 
@@ -399,6 +450,12 @@ OPPOSITE = Trial("adversary", 0, TRIAL.start, {"rod": (0.5, -0.25, np.radians(-1
         (drops_near_the_goal, TRIAL, "held"),
         (freezes_the_right_arm, TRIAL, "held"),
         (never_moves_the_right_arm, TRIAL, "held"),
+        (carries_the_pot, POT, ""),
+        (pushes_the_pot, POT, "carried"),
+        (drags_the_pot, POT, "carried"),
+        (drops_the_pot, POT, "held"),
+        (throws_the_pot, POT, "held"),
+        (lifts_the_pot_with_one_hand, POT, "held"),
     ],
 )
 def test_real_hands_succeed_only_by_carrying(does: Callable[[Hands], None], trial: Trial, failure: str) -> None:
