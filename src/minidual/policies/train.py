@@ -9,6 +9,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -27,6 +28,7 @@ from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
 from minidual.policies.demonstrations import Demonstrations, WeightedRows, split_episodes
 from minidual.policies.kinds import Advance
 from minidual.policies.records import LossRow, TrainResult
+from minidual.policies.shares import Shares
 
 VALIDATION_ROWS = 512
 PROGRESS_FILE = "progress.pt"
@@ -67,7 +69,7 @@ def train(
     rows = demos.rows_of(training)
     stats = dataset_statistics(demos, rows, config.std_floor)
     devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
-    with torch.random.fork_rng(devices=devices), threads(config.threads):
+    with torch.random.fork_rng(devices=devices), threads(1 if splits(config) else config.threads):
         torch.manual_seed(int(stream(seed, "train.weights", 0).integers(2**63)))
         trained = build(stats)
         loop = _Loop(demos, config, seed, trained.policy, rows, demos.rows_of(validation), stats, resume_dir)
@@ -77,8 +79,15 @@ def train(
         except KeyboardInterrupt:
             loop.save()
             raise
+        finally:
+            loop.close()
         loop.use_averaged_weights()
     return loop.result(training, validation, resumed, stopped_by), trained
+
+
+def splits(config: TrainConfig) -> bool:
+    """Return whether each thread computes a share of the batch; no policy that draws random numbers can."""
+    return config.device == "cpu" and not config.use_vae and config.dropout == 0.0
 
 
 @contextmanager
@@ -106,6 +115,9 @@ class _Loop:
     ) -> None:
         self.config, self.seed, self.policy, self.stats = config, seed, policy, stats
         self.joints_n, self.ticks = demos.joints_n, len(rows)
+        self.shares = Shares(policy, min(config.threads, config.batch_size) if splits(config) else 1)
+        self.beside = ThreadPoolExecutor(1)
+        self.ahead: Future[tuple[int, dict[str, torch.Tensor]]] | None = None
         self.batches = BatchMaker(demos, config, stats)
         self.sampler = WeightedRows(rows, np.where(demos.phase[rows] == 0, config.approach_weight, 1.0))
         count = min(VALIDATION_ROWS, len(validation_rows))
@@ -118,6 +130,11 @@ class _Loop:
         self.state = _State()
         self.progress = None if resume_dir is None else resume_dir / PROGRESS_FILE
         self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
+
+    def close(self) -> None:
+        """End the threads."""
+        self.shares.close()
+        self.beside.shutdown(cancel_futures=True)
 
     def learning_rate(self, step: int) -> float:
         """Linear warm-up, then cosine decay to one hundredth."""
@@ -150,14 +167,14 @@ class _Loop:
         return "steps"
 
     def _step(self, step: int) -> float:
-        rng = stream(self.seed, "train.batch", step)
-        torch.manual_seed(int(rng.integers(2**63)))
-        batch = self.batches.training(self.sampler.draw(self.config.batch_size, rng), rng)
+        seed, batch = self.ahead.result() if self.ahead is not None else self._batch(step)
+        # cut while the gradient is computed: a sixth of a step
+        self.ahead = self.beside.submit(self._batch, step + 1) if step + 1 < self.config.steps else None
+        torch.manual_seed(seed)
         rate = self.learning_rate(step)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        loss, parts = self.policy.forward(batch)
-        value = float(loss.detach())
+        value, parts = self.shares.gradient(batch)
         if not math.isfinite(value):
             raise UsageError(
                 f"the training loss became {value} at step {step} (learning rate {rate:.2g}, gradient clip "
@@ -165,8 +182,6 @@ class _Loop:
                 remedy="lower train.learning_rate, for example --set train.learning_rate="
                 f"{self.config.learning_rate / 3:.1g}",
             )
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
         self.optimiser.step()
         if self.config.ema_decay > 0:
@@ -177,6 +192,12 @@ class _Loop:
         if len(self.state.first_l1) < 5:
             self.state.first_l1.append(parts["l1_loss"])
         return value
+
+    def _batch(self, step: int) -> tuple[int, dict[str, torch.Tensor]]:
+        """Return torch's seed and the batch of a step."""
+        rng = stream(self.seed, "train.batch", step)
+        seed = int(rng.integers(2**63))
+        return seed, self.batches.training(self.sampler.draw(self.config.batch_size, rng), rng)
 
     def _log(self) -> None:
         state, config = self.state, self.config
