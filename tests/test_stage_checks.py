@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from minidual.config.control import CarryLimits
 from minidual.config.evaluation import BenchmarkConfig
@@ -20,7 +21,7 @@ from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
 from minidual.stages.config_checks import check_deploy
-from minidual.stages.deploy import deploy_checks, deploy_starts, seed_rates
+from minidual.stages.deploy import deploy_checks, deploy_starts, seed_rates, set_checks
 from minidual.stages.train_act import training_seeds
 from minidual.tasks.task import make_task
 from minidual.trials.metrics import TrialMetrics, summarise
@@ -124,6 +125,20 @@ def missed(count: int) -> list[TrialMetrics]:
 )
 def test_deploy_fails_below_half_when_slow_and_on_demonstrated_starts(checks: list[Check], names: set[str]) -> None:
     assert failing(checks) == names
+
+
+@pytest.mark.parametrize(("missed_n", "names"), [(1, set()), (2, {"room_success_rate"}), (10, {"room_success_rate"})])
+def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[str]) -> None:
+    settings = DeployConfig(trials=10, condition_rate_min={"room": 0.85})
+    summary = summarise(missed(missed_n), np.random.default_rng(0))
+    assert failing(set_checks("room", summary, [0.9], settings)) == names
+    (rate,) = set_checks("table colour", summary, [0.9], settings)
+    assert (rate.name, rate.limited) == ("table_colour_success_rate", False)
+
+
+def test_a_limit_of_deploy_needs_its_condition() -> None:
+    with pytest.raises(ValidationError, match="condition_rate_min limits camera moved, which conditions does not name"):
+        DeployConfig(condition_rate_min={"camera moved": 0.5})
 
 
 def test_deploy_without_a_limit_reports_the_rate_and_does_not_pass_on_it() -> None:

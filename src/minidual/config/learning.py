@@ -129,8 +129,16 @@ class DeployConfig(StrictModel):
     """Trials from starts held out from training."""
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
     conditions: tuple[str, ...] = ("room",)
-    """Conditions under which the held-out trials run again; reported without a limit."""
+    """Conditions under which the held-out trials run again."""
+    condition_rate_min: AtLeast[dict[str, Rate]] = Field(default={})
+    """Least success rate by condition; the others are reported."""
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)
     judge_success: AtLeast[bool] = True
     """Whether the success rate has a limit."""
     inference_hz_min: AtLeast[float] = Field(default=30.0, gt=0.0, le=1e5)
+
+    @model_validator(mode="after")
+    def _limits_are_measured(self) -> Self:
+        if missing := [name for name in self.condition_rate_min if name not in self.conditions]:
+            raise ValueError(f"condition_rate_min limits {missing[0]}, which conditions does not name")
+        return self

@@ -99,12 +99,10 @@ def run(context: StageContext) -> StageResult:
     checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
     data: dict[str, Any] = {}
     for name, summary in summaries.items():
-        rows: dict[str, float] = {} if name == "held_out" else {"success_rate": summary["success_rate"]}
-        record = summary.record()
-        if len(checkpoints) > 1:
-            record["by_seed"] = rates = seed_rates(results[name], len(checkpoints))
-            rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
-        checks += worded("deploy-set", rows, f"{name}_", set=name, interval=summary.interval)
+        record, rates = summary.record(), seed_rates(results[name], len(checkpoints))
+        if len(rates) > 1:
+            record["by_seed"] = rates
+        checks += set_checks(name, summary, rates, config.deploy)
         data |= record if name == "held_out" else {name: record}
     checks += _looks(context, checkpoints[0], starts["held_out"][0])
     clear_m = make_task(config).scene.task.clear_height_m
@@ -113,6 +111,16 @@ def run(context: StageContext) -> StageResult:
     if errors:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
+
+
+def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settings: DeployConfig) -> list[Check]:
+    """Return the checks of a set of trials with the rate of each training seed."""
+    rows: dict[str, Any] = {}
+    if name != "held_out":
+        rows |= {"success_rate": (summary["success_rate"], ">=", settings.condition_rate_min.get(name))}
+    if len(rates) > 1:
+        rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
+    return worded("deploy-set", rows, f"{name.replace(' ', '_')}_", set=name, interval=summary.interval)
 
 
 def seed_rates(results: Sequence[TrialResult], seeds_n: int) -> list[float]:
