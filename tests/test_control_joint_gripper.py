@@ -158,3 +158,17 @@ def test_a_grip_is_lost_when_its_force_falls_and_the_object_is_still_there(
     grippers.forget_grip()
     run(hands, grippers, [0.0, 0.0], 10)
     assert grippers.fault == ""
+
+
+def test_a_hand_holds_what_it_has_closed_on_and_feels(hands, grippers):
+    hands.half_m[:] = 0.009, 0.0
+    assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]
+    run(hands, grippers, [0.0, 0.0])
+    assert hands.grip == pytest.approx([50.0, 50.0], abs=1.0), "nothing between the fingers presses back as well"
+    assert [grippers.holds(hand) for hand in (0, 1)] == [True, False]
+    for nothing in (np.nan, 10.0):
+        hands.motor_n = nothing
+        assert not grippers.holds(0)
+    run(hands, grippers, [1.0, 0.0])
+    hands.motor_n = 70.0
+    assert not grippers.holds(0)

@@ -254,7 +254,7 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
     assert {"rod_carry.moveit.success_rate", "handover.moveit.success_rate", "handover.cells_settled"} <= names
     handed = result.data["tasks"]["handover"]["methods"]
     assert handed["moveit"]["trials"] == 3
-    assert handed["impedance"] == {"applies": False, "why": "its step 'approach' is of the left hand alone"}
+    assert handed["impedance"] == {"applies": False, "why": "it is not done with both hands all the way"}
     assert handed["act"] == {"applies": False, "why": "its policy is trained on 'rod_carry'"}
     assert {config.scene.object.name for *_, config in asked} == {"rod", "bottle"}
     with (tmp_path / "benchmark.csv").open(newline="") as stream:
@@ -265,11 +265,7 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("tasks", "methods", "says"),
     [
-        (
-            ["handover"],
-            ["impedance"],
-            "'impedance' cannot do 'handover': its step 'approach' is of the left hand alone",
-        ),
+        (["handover"], ["impedance"], "'impedance' cannot do 'handover': it is not done with both hands all the way"),
         (["handover"], ["act"], "'act' cannot do 'handover': its policy is trained on 'rod_carry'"),
         (["handovr"], ["moveit"], "no task 'handovr'; there are handover, "),
         (["handover", "handover"], ["moveit"], "task 'handover' is named twice"),

@@ -6,6 +6,7 @@ hands, whose contacts MuJoCo computes.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from functools import cache
 
@@ -79,6 +80,7 @@ class Script:
         self.start, self.goal = (placement(place[self.name]) for place in (self.trial.start, self.trial.goal))
         self.now = np.array([*self.start[:2], 0.0, self.start[2]])  # x, y, height, yaw
         self.hand_over = self.task.name == "handover"
+        self.turn_rad = np.radians(43.0 if self.hand_over else 86.0)  # a square bottle looks alike four times a turn
         self.rests = self.task.scene.objects[self.name].rest_height_m - 1e-4  # sunk in: a contact with the table
         self.go(NONE, steps=2)
 
@@ -180,16 +182,16 @@ def thrown(s: Script) -> None:
     s.go(NONE, xy=s.goal[:2], yaw=s.goal[2])
 
 
-def turned_86_degrees(s: Script) -> None:
+def turned(s: Script) -> None:
     s.lift()
-    s.transport(yaw=s.goal[2] + np.radians(86.0))
+    s.transport(yaw=s.goal[2] + s.turn_rad)
 
 
 def turned_after_its_release(s: Script) -> None:
     s.lift()
     s.transport()
     s.release()
-    s.go(yaw=s.goal[2] + np.radians(86.0))
+    s.go(yaw=s.goal[2] + s.turn_rad)
 
 
 def dropped_near_the_goal(s: Script) -> None:
@@ -231,7 +233,7 @@ CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
     dragged: ("carried", "carried"),
     dragged_then_lifted_at_the_goal: ("carried", "carried"),
     thrown: ("held", "held"),
-    turned_86_degrees: ("turned", "turned"),
+    turned: ("turned", "turned"),
     turned_after_its_release: ("turned", "turned"),
     dropped_near_the_goal: ("held", "held"),
     one_arm_alone: ("held", "exchanged"),
@@ -239,6 +241,26 @@ CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
     pushed_the_last_four_centimetres: ("held", "held"),
 }
 """The first failure of a carry by both hands, and of a handover."""
+
+
+def test_with_one_arm_frozen_no_draw_of_a_handover_succeeds() -> None:
+    """256 draws from either side, each with one arm frozen. The script's free hand reaches everywhere."""
+    task, won, sides = TASKS["handover"](), Counter[str](), Counter[bool]()
+    for index in range(256):
+        trial = task.trial(3, "frozen", index)
+        sides[trial.start["bottle"][1] > 0.0] += 1
+        for free in ((LEFT, RIGHT)[index % 2], *((None,) if index < 32 else ())):
+            script = Script("handover", trial)
+            script.go(free or LEFT, steps=2)
+            script.go(height=0.15, steps=2)
+            for hands in () if free else (BOTH, RIGHT):  # the exchange
+                script.go(hands, steps=2)
+            script.go(xy=script.goal[:2], yaw=script.goal[2], steps=2)
+            script.go(height=0.0, steps=2)
+            script.go(NONE, steps=12)
+            won["one" if free else "both"] += script.end().success
+    assert won == {"one": 0, "both": 32}
+    assert min(sides.values()) > 90
 
 
 @pytest.mark.parametrize("cheat", CHEATS, ids=lambda cheat: cheat.__name__)

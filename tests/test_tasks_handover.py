@@ -13,14 +13,20 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.cycle import pipeline_of, thing_of
+from minidual.robot.pair import SIDES
+from minidual.robot.poses import pose
+from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
 from minidual.skills.pipeline.drive import Drive
+from minidual.skills.pipeline.search import TaskFailedError
+from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.judge import Outcome, begin
-from minidual.tasks.task import Step, Task, make_task
+from minidual.tasks.task import Step, Task, Trial, make_task
 
 TASK = make_task(Config(task="handover"))
+MIRRORED = {index: TASK.trial(1, "plan", index).start["bottle"][1] < 0.0 for index in range(8)}
+TO_THE_LEFT, TO_THE_RIGHT = (next(i for i, mirrored in MIRRORED.items() if mirrored is way) for way in (True, False))
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +34,29 @@ def planner() -> Planner:
     return Planner()
 
 
+class Slack(World):
+    """A world in which one hand may not close."""
+
+    slack: int | None = None
+
+    def command(self, tau: np.ndarray, fingers: np.ndarray) -> None:
+        if self.slack is not None:
+            fingers = fingers.copy()
+            fingers[self.slack] = self.robot.hand.travel_m
+        super().command(tau, fingers)
+
+
 @pytest.fixture(scope="module")
-def bench() -> World:
-    return World(TASK.scene)
+def bench() -> Slack:
+    return Slack(TASK.scene)
 
 
-def run(world: World, planner: Planner, seed: int) -> tuple[Outcome, PlannedCarry]:
-    trial = TASK.trial(seed, "plan", 0)
+def run(world: Slack, planner: Planner, index: int) -> tuple[Outcome, PlannedCarry]:
+    trial = TASK.trial(1, "plan", index)
     judge = begin(world, TASK, trial)
     shape = thing_of(TASK.objects[TASK.carried].body).shape
     supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot, shape=shape)
-    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, seed)
+    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, index)
     return drive(world, judge, carry), carry
 
 
@@ -49,50 +67,76 @@ def drive(world: World, judge, method: Drive) -> Outcome:
     return judge.outcome(world)
 
 
-def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(bench: World, planner: Planner) -> None:
-    outcome, carry = run(bench, planner, 1)
+def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(bench: Slack, planner: Planner) -> None:
+    outcome, carry = run(bench, planner, TO_THE_LEFT)
     assert outcome.success, (outcome.reason, carry.aborted)
     assert outcome.measured["goal_error_m"] < 0.02
     names = [stage.name for stage in carry.solution.record.stages]
-    assert names[3:8] == ["carry left", "approach right", "descend right", "close right", "open left"]
+    assert names[3:8] == ["carry right", "approach left", "descend left", "close left", "open right"]
 
-    # Negative control: the same plan without the second hand's closing drops the bottle, and the judge says so.
-    judge = begin(bench, TASK, TASK.trial(1, "plan", 0))
-    open_right = [
-        dataclasses.replace(segment, openings=(segment.openings[0], 1.0)) for segment in carry.solution.segments
-    ]
-    outcome = drive(bench, judge, Drive(ControlStack(bench, Kinematics()), open_right))
-    assert not outcome.success
-    assert {"held", "exchanged"} <= {fault.name for fault in outcome.failures}
+
+def test_the_giver_keeps_what_the_taker_does_not_hold(bench: Slack, planner: Planner) -> None:
+    """The taker's hand is told to close and does not; no clock opens the giver's."""
+    bench.slack = SIDES.index("right")
+    try:
+        outcome, carry = run(bench, planner, TO_THE_RIGHT)
+        assert carry.aborted.startswith("missed_grasp at ")
+        assert "the right hand feels no grip after 1.0 s; the other one keeps the object" in carry.aborted
+        assert {fault.name for fault in outcome.failures} == {"exchanged", "arrived", "turned", "released", "at_rest"}
+        for _ in range(300):
+            carry.stack.step()
+        left, right = bench.truth().pinch()
+        assert (left > 20.0, right) == (True, 0.0)
+        assert bench.object_pose()[2, 3] > 0.2
+    finally:
+        bench.slack = None
 
 
 @pytest.mark.slow
-def test_it_succeeds_from_other_starts(bench: World, planner: Planner) -> None:
-    outcomes = [run(bench, planner, seed)[0] for seed in (2, 3, 4, 5, 6)]
-    assert [o.success for o in outcomes] == [True] * 5, [o.reason for o in outcomes]
+def test_it_succeeds_from_other_starts(bench: Slack, planner: Planner) -> None:
+    outcomes = [run(bench, planner, index)[0] for index in range(10, 20)]
+    assert [o.success for o in outcomes] == [True] * 10, [o.reason for o in outcomes]
 
 
 def test_each_end_is_out_of_the_other_hand_s_reach(planner: Planner) -> None:
     """Why it takes two hands: neither alone can plan the whole."""
-    for hand in ("left", "right"):
+    for hand in SIDES:
         phases = ("approach", "descend", "close", "lift", "carry", "lower", "open")
-        alone = dataclasses.replace(TASK, steps=tuple(Step(phase, (hand,)) for phase in phases))
-        trial = TASK.trial(1, "plan", 0)
-        carry = PlannedCarry(ControlStack(World(TASK.scene), Kinematics()), planner, alone, trial, 1)
-        assert carry.solution is None
-        assert "cannot reach" in (carry.aborted or "")
+        alone = tuple(Step(phase, (hand,)) for phase in phases)
+        with pytest.raises(TaskFailedError, match="cannot reach"):
+            planned(dataclasses.replace(TASK, steps=alone, arrange=None), TO_THE_RIGHT, planner)
+
+
+def planned(task: Task, index: int, planner: Planner):
+    """Return the plan of a trial from its true start."""
+    trial = TASK.trial(1, "plan", index)
+    body = task.objects[task.carried].body
+    state = State(planner.robot.home, {body.name: pose_of(body, trial.start[body.name])})
+    return solve(task, trial, state, planner, index)
+
+
+def test_the_giver_grasps_anew_where_no_exchange_is_reachable(planner: Planner) -> None:
+    """The first steps would exchange beyond the table."""
+
+    def arrange(task: Task, trial: Trial, seen):
+        direct, anew = TASK.arrange(task, trial, seen)
+        away = pose(np.eye(3), (1.6, 0.0, 0.3))
+        yield tuple(dataclasses.replace(s, places=(away,)) if s.phase == "carry" else s for s in direct)
+        yield anew
+
+    solution = planned(dataclasses.replace(TASK, arrange=arrange), TO_THE_RIGHT, planner)
+    names = [stage.name for stage in solution.record.stages]
+    assert names[3:6] == ["carry left", "open left", "retreat left"]
+    assert names[6:9] == ["approach left (2)", "descend left (2)", "close left (2)"]
 
 
 def test_a_step_that_cannot_be_planned_is_refused_by_name() -> None:
-    def with_steps(*steps: Step) -> Task:
-        return dataclasses.replace(TASK, steps=steps)
-
     trial = TASK.trial(1, "plan", 0)
     with pytest.raises(UsageError, match=r"no phase 'aproach'.*approach"):
-        pipeline_of(with_steps(Step("aproach", ("left",))), trial)
-    with pytest.raises(UsageError, match=r"no object 'cup'.*bottle"):
-        pipeline_of(with_steps(Step("close", ("left",), ("cup",))), trial)
+        pipeline_of(TASK, trial, [Step("aproach", ("left",))])
+    with pytest.raises(UsageError, match=r"no object 'cup'; there are bottle"):
+        pipeline_of(TASK, trial, [Step("close", ("left",), ("cup",))])
     bare = dataclasses.replace(TASK.objects["bottle"], grasps={"left": np.eye(4)})
     no_right = dataclasses.replace(TASK, objects={"bottle": bare})
     with pytest.raises(UsageError, match="the right hand has no grasp of 'bottle'; there are left"):
-        pipeline_of(no_right, trial)
+        pipeline_of(no_right, trial, [Step("approach", ("right",))])

@@ -142,6 +142,8 @@ class TaskConfig(StrictModel):
     goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
     """Half width of the uniform range, drawn after the start."""
     goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)
+    mirrored_share: Rate = 0.0
+    """Share of trials from the right to the left, where the task has such."""
     yaw_tolerance_rad: AtMost[float] = Field(default=0.2618, gt=0.0, le=1.0)
     """15 degrees."""
     obstacle: ObstacleConfig | None = None

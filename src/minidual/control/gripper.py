@@ -23,6 +23,8 @@ _COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time con
 _NEAR = 0.9
 _LOST, _LOST_S = 0.5, 0.004
 """Below this share for this long, a grip is lost."""
+_NOTHING_M = 0.002
+"""Fingers nearer to the middle have closed on nothing."""
 _SLIPPED_M = 0.0003
 """Fingers that close further have lost the object, or were shaken."""
 
@@ -95,6 +97,10 @@ class Grippers:
             targets[hand] = target
         self.targets_m = np.array(targets)
         return self.targets_m
+
+    def holds(self, hand: int) -> bool:
+        """Return whether a hand has closed on something and feels it."""
+        return self._held_m[hand] > _NOTHING_M and bool(self._plant.grip[hand] >= _LOST * self._force_n)
 
     def _compare(self, hand: int, grip_n: float) -> None:
         moved_m = float(self._plant.fingers[hand]) - self._held_m[hand]

@@ -115,11 +115,13 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
             if step.phase != "approach":
                 stages.append(_OF_HANDS[step.phase](label(step.phase, hands, names), hands))
                 continue
-            for hand, name in about.items():
+            ways = [{hands[0]: T} for T in step.grasps]
+            for hand, name in about.items() if not ways else ():
                 if hand not in (grasps := task.objects[name].grasps):
                     raise UsageError(f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}")
-            grip = Grip("as given", {hand: task.objects[name].grasps[hand] for hand, name in about.items()})
-            stages.append(Reach(label("approach", hands, names), hands, [grip], about))
+            ways = ways or [{hand: task.objects[name].grasps[hand] for hand, name in about.items()}]
+            grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
+            stages.append(Reach(label("approach", hands, names), hands, grips, about))
     return Pipeline(task.name, stages)
 
 

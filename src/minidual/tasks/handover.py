@@ -1,29 +1,44 @@
-"""Handover: the left hand fetches a bottle, the right takes it in the air."""
+"""Handover: one hand fetches a bottle, the other takes it in the air. Either may give: the one on the bottle's side."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from minidual.config.change import preset
 from minidual.config.root import Config
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
-from minidual.tasks.rod_carry import draw_on_table, transported
-from minidual.tasks.task import Step, Task, TaskObject, Trial
+from minidual.tasks.rod_carry import draw_on_table, placement, transported
+from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
-_L, _R = ("left",), ("right",)
+_BOTTLE: dict[str, Any] = {
+    "name": "bottle",
+    "shape": "box",
+    "upright": True,
+    "length_m": 0.20,
+    "width_m": 0.05,
+    "height_m": 0.05,
+    "mass_kg": 0.3,
+    "friction": 0.8,
+    "grasp_offset_m": 0.07,
+    "colour": (0.16, 0.45, 0.36, 1.0),
+}
+_QUARTERS = tuple(rot_z(k * np.pi / 2.0) for k in (0, 3, 1, 2))
+"""Turns after which the bottle looks the same."""
 _MEETINGS = tuple(
     pose(rot_z(yaw), xyz)
-    for yaw, xyz in ((0.1, (0.56, -0.03, 0.30)), (0.1, (0.56, -0.10, 0.30)), (0.1, (0.60, -0.05, 0.35)))
+    for z, yaw in ((0.30, 0.1), (0.36, 0.1), (0.30, 0.6), (0.30, -0.4))
+    for xyz in ((0.56, -0.03, z), (0.56, -0.10, z), (0.60, -0.05, z), (0.50, 0.04, z))
 )
-"""Exchange poses; the bottle's x axis points to the right hand."""
-_STEPS = (
-    *(Step(phase, _L) for phase in ("approach", "descend", "close", "lift")),
-    Step("carry", _L, places=_MEETINGS),
-    *(Step(phase, _R) for phase in ("approach", "descend", "close")),
-    *(Step(phase, _L) for phase in ("open", "retreat", "home")),
-    *(Step(phase, _R) for phase in ("carry", "lower", "open", "retreat", "home")),
-)
+"""Exchange poses where the left hand gives; the bottle's x axis points to the right hand."""
+_ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
+"""Where the giver sets the bottle down for another grasp."""
+_DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Hand pointing along the bottle's x axis, closing along y."""
+_ACROSS = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def handover(config: Config) -> Task:
@@ -31,44 +46,78 @@ def handover(config: Config) -> Task:
     config = preset(
         config,
         {
-            "scene.object.name": "bottle",
-            "scene.object.shape": "box",
-            "scene.object.upright": True,
-            "scene.object.length_m": 0.20,
-            "scene.object.width_m": 0.05,
-            "scene.object.height_m": 0.05,
-            "scene.object.mass_kg": 0.3,
-            "scene.object.friction": 0.8,
-            "scene.object.grasp_offset_m": 0.07,
-            "scene.object.colour": (0.16, 0.45, 0.36, 1.0),
+            **{f"scene.object.{name}": value for name, value in _BOTTLE.items()},
             "scene.task.start_xy_m": (0.42, 0.58),
             "scene.task.start_range_m": 0.03,
             "scene.task.goal_xy_m": (0.50, -0.60),
             "scene.task.goal_yaw_rad": -0.7,
+            "scene.task.goal_range_m": 0.03,
+            "scene.task.goal_range_rad": 0.26,
+            "scene.task.mirrored_share": 0.5,
             "scene.task.lift_height_m": 0.10,
             "scene.task.time_limit_s": 25.0,
             "scene.task.tilt_max_rad": 0.20,
         },
     )
     body = config.scene.object
+    above, beside = (pose(R, (0.0, 0.0, z)) for R, z in ((_DOWN, body.grasp_offset_m), (_FROM_THE_SIDE, 0.0)))
     return Task(
         name="handover",
-        instruction=f"Take the {body.name} with the left hand, pass it to the right one and stand it on the green mark.",
+        instruction=f"Take the {body.name} with the nearer hand, pass it to the other one and stand it on the green mark.",
         config=config,
-        objects={
-            body.name: TaskObject(
-                body,
-                {
-                    "left": pose(rot_z(np.pi / 2.0) @ rot_x(np.pi), (0.0, 0.0, body.grasp_offset_m)),
-                    "right": pose(_FROM_THE_SIDE, (0.0, 0.0, 0.0)),
-                },
-            )
-        },
-        steps=_STEPS,
+        objects={body.name: TaskObject(body, {"left": above, "right": beside}, symmetry=len(_QUARTERS))},
+        steps=(),
         success=handed_over,
-        draw=draw_on_table,
+        draw=draw_either_way,
         stream="handover-trial",
+        arrange=hand_over,
     )
+
+
+def draw_either_way(
+    task: Task, rng: np.random.Generator, widen: float = 1.0
+) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+    """Draw start and goal; a share of the trials is mirrored."""
+    drawn = draw_on_table(task, rng, widen)
+    if rng.uniform() >= task.scene.task.mirrored_share:
+        return drawn
+    start, goal = ({name: (x, -y, -yaw) for name, (x, y, yaw) in places.items()} for places in drawn)
+    return start, goal
+
+
+def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
+    """Yield the steps in which the hand on the bottle's side gives; then those in which it first grasps anew."""
+    name, body = task.carried, task.scene.object
+    to_the_right = bool(seen[name][1, 3] > 0.0)
+    (giver,), (taker,) = (SIDES[:1], SIDES[1:]) if to_the_right else (SIDES[1:], SIDES[:1])
+
+    def sided(Ts: tuple[Array, ...]) -> tuple[Array, ...]:
+        return Ts if to_the_right else tuple(_ACROSS @ T @ _ACROSS for T in Ts)
+
+    above = tuple(pose(turn @ _DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in _QUARTERS)
+    beside = tuple(pose(turn @ _FROM_THE_SIDE, (0.0, 0.0, z)) for z in (0.0, -0.04) for turn in _QUARTERS)
+    x, y, yaw = placement(trial.goal[name])
+    goal = tuple(pose(rot_z(yaw) @ turn, (x, y, body.rest_height_m)) for turn in _QUARTERS)
+
+    def grasp(hand: str, grasps: tuple[Array, ...]) -> tuple[Step, ...]:
+        return Step("approach", (hand,), grasps=grasps), Step("descend", (hand,)), Step("close", (hand,))
+
+    def leave(hand: str, *phases: str) -> tuple[Step, ...]:
+        return tuple(Step(phase, (hand,)) for phase in ("open", "retreat", *phases))
+
+    def put(hand: str, places: tuple[Array, ...]) -> tuple[Step, ...]:
+        return Step("carry", (hand,), places=places), Step("lower", (hand,))
+
+    exchange = (
+        *grasp(giver, above),
+        Step("carry", (giver,), places=sided(_MEETINGS)),
+        *grasp(taker, beside),
+        *leave(giver, "home"),
+        *put(taker, goal),
+        *leave(taker, "home"),
+    )
+    yield exchange
+    yield *grasp(giver, above), *put(giver, sided(_ASIDE)), *leave(giver), *exchange
 
 
 def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:

@@ -54,12 +54,14 @@ class Step:
         phase: Row of the phase table (minidual.skills).
         objects: One for all hands or one a hand; empty for the task's first.
         places: Target poses (4, 4) of the object, or {object: pose}, preferred first; empty for the trial's goals.
+        grasps: T_object_tcp (4, 4) of an approaching hand, preferred first; empty for the object's.
     """
 
     phase: str
     hands: tuple[str, ...] = SIDES
     objects: tuple[str, ...] = ()
     places: tuple[Array | Mapping[str, Array], ...] = ()
+    grasps: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -95,9 +95,9 @@ class MethodSpec:
         return make(inputs)
 
 
-def _steps_of_one_hand(task: Task, trained: str) -> str:
-    alone = next((step for step in task.steps if step.hands != SIDES), None)
-    return "" if alone is None else f"its step '{alone.phase}' is of the {alone.hands[0]} hand alone"
+def _hands_apart(task: Task, trained: str) -> str:
+    together = bool(task.steps) and all(step.hands == SIDES for step in task.steps)
+    return "" if together else "it is not done with both hands all the way"
 
 
 def _another_task(task: Task, trained: str) -> str:
@@ -117,7 +117,7 @@ METHODS: Registry[MethodSpec] = Registry(
             "object impedance with internal force control",
             demands=frozenset({"squeezed"}),
             senses=frozenset({"pose", "feedback"}),
-            cannot=_steps_of_one_hand,
+            cannot=_hands_apart,
         ),
         "act": MethodSpec(
             "minidual.trials.learned:policy",

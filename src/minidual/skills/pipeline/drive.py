@@ -9,16 +9,21 @@ import numpy as np
 from minidual.control.commands import ArbiterState, TrajectoryCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
+from minidual.robot.pair import SIDES
+from minidual.skills.faults import Fault
 from minidual.skills.pipeline.state import Segment
 
 SOURCE = "moveit"
 """Arbiter source of pre-planned motions."""
+_FEEL_S = 1.0
+"""A hand that is to keep an object must feel it within this time."""
 
 
 class Drive:
     """Proposes each segment when the last has ended; call `step` until `done`.
 
-    The arms must be at the first segment's start. `aborted` says why it stopped early.
+    The arms must be at the first segment's start. A hand opens in the air only when the other one feels the object.
+    `aborted` says why it stopped early.
     """
 
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
@@ -26,7 +31,8 @@ class Drive:
         self.aborted: str | None = None
         self._left = list(segments)
         self._proposed = 0
-        self._began_s = 0.0
+        self._began_s = self._ended_s = 0.0
+        self._under_way = False
         if self._left:
             stack.request(SOURCE)
 
@@ -63,18 +69,28 @@ class Drive:
     def _propose_next(self) -> None:
         refused = next((r for r in self.stack.refusals if r.source == SOURCE), None)
         if refused is None:
-            if self._proposed > 0:
+            if self._under_way:
                 self._left.pop(0)
-            if not self._left:
+                self._under_way, self._ended_s = False, self.stack.plant.time
+            if not self._left or not self._felt(self._left[0]):
                 return
+            self._under_way, segment = True, self._left[0]
             self._proposed += 1
             self._began_s = self.stack.plant.time
-            segment = self._left[0]
             self._tell_held(segment)
             command = TrajectoryCommand(segment.trajectory, np.array(segment.openings), self._began_s, self._proposed)
             refused = self.stack.propose(SOURCE, command)
         if refused is not None:
             self._abort(f"{refused.name}: {refused.detail}")
+
+    def _felt(self, segment: Segment) -> bool:
+        """Return whether the hands that are to keep the object feel it; too long without is a fault."""
+        unfelt = [hand for hand in segment.kept_by if not self.stack.grippers.holds(SIDES.index(hand))]
+        now_s = self.stack.plant.time
+        if unfelt and now_s - self._ended_s > _FEEL_S:
+            detail = f"the {unfelt[0]} hand feels no grip after {_FEEL_S} s; the other one keeps the object"
+            self.aborted, self._left = Fault("missed_grasp", detail, now_s).text, []
+        return not unfelt
 
     def _tell_held(self, segment: Segment) -> None:
         supervisor = self.stack.supervisor

@@ -97,7 +97,7 @@ class Open(Stage):
         end = replace(start.opened(self.arms, OPEN), held_by=held)
         segments = (
             still("settle", start.q, PHASES["settle"].hold_s, start.openings),
-            still("open", start.q, PHASES["open"].hold_s, end.openings),
+            still("open", start.q, PHASES["open"].hold_s, end.openings, kept_by=() if start.rests else tuple(held)),
         )
         yield Candidate("", 0.0, end, segments)
 

@@ -127,7 +127,7 @@ class Pipeline:
         if twice:
             raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
 
-    def solve(self, start: State, tools: Tools, *, budget_s: float = 60.0, tries_max: int = 2000) -> Solution:
+    def solve(self, start: State, tools: Tools, *, budget_s: float = 300.0, tries_max: int = 2000) -> Solution:
         """Return the first complete plan within the limits of wall time [s] and candidates.
 
         Raises:

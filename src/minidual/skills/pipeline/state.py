@@ -59,6 +59,7 @@ class Segment:
 
     Attributes:
         scene, verification: Of the proof; None without motion.
+        kept_by: Hands that must feel the object before it begins.
     """
 
     phase: str
@@ -66,6 +67,7 @@ class Segment:
     openings: tuple[float, float]
     scene: PlanningScene | None = None
     verification: Verification | None = None
+    kept_by: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -88,9 +90,11 @@ class Thing:
         return float(np.arcsin(np.clip(np.abs(Ts_world_object[:, 2, 1]).max(), 0.0, 1.0)))
 
 
-def still(phase: str, q: Array, duration_s: float, openings: tuple[float, float]) -> Segment:
+def still(
+    phase: str, q: Array, duration_s: float, openings: tuple[float, float], kept_by: tuple[str, ...] = ()
+) -> Segment:
     """Return a segment that holds the arms at q (n,)."""
-    return Segment(phase, resting(q, duration_s, "both_arms"), openings)
+    return Segment(phase, resting(q, duration_s, "both_arms"), openings, kept_by=kept_by)
 
 
 def moved(T: Array, shift_m: Array) -> Array:
