@@ -133,6 +133,17 @@ class ObstacleConfig(StrictModel):
     xy_m: tuple[Coordinate, Coordinate] = (0.5, 0.0)
 
 
+class MarkConfig(StrictModel):
+    """A coloured rectangle or disk (diameter: x) on the table, without contacts."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    xy_m: tuple[Coordinate, Coordinate]
+    size_m: tuple[Size, Size]
+    yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
+    round: bool = False
+    colour: tuple[Rate, Rate, Rate, Rate]
+
+
 class TaskConfig(StrictModel):
     """Start, goal and limits of a trial."""
 
@@ -182,6 +193,8 @@ class SceneConfig(StrictModel):
     physics: PhysicsConfig = PhysicsConfig()
     object: ObjectConfig = ObjectConfig()
     more: tuple[ObjectConfig, ...] = ()
+    marks: tuple[MarkConfig, ...] = ()
+    """Instead of those of start and goal; later ones lie above."""
     task: TaskConfig = TaskConfig()
     camera: CameraConfig = CameraConfig()
 

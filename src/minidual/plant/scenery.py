@@ -5,7 +5,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, OBSTACLE, PartConfig, SceneConfig
+from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, OBSTACLE, MarkConfig, PartConfig, SceneConfig
 from minidual.robot.pair import Array, Robot
 
 GROUP_VISUAL, GROUP_MARKER, GOAL_MARK = 1, 2, "goal_mark"
@@ -55,22 +55,34 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
             table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
     for arm in robot.sides:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
-    asked, part = scene.task, scene.object.solids[0]
-    half_x, half_y, _ = part.half_m
-    for name, (x, y), yaw, rgba in (
-        ("start_mark", asked.start_xy_m, 0.0, [0.85, 0.87, 0.9, 1.0]),
-        (GOAL_MARK, asked.goal_xy_m, asked.goal_yaw_rad, [0.15, 0.62, 0.35, 1.0]),
-    ):
-        mark = world.add_geom(name=name, type=_BOX, pos=[x, y, 0.0003], rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)
-        mark.size, mark.quat = [1.6 * half_x, half_y + 0.01, 0.0003], [np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)]
-        if part.shape == "cylinder" and part.axis == "z":  # a plate
-            mark.type, mark.size = _CYLINDER, [1.6 * half_x, 0.0003, 0.0]
+    for layer, mark in enumerate(scene.marks or _ends(scene)):
+        rgba, place = list(mark.colour), [*mark.xy_m, 0.0003 * (1 + (layer if scene.marks else 0))]
+        geom = world.add_geom(name=mark.name, type=_BOX, pos=place, rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)
+        half_x, half_y = mark.size_m[0] / 2, mark.size_m[1] / 2
+        geom.size = [half_x, half_y, 0.0003]
+        geom.quat = [np.cos(mark.yaw_rad / 2.0), 0.0, 0.0, np.sin(mark.yaw_rad / 2.0)]
+        if mark.round:
+            geom.type, geom.size = _CYLINDER, [half_x, 0.0003, 0.0]
+    asked = scene.task
     for name, kind in zip(DISTRACTORS, (_BOX, _CYLINDER), strict=True):
         size = [DISTRACTOR_HALF_M] * 3
         world.add_geom(name=name, type=kind, size=size, pos=[_TABLE_CENTRE_X_M, 0, -0.3], rgba=[0] * 4, **INTANGIBLE)
     if asked.obstacle is not None:
         size, xy = np.array(asked.obstacle.size_m) / 2, asked.obstacle.xy_m
         world.add_geom(name=OBSTACLE, type=_BOX, size=size, rgba=[0.75, 0.22, 0.2, 1.0], pos=[*xy, size[2]])
+
+
+def _ends(scene: SceneConfig) -> tuple[MarkConfig, MarkConfig]:
+    """Return the marks of start and goal."""
+    asked, part = scene.task, scene.object.solids[0]
+    size = 3.2 * part.half_m[0], 2.0 * part.half_m[1] + 0.02
+    plate = part.shape == "cylinder" and part.axis == "z"
+    start, goal = asked.start_xy_m, asked.goal_xy_m
+    pale, green = (0.85, 0.87, 0.9, 1.0), (0.15, 0.62, 0.35, 1.0)
+    return (
+        MarkConfig(name="start_mark", xy_m=start, size_m=size, round=plate, colour=pale),
+        MarkConfig(name=GOAL_MARK, xy_m=goal, size_m=size, yaw_rad=asked.goal_yaw_rad, round=plate, colour=green),
+    )
 
 
 def add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
@@ -96,7 +108,7 @@ def add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         half = np.array(part.half_m) + _BAND_M
         half[long] = 0.015
         shape, size = _geom(part, half)
-        for offset in (-item.grasp_offset_m, item.grasp_offset_m):
+        for offset in (-item.grasp_offset_m, item.grasp_offset_m) if item.grasp_offset_m else ():
             pos = [0.0, 0.0, offset] if item.upright else [0.0, offset, 0.0]
             body.add_geom(size=size, pos=pos, rgba=_BLUE, mass=0, group=GROUP_VISUAL, **shape, **INTANGIBLE)
 

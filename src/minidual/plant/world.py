@@ -151,7 +151,9 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def mark_goal(self, x_m: float, y_m: float, yaw_rad: float) -> None:
-        """Move the goal's mark; it touches nothing."""
+        """Move the goal's mark, if the scene has no others; it touches nothing."""
+        if self.scene.marks:
+            return
         mark = self.model.geom(GOAL_MARK)
         mark.pos[:2] = x_m, y_m
         mark.quat[:] = np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)

@@ -22,6 +22,8 @@ AIRBORNE_M = 0.003
 """An object is off the table above this clearance."""
 NEAR_M = 0.05
 """An object may be on the table this near to its start or goal."""
+_FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")
+"""Measured numbers of which the least is the worst."""
 TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
 
@@ -114,11 +116,11 @@ class Truth(dict[str, ObjectTruth]):
 class SuccessCondition:
     """Base class; demands nothing."""
 
-    name: ClassVar[str]
+    name: str
     """Unique name."""
     stage: ClassVar[bool] = False
     """Counts for `progress`."""
-    optional: ClassVar[bool] = False
+    optional: bool = False
     """Only measured unless demanded."""
 
     def observe(self, truth: Truth) -> str:
@@ -257,6 +259,24 @@ class Carried(OfObject):
         if min(start, goal) < NEAR_M:
             return ""
         return f"on the table {1e3 * start:.0f} mm from its start and {1e3 * goal:.0f} mm from its goal"
+
+
+@dataclass
+class Stood(OfObject):
+    """On the table, the object stays where it came down: nothing pushes, drags or rolls it."""
+
+    name = "stood"
+    limit_m: float = 0.02
+    _at: tuple[float, float] | None = None
+
+    def observe(self, truth: Truth) -> str:
+        item = truth[self.object]
+        if item.airborne:
+            self._at = None
+            return ""
+        self._at = self._at or item.xyz[:2]
+        off = item.distance_m(self._at)
+        return f"moved {1e3 * off:.0f} mm on the table, limit {1e3 * self.limit_m:.0f}" if off > self.limit_m else ""
 
 
 @dataclass
@@ -402,6 +422,29 @@ class AtRest(OfObject):
     def end(self, truth: Truth) -> str:
         item = truth[self.object]
         return "" if self.holds(truth) else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+
+
+class Each(SuccessCondition):
+    """One condition of several objects; its numbers are the worst."""
+
+    def __init__(self, parts: Sequence[OfObject]) -> None:
+        self.name, self.optional, self.parts = parts[0].name, parts[0].optional, parts
+
+    def observe(self, truth: Truth) -> str:
+        return self._first([part.observe(truth) for part in self.parts])
+
+    def holds(self, truth: Truth) -> bool:
+        return all(part.holds(truth) for part in self.parts)
+
+    def end(self, truth: Truth) -> str:
+        return self._first([part.end(truth) for part in self.parts])
+
+    def measured(self, truth: Truth) -> dict[str, float]:
+        rows = [part.measured(truth) for part in self.parts]
+        return {name: (min if name in _FLOORS else max)(row[name] for row in rows) for name in rows[0]}
+
+    def _first(self, details: Sequence[str]) -> str:
+        return next((f"{p.object}: {d}" for p, d in zip(self.parts, details, strict=True) if d), "")
 
 
 @dataclass

@@ -113,6 +113,7 @@ TASKS: Registry[Callable[[Config], Task]] = Registry(
         "rod_carry": "minidual.tasks.rod_carry:rod_carry",
         "handover": "minidual.tasks.handover:handover",
         "pot_lift": "minidual.tasks.pot_lift:pot_lift",
+        "sort": "minidual.tasks.sort:sort",
     },
     group="minidual.tasks",
 )

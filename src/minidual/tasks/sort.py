@@ -1,0 +1,252 @@
+"""Sort: four cubes of two colours, each to the bin of its colour, which only one arm reaches.
+
+A cube on the wrong side is put down in the middle by one arm and taken from there by the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from minidual.config.change import preset
+from minidual.config.root import Config
+from minidual.config.scene import MarkConfig, ObjectConfig
+from minidual.errors import UsageError
+from minidual.robot.pair import SIDES, Array
+from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.tasks import success
+from minidual.tasks.rod_carry import level_pose, placement
+from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
+
+COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}
+SIDE_OF = dict(zip(COLOURS, SIDES, strict=True))
+"""Arm that reaches the bin of a colour."""
+_WAY = dict(zip(SIDES, (1.0, -1.0), strict=True))
+"""Sign of y on an arm's side."""
+_EDGE_M, _APART_M = 0.04, 0.10
+_START_M = ((0.38, 0.58), (-0.42, 0.42))
+"""Ranges of x and y of the starts."""
+_WRONG_M = 0.15
+"""A cube so far on the other side must be passed."""
+_BIN_M, _BIN_XY_M, _SLOTS_M = (0.16, 0.18), (0.50, 0.65), (0.045, -0.045)
+"""Size and centre of a bin, and the places along y in it. The other arm ends 3 cm before it, however it stretches."""
+_MIDDLE_M, _MIDDLE_X_M = 0.11, (0.48, 0.40, 0.56)
+"""A passed cube is put down this far on the side of the arm that takes it, at one of these x."""
+_ARMS_APART_M = 0.20
+_HANDLE = ("approach", "descend", "close", "lift", "carry", "lower", "open", "retreat")
+_DRAWS_MAX = 1000
+
+
+def sort(config: Config) -> Task:
+    """Return the task."""
+    names = [f"{colour}_{k}" for colour in COLOURS for k in (1, 2)]
+    cubes = [
+        ObjectConfig(
+            name=name,
+            shape="box",
+            upright=True,
+            length_m=_EDGE_M,
+            width_m=_EDGE_M,
+            height_m=_EDGE_M,
+            mass_kg=0.06,
+            friction=0.8,
+            grasp_offset_m=0.0,
+            colour=COLOURS[name.split("_")[0]],
+            xy_m=(0.44, 0.3 - 0.2 * k),
+        )
+        for k, name in enumerate(names)
+    ]
+    config = preset(
+        config,
+        {
+            "scene.object": cubes[0],
+            "scene.more": tuple(cubes[1:]),
+            "scene.marks": tuple(mark for colour in COLOURS for mark in _bin(colour)),
+            "scene.task.lift_height_m": 0.10,
+            "scene.task.tilt_max_rad": 0.20,
+            "scene.task.time_limit_s": 60.0,
+        },
+    )
+    down = pose(rot_z(np.pi / 2.0) @ rot_x(np.pi), (0.0, 0.0, config.scene.object.grasp_height_m))
+    grasps = dict.fromkeys(SIDES, down)
+    return Task(
+        name="sort",
+        instruction="Put the red cubes into the red bin on the left and the blue ones into the blue bin on the right.",
+        config=config,
+        objects={name: TaskObject(body, grasps, symmetry=4) for name, body in config.scene.objects.items()},
+        steps=(),
+        success=sorted_by_colour,
+        draw=draw_cubes,
+        stream="sort-trial",
+        arrange=arrange,
+    )
+
+
+def _bin(colour: str) -> tuple[MarkConfig, MarkConfig]:
+    """Return the bin's rim and its floor."""
+    x, y = _BIN_XY_M
+    xy_m, (along_x, along_y) = (x, _WAY[SIDE_OF[colour]] * y), _BIN_M
+    r, g, b, _ = (0.6 * c + 0.4 for c in COLOURS[colour])
+    rim = MarkConfig(name=f"{colour}_rim", xy_m=xy_m, size_m=(along_x + 0.016, along_y + 0.016), colour=COLOURS[colour])
+    return rim, MarkConfig(name=bin_of(colour), xy_m=xy_m, size_m=_BIN_M, colour=(r, g, b, 1.0))
+
+
+def bin_of(name: str) -> str:
+    """Return the name of the bin of a cube or colour."""
+    return f"{name.split('_')[0]}_bin"
+
+
+def side_of(name: str) -> str:
+    """Return the arm that reaches a cube's bin."""
+    return SIDE_OF[name.split("_")[0]]
+
+
+def draw_cubes(
+    task: Task, rng: np.random.Generator, widen: float = 1.0
+) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+    """Draw starts, at least one on the wrong side, and a place in its bin for each cube; `widen` acts on x.
+
+    Raises:
+        UsageError: No such start was found.
+    """
+    (x_low, x_high), y_range = _START_M
+    middle, half = (x_low + x_high) / 2, widen * (x_high - x_low) / 2
+    goal: dict[str, ObjectPose] = {name: _slot(name, k % 2) for k, name in enumerate(task.objects)}
+    for _ in range(_DRAWS_MAX):
+        xy = {n: (float(rng.uniform(middle - half, middle + half)), float(rng.uniform(*y_range))) for n in goal}
+        apart = all(math.dist(xy[a], xy[b]) >= _APART_M for a in xy for b in xy if a < b)
+        if apart and any(_WAY[side_of(name)] * y < -_WRONG_M for name, (_, y) in xy.items()):
+            yaws = rng.uniform(-np.pi / 4, np.pi / 4, size=len(xy)).tolist()
+            return {name: (*at, yaw) for (name, at), yaw in zip(xy.items(), yaws, strict=True)}, goal
+    raise UsageError("the cubes find no start apart from each other", remedy="take fewer or smaller objects")
+
+
+def _slot(name: str, index: int) -> tuple[float, float, float]:
+    return _BIN_XY_M[0], _WAY[side_of(name)] * (_BIN_XY_M[1] + _SLOTS_M[index]), 0.0
+
+
+def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
+    """Return the conditions."""
+    asked, marks = task.scene.task, {mark.name: mark for mark in task.scene.marks}
+
+    def each(make: type[success.OfObject], *values: float | bool) -> success.Each:
+        return success.Each([make(name, *values) for name in task.objects])
+
+    inside = [Inside(name, marks[bin_of(name)], placement(trial.goal[name])[:2]) for name in task.objects]
+    released, at_rest = each(success.Released), each(success.AtRest, asked.rest_speed_m_per_s)
+    ends = list(zip(inside, released.parts, at_rest.parts, strict=True))
+    return (
+        each(success.Level, asked.tilt_max_rad),
+        each(success.Held, asked.pinch_min_n, False),
+        each(success.Stood),
+        each(success.Rose, asked.clear_height_m),
+        success.Each(inside),
+        released,
+        at_rest,
+        *(Placed(count + 1, ends) for count in range(len(ends))),
+        success.OnTime(asked.time_limit_s),
+    )
+
+
+@dataclass
+class Inside(success.OfObject):
+    """All of the object is above the mark; the goal error is the distance from its place there."""
+
+    name = "inside"
+    mark: MarkConfig
+    goal: tuple[float, float]
+
+    def holds(self, truth: success.Truth) -> bool:
+        """See `SuccessCondition`."""
+        item = truth[self.object]
+        (x, y, _), (a, b, _) = item.xyz, item.body.half_sizes_m
+        dx, dy = abs(x - self.mark.xy_m[0]), abs(y - self.mark.xy_m[1])
+        if max(dx - self.mark.size_m[0] / 2, dy - self.mark.size_m[1] / 2) > -min(a, b):
+            return False
+        c, s = abs(math.cos(item.yaw_rad)), abs(math.sin(item.yaw_rad))
+        return dx + c * a + s * b <= self.mark.size_m[0] / 2 and dy + s * a + c * b <= self.mark.size_m[1] / 2
+
+    def end(self, truth: success.Truth) -> str:
+        """See `SuccessCondition`."""
+        x, y, _ = truth[self.object].xyz
+        return "" if self.holds(truth) else f"at ({x:.3f}, {y:.3f}) m, not inside the {self.mark.name}"
+
+    def measured(self, truth: success.Truth) -> dict[str, float]:
+        """See `SuccessCondition`."""
+        return {"goal_error_m": truth[self.object].distance_m(self.goal)}
+
+
+class Placed(success.SuccessCondition):
+    """Stage: so many objects meet their final conditions."""
+
+    stage = True
+
+    def __init__(self, count: int, ends: Sequence[Sequence[success.SuccessCondition]]) -> None:
+        self.name = f"placed_{count}"
+        self._count, self._ends = count, ends
+
+    def reached(self, truth: success.Truth) -> bool:
+        """See `SuccessCondition`."""
+        return sum(all(part.holds(truth) for part in parts) for parts in self._ends) >= self._count
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One arm brings one cube to its bin, or to one of several places in the middle."""
+
+    name: str
+    arm: str
+    y_from: float
+    places: tuple[Array, ...]
+    passes: bool = False
+
+
+def arrange(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
+    """Yield the steps: first both arms at once where they keep apart, then one arm after the other."""
+    for at_once in (True, False):
+        yield tuple(_steps(task, trial, poses, at_once))
+
+
+def _steps(task: Task, trial: Trial, poses: Mapping[str, Array], at_once: bool) -> Iterator[Step]:
+    at, left, in_middle = dict(poses), sorted(poses), set[str]()
+    while left:
+        found = [_job(task, trial, name, at) for name in left]
+        jobs = [[job for job in found if job and job.arm == arm] for arm in SIDES]
+        pairs = [pair for pair in itertools.product(*([*row, None] for row in jobs)) if any(pair)]
+        chosen = [job for job in max(pairs, key=lambda pair: _worth(pair, at_once)) if job is not None]
+        hands, names = tuple(job.arm for job in chosen), tuple(job.name for job in chosen)
+        yield from (Step("home", (arm,)) for arm in sorted(in_middle.difference(hands)))  # out of the other's way
+        choices = range(max(len(job.places) for job in chosen))
+        places = tuple({job.name: job.places[min(k, len(job.places) - 1)] for job in chosen} for k in choices)
+        yield from (Step(phase, hands, names, places if phase == "carry" else ()) for phase in _HANDLE)
+        at |= {job.name: job.places[0] for job in chosen}
+        left = [name for name in left if name not in names or any(job.passes for job in chosen if job.name == name)]
+        in_middle = {job.arm for job in chosen if job.passes}
+
+
+def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job | None:
+    """Return what is to be done with a cube next; None while there is no room in the middle."""
+    owner, rest_m = side_of(name), task.objects[name].body.rest_height_m
+    y = at[name].item(1, 3)
+    if _WAY[owner] * y > -_WRONG_M:
+        x_goal, y_goal, yaw = placement(trial.goal[name])
+        return _Job(name, owner, y, (level_pose(x_goal, y_goal, rest_m, yaw),))
+    others = [T[:2, 3] for n, T in at.items() if n != name]
+    spots = [(x, _WAY[owner] * _MIDDLE_M) for x in _MIDDLE_X_M]
+    free = [xy for xy in spots if all(math.dist(xy, other) >= _APART_M for other in others)]
+    places = tuple(level_pose(*xy, rest_m, 0.0) for xy in free)
+    return _Job(name, SIDES[1 - SIDES.index(owner)], y, places, passes=True) if free else None
+
+
+def _worth(pair: tuple[_Job | None, _Job | None], at_once: bool) -> tuple[int, int]:
+    """Return the number of jobs done, negative where the arms must not act together, and of passes."""
+    left, right = pair
+    passes = sum(job.passes for job in pair if job is not None)
+    if left is None or right is None:
+        return 1, passes
+    apart = min(left.y_from - right.y_from, left.places[0][1, 3] - right.places[0][1, 3]) >= _ARMS_APART_M
+    return (2 if at_once and apart else -1), passes
