@@ -11,7 +11,7 @@ from minidual.motion.held.planner import HeldQuery
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 from minidual.skills.phases import PHASES
-from minidual.skills.pipeline.hands import straight
+from minidual.skills.pipeline.hands import free, straight
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import Segment, State, raised
 
@@ -118,17 +118,18 @@ class Carry(Stage):
         if state.closed_chain:
             goal = goals[state.object_of(SIDES[0])]
             motion = tools.holder.plan(HeldQuery(state.q, goal, _grasps(state), scene, tools.seed), budget_s)
-            proof, ways = motion.verification, {SIDES[0]: motion.Ts_world_object}
+            segment = Segment(phase, motion, state.openings, scene, motion.verification)
+            ways = {SIDES[0]: motion.Ts_world_object}
         else:
             group, targets = group_of(state.held_by), _hands_at(goals, state)
             plan = tools.planner.plan_to_poses(group, state.q, targets, scene=scene, seed=tools.seed, budget_s=budget_s)
-            motion, proof = plan.trajectory, plan.verification
-            tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in motion.q[::_TILT_EVERY]])
+            segment = free(tools, phase, state.openings, plan, scene)
+            tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in plan.trajectory.q[::_TILT_EVERY]])
             ways = {arm: tips[:, SIDES.index(arm)] @ inverse(T) for arm, T in state.held_by.items()}
         tilt = max(tools.things[state.object_of(arm)].tilt_rad(Ts) for arm, Ts in ways.items())
         if tilt > self._tilt_max_rad:
             raise Failure("tilted", f"the object tilts by {tilt:.2f} rad on the way; at most {self._tilt_max_rad:.2f}")
-        return Segment(phase, motion, state.openings, scene, proof)
+        return segment
 
 
 def _grasps(state: State) -> tuple[Array, Array]:

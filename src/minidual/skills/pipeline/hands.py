@@ -8,13 +8,17 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
+from minidual.motion.result import PlanResult
 from minidual.robot.pair import SIDES, Array
+from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
 
 _ATTEMPTS = 5
 """Postures tried per grip."""
+_TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8
+"""Hand speed of free motions; the supervisor stops the arms at 1.7 m/s."""
 _SHORTER = (1.0, 0.6)
 """Shares of the retreat height to try."""
 
@@ -56,7 +60,7 @@ class Reach(Stage):
                     break  # further postures would fail too
                 opened = start.opened(self.arms, OPEN)
                 end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
-                segment = Segment("approach", plan.trajectory, end.openings, scene, plan.verification)
+                segment = free(tools, "approach", end.openings, plan, scene)
                 label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
                 yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
 
@@ -134,13 +138,24 @@ class Home(Stage):
             q[joints] = tools.robot.home[joints]
         scene = tools.scene(start)
         plan = tools.planner.plan_to_joints(group_of(self.arms), start.q, q, scene=scene, seed=tools.seed)
-        segment = Segment("home", plan.trajectory, start.openings, scene, plan.verification)
+        segment = free(tools, "home", start.openings, plan, scene)
         yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
 
 
 def _require_open_chain(start: State) -> None:
     if start.closed_chain:
         raise Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
+
+
+def free(tools: Tools, phase: str, openings: tuple[float, float], plan: PlanResult, scene: PlanningScene) -> Segment:
+    """Return a planned free motion as a segment, slowed to `_TIP_MAX_M_PER_S`."""
+    motion = plan.trajectory
+    tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in motion.q[::_TIPS_EVERY]])[:, :, :3, 3]
+    steps_m = np.linalg.norm(np.diff(tips, axis=0), axis=2)
+    ratio = float(steps_m.max(initial=0.0)) / (_TIPS_EVERY * motion.dt_s * _TIP_MAX_M_PER_S)
+    if ratio > 1.0:
+        motion = Trajectory(ratio * motion.times, motion.q, motion.v / ratio, motion.a / ratio**2, motion.group)
+    return Segment(phase, motion, openings, scene, plan.verification)
 
 
 def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
