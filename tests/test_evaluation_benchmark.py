@@ -266,6 +266,7 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
     ("tasks", "methods", "says"),
     [
         (["handover"], ["impedance"], "'impedance' cannot do 'handover': it is not done with both hands all the way"),
+        (["sort"], ["impedance"], "'impedance' cannot do 'sort': it is not done with both hands all the way"),
         (["handover"], ["act"], "'act' cannot do 'handover': its policy is trained on 'rod_carry'"),
         (["handovr"], ["moveit"], "no task 'handovr'; there are handover, "),
         (["handover", "handover"], ["moveit"], "task 'handover' is named twice"),

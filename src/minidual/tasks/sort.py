@@ -1,7 +1,4 @@
-"""Sort: four cubes of two colours, each to the bin of its colour, which only one arm reaches.
-
-A cube on the wrong side is put down in the middle by one arm and taken from there by the other.
-"""
+"""Sort: four cubes into two bins, each within one arm's reach; cubes of the wrong side are passed by the middle."""
 
 from __future__ import annotations
 
@@ -29,13 +26,11 @@ _WAY = dict(zip(SIDES, (1.0, -1.0), strict=True))
 """Sign of y on an arm's side."""
 _EDGE_M, _APART_M = 0.04, 0.10
 _START_M = ((0.38, 0.58), (-0.42, 0.42))
-"""Ranges of x and y of the starts."""
 _WRONG_M = 0.15
-"""A cube so far on the other side must be passed."""
 _BIN_M, _BIN_XY_M, _SLOTS_M = (0.16, 0.18), (0.50, 0.65), (0.045, -0.045)
-"""Size and centre of a bin, and the places along y in it. The other arm ends 3 cm before it, however it stretches."""
+"""Size and centre of a bin, and its places along y. However it stretches, the other arm ends 3 cm before it."""
 _MIDDLE_M, _MIDDLE_X_M = 0.11, (0.48, 0.40, 0.56)
-"""A passed cube is put down this far on the side of the arm that takes it, at one of these x."""
+"""A passed cube is put down this far on its taker's side, at one of these x."""
 _ARMS_APART_M = 0.20
 _HANDLE = ("approach", "descend", "close", "lift", "carry", "lower", "open", "retreat")
 _DRAWS_MAX = 1000
@@ -108,7 +103,7 @@ def side_of(name: str) -> str:
 def draw_cubes(
     task: Task, rng: np.random.Generator, widen: float = 1.0
 ) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
-    """Draw starts, at least one on the wrong side, and a place in its bin for each cube; `widen` acts on x.
+    """Draw starts, one or more on the wrong side, and places in the bins; `widen` acts on x.
 
     Raises:
         UsageError: No such start was found.
@@ -154,7 +149,7 @@ def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition
 
 @dataclass
 class Inside(success.OfObject):
-    """All of the object is above the mark; the goal error is the distance from its place there."""
+    """All of the object is above the mark."""
 
     name = "inside"
     mark: MarkConfig
@@ -196,7 +191,7 @@ class Placed(success.SuccessCondition):
 
 @dataclass(frozen=True)
 class _Job:
-    """One arm brings one cube to its bin, or to one of several places in the middle."""
+    """One arm brings one cube to one of several places."""
 
     name: str
     arm: str
@@ -206,7 +201,7 @@ class _Job:
 
 
 def arrange(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
-    """Yield the steps: first both arms at once where they keep apart, then one arm after the other."""
+    """Yield the steps with both arms at once where they keep apart, then with one arm at a time."""
     for at_once in (True, False):
         yield tuple(_steps(task, trial, poses, at_once))
 
@@ -224,12 +219,12 @@ def _steps(task: Task, trial: Trial, poses: Mapping[str, Array], at_once: bool) 
         places = tuple({job.name: job.places[min(k, len(job.places) - 1)] for job in chosen} for k in choices)
         yield from (Step(phase, hands, names, places if phase == "carry" else ()) for phase in _HANDLE)
         at |= {job.name: job.places[0] for job in chosen}
-        left = [name for name in left if name not in names or any(job.passes for job in chosen if job.name == name)]
+        left = sorted(set(left) - {job.name for job in chosen if not job.passes})
         in_middle = {job.arm for job in chosen if job.passes}
 
 
 def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job | None:
-    """Return what is to be done with a cube next; None while there is no room in the middle."""
+    """Return a cube's next job; None while the middle has no room."""
     owner, rest_m = side_of(name), task.objects[name].body.rest_height_m
     y = at[name].item(1, 3)
     if _WAY[owner] * y > -_WRONG_M:
@@ -243,7 +238,7 @@ def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job |
 
 
 def _worth(pair: tuple[_Job | None, _Job | None], at_once: bool) -> tuple[int, int]:
-    """Return the number of jobs done, negative where the arms must not act together, and of passes."""
+    """Return the numbers of jobs (-1: the arms would come too close) and of passes."""
     left, right = pair
     passes = sum(job.passes for job in pair if job is not None)
     if left is None or right is None:
