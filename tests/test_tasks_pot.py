@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from minidual.collision.shapes import Mesh
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PartConfig
+from minidual.control.object_controller import SLOW_AT
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
@@ -18,7 +19,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.skills.reach import grasp_posture
+from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
 from minidual.tasks.judge import begin
 from minidual.tasks.rod_carry import level_pose, placement, tilt_rad
 from minidual.tasks.success import Truth
@@ -70,18 +71,37 @@ def test_both_hands_reach_the_handles_of_every_draw_and_corner() -> None:
         assert np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3]) == pytest.approx(2.0 * POT.grasp_offset_m, abs=1e-3)
 
 
-def test_a_frozen_arm_is_far_from_every_draw() -> None:
-    """`held` wants both hands' pinch from the first rise on, so an arm frozen at home fails all 256 draws.
+def test_force_control_begins_far_from_singular_postures() -> None:
+    """From home, descent bends an arm until a carry slows down; such a start gets the posture nearest to home."""
+    kinematics = Kinematics(DUAL_PANDA)
+
+    def condition(q: Array) -> float:
+        jacobians = kinematics.tcp_jacobians(q)
+        return max(np.linalg.cond(J[:, DUAL_PANDA.joints_of(arm)]) for arm, J in enumerate(jacobians))
+
+    for x, y, yaw, bent in ((0.441, 0.112, 0.505, True), (0.48, 0.12, 0.0, False)):
+        level = level_pose(x, y, POT.rest_height_m, yaw)
+        plain = grasp_posture(TASK.scene, DUAL_PANDA, level, DUAL_PANDA.home, above_m=0.08)
+        over = posture_over(TASK.scene, DUAL_PANDA, level, 0.08)
+        at = [grasp_posture(TASK.scene, DUAL_PANDA, level, q) for q in (plain, over)]
+        assert np.array_equal(plain, over) != bent
+        assert (condition(at[0]) > SLOW_AT[0]) == bent
+        assert condition(at[1]) < 25.0
+    with pytest.raises(GraspUnreachableError, match="cannot reach"):
+        posture_over(TASK.scene, DUAL_PANDA, level_pose(1.2, 0.0, POT.rest_height_m, 0.0), 0.08)
+
+
+def test_an_arm_frozen_at_home_is_far_above_every_draw() -> None:
+    """`held` wants both hands' pinch from the first rise on: one arm alone fails all 256 draws.
 
     tests/test_tasks_adversaries.py lifts with one arm frozen, and is refused.
     """
     assert "held" in {condition.name for condition in TASK.success(TASK, DRAWS[0])}
-    radius = math.hypot(*np.max([np.abs(surface(part)).max(axis=0)[:2] for part in POT.solids], axis=0))
+    top_m = max(surface(part)[:, 2].max() for part in POT.solids)
     for tip in Kinematics(DUAL_PANDA).tcp_poses(DUAL_PANDA.home):
         for draw in DRAWS:
-            x, y, _ = placement(draw.start["pot"])
-            top = 0.16  # the knob's height and two fingers' width
-            assert tip[2, 3] > top or math.hypot(tip[0, 3] - x, tip[1, 3] - y) > radius + 0.05
+            assert isinstance(draw.start["pot"], tuple)  # on the table
+            assert tip[2, 3] - POT.rest_height_m - top_m > 0.3
 
 
 def test_every_part_is_in_the_model_and_inside_the_planners_shape() -> None:

@@ -21,7 +21,7 @@ SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
 _START_M, _START_RAD = 0.02, 0.1
 """Largest start offset of a path."""
-_SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
+SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
 """Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
 singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
 _PACE_MIN, _NEARER, _SPEED_SHARE = 0.1, 1e-4, 0.9
@@ -118,7 +118,7 @@ class ObjectImpedanceController(Controller):
         condition = np.sqrt(squares[:, -1] / np.maximum(squares[:, 0], 1e-12))
         margin = np.minimum(q - robot.q_lower, robot.q_upper - q)
         values, kind = np.r_[condition, margin], np.repeat([0, 1], [len(condition), len(margin)])
-        near = (values - _SLOW_AT[kind]) / (_STOP_AT - _SLOW_AT)[kind]
+        near = (values - SLOW_AT[kind]) / (_STOP_AT - SLOW_AT)[kind]
         before, self._near = near if self._near is None else self._near, near
         nearing = np.where(near > before + _NEARER, near, 0.0)
         worst = int(nearing.argmax())

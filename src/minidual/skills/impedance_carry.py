@@ -32,7 +32,7 @@ from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
-from minidual.skills.reach import GraspUnreachableError, grasp_posture
+from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
 from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Trial
 
@@ -166,7 +166,8 @@ class ImpedanceCarry:
     def _phases(self) -> Iterator[None]:
         """Propose the phases; yield once a control step."""
         world, watch, stack = self.world, self.watch, self.stack
-        q_over = self._grasp(world.robot.home, above_m=PHASES["approach"].rise_m)
+        level = level_part(watch.T_world_object)
+        q_over = posture_over(world.scene, world.robot, level, PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
         stack.request(SOURCE)
         q = world.q

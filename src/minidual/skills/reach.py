@@ -5,15 +5,35 @@ import functools
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.errors import MinidualError
-from minidual.motion.ik import ArmIK
+from minidual.control.object_controller import SLOW_AT
+from minidual.errors import MinidualError, UsageError
+from minidual.motion.ik import ArmIK, PostureIK
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
+from minidual.skills.pipeline.state import raised
 from minidual.tasks.rod_carry import grasp_offsets
 
 
 class GraspUnreachableError(MinidualError):
     """The hands cannot reach their grasps."""
+
+
+def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m: float) -> Array:
+    """Return `grasp_posture` from home or, where that fails or slows a carry down, the one nearest to home."""
+    kinematics = Kinematics(robot)
+    try:
+        over = grasp_posture(scene, robot, T_world_level, robot.home, above_m=above_m)
+        postures = over, grasp_posture(scene, robot, T_world_level, over)
+        hands = [J[:, robot.joints_of(arm)] for q in postures for arm, J in enumerate(kinematics.tcp_jacobians(q))]
+        if np.linalg.cond(hands).max() < SLOW_AT[0]:
+            return over
+    except GraspUnreachableError:
+        pass
+    left, right = (raised(T_world_level @ T, above_m) for T in grasp_offsets(scene))
+    try:
+        return PostureIK(kinematics, posture=robot.home).solve(left, right, robot.home)
+    except UsageError as error:
+        raise GraspUnreachableError(error.message, remedy=error.remedy) from error
 
 
 @functools.cache
