@@ -136,7 +136,8 @@ class SpatialActKind(ActKind):
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
         """Return a policy of the configured precision."""
-        described = SpatialActConfig(keypoints=config.keypoints, keyframe_weight=config.keyframe_weight, **common)
+        own = ("keypoints", "keyframe_weight", "dilated_layers", "standardised_maps")
+        described = SpatialActConfig(**{name: getattr(config, name) for name in own}, **common)
         policy = SpatialActPolicy(described)
         encoders: Any = policy.model.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         for encoder in encoders:

@@ -8,6 +8,9 @@ import torch
 from torch import Tensor, nn
 
 
+_LEAST_DEVIATION = 1e-3
+
+
 class SpatialSoftmax(nn.Module):
     """Maps K channels to (B, 3 K): expected x (right), then y (down), then standard deviation.
 
@@ -41,12 +44,25 @@ def _pixel_centres(count: int, device: torch.device) -> Tensor:
 class KeypointEncoder(nn.Module):
     """Convolutions of total stride 4, then spatial softmax.
 
-    `bf16`: convolve in bfloat16, which where native doubles the training rate.
+    `dilated_layers` layers of dilation 2, 4, ... see what stands around a feature. `standardised` maps have mean 0 and
+    deviation 1, whatever the light. `bf16`: convolve in bfloat16, which where native doubles the training rate.
     """
 
-    def __init__(self, keypoints: int, widths: tuple[int, int, int] = (32, 32, 64)) -> None:
+    def __init__(
+        self,
+        keypoints: int,
+        widths: tuple[int, int, int] = (32, 32, 64),
+        *,
+        dilated_layers: int = 0,
+        standardised: bool = False,
+    ) -> None:
         super().__init__()
         first, second, third = widths
+        dilated: list[nn.Module] = []
+        for k in range(dilated_layers):
+            reach = 2 ** (k + 1)
+            dilated += [nn.Conv2d(third, third, 3, padding=reach, dilation=reach), nn.ReLU(inplace=True)]
+        self.standardised = standardised
         self.features = nn.Sequential(
             nn.Conv2d(3, first, 5, stride=2, padding=2),
             nn.ReLU(inplace=True),
@@ -56,6 +72,7 @@ class KeypointEncoder(nn.Module):
             nn.ReLU(inplace=True),
             nn.Conv2d(third, third, 3, padding=1),
             nn.ReLU(inplace=True),
+            *dilated,
             nn.Conv2d(third, keypoints, 1),
         )
         self.pool = SpatialSoftmax(keypoints)
@@ -70,4 +87,8 @@ class KeypointEncoder(nn.Module):
         """Map images (B, 3, H, W) to (B, 3 K)."""
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
             logits = self.features(image)
+        if self.standardised:
+            logits = logits.float()
+            mean, deviation = logits.mean((2, 3), keepdim=True), logits.std((2, 3), keepdim=True)
+            logits = (logits - mean) / (deviation + _LEAST_DEVIATION)
         return self.pool(logits)

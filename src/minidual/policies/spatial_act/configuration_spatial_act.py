@@ -17,6 +17,8 @@ class SpatialActConfig(ACTConfig):
 
     pretrained_backbone_weights: str | None = None
     keypoints: int = 32
+    dilated_layers: int = 0
+    standardised_maps: bool = False
     keyframe_weight: float = 1.0
     keyframes: int = 2
 
