@@ -50,7 +50,6 @@ def _unsignalled_children() -> Generator[None]:
 
 
 def _begin(starter: int) -> None:
-    """Listen to the emergency stop, and end this worker when its starter is gone."""
     emergency.listen()
 
     def watch() -> None:

@@ -138,7 +138,6 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
 
 
 def _left_links(robot: Robot) -> dict[str, int]:
-    """Return the number of joints before each colliding link."""
     return {n: link.joints_before for n, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
 
 

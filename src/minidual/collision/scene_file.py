@@ -144,7 +144,6 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
 
 @contextmanager
 def _told(document: Document, path: str) -> Iterator[None]:
-    """Prepend file, line and path to errors raised inside."""
     try:
         yield
     except MinidualError as error:

@@ -272,7 +272,6 @@ class CommandArbiter:
         return fresh
 
     def _drive(self, source: str, now_s: float, dt: float) -> dict[int, Command]:
-        """Move the target; return the accepted commands by arm."""
         fresh = self._fresh(source, now_s)
         was_aligning = self.state == ArbiterState.ALIGNING
         if fresh:
@@ -306,7 +305,6 @@ class CommandArbiter:
         return {**driven, **fresh}
 
     def _run_timed(self, now_s: float) -> dict[int, Command]:
-        """Run or brake the timed commands; return those running by arm."""
         executions = self.underway.executions
         if not executions:
             return {}

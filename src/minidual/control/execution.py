@@ -80,7 +80,6 @@ class _Execution:
             self._speed_now = self._rate = share
 
     def _largest_slope(self) -> float:
-        """Return the largest decrease of the rate [1/s]."""
         return _OBJECT_BRAKE_SLOPE
 
     def step(self) -> None:

@@ -87,7 +87,6 @@ class Mailbox:
 
 
 def _own(command: Command) -> Command:
-    """Return a copy, safe from the source; object paths are called, not copied."""
     if isinstance(command, ObjectCommand):
         return replace(command, gripper=np.array(command.gripper, dtype=float))
     return copy.deepcopy(command)

@@ -111,7 +111,6 @@ class ObjectImpedanceController(Controller):
             self._give_room(self._execution)
 
     def _give_room(self, execution: ObjectExecution) -> None:
-        """Slow down or stop a path that nears what a hand cannot reach."""
         robot, q = self._kinematics.robot, self.reference
         hands = [J[:, robot.joints_of(arm)] for arm, J in enumerate(self._kinematics.tcp_jacobians(q))]
         squares = np.linalg.eigvalsh([J @ J.T for J in hands])

@@ -110,7 +110,6 @@ class ControlStack[P: Plant]:
         self._off: SwitchedOff | None = None
 
     def _stand(self, gripper: Array) -> None:
-        """Begin anew at the measured posture with openings (2,)."""
         self.arbiter = CommandArbiter(
             self._robot,
             self._config,
@@ -297,7 +296,6 @@ class ControlStack[P: Plant]:
             self._failed = error
 
     def _attempt[T](self, part: Callable[[], T], otherwise: T) -> T:
-        """Run a part of a tick; if it raises, stop the arms and return `otherwise`."""
         try:
             return part()
         except Exception as error:
@@ -369,12 +367,10 @@ class ControlStack[P: Plant]:
             raise stopped
 
     def _measure(self) -> tuple[float, float | None, Array, Array]:
-        """Return time [s], stamp [s], q and v (n,)."""
         plant = self.plant
         return plant.time, plant.stamp_s, plant.q, plant.v
 
     def _measure_singly(self) -> tuple[float, float | None, Array, Array]:
-        """Return what can still be measured, the rest as NaN."""
         plant, nothing = self.plant, np.full(self._robot.dof, np.nan)
         time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
         return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
@@ -410,7 +406,6 @@ class ControlStack[P: Plant]:
             return error.tau, error
 
     def _asked(self, q: Array, v: Array) -> tuple[Array, Array | None]:
-        """Return the controllers' torques and reference acceleration (n,)."""
         self._check_plant()
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.

@@ -85,7 +85,6 @@ class SupervisedStop:
         return q_rest
 
     def _largest_slope(self, q: Array, v: Array) -> Array:
-        """Return the largest decrease of r (n,) [1/s]."""
         slope = np.empty_like(q)
         slopes(q, v, self._brake, *self._range, slope)
         for share in _SLOWER:

@@ -197,7 +197,6 @@ class Supervisor:
     # Checks --------------------------------------------------------------------------------------------------
 
     def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None) -> Array:
-        """Take this tick's values; return the torque applied last."""
         self._q[:], self._v[:], self._tau[:] = q, v, tau
         if self._applied is None:
             self._applied = self._before_control(q)
@@ -222,7 +221,6 @@ class Supervisor:
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
-        """Return the gravity torque, applied by the drives before control."""
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
     def _look_closer(self) -> Array:
@@ -276,7 +274,6 @@ class Supervisor:
         return tau - step + np.clip(step, -bounds.tau_step, bounds.tau_step)
 
     def _feel(self, stamp_s: float) -> None:
-        """Compare torques, postures and grip with what is expected."""
         contact, robot = self._contact, self._robot
         self._expected = expected = self.expected()
         if expected.hand_fault:

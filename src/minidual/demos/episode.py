@@ -144,7 +144,6 @@ def _load(
 
 
 def _joints_n(file: h5py.File) -> int:
-    """Return the width of qpos, else of action."""
     found = (file.get(key) for key in ("observations/qpos", "action"))
     return next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
 

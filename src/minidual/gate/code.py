@@ -73,7 +73,6 @@ def _reach(target: str) -> dict[str, str]:
 
 @cache
 def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
-    """Return (digest, imported names) of a module, or None without Python source."""
     path = _source(name)
     if path is None:
         return None
@@ -83,7 +82,6 @@ def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
 
 @cache
 def _spec(name: str) -> ModuleSpec | None:
-    """Find a module without importing its parents."""
     parent = name.rpartition(".")[0]
     if not parent:
         return importlib.util.find_spec(name)

@@ -97,7 +97,6 @@ class Place:
             raise DataError(f"{self.folder} is a mount point, which cannot be replaced", remedy=remedy)
 
     def _unfit_target(self) -> str:
-        """Return why the target of the link cannot hold the result, or ""."""
         run = self.name.parent.resolve()
         others = (path for path in self.name.parent.glob("*") if path.is_symlink() and path != self.name)
         if same := [path.name for path in others if _overlap(path.resolve(), self.folder)]:

@@ -134,7 +134,6 @@ class LinearPlanner:
     def _follow(
         self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array
     ) -> tuple[Array, str]:
-        """Return joints (k, n) at the first k marks and why it stopped."""
         Q = [q_start]
         for mark in marks[1:]:
             q = Q[-1].copy()
@@ -157,7 +156,6 @@ class LinearPlanner:
     def _timed(
         self, group: str, marks: Array, Q: Array, reason: str, engines: SceneEngines, limits: PathLimits
     ) -> tuple[LinearMove, Array]:
-        """Return the proven part of the move, and the way along the line at its samples."""
         for back_off in range(_BACK_OFFS):
             keep = len(Q) - 2**back_off + 1
             if keep < 4:

@@ -204,7 +204,6 @@ def _watch(
     signs: dict[str, Sign],
     tolerance: float = 1e-9,
 ) -> None:
-    """Note the joint that is farthest beyond its bounds, each joint once."""
     beyond = np.maximum(low - values, values - high)
     joint = int(np.argmax(beyond))
     if not beyond[joint] <= tolerance:

@@ -73,7 +73,6 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
 
 
 def _ends(scene: SceneConfig) -> tuple[MarkConfig, MarkConfig]:
-    """Return the marks of start and goal."""
     asked, part = scene.task, scene.object.solids[0]
     size = 3.2 * part.half_m[0], 2.0 * part.half_m[1] + 0.02
     plate = part.shape == "cylinder" and part.axis == "z"

@@ -7,7 +7,6 @@ bfloat16 resolves a quarter pixel.
 import torch
 from torch import Tensor, nn
 
-
 _LEAST_DEVIATION = 1e-3
 
 

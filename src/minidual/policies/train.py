@@ -194,7 +194,6 @@ class _Loop:
         return value
 
     def _batch(self, step: int) -> tuple[int, dict[str, torch.Tensor]]:
-        """Return torch's seed and the batch of a step."""
         rng = stream(self.seed, "train.batch", step)
         seed = int(rng.integers(2**63))
         return seed, self.batches.training(self.sampler.draw(self.config.batch_size, rng), rng)

@@ -134,7 +134,6 @@ def _robot_parts(robot: Robot) -> dict[str, _Part]:
 
 
 def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _Part:
-    """Return one part of coal shapes with their poses in the frame."""
     points: list[Array] = []
     rows: list[tuple[Any, ...]] = []
     end = 0

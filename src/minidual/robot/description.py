@@ -76,7 +76,6 @@ def _ends(joint: ET.Element) -> tuple[str, str]:
 
 
 def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
-    """Return the chain from base to tip, or everything beyond the base."""
     root = _document(address)
     parent = {child: mother for mother, child in map(_ends, root.findall("joint"))}
     links = {link.attrib["name"] for link in root.findall("link")}

@@ -112,7 +112,6 @@ class CarryWatch:
             self._feel()
 
     def _feel_forces(self, reading: Reading) -> None:
-        """Filter the forces, without readings that are not finite and short glitches."""
         glitch_n, patient = self._config.faults.force_glitch_n, self._odd_n < self._odd_max_n
         odd = smooth(reading.hand_forces, reading.pinch, self._raw, self._felt, self._filter_share, glitch_n, patient)
         self._odd_n = self._odd_n + 1 if odd else 0

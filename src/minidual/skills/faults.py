@@ -103,7 +103,6 @@ class FaultMonitor:
         self._hands = [(_Turns(_FINGER_STEP_M), _Turns(step_n)) for _ in SIDES]
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
-        """Return whether `now` held for the needed calls in a row."""
         if not now:
             self._counts.pop(key, None)
             return False

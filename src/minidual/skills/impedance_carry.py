@@ -164,7 +164,6 @@ class ImpedanceCarry:
                 self._note("interrupted", str(error), _BRAKED_S)
 
     def _phases(self) -> Iterator[None]:
-        """Propose the phases; yield once a control step."""
         world, watch, stack = self.world, self.watch, self.stack
         level = level_part(watch.T_world_object)
         q_over = posture_over(world.scene, world.robot, level, PHASES["approach"].rise_m)

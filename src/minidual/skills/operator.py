@@ -144,7 +144,6 @@ class ScriptedOperator:
         return left, right
 
     def _rod_pose(self, trial: Trial, error: Array, progress: dict[str, float]) -> Array:
-        """Return the level rod pose as if always held."""
         lift = self.scene.task.lift_height_m
         begin, goal = (np.array(placement(where[self.scene.object.name])) for where in (trial.start, trial.goal))
         start = begin + error * (1.0 - progress["correct"])

@@ -43,7 +43,6 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
 
 @cache
 def _engine(robot: Robot, shape: Shape | None) -> MujocoEngine:
-    """Return arms, table, and the object in each hand. Cached: copy it."""
     hands = tuple(link for side in robot.sides for link in robot.hand_links(side))
     held = () if shape is None else tuple(replace(shape, name=_in_hand(shape, side)) for side in robot.sides)
     attached = [Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)]

@@ -73,7 +73,6 @@ def _scene(context: ToolContext, robot: Robot) -> tuple[PlanningScene, list[str]
 
 
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
-    """Return planner, scene, start (n,) and notes; validates the input first."""
     GROUP_ARMS[group]  # refuses an unknown name
     config = context.config
     robot = robot_from(config.robot)
@@ -143,7 +142,6 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
-    """Return the smallest distance along the plan, measured up to CLEARANCE_MAX_M, as text."""
     far = clearance_m >= CLEARANCE_MAX_M
     text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
     return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"

@@ -183,7 +183,6 @@ class ModesDemo:
             raise SwitchError(f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
 
     def _measure(self, switch: Switch, target: Array, reference: Array, applied: Array, asked: Array) -> None:
-        """Add the last control step's steps (n,) to the current switch."""
         stack, plant = self.stack, self.stack.plant
         driven = stack.output.active_source == switch.mode
         if driven and np.isnan(switch.first_command_s):

@@ -233,7 +233,6 @@ class HeldWork:
         )
 
     def _straight(self) -> CarriedTrajectory | Array | None:
-        """Return the proven straight move, else its end posture (n,), else None."""
         end = None
         try:
             curve = _continued(self._hands, self._path, self._q_start)

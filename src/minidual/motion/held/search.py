@@ -189,7 +189,6 @@ def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Genera
 
 
 def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
-    """Grow straight to an object pose; return the index there, or None."""
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
         point = tree.points[current]
@@ -202,7 +201,6 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
 
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
-    """Grow towards z; return the index where they meet, or None."""
     current = int(np.argmin(space.distance(z, tree.points)))
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])

@@ -55,6 +55,5 @@ def _gap(deploy: Verdict | None) -> dict[str, float] | None:
 
 
 def _at_its_best(check: Check) -> bool:
-    """Return whether a passed check cannot have a margin."""
     share = not check.unit and check.limit is not None and 0.0 < check.limit <= 1.0
     return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)

@@ -62,7 +62,6 @@ class Figure:
 
 @contextmanager
 def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any, Any, io.StringIO]]:
-    """Yield (figure, axes, svg) with a row per name; svg has its text after the block."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Canvas(figsize=(_WIDTH_IN, 0.95 + 0.47 * height), layout="constrained")
         figure.patch.set_alpha(0.0)

@@ -300,7 +300,6 @@ def command_latency(rig: Rig, *, repeats_n: int = 100) -> CommandLatency:
 
 
 def _steps_until_torque(rig: Rig) -> int:
-    """Return the steps to a torque response; three periods if none."""
     changed_nm = _CHANGED_SHARE * rig.supervisor.bounds.tau_step
     for count in range(1, 3 * rig.period + 1):
         before = rig.stack.applied.copy()

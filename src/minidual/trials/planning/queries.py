@@ -131,7 +131,6 @@ class QueryGenerator:
     def _configuration(
         self, rng: np.random.Generator, engine: MujocoEngine, q_base: Array, arms: tuple[str, ...], crossed: bool
     ) -> Array | None:
-        """Return a free configuration, `crossed` with the hands on the other's side, or None."""
         for _ in range(_POSE_TRIES_N):
             q = np.array(q_base)
             for arm in arms:
@@ -174,7 +173,6 @@ def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[fro
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    """`touched`: contacts along the straight line."""
     mine = tuple(f"{arm}_" for arm in arms)
     theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")
