@@ -15,7 +15,7 @@ class AugmentConfig(StrictModel):
     photometric: bool = True
     geometric: bool = True
     things: bool = False
-    """Whether things are painted into pictures; against distractors, not yet measured."""
+    """Whether things are painted into pictures, against distractors."""
     light_log: tuple[_Log, _Log] = (-0.6, 0.5)
     """Range of the logarithm of the light."""
     channel_gain_log: float = Field(default=0.25, ge=0.0, le=2.0)
