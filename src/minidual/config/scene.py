@@ -72,7 +72,7 @@ class ObjectConfig(StrictModel):
 
     @property
     def solids(self) -> tuple[PartConfig, ...]:
-        """Every part, the only one with mass first."""
+        """The part with mass, then `parts`."""
         x = z = 2.0 * self.radius_m
         if self.shape == "box":
             x, z = self.width_m, self.height_m

@@ -48,7 +48,6 @@ def thing_of(body: ObjectConfig) -> Thing:
 
 
 def _corners(part: PartConfig) -> Array:
-    """Return the corners (n, 3) [m] of a part, or of a prism round it."""
     if part.shape == "box":
         ring = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
     else:

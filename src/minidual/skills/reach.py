@@ -19,7 +19,7 @@ class GraspUnreachableError(MinidualError):
 
 
 def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m: float) -> Array:
-    """Return `grasp_posture` from home or, where that fails or slows a carry down, the one nearest to home."""
+    """Return `grasp_posture` from home or, near a singularity, the posture nearest to home."""
     kinematics = Kinematics(robot)
     try:
         over = grasp_posture(scene, robot, T_world_level, robot.home, above_m=above_m)
