@@ -12,13 +12,15 @@ from minidual.collision.shapes import Mesh
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.control.object_controller import SLOW_AT
+from minidual.motion.api import Planner
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
-from minidual.skills.cycle import thing_of
+from minidual.skills.cycle import pose_of, solve, thing_of
+from minidual.skills.pipeline.state import State
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
 from minidual.tasks.judge import begin
 from minidual.tasks.rod_carry import level_pose, placement, tilt_rad
@@ -150,6 +152,19 @@ def test_the_plate_stands_at_the_goal_of_the_trial(world: World) -> None:
 def test_an_object_that_no_hand_can_hold_is_refused(values: dict[str, object], told: str) -> None:
     with pytest.raises(ValidationError, match=told):
         ObjectConfig.model_validate(POT.model_dump() | values)
+
+
+def test_a_planned_lift_carries_all_parts_to_the_goal() -> None:
+    draw = DRAWS[0]
+    start = State(DUAL_PANDA.home, {"pot": pose_of(POT, draw.start["pot"])})
+    solution = solve(TASK, draw, start, Planner())
+    carry = next(segment for segment in solution.segments if segment.phase == "carry")
+    (held,) = carry.scene.attached
+    assert held.shape.pieces == thing_of(POT).shape.pieces
+    assert carry.verification is not None
+    goal = pose_of(POT, draw.goal["pot"])
+    hands = zip(SIDES, Kinematics(DUAL_PANDA).tcp_poses(carry.trajectory.q[-1]), strict=True)
+    assert all(np.allclose(T, goal @ TASK.objects["pot"].grasps[side], atol=1e-3) for side, T in hands)
 
 
 def test_the_pot_is_lifted_under_object_impedance_and_put_on_the_plate() -> None:
