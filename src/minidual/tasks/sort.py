@@ -82,7 +82,6 @@ def sort(config: Config) -> Task:
 
 
 def _bin(colour: str) -> tuple[MarkConfig, MarkConfig]:
-    """Return the bin's rim and its floor."""
     x, y = _BIN_XY_M
     xy_m, (along_x, along_y) = (x, _WAY[SIDE_OF[colour]] * y), _BIN_M
     r, g, b, _ = (0.6 * c + 0.4 for c in COLOURS[colour])
@@ -131,7 +130,7 @@ def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition
     def each(make: type[success.OfObject], *values: float | bool) -> success.Each:
         return success.Each([make(name, *values) for name in task.objects])
 
-    inside = [Inside(name, marks[bin_of(name)], placement(trial.goal[name])[:2]) for name in task.objects]
+    inside = [_Inside(name, marks[bin_of(name)], placement(trial.goal[name])[:2]) for name in task.objects]
     released, at_rest = each(success.Released), each(success.AtRest, asked.rest_speed_m_per_s)
     ends = list(zip(inside, released.parts, at_rest.parts, strict=True))
     return (
@@ -142,21 +141,18 @@ def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition
         success.Each(inside),
         released,
         at_rest,
-        *(Placed(count + 1, ends) for count in range(len(ends))),
+        *(_Placed(count + 1, ends) for count in range(len(ends))),
         success.OnTime(asked.time_limit_s),
     )
 
 
 @dataclass
-class Inside(success.OfObject):
-    """All of the object is above the mark."""
-
+class _Inside(success.OfObject):
     name = "inside"
     mark: MarkConfig
     goal: tuple[float, float]
 
     def holds(self, truth: success.Truth) -> bool:
-        """See `SuccessCondition`."""
         item = truth[self.object]
         (x, y, _), (a, b, _) = item.xyz, item.body.half_sizes_m
         dx, dy = abs(x - self.mark.xy_m[0]), abs(y - self.mark.xy_m[1])
@@ -166,16 +162,14 @@ class Inside(success.OfObject):
         return dx + c * a + s * b <= self.mark.size_m[0] / 2 and dy + s * a + c * b <= self.mark.size_m[1] / 2
 
     def end(self, truth: success.Truth) -> str:
-        """See `SuccessCondition`."""
         x, y, _ = truth[self.object].xyz
         return "" if self.holds(truth) else f"at ({x:.3f}, {y:.3f}) m, not inside the {self.mark.name}"
 
     def measured(self, truth: success.Truth) -> dict[str, float]:
-        """See `SuccessCondition`."""
         return {"goal_error_m": truth[self.object].distance_m(self.goal)}
 
 
-class Placed(success.SuccessCondition):
+class _Placed(success.SuccessCondition):
     """Stage: so many objects meet their final conditions."""
 
     stage = True
@@ -185,14 +179,11 @@ class Placed(success.SuccessCondition):
         self._count, self._ends = count, ends
 
     def reached(self, truth: success.Truth) -> bool:
-        """See `SuccessCondition`."""
         return sum(all(part.holds(truth) for part in parts) for parts in self._ends) >= self._count
 
 
 @dataclass(frozen=True)
 class _Job:
-    """One arm brings one cube to one of several places."""
-
     name: str
     arm: str
     y_from: float
@@ -201,7 +192,7 @@ class _Job:
 
 
 def arrange(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
-    """Yield the steps with both arms at once where they keep apart, then with one arm at a time."""
+    """Yield the steps with both arms at once where they keep apart, then one at a time."""
     for at_once in (True, False):
         yield tuple(_steps(task, trial, poses, at_once))
 
@@ -238,7 +229,7 @@ def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job |
 
 
 def _worth(pair: tuple[_Job | None, _Job | None], at_once: bool) -> tuple[int, int]:
-    """Return the numbers of jobs (-1: the arms would come too close) and of passes."""
+    """Return the numbers of jobs (-1: too close) and of passes."""
     left, right = pair
     passes = sum(job.passes for job in pair if job is not None)
     if left is None or right is None:
