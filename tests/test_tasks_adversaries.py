@@ -80,7 +80,6 @@ class Script:
         self.start, self.goal = (placement(place[self.name]) for place in (self.trial.start, self.trial.goal))
         self.now = np.array([*self.start[:2], 0.0, self.start[2]])  # x, y, height, yaw
         self.hand_over = self.task.name == "handover"
-        self.turn_rad = np.radians(43.0 if self.hand_over else 86.0)  # a square bottle looks alike four times a turn
         self.rests = self.task.scene.objects[self.name].rest_height_m - 1e-4  # sunk in: a contact with the table
         self.go(NONE, steps=2)
 
@@ -182,16 +181,16 @@ def thrown(s: Script) -> None:
     s.go(NONE, xy=s.goal[:2], yaw=s.goal[2])
 
 
-def turned(s: Script) -> None:
+def turned_86_degrees(s: Script) -> None:
     s.lift()
-    s.transport(yaw=s.goal[2] + s.turn_rad)
+    s.transport(yaw=s.goal[2] + np.radians(86.0))
 
 
 def turned_after_its_release(s: Script) -> None:
     s.lift()
     s.transport()
     s.release()
-    s.go(yaw=s.goal[2] + s.turn_rad)
+    s.go(yaw=s.goal[2] + np.radians(86.0))
 
 
 def dropped_near_the_goal(s: Script) -> None:
@@ -233,14 +232,14 @@ CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
     dragged: ("carried", "carried"),
     dragged_then_lifted_at_the_goal: ("carried", "carried"),
     thrown: ("held", "held"),
-    turned: ("turned", "turned"),
-    turned_after_its_release: ("turned", "turned"),
+    turned_86_degrees: ("turned", ""),
+    turned_after_its_release: ("turned", ""),
     dropped_near_the_goal: ("held", "held"),
     one_arm_alone: ("held", "exchanged"),
     beside_the_goal: ("arrived", "arrived"),
     pushed_the_last_four_centimetres: ("held", "held"),
 }
-"""The first failure of a carry by both hands, and of a handover."""
+"""The first failure of a carry by both hands, and of a handover, where the yaw of the bottle is free."""
 
 
 def test_with_one_arm_frozen_no_draw_of_a_handover_succeeds() -> None:
@@ -270,8 +269,10 @@ def test_a_scripted_cheat_is_refused(name: str, cheat: Callable[[Script], None])
     cheat(script)
     script.release()
     outcome = script.end()
-    assert not outcome.success
     failure = CHEATS[cheat][script.hand_over]
+    assert outcome.success == (not failure)
+    if outcome.success:
+        return
     assert failure in failures(outcome)
     assert first(outcome) in {failure, "clear"}, outcome.failures  # a long board meets the obstacle first
 

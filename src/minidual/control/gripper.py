@@ -24,7 +24,7 @@ _NEAR = 0.9
 _LOST, _LOST_S = 0.5, 0.004
 """Below this share for this long, a grip is lost."""
 _NOTHING_M = 0.002
-"""Fingers nearer to the middle have closed on nothing."""
+"""Nearer to the middle, fingers have closed on nothing."""
 _SLIPPED_M = 0.0003
 """Fingers that close further have lost the object, or were shaken."""
 

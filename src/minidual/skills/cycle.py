@@ -28,6 +28,7 @@ from minidual.tasks.task import Step, Task, Trial
 
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
 _PRISM = 16  # sides of the prism round a cylinder
+_KEENNESS = 0.5  # where grasps can be chosen, the cheapest of all plans would take too long to find
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
 _PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
@@ -121,7 +122,7 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
             ways = ways or [{hand: task.objects[name].grasps[hand] for hand, name in about.items()}]
             grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
             stages.append(Reach(label("approach", hands, names), hands, grips, about))
-    return Pipeline(task.name, stages)
+    return Pipeline(task.name, stages, _KEENNESS if any(step.grasps for step in steps) else 0.0)
 
 
 def solve(task: Task, trial: Trial, start: State, planner: Planner, seed: int = 0, gap: Gap | None = None) -> Solution:

@@ -1,6 +1,6 @@
 """Phases of handling an object and their parameters.
 
-Position-driven phases are planned and timed; force-driven phases use object impedance and felt contact.
+Position-driven phases are planned and timed; force-driven ones use object impedance.
 """
 
 from dataclasses import dataclass

@@ -1,5 +1,6 @@
-"""Handover: one hand fetches a bottle, the other takes it in the air. Either may give: the one on the bottle's side."""
+"""Handover: the hand on the bottle's side fetches it, the other takes it in the air."""
 
+import itertools
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -25,19 +26,22 @@ _BOTTLE: dict[str, Any] = {
     "grasp_offset_m": 0.07,
     "colour": (0.16, 0.45, 0.36, 1.0),
 }
-_QUARTERS = tuple(rot_z(k * np.pi / 2.0) for k in (0, 3, 1, 2))
-"""Turns after which the bottle looks the same."""
 _MEETINGS = tuple(
     pose(rot_z(yaw), xyz)
-    for z, yaw in ((0.30, 0.1), (0.36, 0.1), (0.30, 0.6), (0.30, -0.4))
-    for xyz in ((0.56, -0.03, z), (0.56, -0.10, z), (0.60, -0.05, z), (0.50, 0.04, z))
+    for xyz, yaw in itertools.product(
+        ((0.56, -0.03, 0.30), (0.50, 0.0, 0.36), (0.52, -0.12, 0.36), (0.56, -0.10, 0.30)), (0.1, 0.4, -0.2)
+    )
 )
-"""Exchange poses where the left hand gives; the bottle's x axis points to the right hand."""
+"""Exchange poses if the left hand gives."""
 _ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
-"""Where the giver sets the bottle down for another grasp."""
+"""Places on the table for another grasp."""
 _DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Hand pointing along the bottle's x axis, closing along y."""
+"""Hand pointing along the bottle's x axis, closing along y: across the giver's fingers, which else give way."""
+_HEIGHTS_M = (0.0, -0.04)
+"""Of the taker's grasps."""
+_TURNS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2)
+"""Of the bottle at its goal, where its yaw is free [rad]."""
 _ACROSS = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -60,12 +64,11 @@ def handover(config: Config) -> Task:
         },
     )
     body = config.scene.object
-    above, beside = (pose(R, (0.0, 0.0, z)) for R, z in ((_DOWN, body.grasp_offset_m), (_FROM_THE_SIDE, 0.0)))
     return Task(
         name="handover",
         instruction=f"Take the {body.name} with the nearer hand, pass it to the other one and stand it on the green mark.",
         config=config,
-        objects={body.name: TaskObject(body, {"left": above, "right": beside}, symmetry=len(_QUARTERS))},
+        objects={body.name: TaskObject(body, symmetry=4)},
         steps=(),
         success=handed_over,
         draw=draw_either_way,
@@ -77,7 +80,7 @@ def handover(config: Config) -> Task:
 def draw_either_way(
     task: Task, rng: np.random.Generator, widen: float = 1.0
 ) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
-    """Draw start and goal; a share of the trials is mirrored."""
+    """Draw start and goal, mirrored in a share of the trials."""
     drawn = draw_on_table(task, rng, widen)
     if rng.uniform() >= task.scene.task.mirrored_share:
         return drawn
@@ -86,7 +89,7 @@ def draw_either_way(
 
 
 def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
-    """Yield the steps in which the hand on the bottle's side gives; then those in which it first grasps anew."""
+    """Yield the steps; then those in which the giver first sets the bottle down to grasp it anew."""
     name, body = task.carried, task.scene.object
     to_the_right = bool(seen[name][1, 3] > 0.0)
     (giver,), (taker,) = (SIDES[:1], SIDES[1:]) if to_the_right else (SIDES[1:], SIDES[:1])
@@ -94,10 +97,10 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
     def sided(Ts: tuple[Array, ...]) -> tuple[Array, ...]:
         return Ts if to_the_right else tuple(_ACROSS @ T @ _ACROSS for T in Ts)
 
-    above = tuple(pose(turn @ _DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in _QUARTERS)
-    beside = tuple(pose(turn @ _FROM_THE_SIDE, (0.0, 0.0, z)) for z in (0.0, -0.04) for turn in _QUARTERS)
+    above = tuple(pose(rot_z(turn) @ _DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (0.0, np.pi))
+    beside = tuple(pose(_FROM_THE_SIDE, (0.0, 0.0, z)) for z in _HEIGHTS_M)
     x, y, yaw = placement(trial.goal[name])
-    goal = tuple(pose(rot_z(yaw) @ turn, (x, y, body.rest_height_m)) for turn in _QUARTERS)
+    goal = tuple(pose(rot_z(yaw + turn), (x, y, body.rest_height_m)) for turn in _TURNS)
 
     def grasp(hand: str, grasps: tuple[Array, ...]) -> tuple[Step, ...]:
         return Step("approach", (hand,), grasps=grasps), Step("descend", (hand,)), Step("close", (hand,))
@@ -121,7 +124,8 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
 
 
 def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
-    """Return the conditions."""
-    level, held, carried, rose, *rest = transported(task, trial, both=False)
+    """Return the conditions; the yaw of a bottle does not matter."""
+    found = (c for c in transported(task, trial, both=False) if not isinstance(c, success.Turned))
+    level, held, carried, rose, *rest = found
     exchanged = success.Exchanged(task.carried, task.scene.task.pinch_min_n)
     return level, held, carried, rose, exchanged, *rest

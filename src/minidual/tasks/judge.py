@@ -12,7 +12,7 @@ from minidual.tasks.success import SuccessCondition, Truth
 from minidual.tasks.task import Task, Trial
 
 REST_S = 0.1
-"""Conditions must hold this long: an object let go above the table is at rest for an instant too."""
+"""Conditions must hold this long: an object let go in the air rests for an instant too."""
 
 
 @dataclass(frozen=True)

@@ -51,10 +51,10 @@ class Step:
     """One step of a plan.
 
     Attributes:
-        phase: Row of the phase table (minidual.skills).
+        phase: Row of minidual.skills.phases.
         objects: One for all hands or one a hand; empty for the task's first.
         places: Target poses (4, 4) of the object, or {object: pose}, preferred first; empty for the trial's goals.
-        grasps: T_object_tcp (4, 4) of an approaching hand, preferred first; empty for the object's.
+        grasps: T_object_tcp (4, 4) of the hand, preferred first; empty for the object's.
     """
 
     phase: str
@@ -129,7 +129,7 @@ def make_task(config: Config) -> Task:
 
 
 def tasks_of(config: Config) -> dict[str, Task]:
-    """Return the benchmark's tasks by name.
+    """Return the benchmark's tasks.
 
     Raises:
         UsageError: Unknown or repeated name.
@@ -144,5 +144,5 @@ def task_config(config: Config) -> Config:
 
 
 def benchmark_config(config: Config) -> Config:
-    """Return `task_config`; with tasks of its own, a benchmark resolves each when it runs."""
+    """Return `task_config`; several tasks are resolved when they run."""
     return config if config.benchmark.tasks else task_config(config)

@@ -21,8 +21,8 @@ class BenchmarkCell:
     """One method under one condition.
 
     Attributes:
-        summary: None where the condition does not apply, or the method cannot do the task.
-        undisturbed: Trials that succeeded without their push or move having taken place.
+        summary: None where condition or method do not apply.
+        undisturbed: Trials that succeeded without their push or move.
     """
 
     method: str

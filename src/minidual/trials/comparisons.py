@@ -22,7 +22,7 @@ _Starts = dict[int, TrialMetrics]
 
 
 def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
-    """Compare each pair of methods per condition; the order of `trials` does not matter."""
+    """Compare each pair of methods per condition."""
     rows: list[dict[str, Cell]] = []
     methods = dict.fromkeys(t.method for t in trials)
     for condition in dict.fromkeys(t.condition for t in trials):

@@ -1,7 +1,7 @@
 """Table of methods.
 
-A method drives a world through one trial: `step()` until `done`. It does not read the truth. Other
-distributions add rows (docs/howto-method.md).
+A method drives a world through one trial: `step()` until `done`, without reading the truth. Others add rows
+(docs/howto-method.md).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 
 @dataclass(frozen=True)
 class MethodInputs:
-    """Inputs of a factory; `trained` is the checkpoint's task, empty for the configured one."""
+    """Inputs of a factory; `trained`: the checkpoint's task, empty for the configured one."""
 
     config: Config
     seed: int
@@ -75,9 +75,9 @@ class MethodSpec:
     """One row of the table.
 
     Attributes:
-        target: Function or `module:function` that loads what trials share and returns a `Factory`.
+        target: Function or `module:function` that returns a `Factory`.
         needs_images: Whether to compile visual meshes.
-        demands: Optional conditions of success that its trials must meet.
+        demands: Optional conditions of success that it must meet.
         senses: Rows of SENSES that it reads.
         cannot: (task, trained) -> why it cannot do a task, or "".
     """

@@ -31,14 +31,14 @@ class TrialMetrics:
         failure: First violated condition, empty on success.
         reason: The violation with numbers.
         failed_at_s: NaN on success.
-        duration_s: Start to released and at rest; NaN without success.
-        torque_ratio_max: Largest |torque| / limit over joints and time.
+        duration_s: Start to rest; NaN without success.
+        torque_ratio_max: Largest |torque| / limit.
         jerk_rms: Low-passed; NaN if too short.
         path_length_m: Mean of both hands.
-        internal_force_min_n, pinch_force_min_n: Minimum while the object is off the table.
+        internal_force_min_n, pinch_force_min_n: Off the table.
         goal_error_m: At the end.
         aborted: Why the method stopped itself.
-        disturbed: Whether the push or move took place; None if the condition has none.
+        disturbed: Whether the push or move took place; None without.
     """
 
     method: str

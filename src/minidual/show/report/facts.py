@@ -16,9 +16,9 @@ class Facts:
     """The analysis.
 
     Attributes:
-        gap: Success of the policy on held-out starts with 95 % interval, and on training starts.
-        margins: Stage, check and margin as a share of its limit, thinnest first.
-        at_best_n: Passed checks at their best value, without margin.
+        gap: Success of the policy on held-out starts, with 95 % interval, and on training starts.
+        margins: Stage, check and share of its limit, thinnest first.
+        at_best_n: Passed checks at their best value.
     """
 
     gap: dict[str, float] | None

@@ -48,7 +48,7 @@ def not_passing(given: StageContext) -> list[str]:
 
 @dataclass(frozen=True)
 class Report:
-    """Content of the page; `given` is the input of its stage, tables and figures are by task."""
+    """Content of the page, by task; `given` is the stage's input."""
 
     given: StageContext
     tables: Mapping[str, Tables]

@@ -109,8 +109,8 @@ class Tables:
     """Methods by conditions of one task, the undisturbed row first.
 
     Attributes:
-        pairs: Undisturbed pairs of methods.
-        partings: Disturbed pairs with a significant difference.
+        pairs: Undisturbed.
+        partings: Disturbed, with a significant difference.
     """
 
     rows: tuple[Row, ...]
@@ -154,7 +154,7 @@ def corrected(rows: Sequence[Pair]) -> list[Pair]:
 def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any]) -> Tables:
     """Return the table of required `methods` and `conditions`; CLEAN is always included.
 
-    `data` is the task's part of the benchmark's verdict.
+    `data`: see `benchmark_data`.
     """
     records = {CLEAN: ("nothing disturbs the trial", data.get("methods", {}))}
     for name in (name for name in conditions if name != CLEAN):

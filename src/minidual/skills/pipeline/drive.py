@@ -16,14 +16,14 @@ from minidual.skills.pipeline.state import Segment
 SOURCE = "moveit"
 """Arbiter source of pre-planned motions."""
 _FEEL_S = 1.0
-"""A hand that is to keep an object must feel it within this time."""
+"""Longest wait for a grip."""
 
 
 class Drive:
     """Proposes each segment when the last has ended; call `step` until `done`.
 
-    The arms must be at the first segment's start. A hand opens in the air only when the other one feels the object.
-    `aborted` says why it stopped early.
+    The arms must be at the first start. A hand opens in the air only when the other one feels the object. `aborted` says
+    why it stopped early.
     """
 
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
@@ -84,7 +84,7 @@ class Drive:
             self._abort(f"{refused.name}: {refused.detail}")
 
     def _felt(self, segment: Segment) -> bool:
-        """Return whether the hands that are to keep the object feel it; too long without is a fault."""
+        """Return whether the keeping hands feel the object; too long without is a fault."""
         unfelt = [hand for hand in segment.kept_by if not self.stack.grippers.holds(SIDES.index(hand))]
         now_s = self.stack.plant.time
         if unfelt and now_s - self._ended_s > _FEEL_S:

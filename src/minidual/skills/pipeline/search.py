@@ -112,14 +112,14 @@ class _Node:
 
 
 class Pipeline:
-    """Stages in time order.
+    """Stages in time order; a stage further is worth `keenness` of cost.
 
     Raises:
         UsageError: No stages, or duplicate names.
     """
 
-    def __init__(self, name: str, stages: Sequence[Stage]) -> None:
-        self.name, self.stages = name, tuple(stages)
+    def __init__(self, name: str, stages: Sequence[Stage], keenness: float = 0.0) -> None:
+        self.name, self.stages, self._keenness = name, tuple(stages), keenness
         names = [stage.name for stage in stages]
         if not names:
             raise UsageError(f"the task '{name}' has no stage")
@@ -138,7 +138,8 @@ class Pipeline:
         heap: list[tuple[float, int, int, _Node]] = []
 
         def push(node: _Node) -> None:
-            heapq.heappush(heap, (node.cost, -len(node.done), next(ticket), node))
+            depth = len(node.done)
+            heapq.heappush(heap, (node.cost - self._keenness * depth, -depth, next(ticket), node))
 
         push(_Node((), 0.0, self.stages[0].offers(start, tools)))
         while heap:

@@ -59,7 +59,7 @@ class Segment:
 
     Attributes:
         scene, verification: Of the proof; None without motion.
-        kept_by: Hands that must feel the object before it begins.
+        kept_by: Hands that must feel the object first.
     """
 
     phase: str
