@@ -52,15 +52,9 @@ def find_way(query: Query) -> Array | None:
     engines = SceneEngines(query.scene)
     for attempt, (padding, step) in enumerate(_ROUNDS):
         checker = EdgeChecker(engines, padding, (query.q_start, query.q_goal), step)
-        path = search(
-            checker,
-            query.q_start,
-            query.q_goal,
-            ROBOT.groups[query.group],
-            seed=subseed(query.seed, "witness/search", attempt),
-            checks_max=_CHECKS_N,
-            deadline=time.perf_counter() + _DEADLINE_S,
-        )
+        checker.allow(_CHECKS_N, time.perf_counter() + _DEADLINE_S)
+        ends, seed = np.array([query.q_start, query.q_goal]), subseed(query.seed, "witness/search", attempt)
+        path = search(checker, ends, ROBOT.groups[query.group], seed=seed)
         if path is None:
             continue
         path = shortcut(path, checker, stream(query.seed, "witness/shortcut", attempt), 60)

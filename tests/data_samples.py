@@ -62,10 +62,10 @@ def write(path: Path, data: dict[str, Any], *, success: bool = True, fps: float 
 def tick(data: dict[str, Any], k: int) -> dict[str, Any]:
     """Return the arguments of `EpisodeWriter.append` for tick k."""
     values = {key: data[key][k] for key in ("qpos", "action", "gripper", "action_gripper")}
-    values["timestamp"] = data["timestamps"][k]
+    values["timestamps"] = data["timestamps"][k]
     values["images"] = {camera: frames[k] for camera, frames in data["images"].items()}
     if "qvel" in data:
         values["qvel"] = data["qvel"][k]
     if "image_timestamps" in data:
-        values["image_timestamp"] = data["image_timestamps"][k]
+        values["image_timestamps"] = data["image_timestamps"][k]
     return values

@@ -92,8 +92,8 @@ def test_optional_fields_may_be_absent_and_no_camera_is_allowed(tmp_path: Path) 
         ("action", np.full(14, np.nan), "action at tick 1 is NaN"),
         ("gripper", np.array([np.inf, 0]), "observations/gripper at tick 1"),
         ("action_gripper", None, "action_gripper is missing at tick 1"),
-        ("timestamp", 0.5, "timestamps_not_monotonic"),
-        ("timestamp", float("nan"), "timestamps at tick 1 is NaN"),
+        ("timestamps", 0.5, "timestamps_not_monotonic"),
+        ("timestamps", float("nan"), "timestamps at tick 1 is NaN"),
         ("qvel", None, "every tick or on none"),
         ("qpos", "left", "not numeric"),
     ],
@@ -106,6 +106,8 @@ def test_a_bad_tick_is_refused_where_it_happens(tmp_path: Path, field: str, valu
         with pytest.raises(DataError, match=words):
             writer.append(**{**data_samples.tick(data, 1), field: value})
         assert len(writer) == 1
+        with pytest.raises(UsageError, match="no field 'timestamp'; there are action"):
+            writer.append(**data_samples.tick(data, 1), timestamp=0.02)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -174,9 +174,8 @@ def test_search_and_shortening_stay_free(planner, q_start):
     start, goal = space.point(START, q_start), space.point(GOAL, q_goal)
     assert not space.edge_free(start, goal)
     rng = np.random.default_rng(5)
-    path = search_object(
-        space, start, [goal], rng, checks_max=20_000, deadline=time.perf_counter() + 60.0, any_posture=False
-    )
+    checker.allow(20_000, time.perf_counter() + 60.0)
+    path = search_object(space, start, [goal], rng, any_posture=False)
     assert path is not None
     assert np.array_equal(path[0], start)
     assert np.array_equal(path[-1], goal)
@@ -190,7 +189,8 @@ def test_search_and_shortening_stay_free(planner, q_start):
         assert space.edge_free(a, b)
     for z in short:
         assert max(hands.strays(z[Q][None], space.chart.pose(z[X])[None])) < 1e-7
-    refused = search_object(space, start, [goal], rng, checks_max=5, deadline=time.perf_counter() + 60.0)
+    checker.allow(5, time.perf_counter() + 60.0)
+    refused = search_object(space, start, [goal], rng)
     assert refused is None
 
 

@@ -143,16 +143,8 @@ def test_ompl_plans_on_the_manifold(constraint, q_held, move, space):
     engine = SceneEngines(scene)
     for seed in (1, 2):
         checker = EdgeChecker(engine, 0.0, (q_held, q_goal), 0.03)
-        path = search_manifold(
-            constraint,
-            checker,
-            q_held,
-            q_goal,
-            space=space,
-            seed=seed,
-            checks_max=20_000,
-            deadline=time.perf_counter() + 20.0,
-        )
+        checker.allow(20_000, time.perf_counter() + 20.0)
+        path = search_manifold(constraint, checker, q_held, q_goal, space=space, seed=seed)
         assert path is not None
         assert np.abs(path[0] - q_held).max() < 1e-6
         assert np.abs(path[-1] - q_goal).max() < 1e-6
@@ -172,9 +164,8 @@ def test_ompl_gives_up_and_says_so(constraint, q_held, move):
     scene = scene_holding(PlanningScene(obstacles=walls), ROD, HELD, rests_on=())
     engine = SceneEngines(scene)
     checker = EdgeChecker(engine, 0.0, (), 0.03)
-    found = search_manifold(
-        constraint, checker, q_held, q_goal, space="atlas", seed=1, checks_max=300, deadline=time.perf_counter() + 30.0
-    )
+    checker.allow(300, time.perf_counter() + 30.0)
+    found = search_manifold(constraint, checker, q_held, q_goal, space="atlas", seed=1)
     assert found is None
     with pytest.raises(UsageError, match="no constrained space 'tangent'"):
-        search_manifold(constraint, checker, q_held, q_goal, space="tangent", seed=1, checks_max=1, deadline=0.0)
+        search_manifold(constraint, checker, q_held, q_goal, space="tangent", seed=1)

@@ -63,7 +63,8 @@ def test_shortcut_goes_round_what_stands_between():
     left[0], right[0] = 0.8, -0.8
     checker = EdgeChecker(engine, 0.01, (), 0.02)
     assert not checker.edge_free(left, right)
-    path = search(checker, left, right, slice(0, 7), seed=1, checks_max=100_000, deadline=time.perf_counter() + 60.0)
+    checker.allow(100_000, time.perf_counter() + 60.0)
+    path = search(checker, np.array([left, right]), slice(0, 7), seed=1)
     short = shortcut(path, checker, np.random.default_rng(0), 60)
     assert path_length(short) < path_length(path)
     assert np.array_equal(short[[0, -1]], np.array([left, right]))

@@ -117,16 +117,9 @@ def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRo
         engines = planner.engines(query.scene)
         began = time.perf_counter()
         checker = EdgeChecker(engines, 0.0, (), config.edge_step_rad)
-        path = search(
-            checker,
-            query.q_start,
-            query.q_goal,
-            planner.robot.groups[group],
-            range_rad=config.range_rad,
-            seed=query.seed,
-            checks_max=_BARE_CHECKS_N,
-            deadline=began + _BUDGET_S,
-        )
+        checker.allow(_BARE_CHECKS_N, began + _BUDGET_S)
+        ends, joints = np.array([query.q_start, query.q_goal]), planner.robot.groups[group]
+        path = search(checker, ends, joints, seed=query.seed, range_rad=config.range_rad)
         trajectory = None
         if path is not None:
             curve = blended_path(path, checker, config.blend_radius_rad, config.edge_step_rad)

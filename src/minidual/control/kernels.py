@@ -33,8 +33,9 @@ LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
 Vector = tuple[float, float, float]
 Elements = Any
 """A vector of three, as a tuple or an array."""
-_algebra: Any = map(njit, (vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner))
-cross, plus, minus, times, inner = _algebra
+_shared = vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner, vectors.solve_gram
+_algebra: Any = map(njit, _shared)
+cross, plus, minus, times, inner, solve_gram = _algebra
 
 
 @njit
@@ -97,30 +98,6 @@ def hand_motion(J: Array, p: Elements, v: Array, J_hand: Array) -> tuple[Vector,
         alpha = plus(alpha, times(v[j], cross(omega, angular)))
         J_hand[:3, j], J_hand[3:, j] = plus(linear, cross(angular, p)), angular
     return plus(plus(a, cross(alpha, p)), cross(omega, plus(V, cross(omega, p)))), alpha
-
-
-@njit
-def solve_gram(J: Array, y: Array, damping: float) -> bool:
-    """Solve (J J^T + damping) x = y in place by Cholesky factors; return False if J (6, n) lost a rank."""
-    L = np.empty((6, 6))
-    for i in range(6):
-        for j in range(i + 1):
-            s = damping if i == j else 0.0
-            for k in range(J.shape[1]):
-                s += J[i, k] * J[j, k]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j and s <= 0.0:  # NaN goes on: the supervisor must see it
-                return False
-            L[i, j] = math.sqrt(s) if i == j else s / L[j, j]
-            if j < i:
-                y[i] -= L[i, j] * y[j]
-        y[i] /= L[i, i]
-    for i in range(5, -1, -1):
-        for k in range(i + 1, 6):
-            y[i] -= L[k, i] * y[k]
-        y[i] /= L[i, i]
-    return True
 
 
 @njit

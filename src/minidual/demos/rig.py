@@ -205,16 +205,10 @@ class Rig:
 
             def append(k: int, tick: Tick) -> None:
                 seen = tick.observation
-                writer.append(
-                    qpos=seen.q,
-                    qvel=seen.v,
-                    gripper=seen.gripper,
-                    action=tick.action,
-                    action_gripper=tick.action_gripper,
-                    timestamp=seen.time_s,
-                    images=seen.images,
-                    image_timestamp=seen.image_time_s,
-                )
+                sensed = {"qpos": seen.q, "qvel": seen.v, "gripper": seen.gripper}
+                commanded = {"action": tick.action, "action_gripper": tick.action_gripper}
+                stamps = {"timestamps": seen.time_s, "image_timestamps": seen.image_time_s}
+                writer.append(images=seen.images, **sensed, **commanded, **stamps)
 
             try:
                 result = self.lead(trial, append)

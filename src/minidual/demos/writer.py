@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from minidual import durable
 from minidual.demos import checks, schema
 from minidual.demos.schema import EpisodeMeta
-from minidual.errors import DataError, UsageError
+from minidual.errors import DataError, UsageError, unknown_name
 
 
 class _Disk(io.FileIO):
@@ -77,38 +77,31 @@ class EpisodeWriter:
     def __len__(self) -> int:
         return len(self._rows["timestamps"])
 
-    def append(
-        self,
-        *,
-        qpos: ArrayLike,
-        action: ArrayLike,
-        gripper: ArrayLike,
-        action_gripper: ArrayLike,
-        timestamp: float,
-        images: Mapping[str, NDArray[np.uint8]],
-        qvel: ArrayLike | None = None,
-        image_timestamp: float | None = None,
-    ) -> None:
-        """Add one tick, copying arrays.
+    def append(self, *, images: Mapping[str, NDArray[np.uint8]], **values: ArrayLike | None) -> None:
+        """Add one tick, copying arrays; `values` by the names of the schema's fields.
 
-        Shapes and units as in the schema; the first tick fixes n. `images` must hold exactly `meta`'s cameras.
-        Optional values come on every tick or none.
+        The first tick fixes n. `images` must hold exactly `meta`'s cameras. Optional values come on every tick or none.
 
         Raises:
             DataError: Wrong shape or value, or a disk error.
+            UsageError: Unknown field.
         """
         if self._closed:
             raise DataError(f"{self.path.name} is closed; a tick came after commit or abort")
+        for name in values.keys() - self._rows.keys():
+            raise unknown_name("field", name, self._rows)
         tick, times = len(self), self._rows["timestamps"]
-        given = (qpos, qvel, gripper, action, action_gripper, timestamp, image_timestamp)
-        joints_n = len(self._rows["qpos"][0]) if tick else np.size(qpos)
-        row = {f.name: _row(f, value, joints_n, tick) for f, value in zip(schema.FIELDS, given, strict=True)}
+        joints_n = len(self._rows["qpos"][0]) if tick else np.size(values.get("qpos", ()))
+        row: dict[str, Any] = {
+            field.name: _row(field, values.get(field.name), joints_n, tick) for field in schema.FIELDS
+        }
         for field in schema.FIELDS:
             if tick and (row[field.name] is None) == bool(self._rows[field.name]):
                 raise DataError(f"{field.key} at tick {tick}: give it on every tick or on none")
-        if tick and not timestamp > times[-1]:
+        now = row["timestamps"]
+        if tick and not now > times[-1]:
             raise DataError(
-                f"timestamps_not_monotonic: tick {tick} is stamped {timestamp:.6f} s, not after the one before",
+                f"timestamps_not_monotonic: tick {tick} is stamped {now:.6f} s, not after the one before",
                 remedy="stamp ticks with a monotonic clock",
             )
         self._check_images(images, tick)

@@ -204,11 +204,12 @@ class _Work:
         )
 
     def _search(self, goal: Array, checker: EdgeChecker, planner: str, checks_max: int, attempt: int) -> Array | None:
-        if checker.edge_free(self.q_start, goal):
-            return np.array([self.q_start, goal])
+        ends = np.array([self.q_start, goal])
+        if checker.edge_free(*ends):
+            return ends
+        checker.allow(checks_max, self.times.started + self.budget_s)
         joints, seed = self.planner.robot.groups[self.group], subseed(self.seed, "motion/search", attempt)
-        limits = {"range_rad": self.config.range_rad, "deadline": self.times.started + self.budget_s}
-        return search(checker, self.q_start, goal, joints, planner=planner, seed=seed, checks_max=checks_max, **limits)
+        return search(checker, ends, joints, seed=seed, planner=planner, range_rad=self.config.range_rad)
 
     def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array, Verification]:
         trajectory, path = self._timed(path, checker, attempt)

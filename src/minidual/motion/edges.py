@@ -5,6 +5,7 @@ clearance and grows back within `RELAX_RAD` of joint motion.
 """
 
 import math
+import time
 from collections.abc import Sequence
 from functools import cache
 
@@ -53,12 +54,22 @@ class EdgeChecker:
         self.padding_m = padding_m
         self.step_rad = step_rad
         self.checks_n = 0
+        self.checks_end = self.deadline = math.inf
         rows = solids.of_arms(arms)
         near = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in endpoints]
         near = [(q, max(0.0, clearance)) for q, clearance in near if clearance < padding_m]
         tight = np.array([q for q, _ in near]).reshape(len(near), self.robot.dof)
         keep = float(padding_m), tight, _KEEP_FRACTION * np.array([clearance for _, clearance in near]), RELAX_RAD
         self._geometry, self._rest = solids.geometry, (rows, keep, solids.workspace())
+
+    def allow(self, checks_n: int, deadline: float) -> None:
+        """Allow so many more state checks, until `deadline` by time.perf_counter(); a search watches `spent`."""
+        self.checks_end, self.deadline = self.checks_n + checks_n, deadline
+
+    @property
+    def spent(self) -> bool:
+        """Whether what is allowed is used up."""
+        return self.checks_n >= self.checks_end or time.perf_counter() > self.deadline
 
     def free(self, q: Array) -> bool:
         """Return whether q (dof,) keeps the padding."""

@@ -21,8 +21,8 @@ _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
 
 Vector = tuple[float, float, float]
-_algebra: Any = map(njit, (vectors.cross, vectors.inner))
-_cross, _dot = _algebra
+_algebra: Any = map(njit, (vectors.cross, vectors.inner, vectors.solve_gram))
+_cross, _dot, _solve_gram = _algebra
 
 
 @njit
@@ -143,29 +143,6 @@ def _inner(J: Array, i: int, e: Array) -> float:
     return s
 
 
-@njit
-def _solve(J: Array, blocked: Any, damping: float, e: Array, L: Array, y: Array) -> None:
-    """Fill y = (J J^T + damping I)^-1 e without blocked columns; NaN on failure."""
-    for i in range(6):
-        for j in range(i + 1):
-            s = damping if i == j else 0.0
-            for k in range(J.shape[1]):
-                if not blocked[k]:
-                    s += J[i, k] * J[j, k]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            L[i, j] = math.sqrt(s) if i == j else s / L[j, j]
-    for i in range(6):
-        y[i] = e[i]
-        for k in range(i):
-            y[i] -= L[i, k] * y[k]
-        y[i] /= L[i, i]
-    for i in range(5, -1, -1):
-        for k in range(i + 1, 6):
-            y[i] -= L[k, i] * y[k]
-        y[i] /= L[i, i]
-
-
 @kernel(types.void(BLOCKS, VECTOR, ROWS))
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
     """Fill the tcp pose T (4, 4)."""
@@ -191,7 +168,7 @@ def descend(
     Levenberg-Marquardt; joints pushed against a limit stay.
     """
     n, damping = len(q), _DAMPING_FIRST
-    J, L, y, q_new, blocked = np.empty((6, n)), np.zeros((6, 6)), np.empty(6), np.empty(n), np.empty(n, dtype=np.bool_)
+    J, y, q_new = np.empty((6, n)), np.empty(6), np.empty(n)
     now = _measured(frames, target, q)
     cost = np.sum(now[4] ** 2)
     for _ in range(iterations):
@@ -200,13 +177,16 @@ def descend(
         _jacobian(now, J)
         for i in range(n):
             gradient = _inner(J, i, now[4])
-            blocked[i] = (q[i] <= lower[i] and gradient > 0.0) or (q[i] >= upper[i] and gradient < 0.0)
-        if blocked.all():
+            if (q[i] <= lower[i] and gradient > 0.0) or (q[i] >= upper[i] and gradient < 0.0):
+                J[:, i] = 0.0
+        if not J.any():
             break
-        _solve(J, blocked, damping, now[4], L, y)
+        y[:] = now[4]
+        if not _solve_gram(J, y, damping):
+            damping *= _DAMPING_UP
+            continue
         for i in range(n):
-            step = 0.0 if blocked[i] else _inner(J, i, y)
-            q_new[i] = min(max(q[i] - step, lower[i]), upper[i])
+            q_new[i] = min(max(q[i] - _inner(J, i, y), lower[i]), upper[i])
         new = _measured(frames, target, q_new)
         cost_new = np.sum(new[4] ** 2)
         if cost_new < cost:
@@ -229,7 +209,7 @@ def project(
     fail.
     """
     n, wished = len(q), (wish != 0.0).any()
-    J, L, y, step, blocked = np.empty((6, n)), np.zeros((6, 6)), np.empty(6), np.empty(n), np.zeros(n, dtype=np.bool_)
+    J, step = np.empty((6, n)), np.empty(n)
     for _ in range(iterations):
         measured = _measured(frames, target, q)
         e = measured[4]
@@ -239,11 +219,12 @@ def project(
             for k in range(6):
                 for i in range(n):
                     e[k] += J[k, i] * wish[i]
-        _solve(J, blocked, _DAMPING_PROJECT, e, L, y)
+        if not _solve_gram(J, e, _DAMPING_PROJECT):
+            return False
         for i in range(n):
             step[i] = wish[i] if wished else 0.0
             for k in range(6):
-                step[i] -= J[k, i] * y[k]
+                step[i] -= J[k, i] * e[k]
             q[i] += step[i]
         if not np.sum(step**2) < step_max * step_max:  # also true for NaN
             return False

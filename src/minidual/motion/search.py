@@ -4,7 +4,6 @@ Only exact solutions count (`bool(status)` is also true for approximate ones). L
 not depend on the machine.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -47,44 +46,32 @@ def seeded(seed: int) -> None:
     ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
 
-def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool], deadline: float) -> Any:
-    """Return the exact solution between two states, or None if `enough` or the deadline came first."""
+def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool]) -> Any:
+    """Return the exact solution between two states, or None if `enough` came first."""
     definition = ob.ProblemDefinition(worker.getSpaceInformation())
     definition.setStartAndGoalStates(*ends)
     worker.setRange(range_rad)
     worker.setProblemDefinition(definition)
     worker.setup()
-
-    def ended() -> bool:
-        return definition.hasExactSolution() or enough() or time.perf_counter() > deadline
-
-    status = worker.solve(ob.PlannerTerminationCondition(ended))
+    ended = ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough())
+    status = worker.solve(ended)
     return definition.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
 
 
 def search(
-    checker: EdgeChecker,
-    q_start: Array,
-    q_goal: Array,
-    joints: slice,
-    *,
-    planner: str = "rrtconnect",
-    range_rad: float = 1.0,
-    seed: int,
-    checks_max: int,
-    deadline: float,
+    checker: EdgeChecker, ends: Array, joints: slice, *, seed: int, planner: str = "rrtconnect", range_rad: float = 1.0
 ) -> Array | None:
-    """Return a polyline (n, dof) between configurations (dof,), or None.
+    """Return a polyline (n, dof) between configurations (2, dof), or None if the checker's allowance is spent.
 
-    Only `joints` move. `range_rad`: longest tree edge (Euclidean); `deadline`: by time.perf_counter().
+    Only `joints` move. `range_rad`: longest tree edge (Euclidean).
     """
     seeded(seed)
     robot = checker.robot
     si = ob.SpaceInformation(bounded_space(robot.q_lower[joints], robot.q_upper[joints]))
-    indices = range(len(q_start[joints]))
+    indices = range(len(ends[0, joints]))
 
     def full(state: Any) -> Array:
-        q = q_start.copy()
+        q = ends[0].copy()
         q[joints] = [state[i] for i in indices]
         return q
 
@@ -92,10 +79,9 @@ def search(
     si.setStateValidityChecker(lambda state: checker.free(full(state)))
     si.setMotionValidator(motion)
     si.setup()
-    ends: list[Any] = [si.allocState(), si.allocState()]
-    for state, q in zip(ends, (q_start, q_goal), strict=True):
+    states: list[Any] = [si.allocState(), si.allocState()]
+    for state, q in zip(states, ends, strict=True):
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
-    checks_end = checker.checks_n + checks_max
-    path = exact_path(PLANNERS[planner](si), range_rad, ends, lambda: checker.checks_n >= checks_end, deadline)
+    path = exact_path(PLANNERS[planner](si), range_rad, states, lambda: checker.spent)
     return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])

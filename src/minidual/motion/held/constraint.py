@@ -63,19 +63,11 @@ class GraspConstraint(ob.Constraint):
 
 
 def search_manifold(
-    constraint: GraspConstraint,
-    checker: EdgeChecker,
-    q_start: Array,
-    q_goal: Array,
-    *,
-    space: str,
-    seed: int,
-    checks_max: int,
-    deadline: float,
+    constraint: GraspConstraint, checker: EdgeChecker, q_start: Array, q_goal: Array, *, space: str, seed: int
 ) -> Array | None:
     """Return configurations (m, n) on the manifold from start to goal, F below 1e-4 between them, or None.
 
-    Joints stay within 0.7 rad of the ends.
+    Joints stay within 0.7 rad of the ends. Ends when the checker's allowance is spent.
 
     Raises:
         UsageError: Unknown `space`.
@@ -98,13 +90,9 @@ def search_manifold(
         state.copy(np.array(q))
         if space == "atlas":
             states.anchorChart(state)
-    checks_end, calls_end = checker.checks_n + checks_max, constraint.calls_n + _CALLS_A_CHECK * checks_max
-
-    def enough() -> bool:
-        # Most states may fail before the collision check, so constraint calls are limited too.
-        return checker.checks_n >= checks_end or constraint.calls_n >= calls_end
-
-    path = exact_path(og.RRTConnect(si), 1.0, ends, enough, deadline)
+    # Most states may fail before the collision check, so constraint calls are limited too.
+    calls_end = constraint.calls_n + _CALLS_A_CHECK * (checker.checks_end - checker.checks_n)
+    path = exact_path(og.RRTConnect(si), 1.0, ends, lambda: checker.spent or constraint.calls_n >= calls_end)
     if path is None:
         return None
     path.interpolate()

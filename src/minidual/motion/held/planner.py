@@ -306,19 +306,20 @@ class HeldWork:
     def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""
         query, space = self._query, self._space(goals, effort)
-        limits = {"checks_max": effort.checks_n, "deadline": self._deadline}
         if method == "object_rrt":
+            space.checker.allow(effort.checks_n, self._deadline)
             start = space.point(self._T_start, self._q_start)
             ends = [space.point(query.T_world_goal, q) for q in goals]
             rng = stream(query.seed, "held/search", attempt)
-            return search_object(space, start, ends, rng, **limits)
+            return search_object(space, start, ends, rng)
         left, right = self._hands.grasps
         constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
         start, seed = self._hands.solve(self._T_start, self._q_start), subseed(query.seed, "held/manifold", attempt)
         for goal in goals[:_MANIFOLD_GOALS_N]:
             if start is None or time.perf_counter() > self._deadline:
                 break
-            found = search_manifold(constraint, space.checker, start, goal, space=method, seed=seed, **limits)
+            space.checker.allow(effort.checks_n, self._deadline)
+            found = search_manifold(constraint, space.checker, start, goal, space=method, seed=seed)
             if found is not None:
                 points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
                 kept = [z for z in points if z is not None]

@@ -8,7 +8,6 @@ probabilistic roadmap method for closed chain systems", 2000.
 """
 
 import itertools
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -130,27 +129,19 @@ class _Tree:
 
 
 def search_object(
-    space: HeldSpace,
-    start: Array,
-    goals: Sequence[Array],
-    rng: np.random.Generator,
-    *,
-    checks_max: int,
-    deadline: float,
-    any_posture: bool = True,
+    space: HeldSpace, start: Array, goals: Sequence[Array], rng: np.random.Generator, *, any_posture: bool = True
 ) -> Array | None:
-    """Return free points (m, 6 + n) from the start to a goal, joined by free edges, or None.
+    """Return free points (m, 6 + n) from the start to a goal, joined by free edges; None if the allowance is spent.
 
     All goals (6 + n,) have one object pose; `any_posture` accepts other joints there.
     """
     here, there = _Tree([start]), _Tree(goals)
     ends = np.array([start[X], goals[0][X]])
-    enough = space.checker.checks_n + checks_max
     forward, rounds = True, 0
     for goal in goals:
         if space.edge_free(start, goal):
             return np.array([start, goal])
-    while space.checker.checks_n < enough and time.perf_counter() < deadline:
+    while not space.checker.spent:
         # The sampling box grows with time.
         room = min(_ROOM_START_M + _ROOM_GROWTH_M * rounds, _ROOM_MAX_M)
         rounds += 1

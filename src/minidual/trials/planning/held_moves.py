@@ -175,8 +175,8 @@ class HeldMoveGenerator:
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
-            limits = {"checks_max": _WITNESS_CHECKS_N, "deadline": time.perf_counter() + _WITNESS_S}
-            path = search_object(space, space.point(*goal), [space.point(*start)], rng, **limits, any_posture=False)
+            checker.allow(_WITNESS_CHECKS_N, time.perf_counter() + _WITNESS_S)
+            path = search_object(space, space.point(*goal), [space.point(*start)], rng, any_posture=False)
             with suppress(ClosedChainError, TimingError):
                 if path is not None:
                     self._prover.prove(query, path[::-1])
