@@ -20,7 +20,7 @@ from minidual.config.learning import TrainConfig
 from minidual.demos.episode import inspect_episode, read_episode
 from minidual.errors import DataError
 from minidual.policies.demonstrations import load_demonstrations
-from minidual.policies.kinds import POLICIES, load_policy
+from minidual.policies.kinds import POLICIES, Training, load_policy
 from minidual.robot.arms import DUAL_PANDA
 
 lerobot_adapter = late("minidual.demos.lerobot_adapter")
@@ -32,7 +32,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("sound")
     episode = data_samples.write(folder / "e.hdf5", data_samples.arrays(12, cameras=("high",), size=(32, 48)))
     lerobot_adapter.convert([episode], folder / "dataset", DUAL_PANDA)
-    POLICIES["spatial_act"].train(tiny(), TrainConfig(**{**SMALL, "steps": 1}), 0, folder / "checkpoint")
+    POLICIES["spatial_act"].train(Training(tiny(), TrainConfig(**{**SMALL, "steps": 1}), 0), folder / "checkpoint")
     return {"episode": episode, "dataset": folder / "dataset", "checkpoint": folder / "checkpoint"}
 
 

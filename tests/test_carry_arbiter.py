@@ -183,9 +183,7 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
     again.engage(q_hold[0])
     assert len(told) > 2000
     for k, (q, v, state, felt_n) in enumerate(given):
-        tau = again.torque(
-            q, v, state, motion.at(k * world.dt), internal_force_n=40.0, measured_internal_force_n=felt_n
-        )
+        tau = again.torque(q, v, state, motion.at(k * world.dt), wanted_n=40.0, felt_n=felt_n)
         assert np.array_equal(tau, told[k]), f"step {k} of the path"
 
 

@@ -38,7 +38,7 @@ def _law(yaw: float = 0.0) -> tuple[ObjectImpedance, np.ndarray, np.ndarray]:
 def test_at_rest_at_the_goal_the_hands_carry_weight_and_squeeze_alone() -> None:
     law, centre, q = _law()
     state = ObjectState(centre)
-    tau = law.torque(q, np.zeros(14), state, state, internal_force_n=40.0, measured_internal_force_n=40.0)
+    tau = law.torque(q, np.zeros(14), state, state, wanted_n=40.0, felt_n=40.0)
     kinematics = Kinematics()
     J_left, J_right = kinematics.tcp_jacobians(q)
     external = tau - kinematics.gravity(q)
@@ -57,7 +57,7 @@ def test_force_feedback_is_bounded_and_the_ceiling_holds(monkeypatch: pytest.Mon
     state = ObjectState(centre)
 
     def squeeze(wanted: float, measured: float) -> float:
-        tau = law.torque(q, np.zeros(14), state, state, internal_force_n=wanted, measured_internal_force_n=measured)
+        tau = law.torque(q, np.zeros(14), state, state, wanted_n=wanted, felt_n=measured)
         f, *_ = np.linalg.lstsq(J, tau - kinematics.gravity(q), rcond=None)
         return float(f[7])
 
@@ -73,9 +73,7 @@ def test_the_spring_pushes_back_towards_the_wanted_pose() -> None:
     shifted[0, 3] += 0.01
     kinematics = Kinematics()
     J = np.vstack(kinematics.tcp_jacobians(q)).T
-    tau = law.torque(
-        q, np.zeros(14), ObjectState(centre), ObjectState(shifted), internal_force_n=0.0, measured_internal_force_n=0.0
-    )
+    tau = law.torque(q, np.zeros(14), ObjectState(centre), ObjectState(shifted), wanted_n=0.0, felt_n=0.0)
     f, *_ = np.linalg.lstsq(J, tau - kinematics.gravity(q), rcond=None)
     assert np.isclose(f[0] + f[6], 500.0 * 0.01, atol=1e-6)
 
@@ -86,12 +84,7 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object(monkeypatch:
     law, centre, q = _law()
     acceleration = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.4])
     tau = law.torque(
-        q,
-        np.zeros(14),
-        ObjectState(centre),
-        ObjectState(centre, np.zeros(6), acceleration),
-        internal_force_n=0.0,
-        measured_internal_force_n=0.0,
+        q, np.zeros(14), ObjectState(centre), ObjectState(centre, np.zeros(6), acceleration), wanted_n=0.0, felt_n=0.0
     )
     kinematics = Kinematics()
     J_left, J_right = kinematics.tcp_jacobians(q)

@@ -88,12 +88,7 @@ class TestOracle:
             law.engage(case.q_engaged)
             for _ in range(2):  # buffers are reused: the second call must not see the first
                 tau = law.torque(
-                    case.q,
-                    case.v,
-                    case.measured,
-                    case.desired,
-                    internal_force_n=case.wanted_n,
-                    measured_internal_force_n=case.felt_n,
+                    case.q, case.v, case.measured, case.desired, wanted_n=case.wanted_n, felt_n=case.felt_n
                 )
             plain = oracle.torque(
                 kinematics,
@@ -119,14 +114,7 @@ class TestOracle:
         def torque(case: Case, gains: ImpedanceConfig | None = None) -> np.ndarray:
             law = ObjectImpedance(kinematics, case.held, gains or ImpedanceConfig())
             law.engage(case.q_engaged)
-            return law.torque(
-                case.q,
-                case.v,
-                case.measured,
-                case.desired,
-                internal_force_n=case.wanted_n,
-                measured_internal_force_n=case.felt_n,
-            )
+            return law.torque(case.q, case.v, case.measured, case.desired, wanted_n=case.wanted_n, felt_n=case.felt_n)
 
         before = torque(case)
         assert (np.abs(before) < TAU_MAX).all()
@@ -154,9 +142,7 @@ class TestOracle:
         state = ObjectState(pose(np.eye(3), 0.5 * (T_left[:3, 3] + T_right[:3, 3])))
 
         def torque(wanted_n: float, felt_n: float) -> np.ndarray:
-            return law.torque(
-                HOME, np.zeros(DOF), state, state, internal_force_n=wanted_n, measured_internal_force_n=felt_n
-            )
+            return law.torque(HOME, np.zeros(DOF), state, state, wanted_n=wanted_n, felt_n=felt_n)
 
         assert np.isfinite(torque(40.0, 40.0)).all()
         assert np.isnan(torque(wanted, felt)).any()
@@ -167,7 +153,7 @@ class TestOracle:
         law._hands.update = lambda *_: law._hands.J.fill(0.0)  # type: ignore[method-assign]
         state = ObjectState(np.eye(4))
         with pytest.raises(SingularPostureError, match="singular") as caught:
-            law.torque(HOME, np.zeros(DOF), state, state, internal_force_n=0.0, measured_internal_force_n=0.0)
+            law.torque(HOME, np.zeros(DOF), state, state, wanted_n=0.0, felt_n=0.0)
         assert caught.value.remedy
 
     @pytest.mark.parametrize("hand", [0, 1])
@@ -225,7 +211,7 @@ class TestGrasp:
         law = ObjectImpedance(kinematics, held, ImpedanceConfig())
         law.engage(q)
         state = ObjectState(T)
-        tau = law.torque(q, np.zeros(DOF), state, state, internal_force_n=30.0, measured_internal_force_n=30.0)
+        tau = law.torque(q, np.zeros(DOF), state, state, wanted_n=30.0, felt_n=30.0)
         J = np.vstack(kinematics.tcp_jacobians(q))
         f = np.linalg.lstsq(J.T, tau - kinematics.gravity(q), rcond=None)[0]
         axis = T[:3, 1]
@@ -249,9 +235,7 @@ class TestHeld:
         world, grippers = held.world, held.grippers()
         for _ in range(steps):
             measured, felt = held.sense()
-            tau = held.law.torque(
-                world.q, world.v, measured, desired, internal_force_n=squeeze_n, measured_internal_force_n=felt
-            )
+            tau = held.law.torque(world.q, world.v, measured, desired, wanted_n=squeeze_n, felt_n=felt)
             world.command(tau, grippers.step(held.gripper))
             world.step()
             yield measured, felt

@@ -28,11 +28,11 @@ from websockets.typing import Subprotocol
 
 from minidual import emergency
 from minidual.cli.app import run_command_line
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.config.view import ViewConfig
 from minidual.control.reflexes import ReflexError
+from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.demos.keyboard import KeyboardLeader
 from minidual.demos.observation import Observer
@@ -174,14 +174,9 @@ def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(world: W
     os.write(keys, b"\x1b[A")  # an arrow is no escape
     leader.read(0.0)
     assert emergency.pressed() == ""
-    session = TeleopSession(
-        world,
-        Kinematics(),
-        Observer(world),
-        TeleopConfig(),
-        ArbiterConfig(),
-        supervisor=Supervisor(dt_s=world.dt, kinematics=Kinematics()),
-    )
+    supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
+    stack = ControlStack(world, Kinematics(), supervisor=supervisor)
+    session = TeleopSession(stack, Observer(world), TeleopConfig())
     seen = []
 
     def press(k: int, tick: object) -> None:

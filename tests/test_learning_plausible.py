@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from panda import HOME, Q_LOWER, Q_UPPER
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.policies.kinds import ChunkPolicy, Image
@@ -39,7 +39,7 @@ class Scripted(ChunkPolicy):
 def _fly(world: World, target: Callable[[int], np.ndarray], picture: Picture, seconds: float = 3.0) -> PolicyPilot:
     runtime = PolicyRuntime(Scripted(target), n_action_steps=CHUNK, blend_ticks=0, limits=(Q_LOWER, Q_UPPER))
     supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
-    pilot = PolicyPilot(world, Kinematics(), runtime, picture, ArbiterConfig(), 50.0, supervisor=supervisor)
+    pilot = PolicyPilot(ControlStack(world, Kinematics(), supervisor=supervisor), runtime, picture)
     while not pilot.done and world.time < seconds:
         pilot.step()
     return pilot

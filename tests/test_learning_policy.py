@@ -17,7 +17,7 @@ from test_learning_train import SMALL
 
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageError
-from minidual.policies.kinds import POLICIES, ChunkPolicy, Image
+from minidual.policies.kinds import POLICIES, ChunkPolicy, Image, Training
 from minidual.policies.policy import PolicyRuntime
 
 torch, tensor_files = late("torch"), late("safetensors.torch")
@@ -53,7 +53,7 @@ def first(runtime: PolicyRuntime, ticks: int) -> list[float]:
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policy") / "checkpoint"
-    POLICIES["spatial_act"].train(tiny(), TrainConfig(**SMALL), 0, folder)
+    POLICIES["spatial_act"].train(Training(tiny(), TrainConfig(**SMALL), 0), folder)
     return folder
 
 

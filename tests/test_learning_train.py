@@ -17,7 +17,7 @@ from test_learning_demonstrations import tiny
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import POLICIES
+from minidual.policies.kinds import POLICIES, Training
 from minidual.policies.records import TrainResult, draw_loss, write_loss_csv
 
 torch, act, tensor_files = late("torch"), late("minidual.policies.act"), late("safetensors.torch")
@@ -38,8 +38,8 @@ SMALL = {
 }
 
 
-def train(demos: Demonstrations, config: TrainConfig, *args: Any, **options: Any) -> TrainResult:
-    return POLICIES[config.policy].train(demos, config, *args, **options)
+def train(demos: Demonstrations, config: TrainConfig, seed: int, folder: Path, **options: Any) -> TrainResult:
+    return POLICIES[config.policy].train(Training(demos, config, seed, **options), folder)
 
 
 @pytest.fixture(scope="module")

@@ -255,7 +255,7 @@ class Watching:
 
 def test_a_view_plays_the_plan_and_ends(scene, swing):
     view = Watching(10_000)
-    play(view, scene, PlanningScene(), swing, "a title", rounds_n=1)
+    play(view, Poser(scene, PlanningScene()), swing, "a title", rounds_n=1)
     assert view.opened == 1
     times = [t for t, _, _ in view.seen]
     assert times == sorted(times)
@@ -265,7 +265,7 @@ def test_a_view_plays_the_plan_and_ends(scene, swing):
     ghost = view.seen[0][2].preview.ghosts[0]
     assert np.abs(ghost - view.seen[-1][1]).max() < 1e-12  # it shows where the plan ends
     closed = Watching(5)
-    play(closed, scene, PlanningScene(), swing, "", rounds_n=None)
+    play(closed, Poser(scene, PlanningScene()), swing, "", rounds_n=None)
     assert len(closed.seen) == 5
 
 

@@ -10,7 +10,6 @@ import pytest
 from carry_trials import carry_task, sample_trial
 from panda import HOME
 
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.root import Config
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
@@ -75,15 +74,8 @@ def _steps(method: Any, limit: int) -> int:
 def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config: SupervisorConfig, reflex: str) -> None:
     runtime: Any = Still(0.3)
     supervisor = trial_supervisor(config, world.dt, DUAL_PANDA)
-    pilot = PolicyPilot(
-        world,
-        Kinematics(),
-        runtime,
-        lambda name: (np.zeros((1, 1, 3), np.uint8), world.time),
-        ArbiterConfig(),
-        50.0,
-        supervisor=supervisor,
-    )
+    stack = ControlStack(world, Kinematics(), supervisor=supervisor)
+    pilot = PolicyPilot(stack, runtime, lambda name: (np.zeros((1, 1, 3), np.uint8), world.time))
     _steps(pilot, 400)
     assert (pilot.aborted is not None) == bool(reflex)
     if reflex:
@@ -121,14 +113,8 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: W
 @pytest.mark.parametrize(("config", "ended_by"), [(FRAIL, "reflex"), (SupervisorConfig(), "leader")])
 def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, ended_by: str) -> None:
     trial = sample_trial(world.scene, SEED, "demonstrations", 0)
-    session = TeleopSession(
-        world,
-        Kinematics(),
-        Observer(world),
-        TeleopConfig(),
-        ArbiterConfig(),
-        supervisor=trial_supervisor(config, world.dt, DUAL_PANDA),
-    )
+    stack = ControlStack(world, Kinematics(), supervisor=trial_supervisor(config, world.dt, DUAL_PANDA))
+    session = TeleopSession(stack, Observer(world), TeleopConfig())
     result = session.run(
         carry_task(world.scene), trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED))
     )

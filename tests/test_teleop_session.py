@@ -10,9 +10,9 @@ import pytest
 from carry_trials import carry_task, sample_trial
 from panda import HOME
 
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import TeleopConfig
 from minidual.control.loop import JointLoop
+from minidual.control.stack import ControlStack
 from minidual.demos.leader import ScriptedLeader
 from minidual.demos.observation import Observer
 from minidual.demos.session import SessionResult, TeleopSession, Tick
@@ -26,7 +26,8 @@ SEED = 7
 
 
 def _session(world: World, **teleop: float) -> TeleopSession:
-    return TeleopSession(world, Kinematics(), Observer(world), TeleopConfig(**teleop), ArbiterConfig())
+    config = TeleopConfig(**teleop)
+    return TeleopSession(ControlStack(world, Kinematics(), rate_hz=config.rate_hz), Observer(world), config)
 
 
 def _run(session: TeleopSession, index: int, length: int | None = None) -> tuple[SessionResult, list[Tick]]:

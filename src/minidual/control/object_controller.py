@@ -142,7 +142,7 @@ class ObjectImpedanceController(Controller):
         self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
         measured, felt_n = sensor.read()
         self.reference, self._v, desired = q, v, self.desired or measured
-        return law.torque(q, v, measured, desired, internal_force_n=self._squeeze, measured_internal_force_n=felt_n)
+        return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)
 
     def _ready(self) -> tuple[ObjectImpedance, ObjectSensor]:
         if self._law is None or self._sensor is None:

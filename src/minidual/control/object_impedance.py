@@ -104,26 +104,19 @@ class ObjectImpedance:
         self._law["D"] = 2.0 * self.gains.damping_ratio * np.sqrt(self._law["K"] * moving)
 
     def torque(
-        self,
-        q: Array,
-        v: Array,
-        measured: ObjectState,
-        desired: ObjectState,
-        *,
-        internal_force_n: float,
-        measured_internal_force_n: float,
+        self, q: Array, v: Array, measured: ObjectState, desired: ObjectState, *, wanted_n: float, felt_n: float
     ) -> Array:
         """Return motor torques (n,) [Nm], clipped to the limits.
 
-        The measured internal force must come from the contacts, never from the hands' distance.
+        `wanted_n`, `felt_n`: internal force; it must be felt at the contacts, never computed from the hands' distance.
 
         Raises:
             SingularPostureError: A hand lost a direction of motion.
         """
         gains, hands = self.gains, self._hands
         limit = gains.force_correction_max_n
-        correction = within(gains.force_gain * (internal_force_n - measured_internal_force_n), -limit, limit)
-        squeeze = within(internal_force_n + correction, 0.0, SQUEEZE_CEILING_N)
+        correction = within(gains.force_gain * (wanted_n - felt_n), -limit, limit)
+        squeeze = within(wanted_n + correction, 0.0, SQUEEZE_CEILING_N)
         hands.update(q)
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),

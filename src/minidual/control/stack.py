@@ -67,8 +67,9 @@ class ControlStack[P: Plant]:
         self._config = ArbiterConfig() if config is None else config
         self._speed = self._config.speed_override
         steps = 1.0 / (rate_hz * plant.dt)
-        self._every = round(steps)
-        if self._every < 1 or abs(steps - self._every) > 1e-6:
+        self.every = round(steps)
+        """Control steps from one regular arbiter tick to the next."""
+        if self.every < 1 or abs(steps - self.every) > 1e-6:
             raise UsageError(
                 f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
@@ -280,7 +281,7 @@ class ControlStack[P: Plant]:
         if self._countdown == 0 or self._due:
             self.arbitrate()
         if self._countdown == 0:
-            self._countdown = self._every
+            self._countdown = self.every
         self._countdown -= 1
         self.advance()
 

@@ -19,6 +19,7 @@ from minidual.config.base import StrictModel
 from minidual.config.seeds import stream
 from minidual.config.supervisor import SupervisorConfig
 from minidual.config.teleop import TeleopConfig
+from minidual.control.stack import ControlStack
 from minidual.demos.checks import Thumbnails, thumbnails
 from minidual.demos.episode import inspect_episode
 from minidual.demos.leader import LEADERS, LeaderSetup
@@ -149,9 +150,9 @@ class Rig:
         self.world = World(job.task.scene, job.robot, visuals=True)
         self.observer = Observer(self.world, cameras)
         supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
-        self.session = TeleopSession(
-            self.world, self.kinematics, self.observer, job.teleop, job.arbiter, supervisor=supervisor
-        )
+        rate_hz = job.teleop.rate_hz
+        stack = ControlStack(self.world, self.kinematics, job.arbiter, rate_hz=rate_hz, supervisor=supervisor)
+        self.session = TeleopSession(stack, self.observer, job.teleop)
         self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
 
     def lead(self, trial: Trial, on_tick: Callable[[int, Tick], None]) -> SessionResult:

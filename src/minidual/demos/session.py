@@ -7,17 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.teleop import MirrorConfig, TeleopConfig
 from minidual.control.commands import ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import Leader
 from minidual.demos.observation import Observation, Observer
 from minidual.errors import MinidualError, UsageError
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.task import Task, Trial
@@ -96,25 +93,10 @@ class SessionResult:
 
 
 class TeleopSession:
-    """Runs episodes in one world; a reflex of `supervisor` ends the episode.
+    """Runs episodes in the stack's world, at its rate; a reflex ends the episode."""
 
-    Raises:
-        UsageError: The rate does not divide the control rate.
-    """
-
-    def __init__(
-        self,
-        world: World,
-        kinematics: Kinematics,
-        observer: Observer,
-        config: TeleopConfig,
-        arbiter: ArbiterConfig,
-        *,
-        supervisor: Supervisor | None = None,
-    ) -> None:
-        self.world, self.observer, self.config = world, observer, config
-        self._steps = round(1.0 / (config.rate_hz * world.dt))
-        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=config.rate_hz, supervisor=supervisor)
+    def __init__(self, stack: ControlStack[World], observer: Observer, config: TeleopConfig) -> None:
+        self.stack, self.world, self.observer, self.config = stack, stack.plant, observer, config
 
     def run(
         self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
@@ -161,7 +143,7 @@ class TeleopSession:
             if out.state == ArbiterState.STOPPED:
                 ended_by = "stopped"
                 break
-            self._move(judge, self._steps - 1)
+            self._move(judge, stack.every - 1)
             if stack.reflex is not None:
                 ended_by = "reflex"
                 break
@@ -174,7 +156,7 @@ class TeleopSession:
     def _hand_over(self, judge: Judge) -> None:
         self.stack.request(SOURCE)
         while (out := self.stack.arbitrate()).switched_to != SOURCE:
-            self._move(judge, self._steps)
+            self._move(judge, self.stack.every)
             reflex = self.stack.reflex
             if reflex is not None or out.state == ArbiterState.STOPPED:
                 reason = out.refusals[-1].detail if reflex is None else reflex.message

@@ -77,7 +77,7 @@ class EpisodeWriter:
     def __len__(self) -> int:
         return len(self._rows["timestamps"])
 
-    def append(self, *, images: Mapping[str, NDArray[np.uint8]], **values: ArrayLike | None) -> None:
+    def append(self, *, images: Mapping[str, NDArray[np.uint8]], **values: Any) -> None:
         """Add one tick, copying arrays; `values` by the names of the schema's fields.
 
         The first tick fixes n. `images` must hold exactly `meta`'s cameras. Optional values come on every tick or none.
@@ -91,10 +91,8 @@ class EpisodeWriter:
         for name in values.keys() - self._rows.keys():
             raise unknown_name("field", name, self._rows)
         tick, times = len(self), self._rows["timestamps"]
-        joints_n = len(self._rows["qpos"][0]) if tick else np.size(values.get("qpos", ()))
-        row: dict[str, Any] = {
-            field.name: _row(field, values.get(field.name), joints_n, tick) for field in schema.FIELDS
-        }
+        joints_n = len(self._rows["qpos"][0]) if tick else np.size(values.get("qpos"))
+        row: Any = {field.name: _row(field, values.get(field.name), joints_n, tick) for field in schema.FIELDS}
         for field in schema.FIELDS:
             if tick and (row[field.name] is None) == bool(self._rows[field.name]):
                 raise DataError(f"{field.key} at tick {tick}: give it on every tick or on none")

@@ -38,14 +38,14 @@ def bisection_order(count: int) -> Array:
 class EdgeChecker:
     """Deterministic checks by separating planes; undecided counts as blocked.
 
-    `endpoints` (dof,) are free. Only pairs with a part of `arms` are checked.
+    `ends` (dof,) are free. Only pairs with a part of `arms` are checked.
     """
 
     def __init__(
         self,
         engines: SceneEngines,
         padding_m: float,
-        endpoints: Sequence[Array],
+        ends: Sequence[Array],
         step_rad: float,
         arms: Sequence[str] = SIDES,
     ) -> None:
@@ -56,7 +56,7 @@ class EdgeChecker:
         self.checks_n = 0
         self.checks_end = self.deadline = math.inf
         rows = solids.of_arms(arms)
-        near = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in endpoints]
+        near = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in ends]
         near = [(q, max(0.0, clearance)) for q, clearance in near if clearance < padding_m]
         tight = np.array([q for q, _ in near]).reshape(len(near), self.robot.dof)
         keep = float(padding_m), tight, _KEEP_FRACTION * np.array([clearance for _, clearance in near]), RELAX_RAD

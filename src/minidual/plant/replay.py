@@ -14,6 +14,8 @@ from minidual.plant.recording import STATE, Recording, apply_physical_fields, ch
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 
+_TOLERANCE = {"Nm": 1e-9, "rad/s": 1e-9, "rad": 1e-3}
+
 
 @dataclass(frozen=True)
 class Sign:
@@ -153,14 +155,12 @@ def replay(
         if world.time <= before:  # MuJoCo resets a non-finite state
             ended = f"the state is not finite after {before:.3f} s"
             if deviates is None and any(step < later <= last for later in frames):
-                largest, deviates = (
-                    math.inf,
-                    Deviation(before, "the state, which goes on in the recording,", math.inf),
-                )
+                largest = math.inf
+                deviates = Deviation(before, "the state, which goes on in the recording,", largest)
             break
         v_max = world.robot.v_max
         _watch(world, "velocity of", world.v, -v_max, v_max, "rad/s", signs)
-        _watch(world, "position of", world.q, world.robot.q_lower, world.robot.q_upper, "rad", signs, 1e-3)
+        _watch(world, "position of", world.q, world.robot.q_lower, world.robot.q_upper, "rad", signs)
         if on_step is not None:
             on_step(world)
     then, now = recording.libraries, versions()
@@ -194,19 +194,10 @@ def _state_names(model: mujoco.MjModel) -> list[str]:
     ]
 
 
-def _watch(
-    world: World,
-    what: str,
-    values: Array,
-    low: Array,
-    high: Array,
-    unit: str,
-    signs: dict[str, Sign],
-    tolerance: float = 1e-9,
-) -> None:
+def _watch(world: World, what: str, values: Array, low: Array, high: Array, unit: str, signs: dict[str, Sign]) -> None:
     beyond = np.maximum(low - values, values - high)
     joint = int(np.argmax(beyond))
-    if not beyond[joint] <= tolerance:
+    if not beyond[joint] <= _TOLERANCE[unit]:
         name = f"{what} {world.robot.joint_names[joint]}"
         bound = float((low if values[joint] < low[joint] else high)[joint])
         signs.setdefault(name, Sign(world.time, name, float(values[joint]), bound, unit))

@@ -26,7 +26,7 @@ from minidual.durable import read_json, regular_file
 from minidual.errors import DataError, EnvironmentMissingError
 from minidual.policies.batches import Stats
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import REMEDY, Advance, ChunkPolicy, Image, PolicyKind
+from minidual.policies.kinds import REMEDY, ChunkPolicy, Image, PolicyKind, Training
 from minidual.policies.records import TrainResult
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
@@ -64,26 +64,18 @@ class ActKind(PolicyKind):
                 remedy="use --profile standard, or --set train.device=cpu --set deploy.device=cpu",
             )
 
-    def train(
-        self,
-        demos: Demonstrations,
-        config: TrainConfig,
-        seed: int,
-        folder: Path,
-        *,
-        resume_dir: Path | None = None,
-        advance: Advance | None = None,
-    ) -> TrainResult:
+    def train(self, job: Training, folder: Path) -> TrainResult:
         """See `PolicyKind.train`."""
+        config = job.config
         self.require(config.device)
         if folder.exists():
             raise DataError(f"the checkpoint folder {folder} exists already", remedy=f"{REMEDY} --force")
 
         def build(stats: Stats) -> Trained:
-            policy = self.make(config, _common(config, demos)).to(config.device)
+            policy = self.make(config, _common(config, job.demos)).to(config.device)
             return Trained(policy, *make_pre_post_processors(policy.config, dataset_stats=stats))
 
-        result, trained = train(build, demos, config, seed, resume_dir=resume_dir, advance=advance)
+        result, trained = train(build, job)
         with durable.replacing(folder) as partial:
             partial.mkdir(parents=True)
             for part in trained:

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,17 @@ class ChunkPolicy(ABC):
         """
 
 
+@dataclass(frozen=True)
+class Training:
+    """What to train a policy on; `resume_dir` keeps an interrupted training."""
+
+    demos: Demonstrations
+    config: TrainConfig
+    seed: int
+    resume_dir: Path | None = None
+    advance: Advance | None = None
+
+
 class PolicyKind(ABC):
     """Trains and loads policies."""
 
@@ -48,19 +60,10 @@ class PolicyKind(ABC):
         """Raise EnvironmentMissingError if `device` is unusable."""
 
     @abstractmethod
-    def train(
-        self,
-        demos: Demonstrations,
-        config: TrainConfig,
-        seed: int,
-        folder: Path,
-        *,
-        resume_dir: Path | None = None,
-        advance: Advance | None = None,
-    ) -> TrainResult:
+    def train(self, job: Training, folder: Path) -> TrainResult:
         """Train and write a new checkpoint `folder` atomically.
 
-        On a CPU, equal inputs give equal checkpoints. `resume_dir` keeps interrupted training.
+        On a CPU, equal inputs give equal checkpoints.
 
         Raises:
             DataError, UsageError: Unusable dataset, existing `folder`, or the training diverges.

@@ -6,18 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.learning import DeployConfig
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.control.supervisor import Supervisor
 from minidual.errors import DataError
 from minidual.plant.world import World
 from minidual.policies.kinds import Image
 from minidual.policies.plausible import PolicyStoppedError
 from minidual.policies.policy import PolicyRuntime
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 
 SOURCE = "policy"
@@ -71,33 +68,17 @@ def _taken(picture: Picture, name: str, world: World) -> Image:
 class PolicyPilot:
     """One trial of a policy.
 
-    Args:
-        world: Already reset.
-        picture: See Picture.
-        rate_hz: Of policy and arbiter, as recorded.
-        supervisor: Its reflex ends the trial.
+    The stack's world is already reset, its rate is as recorded; a reflex ends the trial.
     """
 
-    def __init__(
-        self,
-        world: World,
-        kinematics: Kinematics,
-        runtime: PolicyRuntime,
-        picture: Picture,
-        arbiter: ArbiterConfig,
-        rate_hz: float,
-        *,
-        supervisor: Supervisor | None = None,
-    ) -> None:
-        self.world = world
+    def __init__(self, stack: ControlStack[World], runtime: PolicyRuntime, picture: Picture) -> None:
+        self.stack, self.world = stack, stack.plant
         self.aborted: str | None = None
         self._runtime, self._picture = runtime, picture
-        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=supervisor)
         # A mode switch must drop the current chunk, or it would run on afterwards.
         self.stack.on_flush(lambda mode: runtime.reset())
         runtime.reset()
         self.stack.request(SOURCE)
-        self._steps_per_tick = round(1.0 / (rate_hz * world.dt))
         self._step = 0
         self._sequence = 0
         self.stack.arbitrate()
@@ -115,7 +96,7 @@ class PolicyPilot:
 
     def step(self) -> None:
         """Run one control step, after a policy tick if due."""
-        if self._step % self._steps_per_tick == 0:
+        if self._step % self.stack.every == 0:
             self._tick()
         self._step += 1
         try:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError, UsageError
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
-from minidual.policies.plausible import Plausible
+from minidual.policies.plausible import Floats, Plausible
 
-Floats = NDArray[np.float64]
+Limits = tuple[Floats, Floats]
+"""Lower and upper (n,) [rad]."""
 
 
 class PolicyRuntime:
@@ -31,12 +32,7 @@ class PolicyRuntime:
     """
 
     def __init__(
-        self,
-        policy: ChunkPolicy,
-        *,
-        n_action_steps: int = 25,
-        blend_ticks: int = 8,
-        limits: tuple[Floats, Floats] | None = None,
+        self, policy: ChunkPolicy, *, n_action_steps: int = 25, blend_ticks: int = 8, limits: Limits | None = None
     ) -> None:
         self.policy, self.joints_n = policy, policy.dim - GRIPPERS_N
         if not 1 <= n_action_steps <= policy.chunk_size:

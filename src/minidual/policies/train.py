@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from minidual.config.seeds import stream
 from minidual.errors import DataError, UsageError
 from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
 from minidual.policies.demonstrations import Demonstrations, WeightedRows, split_episodes
-from minidual.policies.kinds import Advance
+from minidual.policies.kinds import Advance, Training
 from minidual.policies.records import LossRow, TrainResult
 from minidual.policies.shares import Shares
 
@@ -53,16 +52,9 @@ class _State:
     curve: list[LossRow] = field(default_factory=list)
 
 
-def train(
-    build: Callable[[Stats], Trained],
-    demos: Demonstrations,
-    config: TrainConfig,
-    seed: int,
-    *,
-    resume_dir: Path | None = None,
-    advance: Advance | None = None,
-) -> tuple[TrainResult, Trained]:
+def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult, Trained]:
     """Train the policy built from statistics; see `PolicyKind.train`."""
+    demos, config, seed = job.demos, job.config, job.seed
     training, validation = split_episodes(
         list(demos.episode_bounds()), config.validation_fraction, stream(seed, "train.split")
     )
@@ -72,10 +64,10 @@ def train(
     with torch.random.fork_rng(devices=devices), threads(1 if splits(config) else config.threads):
         torch.manual_seed(int(stream(seed, "train.weights", 0).integers(2**63)))
         trained = build(stats)
-        loop = _Loop(demos, config, seed, trained.policy, rows, demos.rows_of(validation), stats, resume_dir)
+        loop = _Loop(job, trained.policy, rows, demos.rows_of(validation), stats)
         resumed = loop.resume()
         try:
-            stopped_by = loop.run(advance)
+            stopped_by = loop.run(job.advance)
         except KeyboardInterrupt:
             loop.save()
             raise
@@ -103,16 +95,9 @@ def threads(count: int | None) -> Iterator[None]:
 
 class _Loop:
     def __init__(
-        self,
-        demos: Demonstrations,
-        config: TrainConfig,
-        seed: int,
-        policy: Any,
-        rows: NDArray[np.int64],
-        validation_rows: NDArray[np.int64],
-        stats: Stats,
-        resume_dir: Path | None,
+        self, job: Training, policy: Any, rows: NDArray[np.int64], validation_rows: NDArray[np.int64], stats: Stats
     ) -> None:
+        demos, config, seed = job.demos, job.config, job.seed
         self.config, self.seed, self.policy, self.stats = config, seed, policy, stats
         self.joints_n, self.ticks = demos.joints_n, len(rows)
         self.shares = Shares(policy, min(config.threads, config.batch_size) if splits(config) else 1)
@@ -128,7 +113,7 @@ class _Loop:
         )
         self.average = [p.detach().clone() for p in self.parameters]
         self.state = _State()
-        self.progress = None if resume_dir is None else resume_dir / PROGRESS_FILE
+        self.progress = None if job.resume_dir is None else job.resume_dir / PROGRESS_FILE
         self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
 
     def close(self) -> None:

@@ -1,10 +1,10 @@
-"""Show a plan as picture or live."""
+"""Show plans: live, as pictures, and their times."""
 
 from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,15 @@ import numpy as np
 from minidual.collision.mujoco_engine import add_body
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
+from minidual.config.seeds import stream
+from minidual.motion.result import PHASES
 from minidual.plant.addresses import map_joints
 from minidual.plant.model import GROUP_COLLISION, build_spec
 from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
-from minidual.show.figures.canvas import sheet
+from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
 from minidual.show.view import Overlay
 from minidual.show.watch import tcp_preview
 from minidual.trials.planning.evaluate import Outcome
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 _OBSTACLE_RGBA = [0.78, 0.42, 0.25, 1.0]
 _HELD_RGBA = [0.15, 0.6, 0.4, 1.0]
 _LOOK = {"contype": 0, "conaffinity": 0, "density": 0.0, "group": GROUP_VISUAL}
+_TIMED = tuple(phase for phase in PHASES if phase != "scene")
 _LOOK_S = 1.0
 """Pause after each round."""
 
@@ -65,22 +68,11 @@ class Poser:
         return self.data
 
 
-def play(
-    view: View,
-    config: SceneConfig,
-    scene: PlanningScene,
-    trajectory: Trajectory,
-    title: str,
-    *,
-    rounds_n: int | None,
-    note: str = "",
-    sleep: Callable[[float], None] = time.sleep,
-) -> None:
+def play(view: View, poser: Poser, trajectory: Trajectory, title: str, *, rounds_n: int | None, note: str = "") -> None:
     """Play a plan in real time, not simulated, with TCP paths and end posture.
 
     `rounds_n` None repeats until the view is closed.
     """
-    poser = Poser(config, scene)
     end = poser.place(trajectory.q[-1]).qpos.copy()
     words = Overlay(title=title, mode="moveit", source="planner", state="played, not simulated")
     words = replace(words, preview=replace(tcp_preview(poser.kinematics, trajectory.q), ghosts=(end,)))
@@ -93,7 +85,7 @@ def play(
             if view.due():
                 shown_s = min(t, trajectory.duration_s)
                 view.update(poser.place(trajectory.sample(t)[0]), replace(words, time_s=shown_s, status=status))
-            sleep(0.005)
+            time.sleep(0.005)
         if done == rounds_n or not view.alive:
             return
 
@@ -105,7 +97,7 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, 
         if view is not None and first is not None and first.result is not None:
             title, note = f"plan, {group}, query {first.query.index}", f"planned in {1e3 * first.total_s:.0f} ms"
             found = first.result.trajectory
-            play(view, config, first.query.scene, found, title, rounds_n=1, note=note)
+            play(view, Poser(config, first.query.scene), found, title, rounds_n=1, note=note)
 
 
 def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
@@ -173,3 +165,40 @@ def _add_line(shown: Any, points: Array, rgb: Sequence[int]) -> None:
         mujoco.mjv_initGeom(geom, int(mujoco.mjtGeom.mjGEOM_CAPSULE), np.zeros(3), np.zeros(3), np.zeros(9), colour)
         mujoco.mjv_connector(geom, int(mujoco.mjtGeom.mjGEOM_CAPSULE), 0.006, a, b)
         shown.ngeom += 1
+
+
+def write_times(
+    outcomes: Mapping[str, Sequence[Outcome]], path: Path, median_max_s: Mapping[str, float | None]
+) -> None:
+    """Draw planning times by group and phase."""
+    figure, ((spread, shares),) = new_figure(1, 2, 11.0, 4.2)
+    groups = list(outcomes)
+    for row, (group, done) in enumerate(outcomes.items()):
+        solved, failed = (1e3 * np.array([o.total_s for o in done if o.ok is ok]) for ok in (True, False))
+        jitter = stream(0, "figure/jitter", row).uniform(-0.18, 0.18, len(solved))
+        spread.plot(solved, row + jitter, "o", ms=5, alpha=0.6, mew=0)
+        spread.plot(failed, np.full(len(failed), row), "x", ms=8, color=LIMIT)
+        ends = [row - 0.3, row + 0.3]
+        if len(solved):
+            median = float(np.median(solved))
+            spread.plot([median, median], ends, color=INK, lw=2)
+            spread.annotate(f"{median:.1f} ms", (median, row + 0.33), ha="center", va="bottom", fontsize=9)
+        limit = median_max_s[group]
+        if limit is not None:
+            spread.plot([limit * 1e3] * 2, ends, color=LIMIT, lw=1.6, ls="--")
+    spread.set_xscale("log")
+    spread.xaxis.set_major_formatter("{x:g}")
+    spread.xaxis.set_minor_formatter("{x:g}")
+    spread.grid(axis="x", which="both", alpha=0.25)
+    spread.set_yticks(range(len(groups)), groups)
+    spread.set_ylim(-0.6, len(groups) - 0.3)
+    spread.set_xlabel("goal in to proven trajectory out [ms]; bar: median, dashed: its limit")
+    left = np.zeros(len(groups))
+    for phase in _TIMED:
+        times = ([o.result.times_s[phase] for o in outcomes[g] if o.result is not None] for g in groups)
+        medians = np.array([1e3 * float(np.median(found or [0.0])) for found in times])
+        shares.barh(groups, medians, left=left, label=phase, height=0.55)
+        left += medians
+    shares.set_xlabel("median time of each phase [ms]")
+    shares.legend(fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.18), frameon=False)
+    figure.savefig(path)

@@ -15,8 +15,7 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
-from minidual.show.figures.planning import write_times
-from minidual.show.planning import play_queries, write_paths
+from minidual.show.planning import play_queries, write_paths, write_times
 from minidual.show.view import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute

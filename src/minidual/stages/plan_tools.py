@@ -57,11 +57,12 @@ def plan_once(context: ToolContext) -> ToolResult:
     title = f"{group} to {options['to']}"
     notes += _write(targets, context, scene, result, title)
     if context.view is not None:
-        from minidual.show.planning import play
+        from minidual.show.planning import Poser, play
 
         once = sys.stdin is None or not sys.stdin.isatty()  # else until closed or Ctrl-C
         with suppress(KeyboardInterrupt):
-            play(context.view, context.config.scene, scene, result.trajectory, title, rounds_n=1 if once else None)
+            poser = Poser(context.config.scene, scene)
+            play(context.view, poser, result.trajectory, title, rounds_n=1 if once else None)
     clearance = _clearance(planner.planner.engines(scene).clearance(result.trajectory), scene.min_distance_m)
     return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 

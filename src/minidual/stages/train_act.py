@@ -41,7 +41,7 @@ def run(context: StageContext) -> StageResult:
     from minidual.policies import records
     from minidual.policies.acceptance import exercise_checkpoint
     from minidual.policies.demonstrations import load_demonstrations
-    from minidual.policies.kinds import POLICIES
+    from minidual.policies.kinds import POLICIES, Training
     from minidual.robot.arms import robot_from
 
     config, robot = context.config.train, robot_from(context.config.robot)
@@ -63,7 +63,7 @@ def run(context: StageContext) -> StageResult:
                 task.advance(steps, f"loss {loss:.4f}")
 
             place = resume if k == 0 else resume / f"seed-{k + 1}"
-            result = kind.train(demos, config, seed, folder / "checkpoint", resume_dir=place, advance=advance)
+            result = kind.train(Training(demos, config, seed, place, advance), folder / "checkpoint")
         emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
         records.write_loss_csv(result.curve, folder / "loss.csv")
         records.draw_loss(result, folder / "loss.png")

@@ -2,6 +2,7 @@
 
 import functools
 
+from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.plant.render import Camera
 from minidual.plant.world import World
@@ -27,6 +28,7 @@ def policy(inputs: MethodInputs) -> Factory:
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
         picture = lambda name: (camera(world.model).picture(world.data, name), world.time)  # noqa: E731
         rate_hz = config.teleop.rate_hz
-        return PolicyPilot(world, kinematics, runtime, picture, config.arbiter, rate_hz, supervisor=supervisor)
+        stack = ControlStack(world, kinematics, config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
+        return PolicyPilot(stack, runtime, picture)
 
     return make

@@ -47,7 +47,7 @@ class Rig:
         self.supervisor = trial_supervisor(config.supervisor, world.dt, world.robot)
         arbiter = config.arbiter.model_copy(update={"switch_step_max_rad": _STEP_MAX_RAD})
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
-        self.period = round(1.0 / (rate_hz * world.dt))
+        self.period = self.stack.every
         self._sequence = 0
         self.reset()
 
