@@ -90,9 +90,7 @@ def object_impedance(scene: BenchScene) -> Case:
 
     def step() -> None:
         measured, felt = scene.sense()
-        tau = law.torque(
-            world.q, world.v, measured, now.value, internal_force_n=squeeze_n, measured_internal_force_n=felt
-        )
+        tau = law.torque(world.q, world.v, measured, now.value, wanted_n=squeeze_n, felt_n=felt)
         world.command(tau, grippers.step(scene.gripper))
         world.step()
 

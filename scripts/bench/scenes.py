@@ -173,8 +173,8 @@ def held_scene(scene: SceneConfig, gains: ImpedanceConfig) -> BenchScene:
             world.v,
             measured,
             desired,
-            internal_force_n=min(1.0, k * world.dt / 0.1) * gains.internal_force_n,
-            measured_internal_force_n=squeeze,
+            wanted_n=min(1.0, k * world.dt / 0.1) * gains.internal_force_n,
+            felt_n=squeeze,
         )
         world.command(tau, grippers.step(_CLOSED))
         world.step()

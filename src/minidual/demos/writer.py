@@ -91,7 +91,7 @@ class EpisodeWriter:
         for name in values.keys() - self._rows.keys():
             raise unknown_name("field", name, self._rows)
         tick, times = len(self), self._rows["timestamps"]
-        joints_n = len(self._rows["qpos"][0]) if tick else np.size(values.get("qpos"))
+        joints_n = len(self._rows["qpos"][0]) if tick else np.size(values.get("qpos", ()))
         row: Any = {field.name: _row(field, values.get(field.name), joints_n, tick) for field in schema.FIELDS}
         for field in schema.FIELDS:
             if tick and (row[field.name] is None) == bool(self._rows[field.name]):
