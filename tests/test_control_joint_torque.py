@@ -83,13 +83,3 @@ def test_a_loop_starts_from_where_the_arms_are(world, kinematics):
     loop = JointLoop(world, kinematics)
     loop.step(HOME + 0.1, np.ones(2))
     assert np.abs(world.v).max() < 1e-5  # the fingers take up their servos
-
-
-def test_following_a_reference_hands_over_to_targets_without_a_jump(world, kinematics):
-    loop = JointLoop(world, kinematics)
-    for k in range(300):
-        t = k * world.dt
-        loop.follow(HOME + 0.2 * t, np.full(DOF, 0.2), ZERO, np.ones(2))
-    speed = loop.reference.v.copy()
-    loop.step(world.q, np.ones(2))
-    assert np.abs(loop.reference.v - speed).max() <= 0.02

@@ -25,15 +25,10 @@ class JointLoop[P: Plant]:
 
     def step(self, q_target: Array, gripper: Array) -> None:
         """Run one control and physics step."""
-        q_ref, v_ref, a_ref = self.reference.step(q_target)
-        self._apply(q_ref, v_ref, a_ref, gripper)
+        self.follow(*self.reference.step(q_target), gripper)
 
     def follow(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:
-        """Run one step on an already smooth reference."""
-        self.reference.follow(q_ref, v_ref, a_ref)
-        self._apply(q_ref, v_ref, a_ref, gripper)
-
-    def _apply(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:
+        """Run one step on a smooth reference."""
         world = self.world
         tau = self.controller.torque(world.q, world.v, q_ref, v_ref, a_ref)
         world.command(tau, self.grippers.step(gripper))

@@ -39,10 +39,6 @@ class ReferenceFilter:
         self.v = np.zeros_like(self.q) if v is None else np.array(v, dtype=float)
         self.a = np.zeros_like(self.q) if a is None else np.array(a, dtype=float)
 
-    def follow(self, q: Array, v: Array, a: Array) -> None:
-        """Take over a smooth reference, each (n,); `a` is only stored."""
-        self.q, self.v, self.a = q.copy(), v.copy(), a
-
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Advance towards target (n,); return new (q_ref, v_ref, a_ref).
 

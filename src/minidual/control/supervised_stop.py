@@ -40,23 +40,6 @@ def slopes(q: Array, v: Array, brake: Array, q_lower: Array, q_upper: Array, slo
             slope[j] = common
 
 
-@kernel(types.void(*[VECTOR] * 6))
-def stopped_at(q: Array, v: Array, slope: Array, q_lower: Array, q_upper: Array, q_rest: Array) -> None:
-    """Fill the posture of rest (n,); r falls symmetrically."""
-    for j in range(len(q)):
-        way = v[j] * (0.5 / slope[j] + 0.5 * _RAMP_S)
-        q_rest[j] = min(max(q[j] + way, q_lower[j]), q_upper[j])
-
-
-@kernel(types.boolean(VECTOR, VECTOR))
-def fit(tau: Array, bounds: Array) -> bool:
-    """Return whether all torques are within their bounds."""
-    within = True
-    for j in range(len(tau)):
-        within = within and abs(tau[j]) <= bounds[j]
-    return within
-
-
 class SupervisedStop:
     """Torques of the stop; `kinematics` must not be the controllers'."""
 
@@ -79,17 +62,16 @@ class SupervisedStop:
 
     def rest(self, q: Array, v: Array) -> Array:
         """Return the posture (n,) in which a stop from q, v ends."""
-        v_0, q_rest = np.empty_like(q), np.empty_like(q)
-        np.minimum(np.maximum(v, -self._v_max, v_0), self._v_max, v_0)
-        stopped_at(q, v_0, self._largest_slope(q, v_0), *self._range, q_rest)
-        return q_rest
+        v_0 = np.minimum(np.maximum(v, -self._v_max), self._v_max)
+        way = v_0 * (0.5 / self._largest_slope(q, v_0) + 0.5 * _RAMP_S)  # r falls symmetrically
+        return np.minimum(np.maximum(q + way, self._range[0]), self._range[1])
 
     def _largest_slope(self, q: Array, v: Array) -> Array:
         slope = np.empty_like(q)
         slopes(q, v, self._brake, *self._range, slope)
         for share in _SLOWER:
             shared = share * slope
-            if fit(self._servo.torque(q, v, q, v, -shared * v), self._tau_max):
+            if (np.abs(self._servo.torque(q, v, q, v, -shared * v)) <= self._tau_max).all():
                 break
         return shared
 

@@ -3,8 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from minidual.demos import schema
@@ -24,25 +26,7 @@ FROZEN_MOTION_RAD = 0.05
 """Joint motion during which an image must change."""
 LIMIT_TOLERANCE_RAD = 1e-3
 
-_CLOCK = "stamp ticks with a monotonic clock (simulation time, or time.monotonic on hardware)"
-_RENDERER = "check the renderer (MUJOCO_GL=egl), the lights, and that the camera looks at the table"
-REMEDIES = {
-    "file_missing": "check the folder, or record: minidual teleop-record",
-    "cameras_wrong": "record with the cameras of the configuration, in its order",
-    "not_finite": "record the episode again; look for an unstable simulation or a lost sensor",
-    "timestamps_not_monotonic": _CLOCK,
-    "action_equals_qpos": "record the command sent at t (the one that leads to t + 1), not the reading",
-    "rate_wrong": "declare the rate the recorder really ran at, or slow the recorder down",
-    "timestamps_jitter": "drive the recorder by simulation time, or free the machine of other load",
-    "out_of_sync": "stamp joints, images and action in the same tick, and pair the nearest ones",
-    "joints_wrong": "choose the arm that was recorded: --set robot.arm=NAME",
-    "outside_joint_limits": "check the joint order (left arm, then right arm), the units (rad) and the limits",
-    "images_black": _RENDERER,
-    "images_constant": _RENDERER,
-    "images_frozen": "update the scene before each rendering; on hardware check the camera's stream",
-    "cameras_identical": "check which camera each name renders",
-    "cameras_swapped": "check the order in which cameras are rendered and named; on hardware, the cables",
-}
+REMEDIES: dict[str, str] = yaml.safe_load(Path(__file__).with_name("remedies.yaml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)
