@@ -78,7 +78,7 @@ class EpisodeWriter:
         return len(self._rows["timestamps"])
 
     def append(self, *, images: Mapping[str, NDArray[np.uint8]], **values: Any) -> None:
-        """Add one tick, copying arrays; `values` by the names of the schema's fields.
+        """Add one tick, copying arrays; `values` by field of the schema.
 
         The first tick fixes n. `images` must hold exactly `meta`'s cameras. Optional values come on every tick or none.
 

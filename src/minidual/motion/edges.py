@@ -63,12 +63,12 @@ class EdgeChecker:
         self._geometry, self._rest = solids.geometry, (rows, keep, solids.workspace())
 
     def allow(self, checks_n: int, deadline: float) -> None:
-        """Allow so many more state checks, until `deadline` by time.perf_counter(); a search watches `spent`."""
+        """Bound what follows: state checks, and `deadline` by time.perf_counter()."""
         self.checks_end, self.deadline = self.checks_n + checks_n, deadline
 
     @property
     def spent(self) -> bool:
-        """Whether what is allowed is used up."""
+        """Whether a bound is reached."""
         return self.checks_n >= self.checks_end or time.perf_counter() > self.deadline
 
     def free(self, q: Array) -> bool:

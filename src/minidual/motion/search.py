@@ -61,7 +61,7 @@ def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Calla
 def search(
     checker: EdgeChecker, ends: Array, joints: slice, *, seed: int, planner: str = "rrtconnect", range_rad: float = 1.0
 ) -> Array | None:
-    """Return a polyline (n, dof) between configurations (2, dof), or None if the checker's allowance is spent.
+    """Return a polyline (n, dof) between configurations (2, dof), or None if the checker is spent.
 
     Only `joints` move. `range_rad`: longest tree edge (Euclidean).
     """

@@ -27,14 +27,8 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
     Raises:
         DataError, UsageError: Corrupt checkpoint, or one for other arms.
     """
-    return PolicyRuntime.load(
-        checkpoint,
-        config.device,
-        n_action_steps=config.n_action_steps,
-        blend_ticks=config.blend_ticks,
-        limits=(robot.q_lower, robot.q_upper),
-        threads=config.threads,
-    )
+    options = config.model_dump(include={"device", "threads", "n_action_steps", "blend_ticks"})
+    return PolicyRuntime.load(checkpoint, limits=(robot.q_lower, robot.q_upper), **options)
 
 
 Picture = Callable[[str], tuple[Image, float]]
@@ -68,7 +62,7 @@ def _taken(picture: Picture, name: str, world: World) -> Image:
 class PolicyPilot:
     """One trial of a policy.
 
-    The stack's world is already reset, its rate is as recorded; a reflex ends the trial.
+    The stack's world is already reset, its rate as recorded.
     """
 
     def __init__(self, stack: ControlStack[World], runtime: PolicyRuntime, picture: Picture) -> None:

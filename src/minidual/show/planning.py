@@ -1,4 +1,4 @@
-"""Show plans: live, as pictures, and their times."""
+"""Show plans and their times."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def search_manifold(
 ) -> Array | None:
     """Return configurations (m, n) on the manifold from start to goal, F below 1e-4 between them, or None.
 
-    Joints stay within 0.7 rad of the ends. Ends when the checker's allowance is spent.
+    Joints stay within 0.7 rad of the ends.
 
     Raises:
         UsageError: Unknown `space`.

@@ -131,7 +131,7 @@ class _Tree:
 def search_object(
     space: HeldSpace, start: Array, goals: Sequence[Array], rng: np.random.Generator, *, any_posture: bool = True
 ) -> Array | None:
-    """Return free points (m, 6 + n) from the start to a goal, joined by free edges; None if the allowance is spent.
+    """Return free points (m, 6 + n) from the start to a goal, joined by free edges, or None.
 
     All goals (6 + n,) have one object pose; `any_posture` accepts other joints there.
     """
