@@ -60,7 +60,7 @@ class TestScenes:
             case.before()
             case.step()
         assert held.world.truth().pinch().min() > 40.0
-        assert tilt_rad(held.world.object_pose()) < 0.02
+        assert tilt_rad(held.world.object_pose(), held.world.scene.object) < 0.02
         assert held.world.object_pose()[2, 3] > 0.09
 
     def test_samples_agree_with_their_rates(self, free: BenchScene) -> None:
