@@ -81,11 +81,18 @@ def draw_either_way(
     task: Task, rng: np.random.Generator, widen: float = 1.0
 ) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
     """Draw start and goal, mirrored in a share of the trials."""
-    drawn = draw_on_table(task, rng, widen)
+    start, goal = draw_on_table(task, rng, widen)
     if rng.uniform() >= task.scene.task.mirrored_share:
-        return drawn
-    start, goal = ({name: (x, -y, -yaw) for name, (x, y, yaw) in places.items()} for places in drawn)
-    return start, goal
+        return start, goal
+    return _mirrored(start), _mirrored(goal)
+
+
+def _mirrored(places: Mapping[str, ObjectPose]) -> dict[str, ObjectPose]:
+    found: dict[str, ObjectPose] = {}
+    for name, place in places.items():
+        x, y, yaw = placement(place)
+        found[name] = x, -y, -yaw
+    return found
 
 
 def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
