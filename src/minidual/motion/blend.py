@@ -75,7 +75,6 @@ def rounded(path: Array, radius: float) -> SmoothPath:
 
 
 def _corners(path: Array, radius: float) -> tuple[Array, Array, Array]:
-    """Return lengths and directions of the segments, and half lengths of the corners."""
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     return lengths, steps / lengths[:, None], np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))

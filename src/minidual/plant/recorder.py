@@ -40,7 +40,6 @@ class Recorder:
         """Last failed dump's error."""
 
     def _continues(self) -> bool:
-        """Return whether there was neither reset nor divergence since the last record."""
         return 0.0 < self._data.time - self._last_s < 1.5 * self._world.dt
 
     def before_step(self) -> None:

@@ -257,7 +257,6 @@ def _read_arrays(path: Path, remedy: str) -> dict[str, npt.NDArray[Any]]:
 
 
 def _check_steps(recording: Recording) -> None:
-    """Raise ValueError unless steps grow within the recording and keyframes have their times."""
     steps, pushed, count = recording.keyframe_steps, recording.push_steps, recording.steps
     if not (count and len(steps) and steps[0] == 0 and recording.keyframes.size):
         raise ValueError("it lacks controls, or the state before the first")

@@ -87,7 +87,6 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
 
 
 def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[Any, Any]]:
-    """Decimate one link, less if part was cut off."""
     import fast_simplification
 
     def size(parts: list[tuple[Any, Any]]) -> Array:

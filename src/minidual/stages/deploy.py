@@ -137,7 +137,6 @@ def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], 
 
 
 def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]:
-    """Draw on which parts of the first picture the targets depend; return the object's share."""
     config = context.config
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
     runtime, world = load_runtime(checkpoint, config.deploy, bench.world.robot), bench.world

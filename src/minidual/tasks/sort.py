@@ -215,7 +215,6 @@ def _steps(task: Task, trial: Trial, poses: Mapping[str, Array], at_once: bool) 
 
 
 def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job | None:
-    """Return a cube's next job; None while the middle has no room."""
     owner, rest_m = side_of(name), task.objects[name].body.rest_height_m
     y = at[name].item(1, 3)
     if _WAY[owner] * y > -_WRONG_M:

@@ -152,7 +152,6 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
 
 
 def _spread(k: int) -> float:
-    """Golden-ratio sequence in [0, 1): even and repeatable."""
     return (0.5 + k * 0.618033988749895) % 1.0
 
 

@@ -113,7 +113,6 @@ class Carry(Stage):
         return Segment(phase, motion, state.openings, scene, motion.verification)
 
     def _freely(self, phase: str, goals: Mapping[str, Array], state: State, tools: Tools) -> Segment:
-        """Return a collision-free motion to poses in the air that keeps the objects level."""
         scene, budget_s = tools.scene(state), _BUDGET_S
         if state.closed_chain:
             goal = goals[state.object_of(SIDES[0])]
