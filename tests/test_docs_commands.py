@@ -28,6 +28,8 @@ SMALLER = {
 """What makes a printed command short, and work on the smoke run."""
 REFUSED = {"minidual teleop-record --set teleop.leader=keyboard": (4, "the keyboard leader needs a terminal")}
 """Commands that a test cannot type to the end."""
+STOPPED = {"minidual modes": "ENDED TOO EARLY: reflex "}
+"""Commands that the policy of a smoke run, which knows next to nothing, may end: exit 1, and the reflex is named."""
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +71,8 @@ def test_a_printed_command_does_its_work(desk: Path, command: str) -> None:
     before = {path: path.read_bytes() for path in desk.glob("runs/smoke/*/verdict.json")}
     done = typed(desk, words)
     code, said = REFUSED.get(command, (0, ""))
+    if done.returncode == 1 and command in STOPPED:
+        code, said = 1, STOPPED[command]
     assert done.returncode == code, f"{' '.join(words)}: {done.returncode}\n{done.stderr[-3000:]}"
     assert said in done.stderr
     assert len(before) == 8
