@@ -84,7 +84,7 @@ XARM7 = ArmModel(
     v_max=(3.14,) * 7,
     tau_max=(50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0),
     # 1146 deg/s^2 and 28647 deg/s^3: UFACTORY documentation, "Guide to run robotic arm at the maximum speed".
-    a_max=(20.0,) * 7,
+    a_max=(15.0,) * 7,  # of 20: a stop out of a descent must end above the table
     jerk_max=(500.0,) * 7,
     # The URDF's friction (10, 5 and 2 Nms/rad, 1 Nm) stabilises a simulator; the drives are assumed to compensate theirs
     # down to the Panda's, and torque rate is assumed equal.
