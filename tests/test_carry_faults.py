@@ -450,7 +450,7 @@ def test_a_rod_out_of_reach_is_a_fault_before_the_arms_move(world: World) -> Non
         carry.step()
     assert carry.fault is not None
     assert (carry.fault.name, carry.fault.at_s) == ("unreachable", 0.0)
-    assert "misses its grasp" in carry.fault.detail
+    assert "the left hand cannot reach position [0.952, 0.72, 0.091] m" in carry.fault.detail
     assert np.abs(world.q - q).max() < 0.01
 
 

@@ -321,7 +321,7 @@ def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
         bench.world.reset(poses=trial.start)
         truth = bench.world.object_pose()
         run: Any = bench.factory(bench.world, bench.kinematics, trial)
-        seen.append(run.T_world_object if method == "moveit" else run.watch.estimate.T_world_object)
+        seen.append(run.poses["rod"] if method == "moveit" else run.watch.estimate.T_world_object)
     np.testing.assert_array_equal(seen[0], seen[1])
     assert 1e-5 < np.linalg.norm((seen[0] - truth)[:3, 3]) < 0.003, "nobody is told the truth"
 

@@ -176,7 +176,7 @@ TOOLS: tuple[ToolEntry, ...] = (
         watchable=True,
         moves=True,
         view_default="web",
-        examples=("view", "view --task pot_lift", "view --set robot.arm=xarm7 --for-s 60"),
+        examples=("view --task pot_lift", "view --set robot.arm=xarm7 --for-s 60"),
     ),
     ToolEntry(
         "replay",
