@@ -21,6 +21,7 @@ from minidual.plant.world import World
 from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
+from minidual.tasks.task import task_config
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench, TrialLog, TrialResult, run_trials
 
@@ -249,6 +250,14 @@ def test_between_pictures_a_step_pays_for_a_look_at_the_clock_only(view: WebView
     spent = time.perf_counter() - began
     # Nobody is connected, so three pictures a second are taken.
     assert len(asked) <= 2 + spent * 4
+
+
+def test_the_overlay_of_several_objects_is_of_all_of_them() -> None:
+    config = Config().model_copy(update={"task": "sort"})
+    world = World(task_config(config).scene)
+    words = overlay(world, Overlay(title="a title", mode="moveit", source="moveit", state="active"))
+    assert len(world.objects) == 4
+    assert words.pinch_n == (0.0, 0.0)
 
 
 def test_the_overlay_says_what_the_world_says() -> None:

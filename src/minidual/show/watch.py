@@ -48,13 +48,15 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
-    hands = zip(world.robot.tcp_names, world.truth().forces(), ARM_RGB, strict=True)
-    left, right = world.truth().pinch()
+    objects = [world.truth(name) for name in world.objects]
+    forces = np.sum([thing.forces() for thing in objects], axis=0)
+    hands = zip(world.robot.tcp_names, forces, ARM_RGB, strict=True)
+    left, right = np.max([thing.pinch() for thing in objects], axis=0)
     return replace(
         words,
         time_s=world.time,
         pinch_n=(float(left), float(right)),
-        internal_n=world.truth().internal_force(),
+        internal_n=max(thing.internal_force() for thing in objects),
         arrows=tuple(Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands),
     )
 
