@@ -70,7 +70,7 @@ def hang_in_conversion(paths: Sequence[Path], out_dir: Path, *_: Any, **__: Any)
 
 
 if __name__ == "__main__":
-    from minidual.cli import main
+    from minidual.cli.process import main
 
     recording.Rig = ToyRig  # type: ignore[misc]
     main()

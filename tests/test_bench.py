@@ -112,8 +112,12 @@ class TestStepCost:
         for make in CASES:
             row = measure_case(held, make, 100)
             assert set(row.numbers) == set(COLUMNS)
-            assert all(np.isfinite(value) and value > 0.0 for value in row.numbers.values())
-            assert row.numbers["read_us"] + row.numbers["dynamics_us"] < row.numbers["step_us"]
+            assert all(np.isfinite(value) for value in row.numbers.values())
+            # The rest is a difference of medians that are not of the same moments: negative on a busy machine.
+            rest = row.numbers.pop("algebra_us")
+            assert all(value > 0.0 for value in row.numbers.values())
+            parts = ("bare_us", "read_us", "dynamics_us")
+            assert rest == pytest.approx(row.numbers["step_us"] - sum(row.numbers[name] for name in parts))
             assert set(row.limits) == {"ratio"}
 
     def test_an_imagined_object_has_no_limit_to_keep(self, free: BenchScene) -> None:

@@ -14,7 +14,7 @@ import pytest
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 MAIN = """
 import os, sys
-from minidual import cli
+from minidual.cli import process as cli
 run = cli._run
 def _run():
     os.write(2, b"begun\\n")
@@ -39,6 +39,30 @@ def start(body: str, *words: str, **options: object) -> subprocess.Popen[str]:
     if process.stderr is not None:
         assert process.stderr.readline() == "begun\n"
     return process
+
+
+@pytest.mark.parametrize(("handler", "code"), [(signal.SIG_DFL, -signal.SIGINT), (signal.SIG_IGN, 0)])
+def test_an_interrupt_before_the_handlers_stand_ends_the_process_without_a_traceback(
+    handler: signal.Handlers, code: int, tmp_path: Path
+) -> None:
+    """Before, Python's own handler raised in the middle of the first imports; a background job goes on."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'minidual.cli.process':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-m", "minidual.cli", "--version"],
+        env={**os.environ, "PYTHONPATH": path(tmp_path)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, handler),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stderr) == (code, "")
 
 
 @pytest.mark.parametrize("number", SIGNALS)

@@ -30,7 +30,7 @@ def test_signals_to_the_group_are_left_to_the_starter() -> None:
 
 INTERRUPTED = """
 import pathlib, sys, time
-from minidual import cli
+from minidual.cli import process as cli
 folder = pathlib.Path(sys.argv[1])
 
 def work(item):

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from minidual.cli import interrupt
 from minidual.cli.console import console
+from minidual.cli.process import interrupt
 from minidual.cli.progress import ConsoleProgress
 from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
