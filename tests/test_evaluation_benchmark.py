@@ -286,7 +286,7 @@ def carried(method: str, condition: str, steps: int) -> Iterator[np.ndarray]:
     config = changed(Config(), CONDITIONS[condition].settings_under(Config()))
     bench = Bench(method, MethodInputs(config, SEED))
     trial = sample_trial(config.scene, SEED, "benchmark", 0)
-    with CONDITIONS[condition].applied(bench.world.model, bench.task, 0, np.random.default_rng(0)):
+    with CONDITIONS[condition].applied(bench.world.model, bench.task, trial, np.random.default_rng(0)):
         bench.world.reset(poses=trial.start)
         run = bench.factory(bench.world, bench.kinematics, trial)
         for _ in range(steps):

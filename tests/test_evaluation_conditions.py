@@ -14,6 +14,7 @@ from minidual.trials import conditions
 from minidual.trials.conditions import CLEAN, CONDITIONS, DRY_NM, SENSES, Push, condition, parse_conditions
 
 TASK, RNG = make_task(Config()), np.random.default_rng(0)
+TRIAL = TASK.trial(0, "conditions", 0)
 FIELDS = (
     "body_mass",
     "body_subtreemass",
@@ -52,7 +53,7 @@ def model():
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_the_model_is_as_before_afterwards(model, name):
     before = fields(model)
-    with condition(name).applied(model, TASK, 3, RNG):
+    with condition(name).applied(model, TASK, TRIAL, RNG):
         changed = {f for f, value in fields(model).items() if not np.array_equal(before[f], value)}
         seen = {f for f in changed if "light" in f or f in SEEN}
         assert bool(changed) == (condition(name).change is not None)
@@ -64,13 +65,13 @@ def test_the_model_is_as_before_afterwards(model, name):
 def test_mass_and_inertia_scale_together(model):
     rod = model.body("rod").id
     mass, inertia = model.body_mass[rod], np.array(model.body_inertia[rod])
-    with condition("mass +50 %").applied(model, TASK, 0, RNG):
+    with condition("mass +50 %").applied(model, TASK, TRIAL, RNG):
         assert model.body_mass[rod] == pytest.approx(1.5 * mass)
         np.testing.assert_allclose(model.body_inertia[rod], 1.5 * inertia)
 
 
 def test_friction_holds_for_every_surface_that_the_object_meets(model):
-    with condition("friction 0.3").applied(model, TASK, 0, RNG):
+    with condition("friction 0.3").applied(model, TASK, TRIAL, RNG):
         for name in ("rod", "table_top", "left_panda_leftfinger_pad", "right_panda_rightfinger_pad"):
             assert model.geom(name).friction[0] == pytest.approx(0.3)
 
@@ -78,7 +79,7 @@ def test_friction_holds_for_every_surface_that_the_object_meets(model):
 def test_another_joint_each_trial(model):
     for index, joint in ((0, "left_panda_joint1"), (13, "right_panda_joint7"), (14, "left_panda_joint1")):
         plain, before = float(model.joint(joint).damping[0]), np.array(model.dof_damping)
-        with condition("joint friction x2").applied(model, TASK, index, RNG):
+        with condition("joint friction x2").applied(model, TASK, TASK.trial(0, "conditions", index), RNG):
             assert model.joint(joint).damping[0] == pytest.approx(2.0 * plain)
             assert model.joint(joint).frictionloss[0] == 2.0 * DRY_NM
             assert np.sum(model.dof_damping != before) == np.count_nonzero(model.dof_frictionloss) == 1
@@ -100,7 +101,7 @@ def test_an_arm_feels_the_dry_friction_of_its_joint(model, torque_nm, moves):
         return float(world.q[joint] - home[joint])
 
     assert turned() > 0.01
-    with condition("joint friction x2").applied(model, TASK, joint, RNG):
+    with condition("joint friction x2").applied(model, TASK, TASK.trial(0, "conditions", joint), RNG):
         assert pytest.approx(0.72) == 2.0 * DRY_NM
         assert (turned() > 1e-3) == moves
     assert turned() > 0.01
@@ -165,7 +166,7 @@ def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
     before, derive = fields(model), conditions._derive
     calls = iter((broken, derive))
     monkeypatch.setattr(conditions, "_derive", lambda model: next(calls)(model))
-    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, TASK, 0, RNG):
+    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, TASK, TRIAL, RNG):
         pass
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
@@ -236,7 +237,7 @@ def test_a_changed_room_changes_pictures_and_no_contact(visual_model, name):
     camera = Camera.recorded(visual_model, Config().scene.camera)
 
     def look(seed: int) -> tuple[np.ndarray, np.ndarray]:
-        with condition(name).applied(visual_model, TASK, 0, np.random.default_rng(seed)):
+        with condition(name).applied(visual_model, TASK, TRIAL, np.random.default_rng(seed)):
             world.reset()
             picture = camera.picture(world.data, "high").astype(float)
             for _ in range(50):
@@ -264,7 +265,9 @@ def test_distractors_never_hide_the_object(visual_model):
     for index in range(20):
         world.reset(poses=TASK.trial(0, "distractors", index).start)
         alone = camera.bodies_seen(world.data, "high")["rod"]
-        with condition("distractors").applied(visual_model, TASK, index, np.random.default_rng(index)):
+        with condition("distractors").applied(
+            visual_model, TASK, TASK.trial(0, "conditions", index), np.random.default_rng(index)
+        ):
             mujoco.mj_forward(visual_model, world.data)
             assert camera.bodies_seen(world.data, "high")["rod"] == pytest.approx(alone)
 
@@ -283,7 +286,7 @@ def test_a_darker_room_gives_darker_pictures(visual_model):
     world = World(Config().scene, model=visual_model)
     camera = Camera.recorded(visual_model, Config().scene.camera)
     bright = camera.picture(world.data, "high")
-    with condition("light -30 %").applied(visual_model, TASK, 0, RNG):
+    with condition("light -30 %").applied(visual_model, TASK, TRIAL, RNG):
         dark = camera.picture(world.data, "high")
     assert 0.6 < dark.mean() / bright.mean() < 0.9
     np.testing.assert_array_equal(camera.picture(world.data, "high"), bright)

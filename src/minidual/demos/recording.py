@@ -36,7 +36,7 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     """Prepare `folder` for a recording made from `inputs` (JSON types); return a message about an earlier one, or "".
 
     An interrupted recording with equal inputs stays, to be continued. Another one moves to `set-aside` beside `folder`,
-    under `name`. Temporary files of killed writers are removed.
+    under `name`.
     """
     path, gathered = folder / INPUTS_FILE, folder.with_name(f".{name}.aside")
     if gathered.exists():  # killed while it was set aside

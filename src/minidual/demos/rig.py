@@ -68,7 +68,7 @@ class Room(Protocol):
         ...
 
     def applied(
-        self, model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator
+        self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator
     ) -> AbstractContextManager[None]:
         """Change a compiled model, then restore it."""
         ...
@@ -167,7 +167,7 @@ class Rig:
         if room is None:
             return nullcontext()
         rng = stream(job.seed, f"room/{trial.purpose}/{room.name}", trial.index)
-        return room.applied(self.world.model, job.task, trial.index, rng)
+        return room.applied(self.world.model, job.task, trial, rng)
 
     def record(self, index: int) -> Attempt:
         """Return trial `index` as an interrupted recording left it, else run it.

@@ -5,16 +5,17 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.plant.bodies import contact_sensor
-from minidual.plant.scenery import GROUP_VISUAL, INTANGIBLE, SOLIMP, SOLREF, add_objects, add_surroundings
+from minidual.plant.scenery import GROUP_VISUAL, INTANGIBLE, SOLIMP, SOLREF, add_objects, add_surroundings, marks
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import never_touching, pair_urdf
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Array, Robot
 from minidual.robot.visuals import arm_visuals
 
 GROUP_COLLISION = 3
 CAMERAS: tuple[str, ...] = ("high", "left", "right")
 """Recorded cameras, in storage order; `overview` is not recorded."""
 
+_MARGIN_DEG = 8.0
 _URDF_COMPILER = (
     '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 )
@@ -30,7 +31,7 @@ def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool =
     add_surroundings(spec, scene, robot)
     add_objects(spec, scene)
     _add_actuators(spec, scene, robot)
-    _add_cameras(spec, robot)
+    _add_cameras(spec, scene, robot)
     _add_contact_sensors(spec, scene, robot)
     return spec
 
@@ -106,23 +107,34 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
         servo.forcelimited = True
 
 
-def _look_at(position: tuple[float, float, float], target: tuple[float, float, float]) -> list[float]:
-    """Return the quaternion wxyz of an upright camera facing `target`."""
+def _facing(position: tuple[float, float, float], target: tuple[float, float, float]) -> Array:
+    """Return the axes (3, 3) of an upright camera facing `target`."""
     z = np.subtract(position, target)
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 0.0, 1.0], z)
     x = x / np.linalg.norm(x)
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.column_stack([x, np.cross(z, x), z]).ravel())
-    return quat.tolist()
+    return np.column_stack([x, np.cross(z, x), z])
 
 
-def _add_cameras(spec: mujoco.MjSpec, robot: Robot) -> None:
+def _opening_deg(scene: SceneConfig, position: tuple[float, float, float], R: Array, usual_deg: float) -> float:
+    """Return the usual vertical opening, or one that has all marks well in the picture."""
+    ends = [(m, x, y) for m in marks(scene) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    corners = np.array([(m.xy_m[0] + x * m.size_m[0], m.xy_m[1] + y * m.size_m[1], 0.0) for m, x, y in ends])
+    right, up, back = ((corners - position) @ R).T
+    tangents = np.abs([right * scene.camera.height_px / scene.camera.width_px, up]) / -back
+    needed_deg = float(2.0 * np.degrees(np.arctan(tangents.max())))
+    return usual_deg if needed_deg <= usual_deg else needed_deg + _MARGIN_DEG
+
+
+def _add_cameras(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     for name, position, target, fovy in (
         ("high", (1.15, 0.0, 0.72), (0.44, 0.0, 0.07), 42.0),
         ("overview", (1.75, -0.95, 1.05), (0.28, 0.0, 0.18), 40.0),
     ):
-        spec.worldbody.add_camera(name=name, pos=position, quat=_look_at(position, target), fovy=fovy)
+        R, quat = _facing(position, target), np.empty(4)
+        mujoco.mju_mat2Quat(quat, R.ravel())
+        opening = _opening_deg(scene, position, R, fovy) if name in CAMERAS else fovy
+        spec.worldbody.add_camera(name=name, pos=position, quat=quat.tolist(), fovy=opening)
     cos, sin = np.cos(robot.hand.camera_tilt_rad / 2), np.sin(robot.hand.camera_tilt_rad / 2)
     quat = np.sqrt(0.5) * np.array([cos, sin, sin, cos])  # the tilt about y, then a quarter turn about z
     for arm in robot.sides:

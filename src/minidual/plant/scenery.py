@@ -55,7 +55,7 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
             table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
     for arm in robot.sides:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
-    for layer, mark in enumerate(scene.marks or _ends(scene)):
+    for layer, mark in enumerate(marks(scene)):
         rgba, place = list(mark.colour), [*mark.xy_m, 0.0003 * (1 + (layer if scene.marks else 0))]
         geom = world.add_geom(name=mark.name, type=_BOX, pos=place, rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)
         half_x, half_y = mark.size_m[0] / 2, mark.size_m[1] / 2
@@ -72,7 +72,10 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
         world.add_geom(name=OBSTACLE, type=_BOX, size=size, rgba=[0.75, 0.22, 0.2, 1.0], pos=[*xy, size[2]])
 
 
-def _ends(scene: SceneConfig) -> tuple[MarkConfig, MarkConfig]:
+def marks(scene: SceneConfig) -> tuple[MarkConfig, ...]:
+    """Return the scene's marks, by default those of start and goal."""
+    if scene.marks:
+        return scene.marks
     asked, part = scene.task, scene.object.solids[0]
     size = 3.2 * part.half_m[0], 2.0 * part.half_m[1] + 0.02
     plate = part.shape == "cylinder" and part.axis == "z"

@@ -145,7 +145,7 @@ def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]
     rng, maps, shares = stream(context.seed, "deploy/looks"), dict[str, tuple[Image, Array]](), list[float]()
     with Camera.recorded(world.model, config.scene.camera) as camera:
         pictures = {name: camera.picture(world.data, name) for name in runtime.cameras}
-        with hidden.applied(world.model, bench.task, trial.index, rng):
+        with hidden.applied(world.model, bench.task, trial, rng):
             without = {name: camera.picture(world.data, name) for name in runtime.cameras}
     for name, picture in pictures.items():
 

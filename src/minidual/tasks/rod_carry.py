@@ -68,13 +68,15 @@ def draw_on_table(
         gx, gy, turn = (asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad) * rng.uniform(-1.0, 1.0, size=3)
         x, y = asked.goal_xy_m
         goal = (x + float(gx), y + float(gy), asked.goal_yaw_rad + float(turn))
-        if asked.obstacle is None or all(_beside(task.scene.object, asked.obstacle, place) for place in (start, goal)):
+        if asked.obstacle is None or all(beside(task.scene.object, asked.obstacle, place) for place in (start, goal)):
             return {name: start}, {name: goal}
     raise UsageError(f"'{name}' has no room beside the obstacle", remedy="move scene.task.start_xy_m or goal_xy_m away")
 
 
-def _beside(body: ObjectConfig, block: ObstacleConfig, place: tuple[float, float, float]) -> bool:
-    (x, y, yaw), (a, b, _) = place, body.half_sizes_m
+def beside(body: ObjectConfig, block: ObstacleConfig, place: tuple[float, float, float]) -> bool:
+    """Return whether a body at (x, y, yaw) keeps 2 cm from a block."""
+    (x, y, yaw), parts = place, body.solids
+    a, b = (max(abs(part.position_m[k]) + part.half_m[k] for part in parts) for k in (0, 1))
     c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
     away = abs(x - block.xy_m[0]) - c * a - s * b, abs(y - block.xy_m[1]) - s * a - c * b
     return any(gap > size / 2 + _ROOM_M for gap, size in zip(away, block.size_m, strict=False))

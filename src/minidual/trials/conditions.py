@@ -17,11 +17,12 @@ from pydantic import ValidationError
 
 from minidual.config.change import changed
 from minidual.config.root import Config
-from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS
+from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, ObstacleConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry
 from minidual.robot.pair import Array
-from minidual.tasks.task import Task
+from minidual.tasks.rod_carry import beside, placement
+from minidual.tasks.task import Task, Trial
 from minidual.trials.methods import METHODS, SENSES
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
@@ -32,20 +33,17 @@ if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
 CLEAN = "clean"
 _HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE: arm joints; fingers slide
 ALL = "all"
-_RISEN_M = 0.05
-"""Rise of the object before a push."""
-_DELAY_S = (0.2, 1.2)
-"""Range of the random time from rise to push."""
-_ALOFT_M = 0.01
-"""Below this rise the table may take up part of the push."""
+_RISEN_M = 0.05  # before a push
+_DELAY_S = (0.2, 1.2)  # from rise to push
+_ALOFT_M = 0.01  # lower, the table may take up part of the push
 DRY_NM = 0.36
 """Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., IEEE RA-L 4(4),
 2019."""
 OBJECT_COLOURS = ((0.78, 0.12, 0.12), (0.15, 0.55, 0.20), (0.50, 0.18, 0.60), (0.10, 0.65, 0.70), (0.88, 0.88, 0.86))
 TABLE_COLOURS = ((0.60, 0.45, 0.30), (0.85, 0.85, 0.83), (0.18, 0.18, 0.20), (0.35, 0.50, 0.38), (0.28, 0.38, 0.56))
 """Discrete, unlike the trainer's augmentation."""
-_BESIDE_M = (0.64, -0.35), (0.80, 0.35)
-"""Range of the distractors' places (x, y)."""
+_BESIDE_M = (0.64, -0.35), (0.80, 0.35)  # range of the distractors' places (x, y)
+_DRAWS_MAX = 100
 _MOVED_AT_S = 0.5  # the hands have left home and are not yet near
 
 
@@ -60,8 +58,8 @@ class Disturbance(Protocol):
         ...
 
 
-Change = Callable[["mujoco.MjModel", Task, int, np.random.Generator], None]
-"""Changes the compiled model for a trial, by its index and random numbers."""
+Change = Callable[["mujoco.MjModel", Task, Trial, np.random.Generator], None]
+"""Changes the compiled model."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,8 @@ class Condition:
         if self.sense and self.sense not in METHODS[method].senses:
             return f"{method} reads no {SENSES[self.sense]}"
         values = {**self.instead_of, **self.settings_under(config)}
-        if values and all(value == attrgetter(path)(config) for path, value in values.items()):
+        told = self.change is None or self.instead_of
+        if told and values and all(value == attrgetter(path)(config) for path, value in values.items()):
             return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
         return ""
 
@@ -119,14 +118,14 @@ class Condition:
             ) from error
 
     @contextmanager
-    def applied(self, model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> Generator[None]:
-        """Change a compiled model, then restore it."""
+    def applied(self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> Generator[None]:
+        """Change a model, then restore it."""
         if self.change is None:
             yield
             return
         kept = [(values, values.copy()) for place in (model, model.vis.headlight) for values in _arrays(place)]
         try:
-            self.change(model, task, index, rng)  # inside try: a partial change must be undone too
+            self.change(model, task, trial, rng)  # inside try: a partial change must be undone too
             _derive(model)
             yield
         finally:
@@ -146,32 +145,47 @@ def _derive(model: mujoco.MjModel) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def mass(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, factor: float) -> None:
-    """Scale the carried object's mass and inertia."""
-    body = model.body(task.carried).id
+def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: float) -> None:
+    """Scale the mass and inertia of every object."""
+    for name in task.objects:
+        _scale_mass(model, name, factor)
+
+
+def _scale_mass(model: mujoco.MjModel, name: str, factor: float) -> None:
+    body = model.body(name).id
     model.body_mass[body] *= factor
     model.body_inertia[body] *= factor
 
 
-def friction(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, value: float) -> None:
+def friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, value: float) -> None:
     """Set friction of objects, pads and table."""
-    # MuJoCo takes the larger friction of the two geoms in contact, so all of them change.
-    objects = {int(model.body(name).id) for name in task.scene.objects}
-    for i in range(model.ngeom):
-        name = model.geom(i).name
-        if int(model.geom_bodyid[i]) in objects or name.endswith("_pad") or name == "table_top":
-            model.geom_friction[i, 0] = value
+    model.geom_friction[_touching(model, task), 0] = value
 
 
-def joint_friction(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, factor: float) -> None:
+def _touching(model: mujoco.MjModel, task: Task) -> list[int]:
+    """Return the geoms of objects, pads and table: MuJoCo takes the larger friction of two, so all must change."""
+    objects = {int(model.body(name).id) for name in task.objects}
+    named = ((i, model.geom(i).name) for i in range(model.ngeom))
+    return [i for i, n in named if n.endswith("_pad") or n == "table_top" or int(model.geom_bodyid[i]) in objects]
+
+
+def joint_friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: float) -> None:
     """Scale the friction of one joint, another each trial; no dry friction counts as `DRY_NM`."""
-    hinges = np.flatnonzero(model.jnt_type == _HINGE)
-    joint = model.joint(int(hinges[index % len(hinges)]))
+    hinges = _hinges(model)
+    _scale_friction(model, hinges[trial.index % len(hinges)], factor)
+
+
+def _hinges(model: mujoco.MjModel) -> list[int]:
+    return np.flatnonzero(model.jnt_type == _HINGE).tolist()
+
+
+def _scale_friction(model: mujoco.MjModel, hinge: int, factor: float) -> None:
+    joint = model.joint(hinge)
     joint.damping[0] *= factor
     joint.frictionloss[0] = factor * (joint.frictionloss[0] or DRY_NM)
 
 
-def light(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, factor: float) -> None:
+def light(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: float) -> None:
     """Scale every light."""
     lamp = model.vis.headlight
     for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
@@ -179,7 +193,7 @@ def light(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generato
 
 
 def camera_moved(
-    model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator, *, distance_m: float, angle_rad: float
+    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, distance_m: float, angle_rad: float
 ) -> None:
     """Shift and turn every camera of the room in a random direction."""
     import mujoco
@@ -191,36 +205,61 @@ def camera_moved(
         mujoco.mju_mulQuat(model.cam_quat[camera], turn, model.cam_quat[camera].copy())
 
 
-def object_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
-    """Paint the carried object, not its bands."""
-    model.geom(task.carried).rgba[:3] = OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))]
+def object_colour(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+    """Paint an object, not its bands; of several, change the shades."""
+    if len(task.objects) == 1:
+        model.geom(task.carried).rgba[:3] = OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))]
+        return
+    for name in task.objects:
+        rgba = model.geom(name).rgba
+        rgba[:3] = np.minimum(1.0, rgba[:3] * rng.uniform(*_SHADE, 3))
 
 
-def object_hidden(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
-    """Make the carried object invisible."""
-    model.geom_rgba[model.geom_bodyid == model.body(task.carried).id, 3] = 0.0
+def object_hidden(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+    """Make the objects invisible."""
+    for name in task.objects:
+        model.geom_rgba[model.geom_bodyid == model.body(name).id, 3] = 0.0
 
 
-def table_colour(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+def table_colour(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
     """Paint the table."""
     model.geom("table_top").rgba[:3] = TABLE_COLOURS[rng.integers(len(TABLE_COLOURS))]
 
 
-def distractors(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
-    """Put the distractors between camera and object."""
+def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+    """Put the distractors before the camera, away from starts and goals."""
+    places = [(n, placement(T)) for poses in (trial.start, trial.goal) for n, T in poses.items()]
     for name in DISTRACTORS:
         thing, yaw = model.geom(name), rng.uniform(-np.pi, np.pi)
-        x, y = rng.uniform(*_BESIDE_M)
+        for _ in range(_DRAWS_MAX):
+            x, y = rng.uniform(*_BESIDE_M).tolist()
+            block = ObstacleConfig(size_m=(2.0 * DISTRACTOR_HALF_M,) * 3, xy_m=(x, y))
+            if all(beside(task.objects[n].body, block, place) for n, place in places):
+                break
         thing.pos[:] = x, y, DISTRACTOR_HALF_M
         thing.quat[:] = np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)
         thing.rgba[:] = *OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))], 1.0
 
 
-def room(model: mujoco.MjModel, task: Task, index: int, rng: np.random.Generator) -> None:
+def room(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
     """Change light, camera and colours, and show distractors."""
-    light(model, task, index, rng, factor=float(rng.uniform(*_LIGHT)))
+    light(model, task, trial, rng, factor=float(rng.uniform(*_LIGHT)))
     for change in (_CAMERA_MOVED, object_colour, table_colour, distractors):
-        change(model, task, index, rng)
+        change(model, task, trial, rng)
+
+
+def randomised(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+    """Change room and plant."""
+    light(model, task, trial, rng, factor=float(rng.uniform(*_LIGHT)))
+    moved_m, turned_rad = rng.uniform(0.0, _CAMERA_MAX).tolist()
+    camera_moved(model, task, trial, rng, distance_m=moved_m, angle_rad=turned_rad)
+    for change in (object_colour, table_colour, distractors):
+        change(model, task, trial, rng)
+    for name in task.objects:
+        _scale_mass(model, name, rng.uniform(*_MASS))
+    model.geom_friction[_touching(model, task), 0] *= rng.uniform(*_SLIP)
+    for hinge in _hinges(model):
+        _scale_friction(model, hinge, rng.uniform(*_JOINTS))
 
 
 class Push:
@@ -283,7 +322,11 @@ def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturba
 
 
 _LIGHT = (0.7, 1.4)
-_CAMERA_MOVED = partial(camera_moved, distance_m=0.02, angle_rad=np.radians(3.0))
+_CAMERA_MAX = 0.02, np.radians(3.0)  # shift [m] and turn [rad]
+_CAMERA_MOVED = partial(camera_moved, distance_m=_CAMERA_MAX[0], angle_rad=_CAMERA_MAX[1])
+# Factors: colours, masses, friction of surfaces, friction of joints.
+_SHADE, _MASS, _SLIP, _JOINTS = (0.6, 1.4), (0.5, 1.5), (0.7, 1.3), (0.5, 1.5)
+_BIAS_M, _BIAS_RAD = 0.003, 0.01  # standard deviation of each coordinate of the pose sensor's offset
 _PUSH_N = 20.0
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 _FRICTION = "scene.object.friction"
@@ -347,6 +390,14 @@ for _row in (
         "joint friction x2",
         f"one joint, another each trial, with twice a real joint's dry friction ({2.0 * DRY_NM:.2f} Nm)",
         change=partial(joint_friction, factor=2.0),
+    ),
+    Condition(
+        "randomised",
+        "room and plant at once: light, camera, colours, distractors, masses, friction, every joint's friction and the "
+        "pose sensor's offset, drawn for each trial",
+        change=randomised,
+        settings={"carry.sensing.pose_bias_m": _BIAS_M, "carry.sensing.pose_bias_rad": _BIAS_RAD},
+        promised=False,
     ),
 ):
     CONDITIONS.add(_row.name, _row)

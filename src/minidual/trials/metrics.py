@@ -29,14 +29,12 @@ class TrialMetrics:
 
     Attributes:
         failure: First violated condition, empty on success.
-        reason: The violation with numbers.
         failed_at_s: NaN on success.
         duration_s: Start to rest; NaN without success.
         torque_ratio_max: Largest |torque| / limit.
         jerk_rms: Low-passed; NaN if too short.
         path_length_m: Mean of both hands.
         internal_force_min_n, pinch_force_min_n: Off the table.
-        goal_error_m: At the end.
         aborted: Why the method stopped itself.
         disturbed: Whether the push or move took place; None without.
     """
@@ -86,8 +84,8 @@ class MethodSummary:
     Attributes:
         numbers: Indicators by name; *_low and *_high bound 95 % intervals (success rate: Wilson; others: bootstrap of
             the median). Durations, path lengths and forces are over successes, the others over all trials.
-        failures: Trials by first violated condition, most frequent first.
-        stopped_n: Failures in which the method stopped itself.
+        failures: By first violated condition, most frequent first.
+        stopped_n: Failures of a method that stopped itself.
     """
 
     method: str

@@ -45,13 +45,11 @@ class Switch:
 
     Attributes:
         confirmed_s: When the arms were at rest.
-        first_command_s: When its first command was accepted.
         first_step_rad: Measured posture to first target, worst joint.
-        target_step_rad: Largest target step while the source drove.
+        target_step_rad: Largest while the source drove.
         reference_step_ratio: Largest reference step over the velocity limit.
         torque_step_nm: Largest commanded torque step.
         torque_step_asked_nm: The same before the supervisor's limits.
-        torque_step_max_nm: Its bound.
     """
 
     mode: str

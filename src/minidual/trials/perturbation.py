@@ -23,7 +23,6 @@ class Robustness:
 
     Attributes:
         drop: Success rate lost against clean.
-        example: First failed trial.
         rate_min: Least success rate: a method that always fails loses nothing.
     """
 

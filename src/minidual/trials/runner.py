@@ -130,7 +130,7 @@ class Bench:
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
         disturb = None if spec.act is None else spec.act(self.task, rng)
-        with spec.applied(self.world.model, self.task, trial.index, rng):
+        with spec.applied(self.world.model, self.task, trial, rng):
             result, log = self._run(trial, disturb, on_step)
         took_place = None if disturb is None else disturb.took_place
         return replace(result, metrics=replace(result.metrics, condition=spec.name, disturbed=took_place)), log
