@@ -55,7 +55,7 @@ def run(world: Slack, planner: Planner, index: int) -> tuple[Outcome, PlannedCar
     trial = TASK.trial(1, "plan", index)
     judge = begin(world, TASK, trial)
     shape = thing_of(TASK.objects[TASK.carried].body).shape
-    supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot, shape=shape)
+    supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot, shapes=[shape])
     carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, index)
     return drive(world, judge, carry), carry
 

@@ -87,12 +87,11 @@ class ObjectConfig(StrictModel):
     @property
     def grasped(self) -> PartConfig:
         """The part between the fingers."""
+        return next(filter(self._holds, self.parts), self.solids[0])
+
+    def _holds(self, part: PartConfig) -> bool:
         grasp = (0.0, self.grasp_offset_m, self.grasp_height_m)
-
-        def holds(part: PartConfig) -> bool:
-            return all(abs(g - c) <= h for g, c, h in zip(grasp, part.position_m, part.half_m, strict=True))
-
-        return next(filter(holds, self.parts), self.solids[0])
+        return all(abs(g - c) <= h for g, c, h in zip(grasp, part.position_m, part.half_m, strict=True))
 
     @property
     def half_width_m(self) -> float:
@@ -117,7 +116,7 @@ class ObjectConfig(StrictModel):
 
     @model_validator(mode="after")
     def _hands_on_it(self) -> ObjectConfig:
-        if self.parts and self.grasped not in self.parts:
+        if self.parts and not self._holds(self.grasped):
             raise ValueError(f"no part holds the grasp (0, {self.grasp_offset_m}, {self.grasp_height_m})")
         if not self.parts and self.grasp_offset_m > self.length_m / 2:
             raise ValueError(f"grasp_offset_m {self.grasp_offset_m} lies beyond the end at {self.length_m / 2}")

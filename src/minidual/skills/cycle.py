@@ -20,7 +20,7 @@ from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
-from minidual.skills.pipeline.hands import Close, Descend, Grip, Home, Open, Reach, Retreat
+from minidual.skills.pipeline.hands import Close, Descend, Grip, Home, Insert, Open, Reach, Retreat
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
 from minidual.skills.pipeline.state import State, Thing
@@ -112,6 +112,10 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
             stages.append(Carry(label("carry", hands, names), places, asked.lift_height_m, tilt_rad))
             continue
         for step in run:
+            if step.phase == "insert":
+                (end,) = step.places
+                stages.append(Insert(label("insert", hands, names), hands, np.asarray(end), handled))
+                continue
             if step.phase != "approach":
                 stages.append(_OF_HANDS[step.phase](label(step.phase, hands, names), hands))
                 continue

@@ -6,13 +6,13 @@ from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.skills.cycle import solve
+from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap
 from minidual.skills.pipeline.state import State
 from minidual.skills.supervised import arm_distance
-from minidual.tasks.rod_carry import level_part
+from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Task, Trial
 
 _GAP_MARGIN_M = 0.005
@@ -38,7 +38,11 @@ class PlannedCarry(Drive):
         world = self.world = stack.plant
         supervisor = stack.supervisor
         self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
-        start = State(world.q, {name: level_part(T) for name, T in self.poses.items()})
+        known = {
+            name: pose_of(task.objects[name].body, placement(T)) if task.stands else level_part(T)
+            for name, T in self.poses.items()
+        }
+        start = State(world.q, known)
         gap = None
         if supervisor is not None:
             gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
@@ -42,11 +42,14 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
 
 
 @cache
-def _engine(robot: Robot, shape: Shape | None) -> MujocoEngine:
+def _engine(robot: Robot, shapes: tuple[Shape, ...]) -> MujocoEngine:
     hands = tuple(link for side in robot.sides for link in robot.hand_links(side))
-    held = () if shape is None else tuple(replace(shape, name=_in_hand(shape, side)) for side in robot.sides)
+    held = [replace(shape, name=_in_hand(shape, side)) for shape, side in zip(shapes, robot.sides, strict=False)]
     attached = [Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)]
-    return MujocoEngine(PlanningScene(robot=robot, attached=tuple(attached)))
+    scene = PlanningScene(robot=robot, attached=tuple(attached))
+    if len({shape.name for shape in shapes}) > 1:
+        scene = scene.allowing(*(copy.name for copy in held), "they are put together")
+    return MujocoEngine(scene)
 
 
 def _in_hand(shape: Shape, side: str) -> str:
@@ -54,12 +57,13 @@ def _in_hand(shape: Shape, side: str) -> str:
 
 
 class SceneClearance:
-    """See `Clearance`: arms, table, and an object of this shape while held."""
+    """See `Clearance`: arms, table, and what the hands hold: one shape for both, or one each."""
 
-    def __init__(self, robot: Robot, shape: Shape | None = None) -> None:
-        self._engine = deepcopy(_engine(robot, shape))
+    def __init__(self, robot: Robot, *shapes: Shape) -> None:
+        shapes = shapes * len(robot.sides) if len(shapes) == 1 else shapes
+        self._engine = deepcopy(_engine(robot, shapes))
         self._fingers = tuple(link for side in robot.sides for link in robot.hand_links(side)[1:])
-        self._held = () if shape is None else tuple(_in_hand(shape, side) for side in robot.sides)
+        self._held = tuple(_in_hand(shape, side) for shape, side in zip(shapes, robot.sides, strict=False))
         self.hold(None)
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
@@ -86,8 +90,8 @@ class SceneClearance:
 
 
 def trial_supervisor(
-    config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None, shape: Shape | None = None
+    config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None, shapes: Sequence[Shape] = ()
 ) -> Supervisor:
-    """Return a supervisor that also watches distances, with an object of this shape while held."""
-    distances = {"self_distance": arm_distance(robot), "clearance": SceneClearance(robot, shape)}
+    """Return a supervisor that also watches distances, with objects as in `SceneClearance`."""
+    distances = {"self_distance": arm_distance(robot), "clearance": SceneClearance(robot, *shapes)}
     return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), on_reflex=on_reflex, **distances)

@@ -170,7 +170,7 @@ TOOLS: tuple[ToolEntry, ...] = (
         "minidual.stages.scene_view:view_scene",
         "Show the scene in real time in a browser, with a slider for each joint",
         (
-            Option("task", "Scene of this task: rod_carry, handover, pot_lift, sort.", str, "task"),
+            Option("task", "Scene of this task: rod_carry, handover, pot_lift, sort, insertion.", str, "task"),
             Option("for-s", "End by itself after this many seconds (default: Ctrl-C ends it).", float),
         ),
         watchable=True,

@@ -26,22 +26,20 @@ _BOTTLE: dict[str, Any] = {
     "grasp_offset_m": 0.07,
     "colour": (0.16, 0.45, 0.36, 1.0),
 }
+# Exchange poses if the left hand gives.
 _MEETINGS = tuple(
     pose(rot_z(yaw), xyz)
     for xyz, yaw in itertools.product(
         ((0.56, -0.03, 0.30), (0.50, 0.0, 0.36), (0.52, -0.12, 0.36), (0.56, -0.10, 0.30)), (0.1, 0.4, -0.2)
     )
 )
-"""Exchange poses if the left hand gives."""
+# Places on the table for another grasp.
 _ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
-"""Places on the table for another grasp."""
 _DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
+# Hand pointing along the bottle's x axis, closing along y: across the giver's fingers, which else give way.
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Hand pointing along the bottle's x axis, closing along y: across the giver's fingers, which else give way."""
-_HEIGHTS_M = (0.0, -0.04)
-"""Of the taker's grasps."""
-_TURNS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2)
-"""Of the bottle at its goal, where its yaw is free [rad]."""
+_HEIGHTS_M = (0.0, -0.04)  # of the taker's grasps
+_TURNS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2)  # of the bottle at its goal, where its yaw is free [rad]
 _ACROSS = np.diag([1.0, -1.0, 1.0, 1.0])
 
 

@@ -22,15 +22,14 @@ from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}
 SIDE_OF = dict(zip(COLOURS, SIDES, strict=True))
 """Arm that reaches the bin of a colour."""
-_WAY = dict(zip(SIDES, (1.0, -1.0), strict=True))
-"""Sign of y on an arm's side."""
+_WAY = dict(zip(SIDES, (1.0, -1.0), strict=True))  # sign of y on an arm's side
 _EDGE_M, _APART_M = 0.04, 0.10
 _START_M = ((0.38, 0.58), (-0.42, 0.42))
 _WRONG_M = 0.15
+# Size and centre of a bin, and its places along y. However it stretches, the other arm ends 3 cm before it.
 _BIN_M, _BIN_XY_M, _SLOTS_M = (0.16, 0.18), (0.50, 0.65), (0.045, -0.045)
-"""Size and centre of a bin, and its places along y. However it stretches, the other arm ends 3 cm before it."""
+# A passed cube is put down this far on its taker's side, at one of these x.
 _MIDDLE_M, _MIDDLE_X_M = 0.11, (0.48, 0.40, 0.56)
-"""A passed cube is put down this far on its taker's side, at one of these x."""
 _ARMS_APART_M = 0.20
 _HANDLE = ("approach", "descend", "close", "lift", "carry", "lower", "open", "retreat")
 _DRAWS_MAX = 1000

@@ -74,6 +74,7 @@ class Task:
         success: (task, trial) -> new conditions.
         draw: (task, rng, widen) -> start and goal, each {object: pose}.
         arrange: (task, trial, sensed poses) -> lists of steps, preferred first, where they depend on the start.
+        stands: On the table; plans ignore the sensed height.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Task:
     draw: Callable[[Task, np.random.Generator, float], tuple[dict[str, ObjectPose], dict[str, ObjectPose]]]
     stream: str = "trial"
     arrange: Callable[[Task, Trial, Mapping[str, Array]], Iterable[Sequence[Step]]] | None = None
+    stands: bool = False
 
     @property
     def scene(self) -> SceneConfig:
@@ -114,6 +116,7 @@ TASKS: Registry[Callable[[Config], Task]] = Registry(
         "handover": "minidual.tasks.handover:handover",
         "pot_lift": "minidual.tasks.pot_lift:pot_lift",
         "sort": "minidual.tasks.sort:sort",
+        "insertion": "minidual.tasks.insertion:insertion",
     },
     group="minidual.tasks",
 )

@@ -10,6 +10,7 @@ from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES
 from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.planned_carry import PlannedCarry
@@ -20,8 +21,9 @@ from minidual.trials.methods import Factory, MethodInputs
 
 def _supervisor(inputs: MethodInputs) -> Supervisor:
     config, task = inputs.config, make_task(inputs.config)
-    shape = thing_of(task.objects[task.carried].body).shape
-    return trial_supervisor(config.supervisor, task.scene.physics.timestep_s, robot_from(config.robot), shape=shape)
+    own = [next((i.body for i in task.objects.values() if side in i.grasps), task.scene.object) for side in SIDES]
+    shapes = [thing_of(body).shape for body in own]
+    return trial_supervisor(config.supervisor, task.scene.physics.timestep_s, robot_from(config.robot), shapes=shapes)
 
 
 def impedance(inputs: MethodInputs) -> Factory:

@@ -15,8 +15,7 @@ from minidual.skills.pipeline.state import Segment
 
 SOURCE = "moveit"
 """Arbiter source of pre-planned motions."""
-_FEEL_S = 1.0
-"""Longest wait for a grip."""
+_FEEL_S = 1.0  # longest wait for a grip
 
 
 class Drive:

@@ -15,12 +15,9 @@ from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
 
-_ATTEMPTS = 5
-"""Postures tried per grip."""
-_TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8
-"""Hand speed of free motions; the supervisor stops the arms at 1.7 m/s."""
-_SHORTER = (1.0, 0.6)
-"""Shares of the retreat height to try."""
+_ATTEMPTS = 5  # postures tried per grip
+_TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
+_SHORTER = (1.0, 0.6)  # shares of the retreat height to try
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +81,23 @@ class Close(Stage):
         left = {arm: T for arm, T in start.reached.items() if arm not in self.arms}
         end = replace(start.opened(self.arms, CLOSED), held_by=held, reached=left)
         yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings),))
+
+
+class Insert(Stage):
+    """Straight motion of a held object into another one, which it may touch."""
+
+    def __init__(self, name: str, arms: Sequence[str], T_world_end: Array, pair: tuple[str, ...]) -> None:
+        super().__init__(name, arms)
+        self._end, self._pair = T_world_end, pair
+
+    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
+        """See `Stage`."""
+        scene = tools.scene(start).allowing(*self._pair, "one goes into the other")
+        targets = {arm: self._end @ start.held_by[arm] for arm in self.arms}
+        segment = straight(tools, "insert", start, targets, scene)
+        end = replace(start, q=segment.trajectory.q[-1], objects={**start.objects, self._pair[0]: self._end})
+        wait = still("settle", end.q, PHASES["insert"].hold_s, end.openings)
+        yield Candidate("", 0.0, end, (segment, wait))
 
 
 class Open(Stage):

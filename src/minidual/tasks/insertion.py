@@ -1,0 +1,203 @@
+"""Insertion: a socket in the left hand and a peg in the right one are put together in the air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from minidual.config.change import preset
+from minidual.config.root import Config
+from minidual.config.scene import ObjectConfig, PartConfig
+from minidual.robot.pair import SIDES, Array
+from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.tasks import success
+from minidual.tasks.rod_carry import level_pose, placement
+from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
+
+SOCKET, PEG = "socket", "peg"
+HAND_OF = dict(zip((SOCKET, PEG), SIDES, strict=True))
+CLEARANCE_M, DEPTH_M = 0.0015, 0.03
+"""Play of the peg in the bore, along x and along z; wanted depth of its tip."""
+_FELT_M = 0.0004  # distance at which faces touch: both margins of minidual.plant.scenery
+_PEG_M, _PEG_LENGTH_M = 0.022, 0.20
+_BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.010
+_BLOCK_M, _BLOCK_LENGTH_M = _BORE_M + 2 * _WALL_M, 0.08
+_MOUTH_M = -(_BLOCK_LENGTH_M / 2 + _BORE_DEPTH_M)  # y in the socket's frame
+_GRASP_M = {SOCKET: 0.0, PEG: -0.06}  # y; so the hands keep 21 cm apart
+_AIM_M, _BEFORE_M = 0.036, 0.025  # depth to which the peg is driven, and its distance from the mouth before
+_START_M, _GOAL_Z_M = (0.45, 0.28), (0.18, 0.26)
+_HOLD_S = 0.3
+_BREAKS_N = 40.0
+_STEEL, _DARK, _RED = (0.62, 0.65, 0.70, 1.0), (0.30, 0.34, 0.40, 1.0), (0.80, 0.20, 0.16, 1.0)
+
+
+def insertion(config: Config) -> Task:
+    """Return the task."""
+    (x, y), across, along = _START_M, (_BORE_M + _WALL_M) / 2, _MOUTH_M + _BORE_DEPTH_M / 2
+    walls = [((way * across, along, 0.0), (_WALL_M, _BORE_DEPTH_M, _BLOCK_M)) for way in (-1.0, 1.0)]
+    walls += [((0.0, along, way * across), (_BORE_M, _BORE_DEPTH_M, _WALL_M)) for way in (-1.0, 1.0)]
+    parts = tuple(PartConfig(position_m=at, size_m=size, colour=_STEEL) for at, size in walls)
+    peg = _body(PEG, _PEG_LENGTH_M, _PEG_M, mass_kg=0.06, colour=_RED, xy_m=(x, -y))
+    socket = _body(SOCKET, _BLOCK_LENGTH_M, _BLOCK_M, mass_kg=0.12, colour=_DARK, xy_m=(x, y), parts=parts)
+    values = {
+        "object": peg,
+        "more": (socket,),
+        "task.start_xy_m": (x, -y),
+        "task.start_range_rad": 0.35,
+        "task.goal_xy_m": (0.48, -0.045),
+        "task.goal_range_m": 0.03,
+        "task.goal_range_rad": 0.26,
+        "task.clear_height_m": 0.10,
+        "task.time_limit_s": 20.0,
+    }
+    config = preset(config, {f"scene.{name}": value for name, value in values.items()})
+    down = rot_z(np.pi / 2.0) @ rot_x(np.pi)
+    objects = {
+        name: TaskObject(body, {HAND_OF[name]: pose(down, (0.0, _GRASP_M[name], body.grasp_height_m))})
+        for name, body in config.scene.objects.items()
+    }
+    return Task(
+        name="insertion",
+        instruction="Take the socket with the left hand and the peg with the right one, and put them together in the air.",
+        config=config,
+        objects=objects,
+        steps=(),
+        success=inserted,
+        draw=draw_apart,
+        stream="insertion-trial",
+        arrange=arrange,
+        stands=True,
+    )
+
+
+def _body(name: str, length_m: float, width_m: float, **others: Any) -> ObjectConfig:
+    size = {"length_m": length_m, "width_m": width_m, "height_m": width_m, "grasp_offset_m": 0.0}
+    return ObjectConfig(name=name, shape="box", friction=0.8, break_force_n=_BREAKS_N, **size, **others)
+
+
+def draw_apart(
+    task: Task, rng: np.random.Generator, widen: float = 1.0
+) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+    """Draw a start on each side, and where in the air they meet."""
+    asked, start = task.scene.task, dict[str, ObjectPose]()
+    for name, item in task.objects.items():
+        (x, y), ranges = item.body.xy_m or asked.start_xy_m, (asked.start_range_m,) * 2 + (asked.start_range_rad,)
+        dx, dy, yaw = (widen * np.array(ranges) * rng.uniform(-1.0, 1.0, size=3)).tolist()
+        start[name] = x + dx, y + dy, yaw
+    ranges = asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad
+    dx, dy, turn = (ranges * rng.uniform(-1.0, 1.0, size=3)).tolist()
+    (x, y), z = asked.goal_xy_m, float(rng.uniform(*_GOAL_Z_M))
+    peg = level_pose(x + dx, y + dy, z, asked.goal_yaw_rad + turn)
+    return start, {PEG: peg, SOCKET: peg @ _along(_PEG_LENGTH_M / 2 - _AIM_M - _MOUTH_M)}
+
+
+def _along(y_m: float) -> Array:
+    return pose(np.eye(3), (0.0, y_m, 0.0))
+
+
+def arrange(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
+    """Yield the steps."""
+    names, goal = tuple(HAND_OF), {name: np.asarray(T) for name, T in trial.goal.items()}
+    before = goal | {PEG: goal[PEG] @ _along(-_AIM_M - _BEFORE_M)}
+    fetch = (Step(phase, SIDES, names) for phase in ("approach", "descend", "close", "lift"))
+    push = Step("insert", (HAND_OF[PEG],), (PEG, SOCKET), (goal[PEG],))
+    yield *fetch, Step("carry", SIDES, names, (before,)), push
+
+
+def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
+    """Return the conditions."""
+    asked, bodies = task.scene.task, task.scene.objects
+    hands = {name: SIDES.index(side) for name, side in HAND_OF.items()}
+    return (
+        success.Each([success.Level(name, asked.tilt_max_rad) for name in bodies]),
+        success.Each([success.Whole(n, body.break_pinch_n, body.break_force_n) for n, body in bodies.items()]),
+        _All([_HeldBy(name, asked.pinch_min_n, hand=hand) for name, hand in hands.items()]),
+        success.Each([success.Stood(name) for name in bodies]),
+        _All([_Aloft(name, asked.clear_height_m) for name in bodies]),
+        _Mated(asked.clear_height_m),
+        success.Arrived(PEG, placement(trial.goal[PEG])[:2], asked.goal_tolerance_m),
+        success.OnTime(asked.time_limit_s),
+    )
+
+
+def depth_m(truth: success.Truth) -> float:
+    """Return the depth of the tip [m]; 0 unless the peg is inside the bore from mouth to tip."""
+    peg, socket = truth[PEG], truth[SOCKET]
+    if math.dist(peg.xyz, socket.xyz) > _PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M:
+        return 0.0
+    T = inverse(socket.T) @ peg.T
+    deep = T[1, 3] + T[1, 1] * _PEG_LENGTH_M / 2 - _MOUTH_M
+    half, ends = _PEG_M / 2, (_PEG_LENGTH_M / 2, _PEG_LENGTH_M / 2 - deep)
+    corners = np.array([(x, y, z, 1.0) for x in (-half, half) for z in (-half, half) for y in ends])
+    inside = deep > 0.0 and np.abs(corners @ T[[0, 2]].T).max() < _BORE_M / 2
+    return float(deep) if inside else 0.0
+
+
+class _All(success.Each):
+    """A stage, reached by each object."""
+
+    stage = True
+
+    def reached(self, truth: success.Truth) -> bool:
+        return all(part.reached(truth) for part in self.parts)
+
+
+@dataclass
+class _HeldBy(success.Held):
+    """By one hand."""
+
+    hand: int = 0
+
+    def _pinch(self, truth: success.Truth) -> tuple[int, float]:
+        return self.hand, truth[self.object].pinch[self.hand]
+
+
+@dataclass
+class _Aloft(success.OfObject):
+    """At the end."""
+
+    name = "aloft"
+    limit_m: float
+
+    def holds(self, truth: success.Truth) -> bool:
+        return truth[self.object].clearance_m > self.limit_m
+
+    def end(self, truth: success.Truth) -> str:
+        height = 1e3 * truth[self.object].clearance_m
+        return "" if self.holds(truth) else f"{height:.0f} mm over the table, needs > {1e3 * self.limit_m:.0f}"
+
+
+@dataclass
+class _Mated(success.SuccessCondition):
+    """The peg enters the bore high up, and stays deep in it."""
+
+    name = "mated"
+    stage = True
+    height_m: float
+    _deepest: float = 0.0
+    _force: float = 0.0
+    _since: float | None = None
+
+    def observe(self, truth: success.Truth) -> str:
+        deep = depth_m(truth)
+        self._deepest = max(self._deepest, deep)
+        self._since = (truth.time if self._since is None else self._since) if deep >= DEPTH_M else None
+        if not deep:
+            return ""
+        self._force = max(self._force, math.hypot(*truth[PEG].hand_forces[SIDES.index(HAND_OF[PEG])]))
+        low = min(item.clearance_m for item in truth.values())
+        return "" if low > self.height_m else f"the peg enters the bore {1e3 * low:.0f} mm over the table"
+
+    def holds(self, truth: success.Truth) -> bool:
+        return self._since is not None and truth.time - self._since >= _HOLD_S
+
+    def end(self, truth: success.Truth) -> str:
+        found = f"the tip came {1e3 * self._deepest:.1f} mm deep, and is {1e3 * depth_m(truth):.1f} mm deep at the end"
+        return "" if self.holds(truth) else f"{found}; needs {1e3 * DEPTH_M:.0f} mm for {_HOLD_S} s"
+
+    def measured(self, truth: success.Truth) -> dict[str, float]:
+        return {"depth_m": depth_m(truth), "insertion_force_max_n": self._force}
