@@ -32,7 +32,7 @@ _AIM_M, _BEFORE_M = 0.036, 0.025  # depth to which the peg is driven, and its di
 _START_M, _GOAL_Z_M = (0.45, 0.28), (0.18, 0.26)
 _HOLD_S = 0.3
 _BREAKS_N = 40.0
-_STEEL, _DARK, _RED = (0.62, 0.65, 0.70, 1.0), (0.30, 0.34, 0.40, 1.0), (0.80, 0.20, 0.16, 1.0)
+_PALE, _BLUE, _RED = (0.55, 0.70, 0.92, 1.0), (0.13, 0.33, 0.78, 1.0), (0.80, 0.20, 0.16, 1.0)
 
 
 def insertion(config: Config) -> Task:
@@ -40,9 +40,9 @@ def insertion(config: Config) -> Task:
     (x, y), across, along = _START_M, (_BORE_M + _WALL_M) / 2, _MOUTH_M + _BORE_DEPTH_M / 2
     walls = [((way * across, along, 0.0), (_WALL_M, _BORE_DEPTH_M, _BLOCK_M)) for way in (-1.0, 1.0)]
     walls += [((0.0, along, way * across), (_BORE_M, _BORE_DEPTH_M, _WALL_M)) for way in (-1.0, 1.0)]
-    parts = tuple(PartConfig(position_m=at, size_m=size, colour=_STEEL) for at, size in walls)
+    parts = tuple(PartConfig(position_m=at, size_m=size, colour=_PALE) for at, size in walls)
     peg = _body(PEG, _PEG_LENGTH_M, _PEG_M, mass_kg=0.06, colour=_RED, xy_m=(x, -y))
-    socket = _body(SOCKET, _BLOCK_LENGTH_M, _BLOCK_M, mass_kg=0.12, colour=_DARK, xy_m=(x, y), parts=parts)
+    socket = _body(SOCKET, _BLOCK_LENGTH_M, _BLOCK_M, mass_kg=0.12, colour=_BLUE, xy_m=(x, y), parts=parts)
     values = {
         "object": peg,
         "more": (socket,),
