@@ -142,6 +142,30 @@ def test_episodes_take_turns_in_the_rooms(tmp_path: Path, shared_model: None, mo
     assert same(look(), before)
 
 
+def test_an_episode_may_change_rooms(tmp_path: Path, shared_model: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every 0.2 s, ten ticks, the next room, drawn anew; at the end the model is as before."""
+    job = _job(tmp_path)
+    teleop = job.teleop.model_copy(update={"room_change_s": 0.2})
+    job = dataclasses.replace(job, teleop=teleop, rooms=rooms(["clean", "room", "room"]))
+    rig = Rig(job, ())
+    look = lambda: rig.world.model.cam_pos.tobytes()  # noqa: E731
+    seen: list[bytes] = []
+
+    def run(*_: Any, on_tick: Any) -> None:
+        for k in range(60):
+            seen.append(look())
+            on_tick(k, None)
+
+    monkeypatch.setattr(rig.session, "run", run)
+    before = look()
+    rig.lead(job.trial(0), lambda *_: None)
+    shown = [set(seen[k : k + 10]) for k in range(0, 60, 10)]
+    assert all(len(stay) == 1 for stay in shown)
+    assert [stay == {before} for stay in shown] == [True, False, False, True, False, False]
+    assert len(set.union(*shown)) == 5
+    assert look() == before
+
+
 def test_only_what_changes_the_model_can_be_recorded_under() -> None:
     with pytest.raises(UsageError, match=r"cannot be recorded under 'push \+x'; there are clean, .*room"):
         rooms(["clean", "push +x"])

@@ -61,8 +61,8 @@ class TrainConfig(StrictModel):
     kl_weight: float = Field(default=10.0, ge=0.0, le=1e4)
     keypoints: int = Field(default=32, ge=4, le=256)
     """Spatial-softmax keypoints of each camera."""
-    dilated_layers: int = Field(default=0, ge=0, le=4)
-    """Layers of the encoder with dilation 2, 4, 8, 16."""
+    context_layers: int = Field(default=0, ge=0, le=4)
+    """Layers on maps of half the size that see what stands around; with 2 a place sees 81 pixels, with 0 21."""
     standardised_maps: bool = False
     """Whether the encoder's maps get mean 0 and deviation 1."""
     keyframe_weight: float = Field(default=1.0, ge=0.0, le=100.0)

@@ -55,6 +55,8 @@ class TeleopConfig(StrictModel):
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
     conditions: tuple[str, ...] = Field(default=("clean",), min_length=1)
     """Conditions that the episodes take in turn; only those that change what is there."""
+    room_change_s: float = Field(default=0.0, ge=0.0, le=60.0)
+    """Time after which an episode goes on under the next of the conditions, drawn anew; 0: never."""
     widen: float = Field(default=1.3, ge=1.0, le=2.0)
     """Start range as a multiple of the tests'."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -95,9 +95,9 @@ class Job:
         """Return trial `index`."""
         return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
 
-    def room(self, trial: Trial) -> Room | None:
-        """Return the room of a trial."""
-        return self.rooms[trial.index % len(self.rooms)] if self.rooms else None
+    def room(self, trial: Trial, turn: int = 0) -> Room | None:
+        """Return a trial's room; `turn` counts changes of room within it."""
+        return self.rooms[(trial.index + turn) % len(self.rooms)] if self.rooms else None
 
 
 @dataclass(frozen=True)
@@ -157,16 +157,26 @@ class Rig:
 
     def lead(self, trial: Trial, on_tick: Callable[[int, Tick], None]) -> SessionResult:
         """Run one episode."""
-        leader = LEADERS[self.job.teleop.leader].for_trial(self._setup, trial)
-        with closing(leader), self.room(trial):
-            return self.session.run(self.job.task, trial, leader, on_tick=on_tick)
+        teleop = self.job.teleop
+        leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
+        stay = round(teleop.room_change_s * teleop.rate_hz)
+        with closing(leader), ExitStack() as shown:
+            shown.enter_context(self.room(trial))
 
-    def room(self, trial: Trial) -> AbstractContextManager[None]:
-        """Show the trial's room to the cameras."""
-        job, room = self.job, self.job.room(trial)
+            def tick(k: int, ticked: Tick) -> None:
+                on_tick(k, ticked)
+                if stay and (k + 1) % stay == 0:
+                    shown.close()
+                    shown.enter_context(self.room(trial, (k + 1) // stay))
+
+            return self.session.run(self.job.task, trial, leader, on_tick=tick)
+
+    def room(self, trial: Trial, turn: int = 0) -> AbstractContextManager[None]:
+        """Show one of the trial's rooms to the cameras."""
+        job, room = self.job, self.job.room(trial, turn)
         if room is None:
             return nullcontext()
-        rng = stream(job.seed, f"room/{trial.purpose}/{room.name}", trial.index)
+        rng = stream(job.seed, f"room/{trial.purpose}/{room.name}" + (f"/{turn}" if turn else ""), trial.index)
         return room.applied(self.world.model, job.task, trial, rng)
 
     def record(self, index: int) -> Attempt:
@@ -262,7 +272,7 @@ class Rig:
             "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
         }
         if (room := self.job.room(trial)) is not None:
-            extra["condition"] = room.name
+            extra |= {"condition": room.name, "room_change_s": teleop.room_change_s}
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
     def _reason(self, result: SessionResult) -> str:

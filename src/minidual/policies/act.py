@@ -128,7 +128,7 @@ class SpatialActKind(ActKind):
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
         """Return a policy of the configured precision."""
-        own = ("keypoints", "keyframe_weight", "dilated_layers", "standardised_maps")
+        own = ("keypoints", "keyframe_weight", "context_layers", "standardised_maps")
         described = SpatialActConfig(**{name: getattr(config, name) for name in own}, **common)
         policy = SpatialActPolicy(described)
         encoders: Any = policy.model.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -17,7 +17,7 @@ class SpatialActConfig(ACTConfig):
 
     pretrained_backbone_weights: str | None = None
     keypoints: int = 32
-    dilated_layers: int = 0
+    context_layers: int = 0
     standardised_maps: bool = False
     keyframe_weight: float = 1.0
     keyframes: int = 2

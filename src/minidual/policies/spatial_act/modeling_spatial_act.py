@@ -28,7 +28,7 @@ class SpatialActModel(nn.Module):
         assert config.action_feature is not None
         action_dim = config.action_feature.shape[0]
         self.cameras = list(config.image_features)
-        looks = {"dilated_layers": config.dilated_layers, "standardised": config.standardised_maps}
+        looks = {"context_layers": config.context_layers, "standardised": config.standardised_maps}
         self.backbone = nn.ModuleList([KeypointEncoder(config.keypoints, **looks) for _ in self.cameras])
         keypoint_dim = 3 * config.keypoints * len(self.cameras)
         self.has_keyframe = config.keyframe_weight > 0
