@@ -21,15 +21,22 @@ from minidual.motion.search import search
 from minidual.motion.shortcut import shortcut
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import Array
-from minidual.trials.planning import query_set
-from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored, stored_query
+from minidual.trials.planning import queries
+from minidual.trials.planning.queries import (
+    OBSTACLES_N,
+    ROBOT,
+    Query,
+    QueryGenerator,
+    polyline_states,
+    stored,
+    stored_query,
+)
 
 _CHECKS_N = 250_000
 _ROUNDS = ((0.004, 0.03), (0.002, 0.03), (0.001, 0.02), (0.001, 0.02))
 """Padding [m] and step [rad] of the searches, one after the other: 1,000,000 state checks in all."""
 _DEADLINE_S = 3600.0
-FOLDER = Path(query_set.__file__).with_name("query_sets")
+FOLDER = Path(queries.__file__).with_name("query_sets")
 
 
 def is_free(path: Array, engines: SceneEngines) -> bool:

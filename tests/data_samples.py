@@ -56,7 +56,8 @@ def write(path: Path, data: dict[str, Any], *, success: bool = True, fps: float 
     with EpisodeWriter(path, record) as writer:
         for k in range(len(data["timestamps"])):
             writer.append(**tick(data, k))
-        return writer.commit(success=success)
+        writer.finish(success=success)
+        return writer.publish()
 
 
 def tick(data: dict[str, Any], k: int) -> dict[str, Any]:

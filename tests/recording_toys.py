@@ -16,7 +16,6 @@ import numpy as np
 from minidual import durable
 from minidual.config.root import Config
 from minidual.demos import recording
-from minidual.demos.observation import Observation
 from minidual.demos.rig import Job, Rig
 from minidual.demos.session import SessionResult, Tick
 from minidual.robot.arms import DUAL_PANDA
@@ -42,7 +41,7 @@ class ToyRig(Rig):
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job, self.kinematics = job, Kinematics(job.robot)
 
-    def lead(self, trial: Trial, on_tick: Callable[[int, Tick], None]) -> SessionResult:
+    def lead(self, trial: Trial, on_tick: Callable[[Tick], None]) -> SessionResult:
         """Sway the arms a little."""
         if str(trial.index) == os.environ.get("HANG_AT"):
             time.sleep(60.0)
@@ -53,8 +52,8 @@ class ToyRig(Rig):
         pixels = np.random.default_rng(7).integers(90, 110, (camera.height_px, camera.width_px, 3), dtype=np.uint8)
         for k, t in enumerate(times):
             images = {camera: pixels + np.uint8(k) for camera in self.job.teleop.cameras}
-            seen = Observation(t, t + self.late_s, q[k], np.zeros(14), np.ones(2), images)
-            on_tick(k, Tick(seen, q[k] + 0.01, np.ones(2)))
+            seen = t, t + self.late_s, q[k], np.zeros(14), np.ones(2), images
+            on_tick(Tick(*seen, q[k] + 0.01, np.ones(2)))
         good = trial.index % 4 != 1
         outcome = Outcome(good, (), times[-1], {"goal_error_m": 1e-3, "tilt_max_rad": 1e-2})
         return SessionResult(q, outcome, [1e-4] * TICKS, ended_by="leader")

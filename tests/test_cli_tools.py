@@ -7,8 +7,8 @@ from pipeline_toys import Toy
 
 from minidual.cli.app import run_command_line
 from minidual.errors import DataError, ExitCode
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
-from minidual.gate.tool import ToolContext, ToolResult
 
 
 def measure(context: ToolContext) -> ToolResult:

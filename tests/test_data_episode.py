@@ -69,7 +69,8 @@ def test_pictures_come_back_in_order_and_one_camera_can_be_read(tmp_path: Path) 
     with EpisodeWriter(path, META) as writer:
         for k in range(23):
             writer.append(**data_samples.tick(data, k))
-        writer.commit(success=True)
+        writer.finish(success=True)
+        writer.publish()
     episode = read_episode(path, cameras=["left"])
     assert list(episode.images) == ["left"]
     np.testing.assert_array_equal(episode.images["left"], data["images"]["left"])
@@ -248,7 +249,8 @@ with EpisodeWriter(folder / "episode_000001.hdf5", meta) as writer:
         if {moment!r} == "appending" and k == 20:
             wait()
     durable.publish = wait
-    writer.commit(success=True)
+    writer.finish(success=True)
+    writer.publish()
 """
     process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -247,7 +247,7 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
     asked_of = {"tasks": ["rod_carry", "handover"], "trials_n": 3, "perturbed_trials_n": 2}
     config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean", "mass +50 %"]}})
     check_benchmark(config)
-    given = StageContext(tmp_path, STAGES["benchmark"].resolved(config), SEED, "standard")
+    given = StageContext(folder=tmp_path, config=STAGES["benchmark"].resolved(config), seed=SEED, profile="standard")
     result = STAGES["benchmark"].load()(dataclasses.replace(given, upstream={"train-act": tmp_path}))
     assert all(check.passed is not False for check in result.checks)
     names = {check.name for check in result.checks}

@@ -7,7 +7,7 @@ import pytest
 from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import ExitCode, UsageError
-from minidual.gate.tool import ToolContext
+from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import perturb
 from minidual.trials import benchmark
 from minidual.trials.conditions import CONDITIONS
@@ -116,9 +116,14 @@ def test_a_loss_that_is_no_number_does_not_hold(outcomes):
     assert not Robustness(row.cell, float("nan"), "").holds
 
 
+def tool_context(config, folder, trials):
+    options = {"trials": trials}
+    return ToolContext(config=config, seed=5, profile="standard", run_folder=folder, name="perturb", options=options)
+
+
 def test_the_command_fails_when_a_condition_costs_too_much(outcomes, tmp_path):
     failures, _ = outcomes
-    context = ToolContext(Config(), 5, 1, "standard", tmp_path, {"trials": 20})
+    context = tool_context(Config(), tmp_path, 20)
     assert perturb(context).exit_code == ExitCode.PASS
     failures["mass +50 %"] = 10
     result = perturb(context)
@@ -132,7 +137,7 @@ def test_the_command_fails_when_a_condition_costs_too_much(outcomes, tmp_path):
 
 def test_a_row_that_would_be_the_clean_one_says_so(outcomes, tmp_path):
     smooth = Config.model_validate({"carry": {"object": "box"}})
-    context = ToolContext(smooth, 5, 1, "standard", tmp_path, {"trials": 2})
+    context = tool_context(smooth, tmp_path, 2)
     result = perturb(context)
     assert result.exit_code == ExitCode.PASS
     assert "friction 0.3" not in [name for name, _, _ in outcomes[1]]
@@ -163,7 +168,7 @@ def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkey
     rows = found()
     assert [name for name, row in rows.items() if not row.holds] == ["push -y"]
     assert "never took place" in rows["push -y"].example
-    context = ToolContext(Config(), 5, 1, "standard", tmp_path, {"trials": 2})
+    context = tool_context(Config(), tmp_path, 2)
     assert perturb(context).exit_code == ExitCode.ACCEPTANCE_FAILED
 
 

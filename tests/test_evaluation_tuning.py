@@ -6,7 +6,7 @@ import pytest
 from minidual.config.change import changed
 from minidual.config.loader import load_config
 from minidual.config.root import Config
-from minidual.gate.tool import ToolContext
+from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import tune
 from minidual.trials import tuning
 from minidual.trials.metrics import TrialMetrics
@@ -105,8 +105,12 @@ def test_tuning_sees_starts_of_its_own_stream(plant):
     assert len({start for _, start in plant["starts"]}) == tuning.CARRIES_N
 
 
+def tool_context(config, folder):
+    return ToolContext(config=config, seed=3, profile="standard", run_folder=folder, name="carry-tune")
+
+
 def test_the_profile_that_is_written_loads(plant, tmp_path):
-    context = ToolContext(Config(), 3, 1, "standard", tmp_path, _name="carry-tune")
+    context = tool_context(Config(), tmp_path)
     result = tune(context)
     context.publish()
     loaded = load_config(str(tmp_path / "carry-tune" / "tuned.yaml")).config.carry.impedance
@@ -122,7 +126,7 @@ def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
     config = load_config(
         "standard", ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.object.friction=0.45"]
     ).config
-    context = ToolContext(config, 3, 1, "standard", tmp_path, _name="carry-tune")
+    context = tool_context(config, tmp_path)
     tune(context)
     context.publish()
     loaded = load_config(str(tmp_path / "carry-tune" / "tuned.yaml")).config
@@ -134,7 +138,7 @@ def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
 def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):
     plant["loss_n"] = 30.0
     with pytest.raises(TuningError):
-        tune(ToolContext(Config(), 3, 1, "standard", tmp_path, _name="carry-tune"))
+        tune(tool_context(Config(), tmp_path))
     assert "force" in (tmp_path / "carry-tune" / "tuning.csv").read_text()
 
 

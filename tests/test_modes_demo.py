@@ -21,7 +21,7 @@ from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import ExitCode, GateClosedError, UsageError
-from minidual.gate.tool import ToolContext
+from minidual.gate.stage import ToolContext
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -184,7 +184,7 @@ def test_modes_are_parsed_or_refused() -> None:
 
 
 def _context(run: Path, **options: str) -> ToolContext:
-    return ToolContext(Config(), SEED, 1, "standard", run, options, _name="modes")
+    return ToolContext(config=Config(), seed=SEED, profile="standard", run_folder=run, options=options, name="modes")
 
 
 def test_without_a_policy_nothing_is_put_in_its_place(tmp_path: Path) -> None:

@@ -69,9 +69,9 @@ def test_pass_if_and_only_if_all_limited_checks_pass_and_there_is_one(checks):
 def test_file_round_trip_keeps_everything(tmp_path_factory, checks):
     path = tmp_path_factory.mktemp("v") / "verdict.json"
     verdict = make_verdict(*checks, data={"curve": [1.0, float("nan")]}, notes=("n",), options={"trials": 3})
-    path.write_text(verdict.text())
+    path.write_text(dumps(verdict.to_json()))
     again, sha256 = read_verdict(path)
-    assert again.text() == verdict.text()
+    assert again.to_json() == verdict.to_json()
     assert [type(check.observed) for check in again.checks] == [type(check.observed) for check in checks]
     assert again.fingerprint == verdict.fingerprint
     assert len(sha256) == 64
@@ -104,13 +104,13 @@ def _edit(record: dict, **changes) -> str:
 
 def _doubled() -> str:
     """Return a verdict that says "fail" first and its own "pass" last: the digest holds for the last."""
-    return make_verdict(Check("x", 1, "<", 2)).text().replace("{", '{"status": "fail",', 1)
+    return dumps(make_verdict(Check("x", 1, "<", 2)).to_json()).replace("{", '{"status": "fail",', 1)
 
 
 def _reasons():
     record = make_verdict(Check("x", 2, "<", 1), acceptance_profile=False).to_json()
     loose = [{**record["checks"][0], "passed": True}]
-    yield "truncated", make_verdict(Check("x", 1, "<", 2)).text()[:-40], "is corrupt"
+    yield "truncated", dumps(make_verdict(Check("x", 1, "<", 2)).to_json())[:-40], "is corrupt"
     yield "empty", "", "is corrupt"
     yield "a list", "[]", "not a JSON object"
     yield "a NaN", '{"duration_s": NaN}', "schema None is not 2"

@@ -34,9 +34,9 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import deviation, execute
-from minidual.stages.plan import HeldResults, held_checks
+from minidual.stages.plan import held_checks
 from minidual.tasks.rod_carry import grasp_offsets
-from minidual.trials.planning.evaluate_carries import plan_move, run_moves, table_plans, timed_residual
+from minidual.trials.planning.evaluate import plan_move, run_moves, table_plans, timed_residual
 from minidual.trials.planning.held_moves import HeldMoveGenerator
 
 GRASPS = grasp_offsets(SceneConfig())
@@ -294,7 +294,7 @@ def test_every_check_can_fail(outcomes, driven):
 
     def names(first=None, second=None, runs=None, config=config):
         sets = {"first": first or outcomes, "second": second or outcomes}
-        return failing(held_checks(HeldResults(sets, executions if runs is None else runs), config))
+        return failing(held_checks(sets, executions if runs is None else runs, config))
 
     assert names() == set()
     failed = dataclasses.replace(outcomes[0], result=None, residual_m=np.nan, residual_rad=np.nan)
@@ -319,7 +319,7 @@ def test_every_check_can_fail(outcomes, driven):
         outcomes[0], move=dataclasses.replace(outcomes[0].move, undecided_n=3, unreachable_n=5)
     )
     sets = {"first": [left_out], "second": [left_out]}
-    (draws,) = [c for c in held_checks(HeldResults(sets, executions), config) if "left_out" in c.name]
+    (draws,) = [c for c in held_checks(sets, executions, config) if "left_out" in c.name]
     assert draws.observed == 6
     assert "10 more had no free posture" in draws.why
     assert names(runs=executions[:1]) == {"closed_chain.driven_n"}

@@ -24,10 +24,9 @@ from minidual.stages import plan
 from minidual.stages.config_checks import check_plan
 from minidual.stages.plan import audit_checks, common_checks, group_checks, run
 from minidual.stages.registry import STAGES
-from minidual.trials.planning import queries, query_set
-from minidual.trials.planning.evaluate import engine_agreement, plan_query, query_source, repeats, run_queries
-from minidual.trials.planning.queries import QueryGenerator
-from minidual.trials.planning.query_set import polyline_states, stored_query, stored_set
+from minidual.trials.planning import queries
+from minidual.trials.planning.evaluate import engine_agreement, plan_query, repeats, run_queries
+from minidual.trials.planning.queries import QueryGenerator, polyline_states, query_source, stored_query, stored_set
 from scripts.make_query_set import is_free, witness
 
 _PLANNED_STRAIGHT = 38
@@ -317,7 +316,7 @@ def test_a_seed_without_a_set_and_a_damaged_set(monkeypatch, tmp_path):
     assert stored_set(4711) is None
     (tmp_path / "query_sets").mkdir()
     (tmp_path / "query_sets" / "seed-4712.npz").write_bytes(b"not a set")
-    monkeypatch.setattr(query_set, "files", lambda _package: tmp_path)
+    monkeypatch.setattr(queries, "files", lambda _package: tmp_path)
     with pytest.raises(DataError, match="seed 4712 cannot be read"):
         stored_set(4712)
 

@@ -19,12 +19,10 @@ from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.show.report import model
-from minidual.show.report.facts import gather
 from minidual.show.report.figures import read_trials
-from minidual.show.report.indicators import INDICATORS, three_digits
-from minidual.show.report.model import Report
+from minidual.show.report.model import Report, gather
 from minidual.show.report.page import build_report
-from minidual.show.report.tables import Tables, tabulate
+from minidual.show.report.tables import INDICATORS, Tables, tabulate, three_digits
 from minidual.show.report.wording import WORDS, duration, joined, percent, points
 from minidual.tasks.success import OfObject, SuccessCondition
 
@@ -43,7 +41,7 @@ def table() -> dict[str, dict]:
 
 def own_check(table: dict, name: str = "missing_cells", methods: tuple[str, ...] = samples.METHODS) -> Check:
     """Return one of the report's own checks for a table of methods."""
-    given = StageContext(Path(), Config(), 1, "standard")
+    given = StageContext(folder=Path(), config=Config(), seed=1, profile="standard")
     checks = model.report_checks(given, {samples.TASK: compare(methods, {"methods": table})})
     return next(check for check in checks if check.name == name)
 
@@ -214,7 +212,7 @@ def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None
 
 
 def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
-    first = report.facts.margins[0]
+    first = report.facts["margins"][0]
     assert (first["stage"], first["check"].name) == ("carry", "torque_ratio_max")
     assert first["share_of_limit"] == pytest.approx(0.21)
     assert "carry: torque_ratio_max is 0.79, limit < 1, 21 % inside its limit." in page
@@ -223,18 +221,18 @@ def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
 def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
-    first = gather({**given.verdicts, "plan": bad}).margins[0]
+    first = gather({**given.verdicts, "plan": bad})["margins"][0]
     assert (first["stage"], first["share_of_limit"]) == ("plan", pytest.approx(-0.2))
 
 
 def test_a_share_at_100_percent_has_no_margin_to_be_thin(report: Report) -> None:
-    assert all(margin["check"].observed != 1.0 for margin in report.facts.margins)
-    assert report.facts.at_best_n == 3  # plan, carry, and impedance's success
+    assert all(margin["check"].observed != 1.0 for margin in report.facts["margins"])
+    assert report.facts["at_best_n"] == 3  # plan, carry, and impedance's success
 
 
 def test_without_numbers_there_is_no_analysis() -> None:
     found, nothing = gather({}), compare(samples.METHODS, {})
-    assert (nothing.pairs, nothing.losses, found.gap, found.margins) == ([], [], None, [])
+    assert (nothing.pairs, nothing.losses, found) == ([], [], {"gap": None, "margins": [], "at_best_n": 0})
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:

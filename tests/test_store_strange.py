@@ -421,11 +421,13 @@ def test_an_old_result_that_cannot_be_removed_is_set_aside(finished, monkeypatch
 @pytest.mark.parametrize("make", [a_file, os.mkfifo, a_link_to_a_folder])
 def test_a_place_of_a_tool_is_checked_too(tmp_path, make):
     from minidual.config.loader import load_config
-    from minidual.gate.tool import ToolContext
+    from minidual.gate.stage import ToolContext
 
     (tmp_path / "run").mkdir()
     make(tmp_path / "run" / ".modes.tmp")
-    context = ToolContext(load_config().config, 0, 1, "standard", tmp_path / "run", _name="modes")
+    context = ToolContext(
+        config=load_config().config, seed=0, profile="standard", run_folder=tmp_path / "run", name="modes"
+    )
     with pytest.raises(DataError, match=r"\.modes\.tmp is a"):
         context.begin()
 

@@ -16,7 +16,6 @@ from minidual.config.teleop import TeleopConfig
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import ScriptedLeader
-from minidual.demos.observation import Observer
 from minidual.demos.session import TeleopSession
 from minidual.motion.api import Planner
 from minidual.plant.world import World
@@ -114,7 +113,7 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: W
 def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, ended_by: str) -> None:
     trial = sample_trial(world.scene, SEED, "demonstrations", 0)
     stack = ControlStack(world, Kinematics(), supervisor=trial_supervisor(config, world.dt, DUAL_PANDA))
-    session = TeleopSession(stack, Observer(world), TeleopConfig())
+    session = TeleopSession(stack, TeleopConfig())
     result = session.run(
         carry_task(world.scene), trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED))
     )

@@ -14,7 +14,6 @@ from minidual.config.teleop import TeleopConfig
 from minidual.control.loop import JointLoop
 from minidual.control.stack import ControlStack
 from minidual.demos.leader import ScriptedLeader
-from minidual.demos.observation import Observer
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.errors import UsageError
 from minidual.plant.world import World
@@ -27,7 +26,7 @@ SEED = 7
 
 def _session(world: World, **teleop: float) -> TeleopSession:
     config = TeleopConfig(**teleop)
-    return TeleopSession(ControlStack(world, Kinematics(), rate_hz=config.rate_hz), Observer(world), config)
+    return TeleopSession(ControlStack(world, Kinematics(), rate_hz=config.rate_hz), config)
 
 
 def _run(session: TeleopSession, index: int, length: int | None = None) -> tuple[SessionResult, list[Tick]]:
@@ -37,13 +36,16 @@ def _run(session: TeleopSession, index: int, length: int | None = None) -> tuple
     demonstration = ScriptedOperator(scene).plan(trial, seed=SEED)
     if length is not None:
         demonstration = dataclasses.replace(demonstration, q=demonstration.q[:length])
-    result = session.run(
-        carry_task(session.world.scene),
-        trial,
-        ScriptedLeader(demonstration),
-        on_tick=lambda k, tick: ticks.append(tick),
-    )
+    result = session.run(carry_task(session.world.scene), trial, ScriptedLeader(demonstration), on_tick=ticks.append)
     return result, ticks
+
+
+def test_joints_and_pictures_bear_the_times_of_their_reading(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, ticks = _run(_session(world), 0, length=5)
+    assert ticks[0].image_timestamps == ticks[0].timestamps
+    monkeypatch.setattr(World, "stamp_s", property(lambda world: world.time - 0.025))
+    _, ticks = _run(_session(world), 0, length=5)
+    assert ticks[0].image_timestamps - ticks[0].timestamps == pytest.approx(0.025)
 
 
 def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World) -> None:
@@ -54,7 +56,7 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     assert result.outcome.goal_error_m < 0.002
     assert result.outcome.tilt_max_rad < np.deg2rad(0.5)
     assert len(ticks) == round(ScriptedOperator(world.scene).phases()["rest"][1] * 50.0)
-    times = np.array([t.observation.time_s for t in ticks])
+    times = np.array([t.timestamps for t in ticks])
     np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-9)
     assert len(result.latencies_s) == len(ticks)
     assert min(result.latencies_s) > 0.0
@@ -77,7 +79,7 @@ def _replay_error(world: World, start: Any, ticks: list[Tick], actions: Array) -
         loop.step(HOME, np.ones(2))
     worst = 0.0
     for tick, action in zip(ticks[:100], actions, strict=False):
-        worst = max(worst, float(np.abs(world.q - tick.observation.q).max()))
+        worst = max(worst, float(np.abs(world.q - tick.qpos).max()))
         for _ in range(20):
             loop.step(action, tick.action_gripper)
     return worst

@@ -23,8 +23,8 @@ from minidual.motion.edges import EdgeChecker
 from minidual.motion.search import search
 from minidual.motion.timing import time_path
 from minidual.proof.scene_engines import SceneEngines
-from minidual.trials.planning.evaluate import plan_query, query_source
-from minidual.trials.planning.queries import Query
+from minidual.trials.planning.evaluate import plan_query
+from minidual.trials.planning.queries import Query, query_source
 from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 COLUMNS = ("median_ms", "p95_ms", "worst_ms", "solved_pct", "free_pct")

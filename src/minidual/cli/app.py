@@ -12,8 +12,7 @@ import typer
 
 import minidual
 from minidual.cli.commands import Body, config_body, explain_body, run_body, run_stage, run_tool, status_body, stop_body
-from minidual.cli.session import Session, Typed
-from minidual.cli.viewing import WATCHING
+from minidual.cli.session import WATCHING, Session, Typed
 from minidual.errors import ExitCode, printable, unknown_name
 from minidual.gate.table import Option, StageTable, ToolEntry
 

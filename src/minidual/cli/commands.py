@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from minidual import emergency
-from minidual.cli.progress import ConsoleProgress
+from minidual.cli.console import ConsoleProgress
 from minidual.cli.session import Session
 from minidual.cli.tables import print_explanation, print_lowest, print_outcome, print_status
-from minidual.cli.viewing import live_view
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.gate import StageState
 from minidual.gate.lock import lock_holder, lock_holders, run_lock
 from minidual.gate.runner import Outcome
 from minidual.gate.signature import sign, signature, unverified
+from minidual.gate.stage import ToolContext
 from minidual.gate.table import StageEntry, ToolEntry, overrides
-from minidual.gate.tool import ToolContext
 
 Body = Callable[[Session, Mapping[str, Any]], ExitCode]
 """Runs a command with its own options. Its docstring is the help: a summary, then examples."""
@@ -33,7 +32,7 @@ def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) ->
     options = {o.name: values[o.key] for o in entry.options if values[o.key] is not None}
     if not values["yes"]:
         session.spare_finished([entry.name], {entry.name: options}, values["force"])
-    with live_view(session, values) as view:
+    with session.view(values) as view:
         outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
     if view is not None and not outcome.ran:
         session.say(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
@@ -51,18 +50,18 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     lock = nullcontext()
     if tool.moves:  # so that `stop` finds it
         lock = run_lock(folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock")
-    with live_view(session, values, tool.view_default) as view, disk_errors(folder), lock:
+    with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
         context = ToolContext(
-            config,
-            config.seed,
-            config.workers if view is None else 1,
-            session.loaded.profile,
-            folder,
-            typed,
-            ConsoleProgress(session.people),
-            session.typed.command,
-            tool.name,
-            view,
+            config=config,
+            seed=config.seed,
+            profile=session.loaded.profile,
+            progress=ConsoleProgress(session.people),
+            options=typed,
+            workers=config.workers if view is None else 1,
+            view=view,
+            run_folder=folder,
+            name=tool.name,
+            command=session.typed.command,
         )
         context.begin()
         result = tool.load()(context)
@@ -115,7 +114,7 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     if not values["yes"]:
         session.spare_finished(names, {}, force)
     outcomes: list[Outcome] = []
-    with live_view(session, values) as view:
+    with session.view(values) as view:
         for outcome in session.runner(view).run_until(until, force=force, waiver=values["waive_gate"]):
             outcomes.append(outcome)
             if outcome.ran:

@@ -7,7 +7,8 @@ import re
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,23 +17,34 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from minidual.cli.console import console
+from minidual.cli.console import ConsoleProgress, console
 from minidual.cli.process import interrupt
-from minidual.cli.progress import ConsoleProgress
 from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
-from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, printable
+from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, UsageError, printable
 from minidual.gate.canonical import digest, dumps
 from minidual.gate.gate import Gate
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
-from minidual.gate.table import StageTable
+from minidual.gate.table import Option, StageTable, overrides
 
 if TYPE_CHECKING:
     from minidual.show.view import View
 
-
 _every = partial(typer.Option, rich_help_panel="Every command")
+
+
+WATCHING = (
+    Option("view", "Watch the arms in a browser.", metavar="none|web"),
+    Option(
+        "view-host",
+        "Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only).",
+        str,
+        "view.host",
+    ),
+    Option("view-port", "First port to try for --view web (default 8080).", int, "view.port"),
+)
+"""Options of watchable commands; they never change a verdict."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +92,9 @@ class Session:
     @cached_property
     def loaded(self) -> LoadedConfig:
         """Resolved configuration."""
-        overrides: list[Override | str] = list(self.typed.settings or ())
-        for name, value in (("seed", self.typed.seed), ("workers", self.typed.workers)):
-            if value is not None:
-                overrides.append(Override(name, value, f"--{name} {value}"))
-        return load_config(self.typed.profile, overrides)
+        numbers = [("seed", self.typed.seed), ("workers", self.typed.workers)]
+        typed = [Override(name, value, f"--{name} {value}") for name, value in numbers if value is not None]
+        return load_config(self.typed.profile, [*(self.typed.settings or ()), *typed])
 
     @property
     def root(self) -> Path:
@@ -106,6 +116,23 @@ class Session:
         if view is not None and self.loaded.config.workers > 1:
             progress.note("what is watched runs in this process: one worker for this run")
         return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)
+
+    @contextmanager
+    def view(self, values: Mapping[str, Any], default: str = "none") -> Generator[View | None]:
+        """Yield the selected view or None; close it at the end.
+
+        Raises:
+            UsageError: Host or port without a web view, or raised by make_view.
+        """
+        from minidual.show.view import make_view
+
+        name = values.get("view") or default
+        typed = overrides(WATCHING, {option.name: values.get(option.key) for option in WATCHING})
+        if typed and name != "web":
+            raise UsageError(f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}")
+        view = make_view(name, self.loaded.with_overrides(typed).config.view, say=self.say)
+        with nullcontext() if view is None else closing(view):
+            yield view
 
     def spare_finished(self, names: Sequence[str], options: Mapping[str, Mapping[str, Any]], force: bool) -> None:
         """Switch to another run if the command would replace stages finished with other options.

@@ -23,13 +23,13 @@ from minidual.control.stack import ControlStack
 from minidual.demos.checks import Thumbnails, thumbnails
 from minidual.demos.episode import inspect_episode
 from minidual.demos.leader import LEADERS, LeaderSetup
-from minidual.demos.observation import Observer
 from minidual.demos.quality import EpisodeQuality, episode_quality
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.smoothness import rms_jerk
 from minidual.demos.writer import EpisodeWriter
 from minidual.errors import DataError
+from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
@@ -148,14 +148,15 @@ class Rig:
         self.job = job
         self.kinematics = Kinematics(job.robot)
         self.world = World(job.task.scene, job.robot, visuals=True)
-        self.observer = Observer(self.world, cameras)
+        self._cameras = tuple(cameras)
+        self._eye = Camera.recorded(self.world.model, self.world.scene.camera) if cameras else None
         supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
         rate_hz = job.teleop.rate_hz
         stack = ControlStack(self.world, self.kinematics, job.arbiter, rate_hz=rate_hz, supervisor=supervisor)
-        self.session = TeleopSession(stack, self.observer, job.teleop)
+        self.session = TeleopSession(stack, job.teleop, self._pictures)
         self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
 
-    def lead(self, trial: Trial, on_tick: Callable[[int, Tick], None]) -> SessionResult:
+    def lead(self, trial: Trial, on_tick: Callable[[Tick], None]) -> SessionResult:
         """Run one episode."""
         teleop = self.job.teleop
         leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
@@ -213,16 +214,8 @@ class Rig:
         job, began = self.job, time.perf_counter()
         name = f"episode_{trial.index:06d}.hdf5"
         with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
-
-            def append(k: int, tick: Tick) -> None:
-                seen = tick.observation
-                sensed = {"qpos": seen.q, "qvel": seen.v, "gripper": seen.gripper}
-                commanded = {"action": tick.action, "action_gripper": tick.action_gripper}
-                stamps = {"timestamps": seen.time_s, "image_timestamps": seen.image_time_s}
-                writer.append(images=seen.images, **sensed, **commanded, **stamps)
-
             try:
-                result = self.lead(trial, append)
+                result = self.lead(trial, lambda tick: writer.append(**vars(tick)))
             except SimulationDivergedError as error:
                 return self._concluded(Attempt(trial, False, error.message), began)
             said = {"completion_s": result.outcome.duration_s}
@@ -283,4 +276,10 @@ class Rig:
 
     def close(self) -> None:
         """Free the renderer."""
-        self.observer.close()
+        if self._eye is not None:
+            self._eye.close()
+
+    def _pictures(self) -> dict[str, Image]:
+        if self._eye is None:
+            return {}
+        return {name: self._eye.picture(self.world.data, name).copy() for name in self._cameras}

@@ -12,8 +12,8 @@ from minidual.control.commands import ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.demos.leader import Leader
-from minidual.demos.observation import Observation, Observer
 from minidual.errors import MinidualError, UsageError
+from minidual.plant.render import Image
 from minidual.plant.world import World
 from minidual.robot.pair import Array, Robot
 from minidual.tasks.judge import Judge, Outcome, begin
@@ -51,9 +51,14 @@ def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Arra
 
 @dataclass(frozen=True)
 class Tick:
-    """An observation and its command: targets (n,) [rad], openings (2,)."""
+    """What was measured at one tick, and the command that followed; names and shapes as in the schema."""
 
-    observation: Observation
+    timestamps: float
+    image_timestamps: float
+    qpos: Array
+    qvel: Array
+    gripper: Array
+    images: dict[str, Image]
     action: Array
     action_gripper: Array
 
@@ -93,13 +98,15 @@ class SessionResult:
 
 
 class TeleopSession:
-    """Runs episodes in the stack's world, at its rate; a reflex ends the episode."""
+    """Runs episodes in the stack's world, at its rate; a reflex ends the episode. `pictures` by camera, as recorded."""
 
-    def __init__(self, stack: ControlStack[World], observer: Observer, config: TeleopConfig) -> None:
-        self.stack, self.world, self.observer, self.config = stack, stack.plant, observer, config
+    def __init__(
+        self, stack: ControlStack[World], config: TeleopConfig, pictures: Callable[[], dict[str, Image]] = dict
+    ) -> None:
+        self.stack, self.world, self.config, self._pictures = stack, stack.plant, config, pictures
 
     def run(
-        self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[int, Tick], None] | None = None
+        self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[Tick], None] = lambda tick: None
     ) -> SessionResult:
         """Run one episode; `on_tick` is called after each command.
 
@@ -126,20 +133,20 @@ class TeleopSession:
                 break
             if leader.realtime:
                 time.sleep(max(0.0, began + elapsed_s - time.monotonic()))
-            observation = self.observer.read()
+            joints = world.stamp_s, world.time, world.q, world.v, world.gripper
+            images = self._pictures()
             before = time.perf_counter()
             reading = leader.read(elapsed_s)
             if reading is not None:
                 target = follower_target(world.robot, self.config.mirror, reading[0])
-                command = JointCommand(target, reading[1], observation.time_s, k)
+                command = JointCommand(target, reading[1], joints[0], k)
                 stack.propose(SOURCE, command)
             out = stack.arbitrate()
-            tick = Tick(observation, out.q_target, out.gripper)
+            tick = Tick(*joints, images, out.q_target, out.gripper)
             self._move(judge, 1)
             latencies.append(time.perf_counter() - before)
-            measured.append(observation.q)
-            if on_tick is not None:
-                on_tick(k, tick)
+            measured.append(tick.qpos)
+            on_tick(tick)
             if out.state == ArbiterState.STOPPED:
                 ended_by = "stopped"
                 break

@@ -45,7 +45,7 @@ class _Disk(io.FileIO):
 
 
 class EpisodeWriter:
-    """Records one episode; `path` exists after `commit`, or `finish` and `publish`.
+    """Records one episode; `path` exists after `finish` and `publish`.
 
     Leaving the context discards what is not published.
 
@@ -87,7 +87,7 @@ class EpisodeWriter:
             UsageError: Unknown field.
         """
         if self._closed:
-            raise DataError(f"{self.path.name} is closed; a tick came after commit or abort")
+            raise DataError(f"{self.path.name} is closed; a tick came after finish or abort")
         for name in values.keys() - self._rows.keys():
             raise unknown_name("field", name, self._rows)
         tick, times = len(self), self._rows["timestamps"]
@@ -148,11 +148,6 @@ class EpisodeWriter:
         with self._writing():
             durable.publish(self._partial, path)
         return path
-
-    def commit(self, *, success: bool, extra: Mapping[str, Any] | None = None) -> Path:
-        """Do `finish`, then `publish`."""
-        self.finish(success=success, extra=extra)
-        return self.publish()
 
     def abort(self) -> None:
         """Discard what is not published."""

@@ -116,15 +116,16 @@ def circumstances_now(libraries: tuple[str, ...]) -> dict[str, Any]:
             "cores": os.cpu_count(),
             "python": platform.python_version(),
         },
-        "libraries": {name: _library_version(name) for name in libraries},
+        "libraries": {name: installed_version(name) or "not installed" for name in libraries},
     }
 
 
-def _library_version(name: str) -> str:
+def installed_version(name: str) -> str | None:
+    """Return the version of a distribution, or None."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
-        return "not installed"
+        return None
 
 
 def _commit() -> str | None:

@@ -1,4 +1,4 @@
-"""Progress of a stage as plain lines; `minidual.cli.progress` draws bars."""
+"""Progress of a stage as plain lines; `minidual.cli.console` draws bars."""
 
 import time
 from collections.abc import Callable

@@ -1,6 +1,7 @@
-"""A stage: a function from `StageContext` to `StageResult`.
+"""A stage: a function from `StageContext` to `StageResult`. A tool: from `ToolContext` to `ToolResult`, without a gate.
 
-It writes only in `context.folder`, derives randomness from `context.seed` and returns at least one check with a limit.
+A stage writes only in `context.folder`, derives randomness from `context.seed` and returns at least one check with a
+limit.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.errors import GateClosedError
+from minidual.durable import remove, set_aside
+from minidual.errors import ExitCode, GateClosedError
 from minidual.gate.check import Check
 from minidual.gate.progress import Progress
+from minidual.gate.store import Place
 
 if TYPE_CHECKING:
     from minidual.config.root import Config
@@ -26,9 +29,22 @@ class Folders(dict[str, Path]):
         raise GateClosedError(f"it works on the result of {stage}, and there is none", remedy=f"minidual {stage}")
 
 
-@dataclass(frozen=True)
-class StageContext:
-    """Input of a stage; `workers` and `view` must not affect results.
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """Input of a stage or tool; `workers` and `view` must not affect results."""
+
+    config: Config
+    seed: int
+    profile: str
+    progress: Progress = field(default_factory=Progress)
+    options: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    workers: int = 1
+    view: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageContext(Context):
+    """Input of a stage.
 
     Attributes:
         folder: Temporary.
@@ -38,18 +54,11 @@ class StageContext:
     """
 
     folder: Path
-    config: Config
-    seed: int
-    profile: str
     upstream: Mapping[str, Path] = field(default_factory=dict[str, Path])
     verdicts: Mapping[str, Verdict] = field(default_factory=lambda: dict[str, "Verdict"]())
     summaries: Mapping[str, str] = field(default_factory=dict[str, str])
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     waivers: tuple[Waiver, ...] = ()
-    progress: Progress = field(default_factory=Progress)
-    options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    workers: int = 1
-    view: Any = None
 
 
 @dataclass(frozen=True)
@@ -82,3 +91,62 @@ def closing_checks(waivers: Sequence[Waiver], code_changes: Mapping[str, Sequenc
 
 
 StageFunction = Callable[[StageContext], StageResult]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolContext(Context):
+    """Input of a tool.
+
+    Attributes:
+        run_folder: Need not exist.
+        name: Of its output folder.
+        command: Turns "plan" into the full command.
+    """
+
+    run_folder: Path
+    name: str
+    command: Callable[[str], str] = "minidual {}".format
+
+    @property
+    def folder(self) -> Path:
+        """Final folder of the output."""
+        return self.run_folder / self.name
+
+    @property
+    def output(self) -> Path:
+        """Temporary folder for output, created on first access; `publish` moves it to `folder`."""
+        temporary = Place(self.folder).temporary
+        temporary.mkdir(parents=True, exist_ok=True)
+        return temporary
+
+    def begin(self) -> None:
+        """Remove output of an interrupted run; DataError if something else than a folder is in its place."""
+        place = Place(self.folder)
+        place.check()
+        remove(place.temporary)
+
+    def publish(self) -> None:
+        """Move output to its final folder; an earlier one is set aside."""
+        place = Place(self.folder)
+        if place.temporary.is_dir():
+            if place.folder.exists():
+                self.progress.note(f"the earlier output is in {set_aside(place.folder, self.name)}")
+            place.temporary.rename(place.folder)
+
+
+@dataclass(frozen=True)
+class ToolResult:
+    """Result of a tool.
+
+    Attributes:
+        lines: Printed to stdout, or `data` with --json; `notes` to stderr.
+        exit_code: ACCEPTANCE_FAILED if a limit is exceeded.
+    """
+
+    lines: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    data: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    exit_code: ExitCode = ExitCode.PASS
+
+
+ToolFunction = Callable[[ToolContext], ToolResult]

@@ -222,7 +222,7 @@ class RunStore:
         place = self._place(stage)
         temporary, folder, old = place.temporary, place.folder, place.old
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
-        write_text(temporary / VERDICT_FILE, verdict.text())
+        write_text(temporary / VERDICT_FILE, dumps(verdict.to_json()))
         if folder.exists():
             if old.exists():
                 set_aside(old, stage)

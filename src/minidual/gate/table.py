@@ -15,8 +15,7 @@ from minidual.config.base import limits
 from minidual.config.loader import Override
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
 from minidual.gate.code import Code, code_of
-from minidual.gate.stage import StageFunction
-from minidual.gate.tool import ToolFunction
+from minidual.gate.stage import StageFunction, ToolFunction
 from minidual.registry import Registry, load_target
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ class ToolEntry:
 
     Attributes:
         name: Command, or an aside's output folder.
-        target: "module:function", see `minidual.gate.tool`.
+        target: "module:function", see `minidual.gate.stage`.
     """
 
     name: str

@@ -14,7 +14,7 @@ from pydantic_core import from_json
 
 from minidual.durable import regular_file
 from minidual.errors import DataError
-from minidual.gate.canonical import canonical, digest, dumps
+from minidual.gate.canonical import canonical, digest
 from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint, changes
 from minidual.gate.manifest import Artefact
@@ -103,10 +103,6 @@ class Verdict:
         }
         body = canonical({**asdict(self), **derived})
         return {**body, "digest": digest(body)}
-
-    def text(self) -> str:
-        """Return the text of the verdict file."""
-        return dumps(self.to_json())
 
 
 @cache

@@ -13,7 +13,7 @@ from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import canonical, dumps
 from minidual.gate.progress import Task as Bar
-from minidual.gate.tool import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.recorder import Recorder
 from minidual.plant.render import Camera, write_video

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,8 +19,8 @@ from minidual.show.view import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute
 from minidual.stages.words import Rows, worded
-from minidual.trials.planning.evaluate import Outcome, engine_agreement, repeats, run_queries
-from minidual.trials.planning.evaluate_carries import MoveOutcome, failed_carries, run_moves, table_plans
+from minidual.trials.planning import evaluate
+from minidual.trials.planning.evaluate import MoveOutcome, Outcome
 
 _EXCELLENT_S = {"left_arm": 0.2, "right_arm": 0.2, "both_arms": 2.0}
 _GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.015}
@@ -29,15 +28,7 @@ _CARRIES_N = 5
 _JSON_EVERY = 10
 
 Outcomes = Mapping[str, Sequence[Outcome]]
-
-
-@dataclass(frozen=True)
-class HeldResults:
-    """Moves of a held object: outcomes of both sets, drives, and a line per failed or undriven move."""
-
-    outcomes: Mapping[str, Sequence[MoveOutcome]]
-    executions: Sequence[Execution]
-    notes: Sequence[str] = ()
+Moves = Mapping[str, Sequence[MoveOutcome]]
 
 
 def run(context: StageContext) -> StageResult:
@@ -49,18 +40,20 @@ def run(context: StageContext) -> StageResult:
         def advance(outcome: Outcome) -> None:
             task.advance(note=outcome.query.group)
 
-        outcomes = run_queries(context.config, seed, config.queries_n, advance)
-        second = run_queries(context.config, config.second_seed, config.second_queries_n, advance)
+        outcomes = evaluate.run_queries(context.config, seed, config.queries_n, advance)
+        second = evaluate.run_queries(context.config, config.second_seed, config.second_queries_n, advance)
     play_queries(context.view, context.config.scene, outcomes)
-    agreement = engine_agreement(outcomes["both_arms"][0].query.scene, config.agreement_states_n, seed)
-    repeatable = all(repeats(config, done[0]) for done in outcomes.values())
-    carries = failed_carries(context.config, _CARRIES_N)
-    held = run_held(context)
-    every = [o for done in outcomes.values() for o in done]
-    again = [o for done in second.values() for o in done]
-    write_csv(folder / "queries.csv", [o.row() for o in every])
-    if again:
-        write_csv(folder / "queries_second_seed.csv", [o.row() for o in again])
+    agreement = evaluate.engine_agreement(outcomes["both_arms"][0].query.scene, config.agreement_states_n, seed)
+    repeatable = all(evaluate.repeats(config, done[0]) for done in outcomes.values())
+    carries = evaluate.failed_carries(context.config, _CARRIES_N)
+    moves, executions, undriven = run_held(context)
+    checks, every = list[Check](), list[Outcome]()
+    for prefix, ending, of in (("", "", outcomes), ("second_seed.", "_second_seed", second)):
+        asked = [o for done in of.values() for o in done]
+        if asked:
+            write_csv(folder / f"queries{ending}.csv", [o.row() for o in asked])
+            checks += [check for group, done in of.items() for check in group_checks(group, done, config, prefix)]
+        every += asked
     pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in acm_report(robot).pairs]
     write_csv(folder / "allowed_collisions.csv", pairs)
     for group, done in outcomes.items():
@@ -70,19 +63,15 @@ def run(context: StageContext) -> StageResult:
             trajectory.write_json(folder / f"trajectory_{group}.json", robot.joint_names, _JSON_EVERY)
     write_paths(folder / "paths.png", context.config.scene, outcomes)
     write_times(outcomes, folder / "times.png", config.time_median_max_s.model_dump())
-    checks = [check for group, done in outcomes.items() for check in group_checks(group, done, config)]
-    if again:
-        for group, done in second.items():
-            checks += group_checks(group, done, config, f"second_seed.{group}")
-    checks += audit_checks([*every, *again])
+    checks += audit_checks(every)
     checks += common_checks(agreement, repeatable, len(carries), config)
-    checks += held_checks(held, config)
-    data = {"held_moves": {"executions": [dataclasses.asdict(e) for e in held.executions]}}
-    return StageResult(checks=checks, data=data, notes=[*notes(first=outcomes, second=second), *carries, *held.notes])
+    checks += held_checks(moves, executions, config)
+    data = {"held_moves": {"executions": [dataclasses.asdict(e) for e in executions]}}
+    return StageResult(checks=checks, data=data, notes=[*notes(first=outcomes, second=second), *carries, *undriven])
 
 
-def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, name: str | None = None) -> list[Check]:
-    """Return the checks of one planning group, prefixed by `name` (default: group)."""
+def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, prefix: str = "") -> list[Check]:
+    """Return the checks of one planning group."""
     times = np.array([o.total_s for o in outcomes])
     median, limits = float(np.median(times)), config.time_median_max_s
     blocked_n = sum(o.line_blocked for o in outcomes)
@@ -99,7 +88,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, na
     return worded(
         "plan",
         rows,
-        f"{name or group}.",
+        f"{prefix}{group}.",
         core_share=core_share,
         excellent_s=_EXCELLENT_S[group],
         goal_s=_GOAL_S[group],
@@ -144,15 +133,18 @@ def notes(**sets: Outcomes) -> list[str]:
     return lines
 
 
-def run_held(context: StageContext) -> HeldResults:
-    """Plan the moves of both seeds, drive some, and write held_moves.csv."""
-    config, seed, outcomes, executions = context.config, context.seed, {}, []
+def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
+    """Plan moves of a held object for both seeds, drive some, and write held_moves.csv.
+
+    Return the outcomes of both sets, the drives, and a line per failed or undriven move.
+    """
+    config, seed, outcomes, executions = context.config, context.seed, {}, list[Execution]()
     held = config.plan.held
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
-            outcomes[name] = run_moves(config, own, lambda _, name=name: task.advance(note=name))
+            outcomes[name] = evaluate.run_moves(config, own, lambda _, name=name: task.advance(note=name))
         world = World(config.scene, robot=robot_from(config.robot))
-        driven, undriven = table_plans(config, seed)
+        driven, undriven = evaluate.table_plans(config, seed)
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
         for trajectory in driven:
             with watched(context.view, world, lambda: words):
@@ -165,13 +157,13 @@ def run_held(context: StageContext) -> HeldResults:
         for o in done
         if not o.ok
     ]
-    return HeldResults(outcomes, executions, [*failed, *undriven])
+    return outcomes, executions, [*failed, *undriven]
 
 
-def held_checks(results: HeldResults, config: PlanConfig) -> list[Check]:
+def held_checks(outcomes: Moves, driven: Sequence[Execution], config: PlanConfig) -> list[Check]:
     """Return the checks of the held-object moves."""
-    held, first, second = config.held, results.outcomes["first"], results.outcomes["second"]
-    every, driven = [*first, *second], results.executions
+    held, first, second = config.held, outcomes["first"], outcomes["second"]
+    every = [*first, *second]
     nothing = [(np.nan, np.nan)]
     strays = np.max([(o.residual_m, o.residual_rad) for o in every if o.ok] or nothing, axis=0).tolist()
     errors = np.max([(e.error_max_m, e.error_max_rad) for e in driven] or nothing, axis=0).tolist()

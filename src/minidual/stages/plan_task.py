@@ -5,7 +5,7 @@ from typing import cast
 from minidual.config.change import replaced
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode
-from minidual.gate.tool import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from

@@ -14,7 +14,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
-from minidual.gate.tool import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.motion.goal import goal_of
 from minidual.motion.goal_plan import GoalPlanner

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from minidual.errors import ExitCode, UsageError, unknown_name
-from minidual.gate.tool import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay

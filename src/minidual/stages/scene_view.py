@@ -13,7 +13,7 @@ import numpy as np
 from minidual.control.commands import JointCommand
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
-from minidual.gate.tool import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics

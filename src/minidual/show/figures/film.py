@@ -31,7 +31,7 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
 def film_demonstration(job: Job, index: int, path: Path) -> None:
     """Lead trial `index` of a recording again and film it."""
     rig, postures, trial = Rig(job, ()), Postures(1.0 / FILM_FPS), job.trial(index)
-    rig.lead(trial, lambda _k, _tick: postures(rig.world))
+    rig.lead(trial, lambda _tick: postures(rig.world))
     rig.close()
     with rig.room(trial):
         film_postures(rig.world.model, postures.qpos, path)

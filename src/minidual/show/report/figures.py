@@ -19,8 +19,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure as Canvas
 
 from minidual.errors import DataError
-from minidual.show.report.indicators import INDICATORS, Indicator
-from minidual.show.report.tables import Row, Tables
+from minidual.show.report.tables import INDICATORS, Indicator, Row, Tables
 from minidual.trials.conditions import CLEAN
 
 _STYLE: dict[Any, Any] = {

@@ -1,17 +1,19 @@
-"""Content of the report: its checks, state and warnings."""
+"""Content of the report: its checks, state, warnings and analysis."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal
 
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, closing_checks
 from minidual.gate.verdict import Verdict, Waiver, derive_status
-from minidual.show.report.facts import Facts
 from minidual.show.report.figures import Figure
 from minidual.show.report.media import Medium
-from minidual.show.report.tables import Tables
+from minidual.show.report.tables import Tables, finite
 from minidual.show.report.wording import commit, joined, moment, shortened
+
+_THINNEST = 5
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,48 @@ def not_passing(given: StageContext) -> list[str]:
     return [name for name in given.summaries if name not in verdicts or verdicts[name].status != "pass"]
 
 
+def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
+    """Return the analysis.
+
+    `gap`: success of the policy on held-out starts, with 95 % interval, and on training starts, or None. `margins`:
+    stage, check and share of its limit, thinnest first. `at_best_n`: number of passed checks at their best value.
+    """
+    ranked, at_best = list[dict[str, Any]](), 0
+    for stage, check in [(stage, check) for stage, verdict in verdicts.items() for check in verdict.checks]:
+        relative = check.relative_margin
+        if relative is not None and relative >= 0.0 and _at_its_best(check):
+            at_best += 1
+        elif relative is not None:
+            ranked.append({"stage": stage, "check": check, "share_of_limit": relative})
+    thinnest = sorted(ranked, key=lambda margin: margin["share_of_limit"])[:_THINNEST]
+    return {"gap": _gap(verdicts.get("deploy")), "margins": thinnest, "at_best_n": at_best}
+
+
+def _gap(deploy: Verdict | None) -> dict[str, float] | None:
+    known = {} if deploy is None else {**deploy.data, **{check.name: check.observed for check in deploy.checks}}
+    names = ("success_rate", "success_low", "success_high", "training_success_rate")
+    found = [number for name in names if (number := finite(known.get(name))) is not None]
+    return dict(zip(("held_out", "low", "high", "training"), found, strict=True)) if len(found) == len(names) else None
+
+
+def _at_its_best(check: Check) -> bool:
+    share = not check.unit and check.limit is not None and 0.0 < check.limit <= 1.0
+    return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)
+
+
 @dataclass(frozen=True)
 class Report:
     """Content of the page, by task; `given` is the stage's input."""
 
     given: StageContext
     tables: Mapping[str, Tables]
-    facts: Facts
     figures: Mapping[str, Sequence[Figure]]
     media: Sequence[Medium]
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """The analysis; see `gather`."""
+        return gather(self.given.verdicts)
 
     @property
     def checks(self) -> list[Check]:

@@ -13,12 +13,10 @@ from minidual.errors import DataError
 from minidual.gate.canonical import dumps
 from minidual.gate.stage import StageContext
 from minidual.show.report import wording
-from minidual.show.report.facts import gather
 from minidual.show.report.figures import benchmark_figures, read_trials
-from minidual.show.report.indicators import INDICATORS
 from minidual.show.report.media import Medium, collect_media
 from minidual.show.report.model import Report, not_passing
-from minidual.show.report.tables import CERTAIN, Cell, Tables, tabulate
+from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate
 from minidual.trials.conditions import parse_conditions
 from minidual.trials.methods import METHODS
 
@@ -44,7 +42,7 @@ def build_report(given: StageContext, folder: Path) -> Report:
         figures = {
             task: benchmark_figures(table, [t for t in trials if t["task"] == task]) for task, table in tables.items()
         }
-        report = Report(given, tables, gather(given.verdicts), figures, media)
+        report = Report(given, tables, figures, media)
         content, page = dumps(document(report)), render_page(report)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, jinja2.UndefinedError) as error:
         raise DataError(
@@ -87,9 +85,9 @@ def render_page(report: Report) -> str:
 
 def document(report: Report) -> dict[str, Any]:
     """Return the report as JSON, without pictures."""
-    given, facts = report.given, report.facts
+    given = report.given
     made = report.newest.fingerprint if report.newest else None
-    margins = [{**margin, "check": margin["check"].name} for margin in facts.margins]
+    margins = [{**margin, "check": margin["check"].name} for margin in report.facts["margins"]]
     return {
         "schema": 4,
         "title": given.config.report.title,
@@ -103,7 +101,7 @@ def document(report: Report) -> dict[str, Any]:
         "total_s": report.total_s,
         "stages": [_stage(given, name) for name in given.summaries],
         "tasks": {task: _task(tables) for task, tables in report.tables.items()},
-        "analysis": {**vars(facts), "margins": margins},
+        "analysis": {**report.facts, "margins": margins},
     }
 
 

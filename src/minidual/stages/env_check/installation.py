@@ -9,8 +9,8 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from minidual.errors import DataError, EnvironmentMissingError
-from minidual.gate.fingerprint import circumstances_now
-from minidual.gate.tool import ToolContext, ToolResult
+from minidual.gate.fingerprint import circumstances_now, installed_version
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.gate.verdict import read_verdict
 from minidual.show.markdown import markdown
 
@@ -40,15 +40,12 @@ def required_libraries(distribution: str = "minidual") -> list[Library]:
     Raises:
         importlib.metadata.PackageNotFoundError: The distribution is not installed.
     """
-    libraries = []
-    for requirement in map(Requirement, importlib.metadata.requires(distribution) or []):
-        if "extra" in str(requirement.marker or ""):
-            continue
-        try:
-            found = importlib.metadata.version(requirement.name)
-        except importlib.metadata.PackageNotFoundError:
-            found = None
-        libraries.append(Library(requirement.name, str(requirement.specifier), found))
+    wanted = [
+        requirement
+        for requirement in map(Requirement, importlib.metadata.requires(distribution) or [])
+        if "extra" not in str(requirement.marker or "")
+    ]
+    libraries = [Library(r.name, str(r.specifier), installed_version(r.name)) for r in wanted]
     return sorted(libraries, key=lambda library: library.name)
 
 

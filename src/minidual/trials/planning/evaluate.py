@@ -1,6 +1,7 @@
-"""Plan query sets and record the results."""
+"""Plan query sets, held-object moves and the task's carries, and record the results."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter, process_time
 
@@ -10,15 +11,23 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
-from minidual.config.seeds import stream
+from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
+from minidual.motion.held.hands import HandsIK
+from minidual.motion.held.path import CarriedTrajectory
+from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.motion.result import PHASES, PlanResult
 from minidual.motion.shortcut import path_length
 from minidual.proof.scene_engines import Audit
-from minidual.robot.arms import DUAL_PANDA, robot_from
-from minidual.robot.pair import Robot
-from minidual.trials.planning.queries import Query, QueryGenerator
-from minidual.trials.planning.query_set import OBSTACLES_N, ROBOT, polyline_states, stored_query
+from minidual.robot.arms import robot_from
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.poses import inverse
+from minidual.skills.cycle import pose_of, solve
+from minidual.skills.pipeline.search import TaskFailedError
+from minidual.skills.pipeline.state import State
+from minidual.tasks.rod_carry import rod_carry
+from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
+from minidual.trials.planning.queries import Query, polyline_states, query_source
 
 _LINE_STEP_RAD = 0.01
 
@@ -110,23 +119,17 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     return Outcome(**vars(attempt), query=query, scene_s=scene_s, line_blocked=blocked)
 
 
-def query_source(
-    seed: int, obstacles_n: int, blocked_fraction: float, robot: Robot = DUAL_PANDA
-) -> Callable[[str, int], Query]:
-    """Return (group, index) -> query, from the stored set of the seed if there is one."""
-    generator = QueryGenerator(seed, obstacles_n, blocked_fraction, robot)
-    if (obstacles_n, blocked_fraction, robot) != (OBSTACLES_N, 1.0, ROBOT):
-        return generator.query
-    return lambda group, index: stored_query(seed, group, index) or generator.query(group, index)
+def _planner(config: Config) -> Planner:
+    return Planner(config=config.plan.planner, robot=robot_from(config.robot))
 
 
 def run_queries(
     config: Config, seed: int, queries_n: int, on_query: Callable[[Outcome], None] = lambda _: None
 ) -> dict[str, list[Outcome]]:
     """Plan and audit queries of every group, in one process for comparable times."""
-    plan, robot = config.plan, robot_from(config.robot)
-    planner, warm = (Planner(config=plan.planner, robot=robot) for _ in range(2))
-    source = query_source(seed, plan.obstacles_n, plan.blocked_fraction, robot)
+    plan = config.plan
+    planner, warm = _planner(config), _planner(config)
+    source = query_source(seed, plan.obstacles_n, plan.blocked_fraction, planner.robot)
     outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
     # Warm up: the first plans load machine code, or compile it on a new machine (40 s); `make bench` times them.
     # They have a planner of their own: the first scene is then built for its query, and timed.
@@ -165,3 +168,105 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
     Q = np.vstack([uniform, np.clip(near_home, lower, upper)])
     return float(np.mean(engine("mujoco").collisions(Q) == engine("coal").collisions(Q)))
+
+
+@dataclass(frozen=True, eq=False)
+class MoveOutcome(Attempt[CarriedTrajectory]):
+    """Result of one move; residuals are those of `timed_residual`, clearance_m is the minimum. NaN without a plan."""
+
+    move: HeldMove
+    residual_m: float = np.nan
+    residual_rad: float = np.nan
+    clearance_m: float = np.nan
+
+    def row(self, name: str) -> dict[str, object]:
+        """Return the row of held_moves.csv."""
+        move, plan = self.move, self.result
+        found = {} if plan is None else {"found_by": plan.found_by, "duration_s": round(plan.duration_s, 4)}
+        if plan is not None:
+            found |= {"residual_m": f"{self.residual_m:.3g}", "residual_rad": f"{self.residual_rad:.3g}"}
+            found |= {"clearance_m": round(self.clearance_m, 6)}
+        return {
+            "set": name,
+            "index": move.index,
+            "ok": self.ok,
+            "reason": self.reason,
+            "with_obstacles": move.with_obstacles,
+            "straight_blocked": move.blocked,
+            "distance_m": round(move.distance_m, 4),
+            "turn_rad": round(move.turn_rad, 4),
+            "time_s": round(self.total_s, 6),
+            "cpu_s": round(self.cpu_s, 6),
+            **found,
+            "undecided_before_n": move.undecided_n,
+            "unreachable_before_n": move.unreachable_n,
+            "message": self.message,
+        }
+
+
+def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinematics) -> tuple[float, float]:
+    """Return the largest error ([m], [rad]) of the hands along the trajectory.
+
+    At the samples (1 kHz): each hand relative to its grasp and to the other; between samples: relative to the other.
+    """
+    hands = HandsIK(query.grasps, kinematics)
+    at_samples = hands.strays(plan.q, plan.Ts_world_object)
+    between, _, _ = plan.sample_many(plan.times[:-1] + 0.5 * plan.dt_s)
+    T_tcp_object = inverse(query.grasps[0])
+    # The object's pose follows from the left hand, so the error is that of the right hand against it.
+    objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
+    halfway = hands.strays(between, objects)
+    worst_m, worst_rad = np.max([at_samples, halfway], axis=0).tolist()
+    return worst_m, worst_rad
+
+
+def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
+    """Plan and measure one move; building its scene is not timed."""
+    engines = planner.engines(move.query.scene)
+    attempt = attempted(lambda: planner.plan(move.query))
+    outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result
+    if plan is None:
+        return outcome
+    off_m, off_rad = timed_residual(plan, move.query, planner.kinematics)
+    return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=engines.clearance(plan))
+
+
+def run_moves(config: Config, seed: int, on_move: Callable[[MoveOutcome], None] = lambda _: None) -> list[MoveOutcome]:
+    """Plan `config.plan.held.moves_n` moves."""
+    planner = HeldPlanner(_planner(config))
+    generator, first = (
+        HeldMoveGenerator(s, config.scene, planner.planner.robot) for s in (seed, subseed(seed, "held-move/warm-up"))
+    )
+    # Warm up imports and compilation, so that the first move is not charged for them.
+    with suppress(PlanningError):
+        planner.plan(first.move(0).query)
+    outcomes = []
+    for index in range(config.plan.held.moves_n):
+        outcomes.append(plan_move(planner, generator.move(index)))
+        on_move(outcomes[-1])
+    return outcomes
+
+
+def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], list[str]]:
+    """Return plans of the moves to be driven, from the table, and a line for each failure."""
+    planner = HeldPlanner(_planner(config))
+    generator = HeldMoveGenerator(seed, config.scene, planner.planner.robot, from_table=True)
+    moves = range(config.plan.held.executed_n)
+    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in moves]
+    failures = [f"held move {k} off the table cannot be driven: {t.message}" for k, t in enumerate(tried) if not t.ok]
+    return [t.result for t in tried if t.result is not None], failures
+
+
+def failed_carries(config: Config, count: int) -> list[str]:
+    """Plan `count` carries as method moveit does; return a line for each failure."""
+    task, seed, planner = rod_carry(Config(scene=config.scene)), config.seed, _planner(config)
+    body = task.objects[task.carried].body
+    failures = []
+    for k in range(count):
+        trial = task.trial(seed, "plan", k)
+        start = State(planner.robot.home, {body.name: pose_of(body, trial.start[body.name])})
+        try:
+            solve(task, trial, start, planner, subseed(seed, "planner/plan", k))
+        except TaskFailedError as error:
+            failures.append(f"carry {k}: {error.summary}")
+    return failures
