@@ -218,15 +218,15 @@ def test_bad_queries_are_named_with_numbers(planner, q_start):
 
 @pytest.fixture(scope="module")
 def outcomes(planner):
-    generator = HeldMoveGenerator(1)
+    generator = HeldMoveGenerator(1, SceneConfig())
     return [plan_move(planner, generator.move(i)) for i in range(4)]
 
 
 def test_moves_are_what_they_say(outcomes):
-    again = HeldMoveGenerator(1).move(1)
+    again = HeldMoveGenerator(1, SceneConfig()).move(1)
     assert np.array_equal(again.query.T_world_goal, outcomes[1].move.query.T_world_goal)
     assert np.array_equal(again.witness, outcomes[1].move.witness)
-    other = HeldMoveGenerator(2).move(1)
+    other = HeldMoveGenerator(2, SceneConfig()).move(1)
     assert not np.array_equal(again.query.T_world_goal, other.query.T_world_goal)
     for outcome in outcomes:
         move = outcome.move

@@ -29,9 +29,7 @@ _UNTIL = Option("until", "Last stage to run.", metavar="STAGE")
 _SIGN = Option("sign", "Sign the verdicts with this OpenSSH key.", Path, metavar="KEY")
 _VERIFY = Option("verify", "Verify the signature with this .pub file.", Path, metavar="KEY")
 _NAME = Option("name", "Name of a run; none stops all.", argument=True, optional=True, metavar="RUN")
-_STAGE = Option(
-    "stage", "Name of a stage; none shows what to look at first.", argument=True, optional=True, metavar="stage"
-)
+_STAGE = Option("stage", "A stage; none shows what to look at first.", argument=True, optional=True, metavar="stage")
 
 
 def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:

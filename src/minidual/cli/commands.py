@@ -125,9 +125,7 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     gate, store = session.gate(), session.store
     print_status(session.people, gate, f"run {store.run}", session.following(gate))
     if key is not None:
-        session.say(
-            f"signed: {sign(gate, names, key)}" if code == ExitCode.PASS else "not signed: a stage does not pass"
-        )
+        session.say("not signed: a stage does not pass" if code else f"signed: {sign(gate, names, key)}")
     session.finish(
         {"run": store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]},
         [store.verdict_path(outcome.state.name) for outcome in outcomes],

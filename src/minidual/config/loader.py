@@ -55,9 +55,8 @@ class LoadedConfig:
         resolved = self.config.model_dump(mode="json")
         for override in overrides:
             _apply(document, override, resolved)
-        return LoadedConfig(
-            validate_document(document, Config), self.profile, self.sources, (*self.overrides, *overrides), document
-        )
+        config = validate_document(document, Config)
+        return LoadedConfig(config, self.profile, self.sources, (*self.overrides, *overrides), document)
 
     def reference(self) -> Config:
         """Return the shipped profile that this one extends."""

@@ -29,10 +29,8 @@ def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Pa
         return profile, SHIPPED_FOLDER / f"{profile}.yaml"
     path = (relative_to or Path.cwd()) / expanded(profile)
     if (kind := kind_of(path)) != "file":
-        what = f": it is a {kind}" if kind else ""
-        raise ConfigError(
-            f"no profile file {path}{what}", remedy=f"shipped profiles are {', '.join(shipped_profiles())}"
-        )
+        what, shipped = f": it is a {kind}" if kind else "", ", ".join(shipped_profiles())
+        raise ConfigError(f"no profile file {path}{what}", remedy=f"shipped profiles are {shipped}")
     if path.resolve().parent == SHIPPED_FOLDER:
         return path.stem, path.resolve()
     if path.stem in shipped_profiles():

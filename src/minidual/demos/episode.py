@@ -164,19 +164,14 @@ def _images(
     return images
 
 
-def _array(
-    file: h5py.File, key: str, shape: tuple[int, ...], dtype: type[Any], faults: list[EpisodeFault]
-) -> NDArray[Any]:
+def _array(file: h5py.File, key: str, shape: tuple[int, ...], dtype: type, faults: list[EpisodeFault]) -> NDArray[Any]:
     """Return a dataset; append a fault if its shape (-1: any length) or type is another."""
     found: Any = file[key]
     is_array = isinstance(found, h5py.Dataset)
     # Checked before anything is read: a sparse file declares terabytes, and a link leads to another file.
     if is_array and (found.size * found.dtype.itemsize > ARRAY_BYTES_MAX or found.external or found.is_virtual):
-        faults.append(
-            EpisodeFault(
-                "field_too_large", f"{key} {found.shape} takes over {ARRAY_BYTES_MAX} bytes, or lies in another file"
-            )
-        )
+        what = f"{key} {found.shape} takes over {ARRAY_BYTES_MAX} bytes, or lies in another file"
+        faults.append(EpisodeFault("field_too_large", what))
         return np.empty(0, dtype)
     if is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape):
         fits = [wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)]

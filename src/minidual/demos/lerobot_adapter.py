@@ -40,7 +40,7 @@ def state_names(robot: Robot) -> tuple[str, ...]:
 
 
 def convert(
-    paths: Sequence[Path], out_dir: Path, robot: Robot, *, progress: Callable[[], None] | None = None
+    paths: Sequence[Path], out_dir: Path, robot: Robot, *, progress: Callable[[], None] = lambda: None
 ) -> LeRobotTables:
     """Make, verify and return a dataset; a failed conversion leaves none.
 
@@ -67,9 +67,7 @@ def convert(
     return read_dataset(out_dir)
 
 
-def _write_dataset(
-    root: Path, name: str, paths: Sequence[Path], robot: Robot, progress: Callable[[], None] | None
-) -> None:
+def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, progress: Callable[[], None]) -> None:
     names = state_names(robot)
     features: dict[str, dict[str, Any]] = {
         key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key in (STATE, ACTION)
@@ -116,8 +114,7 @@ def _write_dataset(
             meta = episode.meta
             facts = {"file": path.name, "seed": meta.seed, "ticks": len(episode), "success": meta.success}
             records.append({**facts, "extra": dict(meta.extra)})
-            if progress is not None:
-                progress()
+            progress()
     for left in (*root.glob("tmp*"), root / "images"):
         durable.remove(left)
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)

@@ -85,9 +85,7 @@ class LeRobotTables:
         parts = (zip(rows.tolist(), _decode(self.root / n, len(rows), size), strict=True) for n, rows in videos.items())
         return itertools.chain.from_iterable(parts)
 
-    def images(
-        self, camera: str, progress: Callable[[int], None] | None = None, *, folder: Path | None = None
-    ) -> Image:
+    def images(self, camera: str, progress: Callable[[int], None] | None = None, folder: Path | None = None) -> Image:
         """Return all images (N, H, W, 3), mapped from a file in `folder` if memory is short; raises as `frames`.
 
         `progress` gets the count since its last call.
@@ -118,9 +116,8 @@ class LeRobotTables:
             name = _VIDEO_PATH.format(video_key=key, chunk_index=int(chunk[e]), file_index=int(file[e]))
             expected = sum(map(len, parts.setdefault(name, [])))
             if not abs(begin[e] * self.fps - expected) <= 0.5:
-                raise DataError(
-                    f"{self.root / name}: episode {int(e)} does not begin at frame {expected} as the tables say"
-                )
+                where = f"episode {int(e)} does not begin at frame {expected} as the tables say"
+                raise DataError(f"{self.root / name}: {where}")
             parts[name].append(np.arange(self.starts[e], self.stops[e]))
         return {name: np.concatenate(rows) for name, rows in parts.items()}
 

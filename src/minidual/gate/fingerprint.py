@@ -49,9 +49,7 @@ class Fingerprint:
         """Return differences of parameters, options, seed and profile."""
         typed = {"parameter": self.parameters, "option": self.options}
         current = {"parameter": canonical(now.parameters), "option": canonical(now.options)}
-        reasons = [
-            f"{key.replace('.', ' ', 1)} was {_short(a)}, is {_short(b)}" for key, a, b in changes(typed, current)
-        ]
+        reasons = [f"{n.replace('.', ' ', 1)} was {_short(a)}, is {_short(b)}" for n, a, b in changes(typed, current)]
         if self.seed != now.seed:
             reasons.append(f"the seed was {self.seed}, is {now.seed}")
         if self.profile != now.profile:

@@ -52,7 +52,5 @@ def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str
 def strays(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
     """Return the relative paths of other files and links; a link to a folder counts as one."""
     known = {*manifest, VERDICT_FILE}
-    found = {
-        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()
-    }
+    found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_symlink() or not p.is_dir()}
     return [os.fsencode(name).decode(errors="replace") for name in sorted(found - known)]

@@ -86,10 +86,8 @@ def unverified(gate: Gate, key: Path) -> list[str]:
     for state in map(gate.state, gate.table.names):
         then, now = signed.get(state.name), state.verdict_sha256
         if then != now:
-            what = (
-                "was not signed" if then is None else "was changed after it was signed" if now else "is gone or corrupt"
-            )
-            found.append(f"{state.name}: its verdict {what}")
+            differs = "was changed after it was signed" if now else "is gone or corrupt"
+            found.append(f"{state.name}: its verdict {differs if then else 'was not signed'}")
         elif state.folder and state.verdict:
             found += [f"{state.name}: {reason}" for reason in manifest_changes(state.folder, state.verdict.artefacts)]
     return found

@@ -37,6 +37,8 @@ _LOOK = {"contype": 0, "conaffinity": 0, "density": 0.0, "group": GROUP_VISUAL}
 _TIMED = tuple(phase for phase in PHASES if phase != "scene")
 _LOOK_S = 1.0
 """Pause after each round."""
+Outcomes = Mapping[str, Sequence[Outcome]]
+"""By group."""
 
 
 def scene_model(config: SceneConfig, scene: PlanningScene) -> mujoco.MjModel:
@@ -90,7 +92,7 @@ def play(view: View, poser: Poser, trajectory: Trajectory, title: str, *, rounds
             return
 
 
-def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
+def play_queries(view: View | None, config: SceneConfig, outcomes: Outcomes) -> None:
     """Play each group's first solved query once; no-op without a view."""
     for group, done in outcomes.items():
         first = next((o for o in done if o.result is not None), None)
@@ -100,7 +102,7 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Mapping[str, 
             play(view, Poser(config, first.query.scene), found, title, rounds_n=1, note=note)
 
 
-def write_paths(path: Path, config: SceneConfig, outcomes: Mapping[str, Sequence[Outcome]]) -> None:
+def write_paths(path: Path, config: SceneConfig, outcomes: Outcomes) -> None:
     """Draw each group's longest solved trajectory, if possible one that needed a search."""
     shown: list[tuple[str, Any]] = []
     for group, done in outcomes.items():
@@ -149,9 +151,8 @@ def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> A
 
 def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alpha: float) -> None:
     before = shown.ngeom
-    mujoco.mjv_addGeoms(
-        poser.model, poser.place(q), option, mujoco.MjvPerturb(), int(mujoco.mjtCatBit.mjCAT_DYNAMIC), shown
-    )
+    moving = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
+    mujoco.mjv_addGeoms(poser.model, poser.place(q), option, mujoco.MjvPerturb(), moving, shown)
     for geom in shown.geoms[before : shown.ngeom]:
         geom.rgba[3] *= alpha
 
@@ -167,9 +168,7 @@ def _add_line(shown: Any, points: Array, rgb: Sequence[int]) -> None:
         shown.ngeom += 1
 
 
-def write_times(
-    outcomes: Mapping[str, Sequence[Outcome]], path: Path, median_max_s: Mapping[str, float | None]
-) -> None:
+def write_times(outcomes: Outcomes, path: Path, median_max_s: Mapping[str, float | None]) -> None:
     """Draw planning times by group and phase."""
     figure, ((spread, shares),) = new_figure(1, 2, 11.0, 4.2)
     groups = list(outcomes)

@@ -30,15 +30,12 @@ RECORDED_FAILURES_MAX = 20
 def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: TaskConfig) -> list[Check]:
     """Return the stage's checks of at least one trial; extremes include failed trials, NaN propagates."""
     trials = [r.metrics for r in results]
+    least_n = float(np.min([t.internal_force_min_n for t in trials]))
     durations = [t.duration_s if t.success else task.time_limit_s for t in trials]
     rows: Rows = {
         "success_rate": (float(np.mean([t.success for t in trials])), ">=", limits.success_rate_min),
         "tilt_max_rad": (float(np.max([t.tilt_max_rad for t in trials])), "<", limits.tilt_max_rad),
-        "internal_force_min_n": (
-            float(np.min([t.internal_force_min_n for t in trials])),
-            ">",
-            task.internal_force_min_n,
-        ),
+        "internal_force_min_n": (least_n, ">", task.internal_force_min_n),
         "duration_max_s": (float(np.max(durations)), "<", limits.duration_max_s),
         "torque_ratio_max": (float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0),
         "saturated_max_s": (float(np.max([r.saturated_max_s for r in results])), "<=", limits.saturation_max_s),

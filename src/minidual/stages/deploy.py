@@ -166,7 +166,6 @@ def measure_inference(checkpoint: Path, context: StageContext) -> float:
     rng = stream(context.seed, "deploy/inference")
     state = np.concatenate([robot.home, np.ones(2)])
     for _ in range(_INFERENCES_N):
-        runtime.predict_chunk(
-            {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}, state
-        )
+        pictures = {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}
+        runtime.predict_chunk(pictures, state)
     return runtime.inference_hz

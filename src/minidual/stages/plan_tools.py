@@ -26,6 +26,8 @@ from minidual.robot.pair import Array, Robot
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
+Targets = dict[str, Path | None]
+"""Output files by option."""
 _MEANINGS = {
     "rigid": "carried by one joint: they cannot move against each other",
     "adjacent": "neighbours along the chain: their hulls overlap at the joint",
@@ -104,9 +106,7 @@ def target_file(name: str, text: str | None, ending: str) -> Path | None:
     return path
 
 
-def _write(
-    targets: dict[str, Path | None], context: ToolContext, scene: PlanningScene, result: PlanResult, title: str
-) -> list[str]:
+def _write(targets: Targets, context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> list[str]:
     notes, motion, names = [*result.notes], result.trajectory, scene.robot.joint_names
     for name, target in targets.items():
         if target is None:
@@ -148,7 +148,7 @@ def _clearance(clearance_m: float, min_distance_m: float) -> str:
     return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
 
 
-def _document(group: str, result: PlanResult, targets: dict[str, Path | None]) -> dict[str, Any]:
+def _document(group: str, result: PlanResult, targets: Targets) -> dict[str, Any]:
     return {
         "solved": True,
         "group": group,

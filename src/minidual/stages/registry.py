@@ -48,15 +48,13 @@ _TASK = ToolEntry(
     ),
     watchable=True,
 )
-_CARRIED = (
+_CARRY = (
     Option("perturb", "Carry under every disturbance (20 trials each) instead.", bool),
     _CARRIES,
     _OBJECT,
     _MOTION,
 )
-_PERTURB = ToolEntry(
-    "carry-perturb", "minidual.stages.carry_tools:perturb", options=_CARRIED, moves=True, watchable=True
-)
+_PERTURB = ToolEntry("carry-perturb", "minidual.stages.carry_tools:perturb", options=_CARRY, moves=True, watchable=True)
 _TUNED = Option("tune", "Search squeeze and stiffness by carrying, and write a profile.", bool), _OBJECT, _MOTION
 _TUNE = ToolEntry("carry-tune", "minidual.stages.carry_tools:tune", options=_TUNED, moves=True)
 

@@ -83,10 +83,7 @@ def _row(values: object) -> str:
 def _repeats(found: Replayed) -> str:
     off, n, versions = found.deviates, found.compared, found.versions_differ
     if off is None:
-        return (
-            f"to the bit, at {n} of {n} check points" if n else "nothing compared: no check point lies in this stretch"
-        )
+        return f"to the bit, at {n} of {n} check points" if n else "nothing compared: no check point in this stretch"
     why = "another version may round differently" if versions else "the state was changed between two steps"
-    return (
-        f"no: {off.what} is off by {off.size:.3g} at {off.time_s:.3f} s, {found.largest_deviation:.3g} at most; {why}"
-    )
+    size, most = f"{off.size:.3g}", f"{found.largest_deviation:.3g}"
+    return f"no: {off.what} is off by {size} at {off.time_s:.3f} s, {most} at most; {why}"

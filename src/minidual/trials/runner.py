@@ -90,6 +90,9 @@ class TrialResult:
         return self.metrics.text
 
 
+type Judged = tuple[TrialResult, TrialLog]
+
+
 class _State:
     """The last complete state of a world."""
 
@@ -121,9 +124,7 @@ class Bench:
         self.hands = Hands(self.kinematics)
         self.factory = self.spec.factory(inputs)
 
-    def run(
-        self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None
-    ) -> tuple[TrialResult, TrialLog]:
+    def run(self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None) -> Judged:
         """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
@@ -133,7 +134,7 @@ class Bench:
         took_place = None if disturb is None else disturb.took_place
         return replace(result, metrics=replace(result.metrics, condition=spec.name, disturbed=took_place)), log
 
-    def record(self, trial: Trial, path: Path) -> tuple[TrialResult, TrialLog]:
+    def record(self, trial: Trial, path: Path) -> Judged:
         """Run a trial and write it to `path` (.npz) for replay."""
         recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
         result, log = self.run(trial)
@@ -145,9 +146,7 @@ class Bench:
         write_recording(path, recorder.recording(reason, details=details))
         return result, log
 
-    def _run(
-        self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook | None
-    ) -> tuple[TrialResult, TrialLog]:
+    def _run(self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook | None) -> Judged:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
         method = self.factory(world, self.kinematics, trial)
@@ -201,17 +200,8 @@ class Bench:
     def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
         self.hands.update(q)
-        return (
-            world.time,
-            q,
-            world.tau,
-            np.array(self.hands.p),
-            seen.xyz,
-            seen.tilt_rad,
-            seen.pinch,
-            seen.squeeze_n,
-            phase,
-        )
+        thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n
+        return (world.time, q, world.tau, np.array(self.hands.p), *thing, phase)
 
 
 _BENCHES: dict[str, Bench] = {}

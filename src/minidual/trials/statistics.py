@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from minidual.errors import NothingEvaluatedError, UsageError
 
-_CONFIDENCE = 0.95
+_CONFIDENCE, _RESAMPLES_N = 0.95, 5000
 _Z = NormalDist().inv_cdf(0.5 + _CONFIDENCE / 2)
 
 
@@ -36,14 +36,12 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def bootstrap_median_interval(
-    values: ArrayLike, rng: np.random.Generator, resamples_n: int = 5000
-) -> tuple[float, float]:
+def bootstrap_median_interval(values: ArrayLike, rng: np.random.Generator) -> tuple[float, float]:
     """Return the 95 % percentile bootstrap interval (low, high) of a median; NaN without values, or with NaN."""
     sample = np.asarray(values, dtype=float)
     if sample.size == 0 or not np.isfinite(sample).all():
         return math.nan, math.nan
-    medians = np.median(sample[rng.integers(0, sample.size, (resamples_n, sample.size))], axis=1)
+    medians = np.median(sample[rng.integers(0, sample.size, (_RESAMPLES_N, sample.size))], axis=1)
     low, high = np.quantile(medians, [(1 - _CONFIDENCE) / 2, (1 + _CONFIDENCE) / 2])
     return float(low), float(high)
 

@@ -177,9 +177,8 @@ class Tuner:
         remedy = "carry more slowly: lower carry.pace.object_speed_m_per_s"
         what = f"the softest carry ({stiffness_n_per_m:.0f} N/m, {force_n:.0f} N)"
         if not step.torque_ratio_max < _SAFE_TORQUE:
-            raise TuningError(
-                f"{what} already takes {100 * step.torque_ratio_max:.0f} % of a motor's torque", remedy=remedy
-            )
+            share = f"{100 * step.torque_ratio_max:.0f} %"
+            raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
         failed = [c.metrics for c in step.carries if not c.metrics.success and c.metrics.failure != _SQUEEZED]
         if failed:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)

@@ -26,9 +26,7 @@ def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "
     axis.axhline(at, color=LIMIT, lw=1, ls=style, label=label)
 
 
-def sheet(
-    images: Sequence[tuple[str, Any]], columns: int, path: Path, *, title: str = "", width_in: float = 3.4
-) -> None:
+def sheet(images: Sequence[tuple[str, Any]], columns: int, path: Path, title: str = "", width_in: float = 3.4) -> None:
     """Write titled images (H, W, 3) to one file."""
     rows = -(-len(images) // columns)
     height, width = images[0][1].shape[:2]
@@ -51,9 +49,8 @@ def draw_occlusion(maps: Mapping[str, tuple[Any, Any]], path: Path) -> None:
         left.imshow(picture)
         left.set_title(f"camera {name}", fontsize=10, loc="left")
         right.imshow(picture.mean(axis=2), cmap="gray", vmin=0, vmax=255)
-        shown = right.imshow(
-            changes, cmap="inferno", alpha=0.65, extent=(-0.5, width - 0.5, height - 0.5, -0.5), vmin=0.0
-        )
+        extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+        shown = right.imshow(changes, cmap="inferno", alpha=0.65, extent=extent, vmin=0.0)
         right.set_title("joint targets change where this is covered", fontsize=10, loc="left")
         figure.colorbar(shown, ax=right, label="mean change [rad]")
         for axis in (left, right):

@@ -22,11 +22,8 @@ from minidual.errors import DataError
 from minidual.show.report.tables import INDICATORS, Indicator, Row, Tables
 from minidual.trials.conditions import CLEAN
 
-_STYLE: dict[Any, Any] = {
-    **mpl.rc_params_from_file(
-        str(files("minidual.show.report") / "templates/figure.mplstyle"), use_default_template=False
-    )
-}
+_STYLE_FILE = str(files("minidual.show.report") / "templates/figure.mplstyle")
+_STYLE: dict[Any, Any] = {**mpl.rc_params_from_file(_STYLE_FILE, use_default_template=False)}
 INK, GRID, FAINT = (_STYLE[name] for name in ("text.color", "grid.color", "xtick.color"))
 _CSS = {INK: "var(--ink)", GRID: "var(--line)", FAINT: "var(--muted)"}
 COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
@@ -123,9 +120,7 @@ def _value(trial: Trial, indicator: Indicator) -> float | None:
 
 def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
     """Plot every trial and the median of successes, if any."""
-    found = [
-        (t["method"], t["success"] == "True", value) for t in trials if (value := _value(t, indicator)) is not None
-    ]
+    found = [(t["method"], t["success"] == "True", x) for t in trials if (x := _value(t, indicator)) is not None]
     if not found:
         return None
     largest, limit = max(value for *_, value in found), (indicator.excellent or math.inf) * indicator.scale

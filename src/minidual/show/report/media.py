@@ -48,8 +48,6 @@ def collect_media(
             source = f"media/{stage}-{name}"
             (page_folder / "media").mkdir(exist_ok=True)
             shutil.copyfile(path, page_folder / source)
-        words = (
-            captions.get(name) or WORDS["captions"].get(stage, {}).get(name) or path.stem.replace("_", " ").capitalize()
-        )
-        media.append(Medium(stage, name, words, source, path.suffix == ".mp4"))
+        own = WORDS["captions"].get(stage, {}).get(name) or path.stem.replace("_", " ").capitalize()
+        media.append(Medium(stage, name, captions.get(name) or own, source, path.suffix == ".mp4"))
     return media

@@ -160,9 +160,7 @@ class Report:
             lines = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
             found.append(Banner("fail", "Results of other code: this report cannot pass", lines))
         if not self.accepts:
-            meaning = (
-                "Few trials and little training show that the parts fit together. The rates below prove nothing else."
-            )
+            meaning = "Few trials and little training show that the parts fit together. The rates prove nothing else."
             found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", [meaning]))
         if self.weakened:
             title = f"Less was asked than the {given.profile} profile asks: not acceptance"

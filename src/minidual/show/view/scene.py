@@ -29,15 +29,14 @@ class Scene:
         self._arrows: Any = None
         self._preview: Preview = NO_PREVIEW
         self._preview_nodes: list[Any] = []
-        server.scene.reset()
+        scene = server.scene
+        scene.reset()
         self._light()
         height = floor_height(model)
         if height is not None:
             corners = _FLOOR_HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
             faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, height)
-            server.scene.add_mesh_simple(
-                "/floor", corners, faces, color=_FLOOR_RGB, position=position, cast_shadow=False
-            )
+            scene.add_mesh_simple("/floor", corners, faces, color=_FLOOR_RGB, position=position, cast_shadow=False)
         drawn = {mesh.body for mesh in self._meshes}
         rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
@@ -121,9 +120,8 @@ class Scene:
         for line in preview.paths:
             points = np.asarray(line.points, dtype=np.float32)
             pieces = np.stack([points[:-1], points[1:]], axis=1)
-            self._preview_nodes.append(
-                self._server.scene.add_line_segments(f"/plan/{line.name}", pieces, line.rgb, thickness=0.006)
-            )
+            node = self._server.scene.add_line_segments(f"/plan/{line.name}", pieces, line.rgb, thickness=0.006)
+            self._preview_nodes.append(node)
         for index, qpos in enumerate(preview.ghosts[:_GHOSTS_MAX]):
             self._add_ghost(f"/plan/ghost{index}", qpos)
 

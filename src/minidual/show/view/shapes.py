@@ -40,9 +40,8 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     result = []
     for (body, rgba), meshes in parts.items():
         whole = trimesh.graph.smooth_shade(trimesh.util.concatenate(meshes), angle=_SHARP_RAD)
-        result.append(
-            BodyMesh(body, whole.vertices.astype(np.float32), whole.faces.astype(np.int32), rgba)  # type: ignore[arg-type]
-        )
+        vertices, faces = whole.vertices.astype(np.float32), whole.faces.astype(np.int32)
+        result.append(BodyMesh(body, vertices, faces, rgba))  # type: ignore[arg-type]
     return result
 
 

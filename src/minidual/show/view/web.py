@@ -71,9 +71,8 @@ class WebView:
             self._say(f"port {config.port} is taken; the view is at port {self.port}")
         self._say(f"view: {self.url}")
         if is_loopback(config.host):
-            self._say(
-                f"from another machine: {tunnel_command(config.host, self.port)}, then open the same address there"
-            )
+            tunnel = tunnel_command(config.host, self.port)
+            self._say(f"from another machine: {tunnel}, then open the same address there")
             return
         others = "moves" if config.remote_drives else "cannot move"
         self._say(

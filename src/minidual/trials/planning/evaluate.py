@@ -234,9 +234,8 @@ def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
 def run_moves(config: Config, seed: int, on_move: Callable[[MoveOutcome], None] = lambda _: None) -> list[MoveOutcome]:
     """Plan `config.plan.held.moves_n` moves."""
     planner = HeldPlanner(_planner(config))
-    generator, first = (
-        HeldMoveGenerator(s, config.scene, planner.planner.robot) for s in (seed, subseed(seed, "held-move/warm-up"))
-    )
+    generator = HeldMoveGenerator(seed, config.scene, planner.planner.robot)
+    first = HeldMoveGenerator(subseed(seed, "held-move/warm-up"), config.scene, planner.planner.robot)
     # Warm up imports and compilation, so that the first move is not charged for them.
     with suppress(PlanningError):
         planner.plan(first.move(0).query)

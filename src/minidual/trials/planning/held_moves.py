@@ -85,10 +85,7 @@ class HeldMoveGenerator:
     With `from_table` the object starts level on the table, without obstacles.
     """
 
-    def __init__(
-        self, seed: int, scene: SceneConfig | None = None, robot: Robot = DUAL_PANDA, *, from_table: bool = False
-    ) -> None:
-        scene = scene or SceneConfig()
+    def __init__(self, seed: int, scene: SceneConfig, robot: Robot = DUAL_PANDA, *, from_table: bool = False) -> None:
         self._seed = seed
         self._from_table = from_table
         self._height_m = scene.object.rest_height_m

@@ -71,22 +71,19 @@ class Query:
         return goal_targets(self.group, self.q_goal, self.scene.robot)
 
 
+@dataclass(frozen=True)
 class QueryGenerator:
     """Makes queries by seed, group and index; `blocked_fraction` of them are hard."""
 
-    def __init__(
-        self, seed: int, obstacles_n: int = 5, blocked_fraction: float = 1.0, robot: Robot = DUAL_PANDA
-    ) -> None:
-        self._seed = seed
-        self._obstacles_n = obstacles_n
-        self._blocked_fraction = blocked_fraction
-        self._robot = robot
-        self._solvers = solvers(robot)
+    seed: int
+    obstacles_n: int = OBSTACLES_N
+    blocked_fraction: float = 1.0
+    robot: Robot = DUAL_PANDA
 
     def kind(self, group: str, index: int) -> str:
         """Return the required kind of a query."""
         GROUP_ARMS[group]
-        if int((index + 1) * self._blocked_fraction) == int(index * self._blocked_fraction):
+        if int((index + 1) * self.blocked_fraction) == int(index * self.blocked_fraction):
             return "any"
         return self.kind_of(group, index)
 
@@ -109,7 +106,7 @@ class QueryGenerator:
             if query is not None:
                 return query
         raise PlanningError(
-            f"no query {index} for {group} with {self._obstacles_n} obstacles after {_SCENE_TRIES_N} scenes",
+            f"no query {index} for {group} with {self.obstacles_n} obstacles after {_SCENE_TRIES_N} scenes",
             remedy="use fewer obstacles or a smaller blocked_fraction",
         )
 
@@ -117,13 +114,13 @@ class QueryGenerator:
         """Return the query of one scene, or None."""
         arms = GROUP_ARMS[group]
         kind = self.kind(group, index)
-        scene = scene_of(self._seed, group, index, attempt, self._obstacles_n, self._robot)
-        rng = stored_stream(self._seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
+        scene = scene_of(self.seed, group, index, attempt, self.obstacles_n, self.robot)
+        rng = stored_stream(self.seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
         engine = MujocoEngine(scene)
         crossed_at_goal = bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
-            start = self._configuration(rng, engine, self._robot.home, SIDES, crossed and not crossed_at_goal)
+            start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not crossed_at_goal)
             if start is None:
                 continue
             goal = self._configuration(rng, engine, start, arms, crossed and crossed_at_goal)
@@ -132,7 +129,7 @@ class QueryGenerator:
             between = _touched_between(engine, start, goal)
             if not _is_kind(kind, arms, between):
                 continue
-            if crossed and not _swapped(*(goal_targets(group, q, self._robot) for q in (start, goal))):
+            if crossed and not _swapped(*(goal_targets(group, q, self.robot) for q in (start, goal))):
                 continue
             return Query(group, index, int(rng.integers(2**31)), scene, start, goal, kind, attempt)
         return None
@@ -149,16 +146,16 @@ class QueryGenerator:
                 solution = self._reach(rng, arm, T_world_tcp)
                 if solution is None:
                     break
-                q[self._solvers[arm].joints] = solution
+                q[solvers(self.robot)[arm].joints] = solution
             else:
                 if not engine.closest(q, _ROOM_M):
                     return q
         return None
 
     def _reach(self, rng: np.random.Generator, arm: str, T_world_tcp: Array) -> Array | None:
-        solver = self._solvers[arm]
+        solver = solvers(self.robot)[arm]
         for k in range(_IK_STARTS_N):
-            start = self._robot.home[solver.joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
+            start = self.robot.home[solver.joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
             solution = solver.solve(T_world_tcp, start)
             if solution.reached:
                 return solution.q
@@ -196,9 +193,7 @@ def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> 
     return kind == "any" or bool(touched)
 
 
-def scene_of(
-    seed: int, group: str, index: int, attempt: int, obstacles_n: int, robot: Robot = DUAL_PANDA
-) -> PlanningScene:
+def scene_of(seed: int, group: str, index: int, attempt: int, obstacles_n: int, robot: Robot) -> PlanningScene:
     """Return the scene of one attempt."""
     rng = stored_stream(seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0)
     return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n, robot)), robot=robot)
@@ -273,7 +268,7 @@ def stored_query(seed: int, group: str, index: int) -> Query | None:
     if known is None or index >= len(known[group][0]):
         return None
     attempt, own_seed, (start, goal) = (column[index] for column in known[group])
-    scene = scene_of(seed, group, index, int(attempt), OBSTACLES_N)
+    scene = scene_of(seed, group, index, int(attempt), OBSTACLES_N, ROBOT)
     return Query(group, index, int(own_seed), scene, start, goal, QueryGenerator.kind_of(group, index), int(attempt))
 
 
