@@ -153,7 +153,7 @@ def test_an_episode_may_change_rooms(tmp_path: Path, shared_model: None, monkeyp
     def run(*_: Any, on_tick: Any) -> None:
         for k in range(60):
             seen.append(look())
-            on_tick(k, None)
+            on_tick(None)
 
     monkeypatch.setattr(rig.session, "run", run)
     before = look()

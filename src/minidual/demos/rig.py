@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -160,15 +161,15 @@ class Rig:
         """Run one episode."""
         teleop = self.job.teleop
         leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
-        stay = round(teleop.room_change_s * teleop.rate_hz)
+        stay, ticks = round(teleop.room_change_s * teleop.rate_hz), itertools.count(1)
         with closing(leader), ExitStack() as shown:
             shown.enter_context(self.room(trial))
 
-            def tick(k: int, ticked: Tick) -> None:
-                on_tick(k, ticked)
-                if stay and (k + 1) % stay == 0:
+            def tick(ticked: Tick) -> None:
+                on_tick(ticked)
+                if stay and (done := next(ticks)) % stay == 0:
                     shown.close()
-                    shown.enter_context(self.room(trial, (k + 1) // stay))
+                    shown.enter_context(self.room(trial, done // stay))
 
             return self.session.run(self.job.task, trial, leader, on_tick=tick)
 
