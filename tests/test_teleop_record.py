@@ -150,8 +150,8 @@ def test_an_episode_may_change_rooms(tmp_path: Path, shared_model: None, monkeyp
     look = lambda: rig.world.model.cam_pos.tobytes()  # noqa: E731
     seen: list[bytes] = []
 
-    def run(*_: Any, on_tick: Any) -> None:
-        for k in range(60):
+    def run(*_given: Any, on_tick: Any) -> None:
+        for _ in range(60):
             seen.append(look())
             on_tick(None)
 
