@@ -5,8 +5,6 @@ class over two doublings in a row. A `never` pair touches in less than 3/n of al
 confidence).
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

@@ -3,8 +3,6 @@
 A switch or a silent source brakes timed commands along their paths; a halt drops them. States: docs/control.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

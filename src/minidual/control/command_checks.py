@@ -1,7 +1,5 @@
 """Posture-independent command checks."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ The observer of p = M v, dp/dt = tau + C^T v - g(q) + tau_ext, stepped over seve
 Albu-Schaeffer, Robot collisions, IEEE T-RO 33(6), 2017.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 After a switch the torque difference fades; after a halt it falls at the drives' rate limit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import cast
 

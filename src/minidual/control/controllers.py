@@ -6,8 +6,6 @@ C  `object_impedance`           both arms and an object
    `soft_stop`                  stops both arms
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np

@@ -7,8 +7,6 @@ Braking, slowing down and the speed override change the clock's rate r, so two h
 dr/dt is ramped, so torques do not jump.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@
 The target stays within half the travel of the fingers.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

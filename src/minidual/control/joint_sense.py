@@ -6,8 +6,6 @@ A value that stands still while the other moves is frozen. Lost positions follow
 slope of q; a joint that lost both follows forward dynamics under the applied torque.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Vectors of three are tuples, which numba keeps in registers: arrays cost the obj
 Import late: it imports numba.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

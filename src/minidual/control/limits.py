@@ -1,7 +1,5 @@
 """The supervisor's bounds: the arms' limits, tightened by the configuration."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba.core import types
 

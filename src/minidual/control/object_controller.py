@@ -1,7 +1,5 @@
 """Controller C: both arms hold one object, commanded by object paths and squeeze."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np
@@ -30,10 +28,8 @@ _PACE_MIN, _NEARER, _SPEED_SHARE = 0.1, 1e-4, 0.9
 class ObjectSensor(Protocol):
     """Object measurements for controller C."""
 
-    @property
-    def grip_limit_n(self) -> float:
-        """Largest internal force that friction carries, or infinite."""
-        ...
+    grip_limit_n: float
+    """Largest internal force that friction carries, or infinite."""
 
     def read(self) -> tuple[ObjectState, float]:
         """Return the object's state and the measured internal force [N]."""

@@ -8,8 +8,6 @@ between the tool centre points, y from right to left, x along the mean finger di
 y comes from positions because an object can pivot between two pads.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -11,8 +11,6 @@ stiffness, which also keeps it from pivoting on opposed pads. D = 2 zeta sqrt(K 
 Sources: docs/force-control.md; Schneider and Cannon 1992; Caccavale et al. 2008.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

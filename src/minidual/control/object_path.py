@@ -1,7 +1,5 @@
 """Object paths: straight minimum-jerk segments between poses."""
 
-from __future__ import annotations
-
 import bisect
 import itertools
 from collections.abc import Sequence

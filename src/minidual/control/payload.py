@@ -5,8 +5,6 @@
 e_z is how far a hand is below its reference. Forces between two hands are horizontal, so they cannot build up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

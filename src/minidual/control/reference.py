@@ -7,8 +7,6 @@
 w is the bandwidth. Recording and deployment must use the same numbers.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from minidual.control.kernels import follow_target

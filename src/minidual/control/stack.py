@@ -3,8 +3,6 @@
 The arbiter runs at its own rate, and at once for requests, halts and timed commands. Example: docs/control.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ v_ref = r v_0 with one r for both arms, so hands that hold one object keep toget
 position limit on the way brakes on its own.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

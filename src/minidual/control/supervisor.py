@@ -3,8 +3,6 @@
 A reflex raises `ReflexError` once; then `guard` returns soft-stop torques until `reset`. See docs/supervisor.md.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

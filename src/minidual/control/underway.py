@@ -1,7 +1,5 @@
 """Start, progress and end of the arbiter's timed commands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

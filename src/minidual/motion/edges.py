@@ -54,7 +54,7 @@ class EdgeChecker:
         self.padding_m = padding_m
         self.step_rad = step_rad
         self.checks_n = 0
-        self.checks_end = self.deadline = math.inf
+        self._checks_end = self._deadline = math.inf
         rows = solids.of_arms(arms)
         near = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in ends]
         near = [(q, max(0.0, clearance)) for q, clearance in near if clearance < padding_m]
@@ -64,12 +64,12 @@ class EdgeChecker:
 
     def allow(self, checks_n: int, deadline: float) -> None:
         """Bound what follows: state checks, and `deadline` by time.perf_counter()."""
-        self.checks_end, self.deadline = self.checks_n + checks_n, deadline
+        self._checks_end, self._deadline = self.checks_n + checks_n, deadline
 
     @property
     def spent(self) -> bool:
         """Whether a bound is reached."""
-        return self.checks_n >= self.checks_end or time.perf_counter() > self.deadline
+        return self.checks_n >= self._checks_end or time.perf_counter() > self._deadline
 
     def free(self, q: Array) -> bool:
         """Return whether q (dof,) keeps the padding."""

@@ -1,7 +1,5 @@
 """True state of an object, and its contacts with the hands."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numba.core import types

@@ -1,7 +1,5 @@
 """Interface between the control stack and simulated or real arms, without true object poses and contact forces."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 from minidual.robot.pair import Array, Robot
@@ -12,11 +10,12 @@ class Plant(Protocol):
 
     dt: float
     """Control period [s]."""
+    grip_max_n: float
+    """Largest closing force [N]."""
+    health: str
+    """Why the plant cannot be driven, or empty."""
 
-    @property
-    def robot(self) -> Robot:
-        """The two arms."""
-        ...
+    robot: Robot
 
     @property
     def time(self) -> float:
@@ -51,16 +50,6 @@ class Plant(Protocol):
     @property
     def grip(self) -> Array:
         """Closing force (2,) [N], mean of the finger motors."""
-        ...
-
-    @property
-    def grip_max_n(self) -> float:
-        """Largest closing force [N]."""
-        ...
-
-    @property
-    def health(self) -> str:
-        """Why the plant cannot be driven, or empty."""
         ...
 
     def command(self, tau: Array, fingers: Array) -> None:
@@ -98,10 +87,8 @@ class Reading(NamedTuple):
 class ObjectSensors(Protocol):
     """Sensors of one object."""
 
-    @property
-    def delay_ticks(self) -> int:
-        """Age of an arriving pose, in control steps."""
-        ...
+    delay_ticks: int
+    """Age of an arriving pose, in control steps."""
 
     def sense(self) -> Reading:
         """Return new readings; once a control step."""

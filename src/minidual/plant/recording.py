@@ -8,8 +8,6 @@ model.*     physical model fields
 digest      sha256 of the others: finds damage, not forgery
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json

@@ -6,8 +6,6 @@
 n is white Gaussian noise, b a bias drawn once per trial; samples arrive `delay_s` late.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np
