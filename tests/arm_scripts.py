@@ -6,7 +6,7 @@ import numpy as np
 from panda import HOME, Q_LOWER, Q_UPPER
 
 from minidual.config.scene import SceneConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rotation_log

@@ -13,9 +13,15 @@ from panda import A_MAX, HOME, V_MAX
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.loop import JointLoop
-from minidual.control.object_impedance import HeldObject, ObjectState, SingularPostureError
-from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
+from minidual.control.joint_control import JointLoop
+from minidual.control.object_impedance import (
+    HeldObject,
+    ObjectPath,
+    ObjectState,
+    SingularPostureError,
+    Waypoint,
+    minimum_jerk,
+)
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError

@@ -21,12 +21,12 @@ from test_control_controllers import move
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import controllers as controllers_module
-from minidual.control import underway
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
+from minidual.control.execution import Underway
 from minidual.control.mailbox import Mailbox
-from minidual.control.object_path import ObjectPath, Waypoint
+from minidual.control.object_impedance import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -349,7 +349,7 @@ def test_the_witness_sees_an_arm_with_two_controllers(monkeypatch: pytest.Monkey
 
 
 def test_the_witness_sees_a_trajectory_that_starts_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(underway.Underway, "_far_start", lambda *_: None)
+    monkeypatch.setattr(Underway, "_far_start", lambda *_: None)
     monkeypatch.setattr(controllers_module, "_BLEND_S", 1e-3)
     with pytest.raises(AssertionError, match="the reference jumped"):
         Witness().play(

@@ -13,8 +13,14 @@ from panda import HOME, JOINT_DAMPING
 from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import object_impedance
-from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint, minimum_jerk
+from minidual.control.object_impedance import (
+    HeldObject,
+    ObjectImpedance,
+    ObjectPath,
+    ObjectState,
+    Waypoint,
+    minimum_jerk,
+)
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z

@@ -18,8 +18,8 @@ from scipy.optimize import brentq
 from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import kernels
+from minidual.control.gripper import pinch_force
 from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
-from minidual.control.pinch import pinch_force
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.poses import inverse, pose, rot_z, rotation_log

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from panda import A_MAX, DOF, HOME, JOINT_ARMATURE, JOINT_DAMPING, JOINT_NAMES
 
-from minidual.control.joint_control import ComputedTorque, Motors
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import ComputedTorque, JointLoop, Motors
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Robot
 from minidual.stages.env_check.tracking import sine_reference
 
 ZERO = np.zeros(DOF)
@@ -86,7 +86,7 @@ class TestFriction:
 
     @staticmethod
     def _knowing(dry_nm):
-        return replace(DUAL_PANDA, arm=replace(DUAL_PANDA.arm, friction=dry_nm))
+        return Robot(replace(DUAL_PANDA.arm, friction=dry_nm))
 
     def _rms(self, scene, model, dry_nm):
         world = World(scene, model=model)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda import A_MAX, DOF, HOME, Q_LOWER, Q_UPPER, V_MAX
 
-from minidual.control.reference import ReferenceFilter
+from minidual.control.joint_control import ReferenceFilter
 from minidual.robot.arms import DUAL_PANDA
 
 DT = 0.001

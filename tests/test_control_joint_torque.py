@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from panda import DOF, FINGER_JOINT_NAMES, HOME, JOINT_DAMPING, Q_LOWER, Q_UPPER, TAU_MAX, V_MAX
 
-from minidual.control.joint_control import ComputedTorque
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import ComputedTorque, JointLoop
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 

@@ -16,6 +16,7 @@ from minidual.demos.checks import Thumbnails, camera_references, check_swapped, 
 from minidual.demos.episode import inspect_episode, read_episode
 from minidual.errors import DataError
 from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import Robot
 
 PER_JOINT = ("joints", "home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max")
 Spoil = Callable[[h5py.File], Any]
@@ -178,7 +179,7 @@ def test_a_joint_outside_its_limits(tmp_path: Path) -> None:
     assert fault.name == "outside_joint_limits"
     assert "joint index 10 is at -0.0598 rad at tick 11" in fault.detail
     arm = replace(DUAL_PANDA.arm, **{name: getattr(DUAL_PANDA.arm, name)[:6] for name in PER_JOINT})
-    (fault,) = inspect_episode(path, robot=replace(DUAL_PANDA, arm=arm))[1]
+    (fault,) = inspect_episode(path, robot=Robot(arm))[1]
     assert fault.name == "joints_wrong"
     assert "holds 14 joints; two panda arms have 12" in fault.detail
 

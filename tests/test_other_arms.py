@@ -8,7 +8,7 @@ import pytest
 from minidual.cli.app import run_command_line
 from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.gate.verdict import read_verdict
 from minidual.motion.api import Planner
 from minidual.plant.world import World

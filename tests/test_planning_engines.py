@@ -10,7 +10,7 @@ from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
-from minidual.motion.edges import EdgeChecker, bisection_order
+from minidual.motion.search import EdgeChecker, bisection_order
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA

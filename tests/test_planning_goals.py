@@ -15,8 +15,17 @@ from minidual.config.planning import MotionLimits, PlannerConfig
 from minidual.config.robot import NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal import Goal, Move, Poses, TipOffset, TipPose, goal_of, load_goal
-from minidual.motion.goal_plan import GoalPlanner, NamedStates
+from minidual.motion.goal_plan import (
+    Goal,
+    GoalPlanner,
+    Move,
+    NamedStates,
+    Poses,
+    TipOffset,
+    TipPose,
+    goal_of,
+    load_goal,
+)
 from minidual.motion.goals import PoseGoals
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
@@ -325,8 +334,11 @@ class _NeverProvenFree:
 
     min_distance_m = 0.0
 
-    def in_collision(self, q):
-        return True
+    def __init__(self):
+        self.solids = self
+
+    def free(self, q):
+        return False
 
     def closest(self, q, within_m):
         return []

@@ -13,11 +13,9 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits
 from minidual.errors import DataError, UsageError
-from minidual.motion.blend import blended_path, rounded
-from minidual.motion.edges import EdgeChecker
-from minidual.motion.search import search
-from minidual.motion.shortcut import path_length, shortcut
-from minidual.motion.timing import sample_parameters, time_path, torque_ratio
+from minidual.motion.blend import blended_path, path_length, rounded, shortcut
+from minidual.motion.search import EdgeChecker, search
+from minidual.motion.timing import sample_parameters, time_path
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -171,7 +169,7 @@ def test_jerk_limit_slows_a_path_down(engine, kinematics):
 
 def test_torque_limit_slows_a_path_down(engine, kinematics):
     def used_by(t):
-        return torque_ratio(t.q, t.v, t.a, kinematics, every=1)
+        return kinematics.torque_use(t.q, t.v, t.a, every=1).max()
 
     curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
     fast = time_path(curve, "both_arms", MotionLimits(), kinematics)[0]

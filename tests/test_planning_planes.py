@@ -9,8 +9,7 @@ from planning_oracles import CoalDistances, farthest_in_mujoco, states
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
-from minidual.proof.certificate import first_stretches
-from minidual.proof.scene_engines import SceneEngines
+from minidual.proof.scene_engines import SceneEngines, first_stretches
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot

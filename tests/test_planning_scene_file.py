@@ -11,15 +11,13 @@ from scipy.spatial import ConvexHull
 
 from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import GoalInCollisionError, StartInCollisionError
-from minidual.collision.meshes import load_mesh
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
-from minidual.collision.scene_file import load_scene
+from minidual.collision.scene_file import load_mesh, load_scene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal import Goal, load_goal
-from minidual.motion.goal_plan import GoalPlanner
+from minidual.motion.goal_plan import Goal, GoalPlanner, load_goal
 from minidual.robot.kinematics import Kinematics
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

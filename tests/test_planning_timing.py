@@ -12,8 +12,8 @@ from minidual.config.planning import MotionLimits
 from minidual.errors import DataError
 from minidual.motion import timing
 from minidual.motion.blend import SmoothPath, rounded
-from minidual.motion.timing import drive, fastest_profile, sample_parameters
-from minidual.proof.limits import limit_use
+from minidual.motion.timing import fastest_profile, sample_parameters
+from minidual.proof.scene_engines import limit_use
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
@@ -97,14 +97,15 @@ def test_a_smooth_path_is_its_piecewise_polynomial(d, order):
     np.testing.assert_allclose(path.at(s, order), truth(s, order), atol=1e-9 * np.abs(truth(s[:-1], order)).max())
 
 
-def test_a_path_that_is_no_number_gives_no_trajectory(kinematics):
+def test_a_path_that_is_no_number_gives_no_trajectory(kinematics, monkeypatch):
     path = curve()
     s = np.linspace(0.0, path.length, 50)
     sd = np.sqrt(np.minimum(s, path.length - s))
     broken = path.coefficients.copy()
     broken[4, 3, 2] = np.nan
+    monkeypatch.setattr(timing, "fastest_profile", lambda *_: (s, sd))
     with pytest.raises(DataError, match="not finite"):
-        drive(SmoothPath(broken, path.knots), s, sd, "both_arms", MotionLimits(), kinematics)
+        timing.time_path(SmoothPath(broken, path.knots), "both_arms", MotionLimits(), kinematics)
 
 
 def by_arrays(s, sd, smoothing_s):

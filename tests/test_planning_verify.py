@@ -12,7 +12,7 @@ from minidual.collision.shapes import Box, Sphere
 from minidual.config.planning import PlannerConfig
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.proof import certificate, limits
+from minidual.proof import scene_engines
 from minidual.proof.scene_engines import STEP_RAD, collision_samples
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
@@ -153,7 +153,7 @@ def test_what_hides_between_two_samples_is_found(monkeypatch):
     trajectory, scene = swing_past(0.0)
     engines = Planner(scene).engines()
     assert not engines.engine("mujoco").collisions(trajectory.q[[0, -1]]).any()
-    monkeypatch.setattr(certificate, "_FIRST_RAD", 100.0)  # the first look is at both ends only
+    monkeypatch.setattr(scene_engines, "_FIRST_RAD", 100.0)  # the first look is at both ends only
     report = engines.verify(trajectory)
     assert "ball and left_panda" in report.reason or "left_panda" in report.reason.split(" and ")[0]
     assert re.match(r"collision at \d\.\d+ s: .* touch|.* could not be proven apart after", report.reason)
@@ -234,7 +234,7 @@ def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s, 
     for group in ("left_arm", "both_arms"):
         trajectory = plan_query(planner, generator.query(group, 0)).result.trajectory
         with monkeypatch.context() as patch:
-            patch.setattr(limits, "_MISFIT", 0.5 * limits._MISFIT)
+            patch.setattr(scene_engines, "_MISFIT", 0.5 * scene_engines._MISFIT)
             assert planner.engines().verify(trajectory).ok
 
 

@@ -13,8 +13,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack, PlantError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.plant.delayed import DelayedPlant
-from minidual.plant.protocol import Plant
+from minidual.plant.protocol import DelayedPlant, Plant
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 

@@ -17,7 +17,7 @@ from replay_mutations import mutate, write
 from minidual.cli.app import run_command_line
 from minidual.config.scene import ObstacleConfig
 from minidual.config.supervisor import SupervisorConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor, dumping
 from minidual.errors import DataError, UsageError

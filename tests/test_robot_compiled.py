@@ -8,7 +8,7 @@ import pytest
 from panda import HOME
 
 from minidual.collision.scene import PlanningScene
-from minidual.motion.edges import EdgeChecker
+from minidual.motion.search import EdgeChecker
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot import compiled

@@ -7,8 +7,7 @@ import pytest
 from panda import FINGER_JOINT_NAMES, JOINT_NAMES
 
 from minidual.errors import UsageError
-from minidual.plant.addresses import map_joints
-from minidual.plant.model import build_spec
+from minidual.plant.model import build_spec, map_joints
 from minidual.plant.world import World
 
 

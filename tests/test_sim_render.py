@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arm_scripts import pinch_rod
 
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant import render
 from minidual.plant.model import CAMERAS

@@ -9,7 +9,7 @@ from arm_scripts import pinch_rod
 from panda import DOF, HOME, TAU_MAX
 
 from minidual.config.scene import ObjectConfig, SceneConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.errors import UsageError
 from minidual.plant.bodies import contact_sensor
 from minidual.plant.world import SimulationDivergedError, World

@@ -18,10 +18,10 @@ from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_
 
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.contact import Expected
+from minidual.control.joint_control import JointLoop
 from minidual.control.limits import Reach
-from minidual.control.loop import JointLoop
 from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
-from minidual.control.supervised_stop import SupervisedStop
+from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA

@@ -16,7 +16,7 @@ import pytest
 from minidual.config.change import replaced
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.motion.ik import ArmIK
 from minidual.plant.bodies import NamedObject
 from minidual.plant.world import World

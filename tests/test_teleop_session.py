@@ -11,7 +11,7 @@ from carry_trials import carry_task, sample_trial
 from panda import HOME
 
 from minidual.config.teleop import TeleopConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.control.stack import ControlStack
 from minidual.demos.leader import ScriptedLeader
 from minidual.demos.session import SessionResult, TeleopSession, Tick

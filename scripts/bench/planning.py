@@ -19,8 +19,7 @@ from minidual.collision.errors import TimingError
 from minidual.config.planning import PlanConfig
 from minidual.motion.api import Planner
 from minidual.motion.blend import blended_path
-from minidual.motion.edges import EdgeChecker
-from minidual.motion.search import search
+from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import time_path
 from minidual.proof.scene_engines import SceneEngines
 from minidual.trials.planning.evaluate import plan_query

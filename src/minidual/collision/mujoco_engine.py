@@ -8,11 +8,9 @@ import numpy as np
 
 from minidual.collision.engine import PairDistance
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from minidual.robot.description import collision_links, pair_urdf
+from minidual.robot.description import collision_links, mujoco_urdf
 from minidual.robot.pair import Array
 
-# Without these options the URDF reader fuses fixed links (and the tcp) into their parents.
-_COMPILER = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco><link name="world"'
 _CLOSEST_WITHIN_M = 0.1
 _KIND = mujoco.mjtGeom
 _ROUND = {Cylinder: _KIND.mjGEOM_CYLINDER, Capsule: _KIND.mjGEOM_CAPSULE, Sphere: _KIND.mjGEOM_SPHERE}
@@ -23,7 +21,7 @@ class MujocoEngine:
 
     def __init__(self, scene: Any) -> None:
         robot = scene.robot
-        spec = mujoco.MjSpec.from_string(pair_urdf(robot).replace('<link name="world"', _COMPILER, 1))
+        spec = mujoco.MjSpec.from_string(mujoco_urdf(robot))
         for shape in scene.solid_obstacles:
             add_body(spec, spec.worldbody, shape)
         for held in scene.attached:

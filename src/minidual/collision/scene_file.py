@@ -1,22 +1,133 @@
-"""Planning scenes in YAML (docs/planning-scenes.md)."""
+"""Planning scenes in YAML (docs/planning-scenes.md): places, shapes, and mesh files covered with convex hulls."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, model_validator
 
-from minidual.collision.meshes import load_mesh
-from minidual.collision.places import PlaceFields
 from minidual.collision.scene import MIN_DISTANCE_MAX_M, TABLE, Attached, PlanningScene
-from minidual.collision.shapes import IDENTITY, Box, Capsule, Cylinder, Shape, Sphere
-from minidual.config.base import StrictModel
+from minidual.collision.shapes import IDENTITY, Box, Capsule, Cylinder, Mesh, Quat, Shape, Sphere, Vec3
+from minidual.config.base import Coordinate, StrictModel
 from minidual.config.document import Document, read_document
 from minidual.config.loader import validate_document
-from minidual.errors import ConfigError, MinidualError
+from minidual.durable import regular_file
+from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Robot
+
+Finite3 = tuple[Coordinate, Coordinate, Coordinate]
+_LENGTH_TOLERANCE = 1e-3
+
+
+class PlaceFields(StrictModel):
+    """A position with optional orientation, in one of two forms."""
+
+    position_m: Finite3
+    quat_wxyz: tuple[float, float, float, float] | None = None
+    """Scalar first; normalised if its length is within 0.001 of 1."""
+    rpy_rad: Finite3 | None = None
+    """About fixed x, y, z in this order, as in a URDF."""
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if self.quat_wxyz is not None:
+            if self.rpy_rad is not None:
+                raise ValueError("quat_wxyz and rpy_rad are two ways to say one thing; give one of them")
+            length = math.hypot(*self.quat_wxyz)
+            if abs(length - 1.0) > _LENGTH_TOLERANCE:
+                raise ValueError(f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)")
+        return self
+
+    def quaternion(self) -> Quat | None:
+        """Return the unit quaternion, or None."""
+        if self.quat_wxyz is not None:
+            length = math.hypot(*self.quat_wxyz)
+            w, x, y, z = (v / length for v in self.quat_wxyz)
+            return (w, x, y, z)
+        if self.rpy_rad is not None:
+            quat = pin.Quaternion(pin.rpy.rpyToMatrix(np.array(self.rpy_rad))).normalized()
+            return (float(quat.w), float(quat.x), float(quat.y), float(quat.z))
+        return None
+
+
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf")
+_BYTES_MAX = 2**26
+_PIECES_MAX = 64
+_EXTENT_MAX_M = 10.0
+_EXTENT_MIN_M = 1e-4
+
+
+def load_mesh(
+    path: Path, name: str, position_m: Vec3, quat_wxyz: Quat = IDENTITY, *, scale: float = 1.0, separate: bool = False
+) -> tuple[Mesh, str]:
+    """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF); return its cover and a note on its volume.
+
+    The cover is one hull, or one per connected piece if `separate`. `scale` is metres per unit of the file.
+
+    Raises:
+        UsageError, DataError: The file, its scale, size or number of pieces is unfit.
+    """
+    mesh = _read(path, name)
+    mesh.apply_scale(scale)
+    extent = float(np.max(mesh.extents))
+    if not _EXTENT_MIN_M <= extent <= _EXTENT_MAX_M:
+        raise UsageError(
+            f"mesh '{name}' ({path.name}) measures {' x '.join(f'{v:.4g}' for v in mesh.extents)} m at scale {scale:g}; "
+            f"its longest side must be from {_EXTENT_MIN_M} to {_EXTENT_MAX_M} m",
+            remedy="a file in millimetres needs scale: 0.001",
+        )
+    pieces = list(mesh.split(only_watertight=False)) if separate else [mesh]
+    if len(pieces) > _PIECES_MAX:
+        raise UsageError(f"mesh '{name}' ({path.name}) has {len(pieces)} pieces; at most {_PIECES_MAX} are allowed")
+    hulls = [_hull(piece) for piece in pieces]
+    if None in hulls:
+        raise DataError(f"mesh '{name}' ({path.name}) is flat or has a flat piece, which encloses no volume")
+    held = sum(hull.volume for hull in hulls)
+    fit = f"{held / mesh.volume:.2f} times its volume" if mesh.is_watertight else "an open surface"
+    blobs = tuple(np.ascontiguousarray(hull.points[hull.vertices]).tobytes() for hull in hulls)
+    note = f"mesh '{name}': {len(mesh.faces)} faces in {len(hulls)} convex pieces ({fit})"
+    return Mesh(name, position_m, quat_wxyz, blobs, str(path)), note
+
+
+def _read(path: Path, name: str) -> Any:
+    import trimesh
+
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(
+            f"mesh '{name}': {path.name} has the extension '{path.suffix}'; known are {', '.join(SUFFIXES)}"
+        )
+    try:
+        regular_file(path, _BYTES_MAX)
+    except DataError as error:
+        raise UsageError(f"mesh '{name}': {error.message}") from None
+    try:
+        mesh = trimesh.load(path, force="mesh")
+    except Exception as error:  # trimesh's readers raise errors of many types
+        raise DataError(
+            f"mesh '{name}': {path.name} does not load: {type(error).__name__}: {error}",
+            remedy="open it in a mesh viewer and export it again",
+        ) from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise DataError(f"mesh '{name}': {path.name} holds no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise DataError(f"mesh '{name}': {path.name} holds a vertex that is not finite")
+    return mesh
+
+
+def _hull(mesh: Any) -> Any:
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(np.unique(mesh.triangles.reshape(-1, 3), axis=0))
+    except QhullError:
+        return None
+    return hull if hull.volume >= 1e-9 * float(np.max(mesh.extents)) ** 3 else None
+
 
 Length = Annotated[float, Field(ge=1e-4, le=10.0)]
 """MuJoCo gets boxes as meshes, whose hulls need volume."""
@@ -43,18 +154,10 @@ class BoxEntry(_Entry):
     size_m: tuple[Length, Length, Length]
 
 
-class CylinderEntry(_Entry):
-    """A cylinder along z."""
+class RoundEntry(_Entry):
+    """A cylinder or capsule along z."""
 
-    shape: Literal["cylinder"] = "cylinder"
-    radius_m: Length
-    length_m: Length
-
-
-class CapsuleEntry(_Entry):
-    """A capsule along z."""
-
-    shape: Literal["capsule"] = "capsule"
+    shape: Literal["cylinder", "capsule"]
     radius_m: Length
     length_m: Length
     """Of the cylindrical part."""
@@ -80,7 +183,7 @@ class MeshEntry(_Entry):
 
 
 _SHAPES = {"box": Box, "cylinder": Cylinder, "capsule": Capsule, "sphere": Sphere}
-_Entries = Annotated[BoxEntry | CylinderEntry | CapsuleEntry | SphereEntry | MeshEntry, Field(discriminator="shape")]
+_Entries = Annotated[BoxEntry | RoundEntry | SphereEntry | MeshEntry, Field(discriminator="shape")]
 
 
 class AllowedEntry(StrictModel):

@@ -4,15 +4,14 @@ A switch or a silent source brakes timed commands along their paths; a halt drop
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.control.command_checks import check_openings
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
-from minidual.control.execution import ArbiterOutput
-from minidual.control.mailbox import Mailbox
-from minidual.control.underway import Underway
+from minidual.control.execution import ArbiterOutput, Underway
+from minidual.control.mailbox import Mailbox, check_openings
 from minidual.errors import UsageError, unknown_name
 from minidual.robot.pair import Array, Robot
 
@@ -56,7 +55,8 @@ class CommandArbiter:
         """Source that may drive."""
         self._switch: tuple[str, float] | None = None
         """Mode to switch to, and since when [s]."""
-        self._target: Array | None = None
+        self._target: Any = None
+        """(n,) [rad], from the first tick on."""
         self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
@@ -131,7 +131,7 @@ class CommandArbiter:
         ended, cut = False, self.underway.braking
         if self.underway.executions:
             self._refusals += [Refusal(self.source or HOLD, *why) for why in self.underway.stopped()]
-            self._target, ended = self.underway.follow(self._held())
+            self._target, ended = self.underway.follow(self._target)
         held = posture if q_held is None else self._posture(q_held)
         self._begin_requested(now_s, held, v_measured)
         switched_to = None
@@ -147,7 +147,7 @@ class CommandArbiter:
             execution.limit_speed(self.speed)
         refusals, self._refusals = tuple(self._refusals), []
         return ArbiterOutput(
-            q_target=self._held().copy(),
+            q_target=self._target.copy(),
             gripper=self._gripper.copy(),
             state=self.state,
             active_source=self.source if driven else None,
@@ -175,11 +175,6 @@ class CommandArbiter:
         if self._target is None:
             raise UsageError(f"the first measured posture is not {self._robot.dof} finite angles: {q_measured}")
         self._refusals.append(Refusal("measurement", "not_finite", f"measured joints {q_measured}"))
-        return self._target
-
-    def _held(self) -> Array:
-        if self._target is None:
-            raise UsageError("the arbiter has not been told a posture yet", remedy="call tick first")
         return self._target
 
     def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
@@ -281,19 +276,19 @@ class CommandArbiter:
             if not driven:
                 self._go_quiet(now_s)
             return driven
-        wanted = self._held().copy()
+        wanted = self._target.copy()
         for arm, command in fresh.items():
             joints = self._robot.joints_of(arm)
             lower, upper = self._robot.q_lower[joints], self._robot.q_upper[joints]
             wanted[joints] = np.clip(command.target_of(arm), lower, upper)
-        step = wanted - self._held()
+        step = wanted - self._target
         largest = float(np.max(np.abs(step)))
         # A step over the bound starts an alignment, which ends once one tick at its speed reaches the target.
         align = self.speed * self.config.align_speed_rad_s * dt
         aligning = largest > self.config.switch_step_max_rad or (was_aligning and largest > align)
         if aligning:
             bound = min(align, self.config.switch_step_max_rad)
-            wanted = self._held() + step * min(1.0, bound / largest)
+            wanted = self._target + step * min(1.0, bound / largest)
         else:
             # The hands do not move while aligning, so that they keep what they hold.
             for arm, command in fresh.items():

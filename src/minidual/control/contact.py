@@ -27,20 +27,9 @@ _WINDOW_MAX = 32
 """Longest step, in ticks; after longer silence it begins anew."""
 
 
-class Mode(NamedTuple):
-    """What a mode allows; torque relative to the motors' limits."""
-
-    torque_share: float
-    force_n: float
-    deviation_rad: float
-
-
-MODES: dict[str, Mode] = {
-    "free motion": Mode(0.15, 20.0, 0.05),
-    "closed hands": Mode(0.5, 60.0, 0.1),
-    "held object": Mode(0.15, 40.0, 0.1),
-}
-"""Closed hands may squeeze by position; object impedance tells its load."""
+MODES = {"free motion": (0.15, 20.0, 0.05), "closed hands": (0.5, 60.0, 0.1), "held object": (0.15, 40.0, 0.1)}
+"""Allowed torque, relative to the motors' limits, force [N] and deviation [rad] of a mode. Closed hands may squeeze by
+position; object impedance tells its load."""
 
 
 class Expected(NamedTuple):

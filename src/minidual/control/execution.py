@@ -7,16 +7,25 @@ Braking, slowing down and the speed override change the clock's rate r, so two h
 dr/dt is ramped, so torques do not jump.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.control.command_checks import own_columns
-from minidual.control.commands import ArbiterState, ObjectCommand, Reason, Refusal, TrajectoryCommand
+from minidual.control.commands import (
+    ArbiterState,
+    Command,
+    ObjectCommand,
+    Reason,
+    Refusal,
+    TimedCommand,
+    TrajectoryCommand,
+)
 from minidual.control.kernels import near, within
+from minidual.control.mailbox import own_columns
 from minidual.control.object_impedance import ObjectState
 from minidual.errors import UsageError
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import SIDES, Array, Robot
 
 BRAKE_SHARE = 0.8
 """Share of the joints' acceleration limits."""
@@ -33,11 +42,12 @@ _STOPPED_RATE = 1e-4
 _LOOK_AHEAD_ROWS = 500
 
 
-class _Execution:
-    def __init__(self, arms: tuple[int, ...], duration_s: float, dt_s: float) -> None:
-        self.arms = arms
+class _Execution[C: TimedCommand]:
+    def __init__(self, command: C, dt_s: float) -> None:
+        self.command = command
+        self.arms, duration_s = command.arms, command.motion.duration_s
         self._steps, self._k = max(1, int(np.ceil(duration_s / dt_s - 1e-6))), -1
-        self._t_s, self._rate, self._slope, self._slope_max = 0.0, 1.0, 0.0, 0.0
+        self._t_s, self.rate, self._slope, self._slope_max = 0.0, 1.0, 0.0, 0.0
         self._dt, self._end_s = dt_s, duration_s
         self.pace = 1.0
         """Wanted rate, above 0 to 1; reached smoothly."""
@@ -48,17 +58,12 @@ class _Execution:
     @property
     def finished(self) -> bool:
         """Whether it ended or stopped."""
-        return self._k >= self._steps or self._rate == 0.0
+        return self._k >= self._steps or self.rate == 0.0
 
     @property
     def braking(self) -> bool:
         """Whether it brakes or has braked."""
         return self._slope_max > 0.0
-
-    @property
-    def rate(self) -> float:
-        """Present rate, 0 to 1."""
-        return self._rate
 
     def brake(self) -> None:
         """Come to rest on the path."""
@@ -75,7 +80,7 @@ class _Execution:
         """Set the speed override, up to 1; reached slowly after the first step."""
         self._speed = share
         if not self._paced and self._k < 0:
-            self._speed_now = self._rate = share
+            self._speed_now = self.rate = share
 
     def _largest_slope(self) -> float:
         return _OBJECT_BRAKE_SLOPE
@@ -91,24 +96,24 @@ class _Execution:
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S
             # On this curve slope and rate reach zero together, within the ramp time.
-            fall = float(np.sqrt(2.0 * self._rate * self._slope_max / _BRAKE_RAMP_S))
+            fall = float(np.sqrt(2.0 * self.rate * self._slope_max / _BRAKE_RAMP_S))
             self._slope = min(rise, self._slope_max, fall)
         else:
             slew = _OVERRIDE_SLEW * self._dt
             self._speed_now += within(self._speed - self._speed_now, -slew, slew)
             pace = min(self.pace, self._speed_now)
-            change, wanted = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S, (self._rate - pace) / _PACE_S
+            change, wanted = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S, (self.rate - pace) / _PACE_S
             self._slope += within(within(wanted, -_PACE_SLOPE, _PACE_SLOPE) - self._slope, -change, change)
-        self._rate = within(self._rate - self._slope * self._dt, 0.0, 1.0)
-        self._t_s = min(self._t_s + self._rate * self._dt, self._end_s)
-        if self._rate < _STOPPED_RATE or self._t_s >= self._end_s:
-            self._rate = self._slope = 0.0
+        self.rate = within(self.rate - self._slope * self._dt, 0.0, 1.0)
+        self._t_s = min(self._t_s + self.rate * self._dt, self._end_s)
+        if self.rate < _STOPPED_RATE or self._t_s >= self._end_s:
+            self.rate = self._slope = 0.0
 
     def _slowed(self, v: Array, a: Array) -> tuple[Array, Array]:
-        return v * self._rate, a * self._rate**2 - v * self._slope
+        return v * self.rate, a * self.rate**2 - v * self._slope
 
 
-class TrajectoryExecution(_Execution):
+class TrajectoryExecution(_Execution[TrajectoryCommand]):
     """A running trajectory.
 
     Attributes:
@@ -117,8 +122,7 @@ class TrajectoryExecution(_Execution):
     """
 
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
-        super().__init__(command.arms, command.motion.duration_s, dt_s)
-        self.command = command
+        super().__init__(command, dt_s)
         self.joints = robot.groups[command.group]
         self._a_max = robot.a_max[self.joints]
         self._columns = own_columns(command, robot)
@@ -142,12 +146,11 @@ class TrajectoryExecution(_Execution):
         self.v, self.a = self._slowed(v, a)
 
 
-class ObjectExecution(_Execution):
+class ObjectExecution(_Execution[ObjectCommand]):
     """A running object path."""
 
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
-        super().__init__(command.arms, command.motion.duration_s, dt_s)
-        self.command = command
+        super().__init__(command, dt_s)
         self.desired = command.motion.at(0.0)
         self.squeeze_n = command.squeeze_n(0.0)
 
@@ -189,3 +192,73 @@ class ArbiterOutput:
     executions: tuple[Execution, ...] = ()
     halted: bool = False
     speed: float = 1.0
+
+
+class Underway:
+    """Running timed commands, at most one per arm; `admit` as in CommandArbiter."""
+
+    def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Reason | None]) -> None:
+        self._dt, self._robot, self.admit = dt_s, robot, admit
+        self.executions: tuple[Execution, ...] = ()
+
+    def begin(self, command: TimedCommand, posture: Array, start_bound_rad: float) -> Reason | None:
+        """Begin a command, or return why not.
+
+        A trajectory may start at most `start_bound_rad` from the measured posture (n,).
+        """
+        reason = self.busy(command.arms) or self.admit(command)
+        if reason is None and isinstance(command, TrajectoryCommand):
+            reason = self._far_start(command, posture, start_bound_rad)
+        if reason is None:
+            timed = isinstance(command, TrajectoryCommand)
+            begun = TrajectoryExecution(command, self._dt, self._robot) if timed else ObjectExecution(command, self._dt)
+            self.executions = (*self.executions, begun)
+        return reason
+
+    def busy(self, arms: tuple[int, ...]) -> Reason | None:
+        """Return why these arms are busy, or None."""
+        for execution in self.executions:
+            shared = [SIDES[arm] for arm in arms if arm in execution.arms]
+            if shared:
+                kind = type(execution.command).__name__
+                return "busy", f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold"
+        return None
+
+    @property
+    def braking(self) -> bool:
+        """Whether a command is braking."""
+        return any(execution.braking for execution in self.executions)
+
+    def follow(self, target: Array) -> tuple[Array, bool]:
+        """Return the target (n,) updated on trajectories, and whether any ended."""
+        target = target.copy()
+        for execution in self.executions:
+            if isinstance(execution, TrajectoryExecution):
+                joints = execution.joints
+                target[joints] = np.clip(execution.q, self._robot.q_lower[joints], self._robot.q_upper[joints])
+        running = tuple(e for e in self.executions if not e.finished)
+        ended = len(running) < len(self.executions)
+        self.executions = running
+        return target, ended
+
+    def stopped(self) -> list[Reason]:
+        """Return, once, why controllers have stopped commands."""
+        reasons = [execution.why for execution in self.executions if execution.why is not None]
+        for execution in self.executions:
+            execution.why = None
+        return reasons
+
+    def brake(self) -> None:
+        """Brake all along their paths."""
+        for execution in self.executions:
+            execution.brake()
+
+    def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Reason | None:
+        joints = self._robot.groups[command.group]
+        away = command.motion.q[0, own_columns(command, self._robot)] - posture[joints]
+        index = int(np.argmax(np.abs(away)))
+        if abs(away[index]) <= bound_rad:
+            return None
+        name = self._robot.joint_names[joints][index]
+        start = f"the trajectory starts {away[index]:+.3f} rad away from the arms at {name}"
+        return "far_start", f"{start}; bound {bound_rad} rad"

@@ -3,15 +3,42 @@
     closing   target' = -sat(k (F - f), speed),  f measured
     opening   target' = +speed
 
-The target stays within half the travel of the fingers.
+The target stays within half the travel of the fingers. Two pads carry squeeze F and half the weight by friction if each
+finger presses with
+
+    N >= safety sqrt(F^2 + (m g / 2)^2) / (2 mu)
+
+Torsional friction is neglected; the hands' torsional springs hold that rotation.
 """
 
 import math
 
 import numpy as np
 
+from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
 from minidual.robot.pair import SIDES, Array
+
+SAFETY = 1.5  # friction varies by some tenths between pads and days
+_GRAVITY = 9.81
+
+
+def pinch_force(squeeze_n: float, mu: float, mass_kg: float = 0.0, *, safety: float = SAFETY) -> float:
+    """Return each finger's normal force [N].
+
+    Raises:
+        UsageError: A value is out of range.
+    """
+    if not mu > 0.0:
+        raise UsageError(f"friction coefficient {mu}: must be above 0, no pinch holds without friction")
+    if not mass_kg >= 0.0:
+        raise UsageError(f"mass {mass_kg} kg: must be at least 0")
+    if not safety >= 1.0:
+        raise UsageError(f"safety factor {safety}: must be at least 1")
+    if not squeeze_n >= 0.0:
+        raise UsageError(f"squeeze {squeeze_n} N: must be at least 0, hands do not pull")
+    return safety * math.hypot(squeeze_n, 0.5 * mass_kg * _GRAVITY) / (2.0 * mu)
+
 
 CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
 """Hysteresis against opening commands wavering about the middle."""
@@ -47,7 +74,8 @@ class Grippers:
         """Start with open hands."""
         self._is_open = [True, True]
         self.forget_grip()
-        self._set([self._travel_m] * 2)
+        self._targets = [self._travel_m] * 2
+        self.targets_m = np.array(self._targets)
 
     def forget_grip(self) -> None:
         """Expect no grip until hands close on something anew."""
@@ -55,8 +83,7 @@ class Grippers:
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
-        self._is_open = [False, False]
-        self._set(targets_m.tolist())
+        self._is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
 
     @property
     def is_open(self) -> Array:
@@ -107,7 +134,3 @@ class Grippers:
         if self._lost[hand] * self._plant.dt > _LOST_S:
             what = f"{grip_n:.0f} of {self._force_n:.0f} N, fingers {1e3 * moved_m:+.1f} mm"
             self.fault = f"the {SIDES[hand]} hand: {what}"
-
-    def _set(self, targets: list[float]) -> None:
-        self._targets = targets
-        self.targets_m = np.array(targets)

@@ -18,6 +18,7 @@ from minidual.robot.pair import Array
 _REAL = types.float64
 _VIEW = types.Array(_REAL, 1, "A", readonly=True)
 _TURNED = types.float64[::1, :]  # Pinocchio's matrices are column-major
+_HANDS = types.Tuple([_TURNED, VECTOR, VECTOR, _TURNED, _TURNED])
 
 LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
     [
@@ -31,6 +32,8 @@ LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
 Vector = tuple[float, float, float]
 Elements = Any
 """A vector of three, as a tuple or an array."""
+Placed = tuple[Array, Array, Array, Array, Array]
+"""See `Hands.views`."""
 _shared = vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner, vectors.solve_gram
 _algebra: Any = map(njit, _shared)
 cross, plus, minus, times, inner, solve_gram = _algebra
@@ -110,9 +113,10 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
     return True
 
 
-@kernel(types.void(_TURNED, VECTOR, VECTOR, VECTOR, VECTOR, ROWS))
-def hand_look(J: Array, p_left: Array, p_right: Array, v: Array, torque: Array, out: Array) -> None:
-    """Fill `out` (4, 3): the hands' velocities [m/s], then forces (J J^T + 1e-3)^-1 J torque [N]; J, p: see `Hands`."""
+@kernel(types.void(_HANDS, VECTOR, VECTOR, ROWS))
+def hand_look(hands: Placed, v: Array, torque: Array, out: Array) -> None:
+    """Fill `out` (4, 3): the hands' velocities [m/s], then forces (J J^T + 1e-3)^-1 J torque [N]."""
+    J, p_left, p_right, _, _ = hands
     n = len(v) // 2
     J_hand, y = np.empty((6, n)), np.empty(6)
     for i, p in enumerate((three(p_left, 0), three(p_right, 0))):
@@ -129,10 +133,7 @@ def hand_look(J: Array, p_left: Array, p_right: Array, v: Array, torque: Array, 
 
 
 @kernel(
-    types.boolean(
-        *(types.Array(from_dtype(LAW), 1, "C"), ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL),
-        *(_TURNED, VECTOR, VECTOR, _TURNED, _TURNED, VECTOR, VECTOR, VECTOR, VECTOR),
-    )
+    types.boolean(types.Array(from_dtype(LAW), 1, "C"), ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL, _HANDS, *[VECTOR] * 4)
 )
 def impedance(
     law: Array,
@@ -142,11 +143,7 @@ def impedance(
     twist_d: Array,
     a_d: Array,
     squeeze_n: float,
-    J: Array,
-    p_left: Array,
-    p_right: Array,
-    R_left: Array,
-    R_right: Array,
+    hands: Placed,
     sag: Array,
     v: Array,
     qdd: Array,
@@ -154,8 +151,9 @@ def impedance(
 ) -> bool:
     """Fill qdd (n,) and push (n,) = J^T f; see `object_impedance`.
 
-    law: (1,) of LAW. J, p, R: see `Hands`. sag: (n,), posture - q. Return False if a hand has lost a direction of motion.
+    law: (1,) of LAW. sag: (n,), posture - q. Return False if a hand has lost a direction of motion.
     """
+    J, p_left, p_right, R_left, R_right = hands
     s = law[0]
     K, D = s.K, s.D
     force = np.empty(3)
@@ -209,23 +207,13 @@ def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
     return plus(linear, cross(omega, p)), omega
 
 
-@kernel(_REAL(_TURNED, VECTOR, VECTOR, _TURNED, _TURNED, _VIEW, ROWS, ROWS, ROWS, VECTOR))
-def follow(
-    J: Array,
-    p_left: Array,
-    p_right: Array,
-    R_left: Array,
-    R_right: Array,
-    v: Array,
-    X: Array,
-    T_hands: Array,
-    T: Array,
-    twist: Array,
-) -> float:
+@kernel(_REAL(_HANDS, _VIEW, ROWS, ROWS, ROWS, VECTOR))
+def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: Array) -> float:
     """Fill the frame T_hands (4, 4) of both hands, and pose T = T_hands X and twist (6,) of an object that follows them.
 
-    J, p, R: see `Hands`. Return the distance between the hands.
+    Return the distance between the hands.
     """
+    J, p_left, p_right, R_left, R_right = hands
     left, right, n = three(p_left, 0), three(p_right, 0), len(v) // 2
     apart = minus(left, right)
     distance = math.sqrt(inner(apart, apart))

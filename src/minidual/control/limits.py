@@ -4,12 +4,11 @@ import numpy as np
 from numba.core import types
 
 from minidual.config.supervisor import SupervisorConfig
-from minidual.robot.compiled import ROWS as MATRIX
-from minidual.robot.compiled import VECTOR, kernel
+from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
-ROWS: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
+QUANTITIES: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
 """Quantities compared each tick, per joint; a step is a difference between ticks."""
 
 POSITION_TOLERANCE_RAD = 1e-3  # targets may lie on the bound; tracking is imperfect
@@ -20,9 +19,9 @@ _WIDTH_M = 0.1
 """Lateral extent of a link or hand."""
 
 
-@kernel(types.float64(MATRIX, VECTOR, MATRIX, MATRIX))
+@kernel(types.float64(ROWS, VECTOR, ROWS, ROWS))
 def excess(rows: Array, before: Array, centre: Array, scale: Array) -> float:
-    """Return the largest |x - centre| scale of ROWS (6, n); NaN stays. Fills the step of the torque since `before`."""
+    """Return the largest |x - centre| scale of QUANTITIES (6, n); NaN stays. Fills the step of the torque since `before`."""
     most = 0.0
     for j in range(len(before)):
         rows[3, j] = rows[2, j] - before[j]
@@ -34,7 +33,7 @@ def excess(rows: Array, before: Array, centre: Array, scale: Array) -> float:
 
 
 class TickBounds:
-    """Bounds of ROWS: `|x - centre| * scale > 1` needs a closer check.
+    """Bounds of QUANTITIES: `|x - centre| * scale > 1` needs a closer check.
 
     Attributes:
         centre, scale: (6, n).
@@ -50,7 +49,6 @@ class TickBounds:
         self.tau_step = config.torque_rate_scale * robot.arm.tau_rate_max * dt_s
         self.a_max = config.acceleration_scale * robot.a_max
         self.a_step = robot.jerk_max * dt_s
-        self._a_brake = robot.a_max
         half = np.stack(
             [
                 0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD,
@@ -64,10 +62,6 @@ class TickBounds:
         self.centre = np.zeros_like(half)
         self.centre[0] = 0.5 * (self.q_lower + self.q_upper)
         self.scale = 1.0 / half
-
-    def stopping_point(self, q: Array, v: Array) -> Array:
-        """Return where joints (n,) [rad] stop under full braking."""
-        return q + v * np.abs(v) / (2.0 * self._a_brake)
 
 
 class Reach:

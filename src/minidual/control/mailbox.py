@@ -1,13 +1,154 @@
-"""Latest valid command of one source, per arm."""
+"""Posture-independent command checks, and the latest valid command of one source, per arm."""
 
 import copy
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from minidual.control.command_checks import check
-from minidual.control.commands import Command, JointCommand, ObjectCommand, Refusal, TimedCommand
-from minidual.robot.pair import Robot
+from minidual.control.commands import (
+    Command,
+    JointCommand,
+    ObjectCommand,
+    Reason,
+    Refusal,
+    TimedCommand,
+    TrajectoryCommand,
+)
+from minidual.control.object_impedance import SQUEEZE_CEILING_N, ObjectState
+from minidual.robot.pair import Array, Robot
+from minidual.robot.poses import rotation_log
+
+OBJECT_SPEED_MAX_M_PER_S = 1.0  # just below the arms' own limits
+
+_LIMIT_TOLERANCE_RAD = 1e-6
+_RATE_TOLERANCE = 1.02
+_ZERO_RAD = 1e-12
+_REST_RAD_PER_S = 0.01
+_REST_OBJECT = 0.005
+_OBJECT_SAMPLES, _SAMPLE_S = 61, 0.1
+"""Least number of samples, and longest time between two."""
+_JUMP_M, _JUMP_RAD = 0.02, 0.1  # between two samples; a path with bounded jerk stays an order below
+
+
+def check(command: Command, robot: Robot) -> Reason | None:
+    """Return the first reason for refusal, or None."""
+    if isinstance(command, ObjectCommand):
+        return _common(command) or _object(command)
+    if command.group not in robot.groups:
+        return "unknown_group", f"no group '{command.group}'; there are {', '.join(sorted(robot.groups))}"
+    if isinstance(command, TrajectoryCommand):
+        return _trajectory(command, robot)
+    joints = robot.groups[command.group]
+    names = robot.joint_names[joints]
+    if np.shape(command.q) != (len(names),) or np.shape(command.gripper) != (2,):
+        given = f"q {np.shape(command.q)} and gripper {np.shape(command.gripper)}"
+        return "wrong_shape", f"{given}; group {command.group} needs ({len(names)},) and (2,)"
+    return _posture(np.asarray(command.q, dtype=float)[None], joints, robot) or _common(command)
+
+
+def own_columns(command: TrajectoryCommand, robot: Robot) -> slice:
+    """Return the columns of `motion` that the command drives."""
+    width = np.shape(command.motion.q)[1]
+    return robot.groups[command.group] if width == robot.dof else slice(0, width)
+
+
+def check_openings(gripper: Array) -> Reason | None:
+    """Return why openings (2,) are refused, or None."""
+    if np.shape(gripper) != (2,):
+        return "wrong_shape", f"gripper {np.shape(gripper)}; it must be (2,)"
+    if not np.isfinite(gripper).all():
+        return "not_finite", f"gripper {gripper}"
+    if gripper.min() < 0.0 or gripper.max() > 1.0:
+        return "gripper_out_of_range", f"gripper {gripper}; 0 (closed) to 1 (open)"
+    return None
+
+
+def _common(command: Command) -> Reason | None:
+    if not np.isfinite(command.stamp_s):
+        return "not_finite", f"gripper {command.gripper}, stamp {command.stamp_s}"
+    return check_openings(command.gripper)
+
+
+def _posture(q: Array, joints: slice, robot: Robot) -> Reason | None:
+    names, at = robot.joint_names[joints], " in sample {}" if len(q) > 1 else ""
+    finite = np.isfinite(q)
+    if not finite.all():
+        row, index = np.unravel_index(int(np.argmin(finite)), q.shape)
+        return "not_finite", f"{names[index]} = {q[row, index]}{at.format(row)}"
+    if np.abs(q).max() < _ZERO_RAD:
+        return "all_zero", "every joint at 0.0 rad: a source that has not been given its values, or lost them"
+    lower, upper = robot.q_lower[joints], robot.q_upper[joints]
+    outside = (q < lower - _LIMIT_TOLERANCE_RAD) | (q > upper + _LIMIT_TOLERANCE_RAD)
+    if outside.any():
+        row, index = np.unravel_index(int(np.argmax(outside)), q.shape)
+        value = f"{names[index]} = {q[row, index]:.4f} rad{at.format(row)}"
+        return "out_of_limits", f"{value}; {lower[index]:.4f} to {upper[index]:.4f}"
+    return None
+
+
+def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
+    motion, joints = command.motion, robot.groups[command.group]
+    names, v_max = robot.joint_names[joints], robot.v_max[joints]
+    shape = np.shape(motion.q)
+    widths = (robot.dof,) if command.group == "both_arms" else (robot.dof, robot.dof_per_arm)
+    if len(shape) != 2 or shape[0] < 2 or shape[1] not in widths:
+        needed = f"group {command.group} needs n >= 2 samples of {' or '.join(map(str, widths))}"
+        return "wrong_shape", f"trajectory {shape}; {needed}"
+    columns = own_columns(command, robot)
+    q, v, a = motion.q[:, columns], motion.v[:, columns], motion.a[:, columns]
+    reason = _posture(q, joints, robot) or _common(command)
+    if reason is not None:
+        return reason
+    if not (np.isfinite(v).all() and np.isfinite(a).all()):
+        return "not_finite", "a velocity or an acceleration of the trajectory"
+    for place, row in (("starts", 0), ("ends", -1)):
+        index = int(np.argmax(np.abs(v[row])))
+        if abs(v[row, index]) > _REST_RAD_PER_S:
+            moves = f"{names[index]} at {v[row, index]:.3f} rad/s"
+            return "not_at_rest", f"the trajectory {place} with {moves}; it must rest there"
+    rates = ((q, v, v_max, "too_fast", "rad/s"), (v, a, robot.a_max[joints], "too_sharp", "rad/s^2"))
+    for x, rate, limit, name, unit in rates:  # as stated, and between samples
+        largest = np.maximum(np.abs(np.diff(x, axis=0)).max(axis=0) / motion.dt_s, np.abs(rate).max(axis=0))
+        index = int(np.argmax(largest / limit))
+        if largest[index] > _RATE_TOLERANCE * limit[index]:
+            return name, f"{names[index]} at {largest[index]:.3f} {unit}; limit {limit[index]:.3f}"
+    return None
+
+
+def _object(command: ObjectCommand) -> Reason | None:
+    duration = command.motion.duration_s
+    if not (np.isfinite(duration) and duration > 0.0):
+        return "not_finite", f"duration {duration} s; it must be finite and > 0"
+    before: ObjectState | None = None
+    samples = max(_OBJECT_SAMPLES, math.ceil(duration / _SAMPLE_S) + 1)
+    for t in np.linspace(0.0, duration, samples):
+        state, squeeze = command.motion.at(float(t)), command.squeeze_n(float(t))
+        values = (state.T_world_object, state.twist, state.acceleration)
+        if not (all(np.isfinite(x).all() for x in values) and np.isfinite(squeeze)):
+            return "not_finite", f"object path or squeeze at {t:.3f} s"
+        if not 0.0 <= squeeze <= SQUEEZE_CEILING_N:
+            return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N")
+        jump_m, jump_rad = (0.0, 0.0) if before is None else _jump(before, state, duration / (samples - 1))
+        if not (jump_m <= _JUMP_M and jump_rad <= _JUMP_RAD):
+            return (
+                "pose_jump",
+                f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s that its twist does not explain",
+            )
+        before = state
+        speed = float(np.linalg.norm(state.twist[:3]))
+        if speed > OBJECT_SPEED_MAX_M_PER_S:
+            return "too_fast", f"object at {speed:.2f} m/s; limit {OBJECT_SPEED_MAX_M_PER_S}"
+        if t in (0.0, duration) and float(np.abs(state.twist).max()) > _REST_OBJECT:
+            return "not_at_rest", f"the object moves at {t:.3f} s; a path must begin and end at rest"
+    return None
+
+
+def _jump(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float, float]:
+    """Return how far [m], [rad] the pose has moved beyond the mean twist."""
+    T, T_before, way = after.T_world_object, before.T_world_object, 0.5 * span_s * (before.twist + after.twist)
+    turned = rotation_log(T[:3, :3] @ T_before[:3, :3].T)
+    return float(np.linalg.norm(T[:3, 3] - T_before[:3, 3] - way[:3])), float(np.linalg.norm(turned - way[3:]))
 
 
 class Mailbox:

@@ -90,7 +90,7 @@ class HeldEstimate:
         hands = self._hands
         hands.update(q)
         T_hands, T, twist = np.empty((4, 4)), np.empty((4, 4)), np.empty(6)
-        self.spread_m = follow(hands.J, *hands.p, *hands.R, v, self._T_hands_object, T_hands, T, twist)
+        self.spread_m = follow(hands.views, v, self._T_hands_object, T_hands, T, twist)
         return T_hands, T, twist
 
 

@@ -9,8 +9,13 @@
 e_i = log(R_d R_i^T), R_i the object's orientation by the grasp of hand i: each hand bears half of the rotational
 stiffness, which also keeps it from pivoting on opposed pads. D = 2 zeta sqrt(K M_eff), M_eff including the arms.
 Sources: docs/force-control.md; Schneider and Cannon 1992; Caccavale et al. 2008.
+
+Object paths are straight minimum-jerk segments between level poses.
 """
 
+import bisect
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,7 +23,7 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import Motors
-from minidual.control.kernels import LAW, impedance, within
+from minidual.control.kernels import LAW, impedance, on_line, within
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -119,7 +124,52 @@ class ObjectImpedance:
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),
             *(desired.T_world_object, desired.twist, desired.acceleration, squeeze),
-            *(hands.J, *hands.p, *hands.R, self._posture - q, v, self._qdd, self.push),
+            *(hands.views, self._posture - q, v, self._qdd, self.push),
         ):
             raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
         return self._motors.torque(q, v, self._qdd, self.push)
+
+
+_LEVEL = np.eye(4)
+
+
+def minimum_jerk(s: float) -> tuple[float, float, float]:
+    """Return the quintic rest-to-rest blend at s, clipped to 0..1, and its first two derivatives."""
+    s = min(1.0, max(0.0, s))
+    return (s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0)))
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Level object pose and the time to reach it from the previous one."""
+
+    xyz_m: tuple[float, float, float]
+    yaw_rad: float
+    duration_s: float
+
+
+class ObjectPath:
+    """Rest-to-rest object motion through level poses (start's duration unused)."""
+
+    def __init__(self, start: Waypoint, waypoints: Sequence[Waypoint]) -> None:
+        points = [start, *waypoints]
+        self._poses = np.array([(*w.xyz_m, w.yaw_rad) for w in points])
+        self._ends = list(itertools.accumulate((w.duration_s for w in waypoints), initial=0.0))
+
+    @property
+    def duration_s(self) -> float:
+        """Total time [s]."""
+        return self._ends[-1]
+
+    def at(self, t_s: float) -> ObjectState:
+        """See `ObjectMotion`."""
+        return self.tilted(t_s, _LEVEL)
+
+    def tilted(self, t_s: float, T_level_object: Array) -> ObjectState:
+        """Return the state of an object that lies at T_level_object (4, 4) in the level frame."""
+        i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
+        span = self._ends[i + 1] - self._ends[i]
+        blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)
+        T, motion = np.empty((4, 4)), np.zeros((2, 6))
+        on_line(self._poses[i : i + 2], blend, rate / span, curvature / span**2, T_level_object, T, motion)
+        return ObjectState(T, motion[0], motion[1])

@@ -13,11 +13,10 @@ from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.contact import Expected
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
-from minidual.control.controllers import Controller, JointTrajectoryController
+from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
-from minidual.control.payload import Payload
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
 from minidual.control.supervisor import Supervisor

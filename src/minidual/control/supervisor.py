@@ -17,7 +17,7 @@ from minidual.control.contact import EVERY, ContactSense, Expected
 from minidual.control.joint_sense import JointSense
 from minidual.control.kernels import hand_look
 from minidual.control.reflexes import Reflex, ReflexError
-from minidual.control.supervised_stop import SupervisedStop
+from minidual.control.soft_stop import SupervisedStop
 from minidual.plant.world import StepRecorder
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -79,7 +79,6 @@ class Supervisor:
         self._robot = self._kinematics.robot
         self.bounds = limits.TickBounds(self.config, dt_s, self._robot)
         self._reach = limits.Reach(self._kinematics)
-        self._zero = np.zeros(self._robot.dof)
         self._sense = JointSense(self._kinematics, self.config, dt_s)
         self._contact, self._hands = ContactSense(self._kinematics, self.config, dt_s), Hands(self._kinematics)
         self._looked = np.zeros((4, 3))
@@ -90,7 +89,7 @@ class Supervisor:
         self._self_distance, self._clearance = self_distance, clearance
         self._on_reflex = on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
-        self._rows = np.zeros((len(limits.ROWS), self._robot.dof))
+        self._rows = np.zeros((len(limits.QUANTITIES), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
         self.reflex: Reflex | None = None
         """Latched."""
@@ -123,7 +122,7 @@ class Supervisor:
         self._rows[:] = 0.0
         self._looked_tick = -2
         self._saturated, self._jumps = np.zeros((2, self._robot.dof))
-        self._asked = self._zero
+        self._asked = np.zeros(self._robot.dof)
         self._stamp_s, self._usable = math.nan, True
         self._sense.reset()
         self._contact.reset()
@@ -295,11 +294,11 @@ class Supervisor:
     def _look_slowly(self) -> None:
         self._next_slow = self._tick + self._slow_every
         q, v = self._rows[0], self._rows[1]
-        rest = self.bounds.stopping_point(q, v)
+        rest = q + v * np.abs(v) / (2.0 * self._robot.a_max)  # under full braking
         if not np.abs((rest - self.bounds.centre[0]) * self.bounds.scale[0]).max() <= 1.0:
             self._trip_position(rest)
         self._hands.update(q)
-        hand_look(self._hands.J, *self._hands.p, v, self._contact.torque, self._looked)
+        hand_look(self._hands.views, v, self._contact.torque, self._looked)
         ahead, force_max = self._slow_every * self.dt_s, float(self._contact.bounds[self._expected.mode][-1])
         (x0, x1), (y0, y1), (z0, z1) = self.config.workspace_m
         for arm, place in enumerate(self._hands.p):

@@ -1,11 +1,11 @@
 """From a goal to a proven trajectory."""
 
-from __future__ import annotations
-
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TypedDict, Unpack
+from time import perf_counter
+from typing import Self, TypedDict, Unpack
 
 import numpy as np
 
@@ -14,19 +14,43 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
-from minidual.motion.blend import blended_path
-from minidual.motion.edges import EdgeChecker
+from minidual.motion.blend import blended_path, shortcut
 from minidual.motion.goals import GROUP_ARMS, PoseGoals, check_joints, goal_joints, require_free
-from minidual.motion.result import PhaseTimes, PlanResult
-from minidual.motion.search import search
-from minidual.motion.shortcut import shortcut
+from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import DT_S, resting, time_path
-from minidual.proof.certificate import certify
-from minidual.proof.scene_engines import SceneEngines, Verification
+from minidual.proof.scene_engines import SceneEngines, Verification, certify
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
+
+PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """A proven plan.
+
+    Attributes:
+        path: Polyline (n, dof) after shortcutting.
+        q_goal: Goal reached (dof,).
+        notes: Why earlier attempts failed, or a straight move ends early.
+    """
+
+    trajectory: Trajectory
+    path: Array
+    q_goal: Array
+    verification: Verification
+    times_s: dict[str, float]
+    total_s: float
+    attempts_n: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def direct(self) -> bool:
+        """Whether the path is one segment."""
+        return len(self.path) == 2
+
 
 _SCENES_KEPT = 8
 _SAME_RAD = 1e-9
@@ -46,7 +70,7 @@ class Effort:
     checks_n: int
     fruitless_n: int = 0
 
-    def after_no_path(self) -> Effort:
+    def after_no_path(self) -> Self:
         """Return less padding, for narrow passages, and more state checks."""
         return replace(
             self,
@@ -55,7 +79,7 @@ class Effort:
             fruitless_n=self.fruitless_n + 1,
         )
 
-    def after_no_proof(self) -> Effort:
+    def after_no_proof(self) -> Self:
         """Return `more_padding` and finer steps."""
         return replace(self, padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
 
@@ -152,7 +176,7 @@ class Planner:
             And what `plan_to_joints` raises.
         """
         work = _Work(self, group, q_start, **options)
-        with work.times.phase("ik"):
+        with work.phase("ik"):
             rng, most_n = stream(work.seed, "motion/goals"), self.config.goal_candidates_n
             goals = self.goals.candidates(group, work.q_start, targets, work.engines, rng, most_n)
         return work.run(goals)
@@ -163,26 +187,35 @@ class _Work:
         scene, self.seed = options.get("scene"), options.get("seed", 0)
         if not Planner._kernels_loaded:
             planner.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        self.times, self.arms = PhaseTimes(), GROUP_ARMS[group]
+        self.arms, self.started, self.seconds = GROUP_ARMS[group], perf_counter(), dict.fromkeys(PHASES, 0.0)
         self.planner, self.config, self.group = planner, planner.config, group
         self.budget_s = planner.budget(options.get("budget_s"))
         self.q_start = check_joints(q_start, "start", planner.robot)
-        with self.times.phase("scene"):
+        with self.phase("scene"):
             self.engines = planner.engines(scene)
         require_free(self.engines, self.q_start, "start")
 
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Add the block's wall time to a phase [s], summed over attempts."""
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] += perf_counter() - begin
+
     def run(self, goals: Sequence[Array]) -> PlanResult:
         """Return the first proven plan to a goal (n,), or raise NoPathInTimeError."""
-        config, times = self.config, self.times
+        config = self.config
         effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         notes: list[str] = []
         attempt = 0
-        while times.elapsed_s < self.budget_s:
+        while perf_counter() - self.started < self.budget_s:
             goal = goals[attempt % len(goals)]
             attempt += 1
             # All pairs were checked at start and goal; only pairs with a moving part can change.
             name = effort.planner(config.planner, config.fallback_planners)
-            with times.phase("search"):
+            with self.phase("search"):
                 checker = EdgeChecker(self.engines, effort.padding_m, (self.q_start, goal), effort.step_rad, self.arms)
                 path = self._search(goal, checker, name, effort.checks_n, attempt)
             if path is None:
@@ -195,8 +228,8 @@ class _Work:
                 notes.append(error.message)
                 effort = effort.after_no_proof()
             else:
-                seconds = dict(times.seconds)
-                return PlanResult(trajectory, path, goal, proof, seconds, times.elapsed_s, attempt, tuple(notes))
+                took_s = perf_counter() - self.started
+                return PlanResult(trajectory, path, goal, proof, self.seconds, took_s, attempt, tuple(notes))
         last = notes[-1] if notes else "the budget ended before the first attempt"
         raise NoPathInTimeError(
             f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}",
@@ -207,13 +240,13 @@ class _Work:
         ends = np.array([self.q_start, goal])
         if checker.edge_free(*ends):
             return ends
-        checker.allow(checks_max, self.times.started + self.budget_s)
+        checker.allow(checks_max, self.started + self.budget_s)
         joints, seed = self.planner.robot.groups[self.group], subseed(self.seed, "motion/search", attempt)
         return search(checker, ends, joints, seed=seed, planner=planner, range_rad=self.config.range_rad)
 
     def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array, Verification]:
         trajectory, path = self._timed(path, checker, attempt)
-        with self.times.phase("verify"):
+        with self.phase("verify"):
             proof = self.engines.verify(trajectory)
         if not proof.ok:
             raise PlanningError(f"proof failed: {proof.reason}")
@@ -223,11 +256,11 @@ class _Work:
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return resting(path[0], DT_S, self.group), path
         config = self.config
-        with self.times.phase("shortcut"):
+        with self.phase("shortcut"):
             path = shortcut(path, checker, stream(self.seed, "motion/shortcut", attempt), config.shortcut_rounds_n)
-        with self.times.phase("blend"):
+        with self.phase("blend"):
             curve = blended_path(path, checker, config.blend_radius_rad, checker.step_rad / 3.0)
         if curve is None:
             raise TimingError("a corner of the path stays blocked however small it is rounded")
-        with self.times.phase("timing"):
+        with self.phase("timing"):
             return time_path(curve, self.group, config, self.planner.kinematics)[0], path

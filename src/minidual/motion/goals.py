@@ -10,7 +10,6 @@ from minidual.errors import UsageError
 from minidual.motion.ik import ArmIK, check_pose
 from minidual.proof.scene_engines import SceneEngines
 from minidual.registry import Registry
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 
@@ -20,7 +19,7 @@ GROUP_ARMS: Registry[tuple[str, ...]] = Registry(
 _ROUNDING = 1e-9
 
 
-def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
+def check_joints(q: Array, what: str, robot: Robot) -> Array:
     """Return q (n,), clipped to the limits within rounding.
 
     Raises:
@@ -42,7 +41,7 @@ def check_joints(q: Array, what: str, robot: Robot = DUAL_PANDA) -> Array:
     return np.clip(q, robot.q_lower, robot.q_upper)
 
 
-def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot = DUAL_PANDA, what: str = "goal") -> Array:
+def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot, what: str = "goal") -> Array:
     """Return the goal (n,), completed from the start if of the group's size.
 
     Raises:
@@ -134,7 +133,7 @@ class PoseGoals:
                     q[self.solvers[arm].joints] = part
                 combined.append(q)
             combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
-            free = list(itertools.islice((q for q in combined if not engine.in_collision(q)), candidates_n))
+            free = list(itertools.islice(filter(engine.solids.free, combined), candidates_n))
             if free:
                 return free
             if not any(new.values()):

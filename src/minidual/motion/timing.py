@@ -1,23 +1,98 @@
 """Time parametrization within velocity, acceleration, jerk and torque limits, at 1 kHz.
 
-The speed profile exceeds its limits by 1 to 4 % between grid points, so it is slowed down as a whole. Averaging s(t)
-over a window bounds jerk; k times slower means 1/k^3 of it.
+The fastest path speed is that of TOPP-RA (Pham and Pham, 2018): x = (ds/dt)^2 and u = d2s/dt2 (constant per interval)
+make all limits linear; accelerations are limited at both interval ends. It exceeds its limits by 1 to 4 % between grid
+points, so it is slowed down as a whole. Averaging s(t) over a window bounds jerk; k times slower means 1/k^3 of it.
 """
 
 import math
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 from pydantic import Field
 
 from minidual.collision.errors import TimingError
 from minidual.config.base import StrictModel
 from minidual.config.planning import MotionLimits
-from minidual.motion.speed_profile import squared_speeds
-from minidual.robot.compiled import floats
+from minidual.robot.compiled import ROWS, VECTOR, floats, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Indices
 from minidual.robot.trajectory import Trajectory, largest
+
+_NEWTON_STEPS_MAX = 200
+_FLAT = 1e-12
+
+
+@njit
+def _range(rows: Array, limits: Array, goal: float, step: float, x: float) -> tuple[float, float, float, float]:
+    """Return (u_low, u_high) at x and their slopes; rows (r, 2): |rows[k, 0] u + rows[k, 1] x| <= limits[k].
+
+    The next x, x + 2 step u, must lie in [0, goal].
+    """
+    low, high = -x / (2.0 * step), (goal - x) / (2.0 * step)
+    low_slope = high_slope = -0.5 / step
+    for k in range(len(limits)):
+        a, b = rows[k, 0], rows[k, 1]
+        if abs(a) <= _FLAT:
+            continue
+        slope, most = -b / a, limits[k] / abs(a)
+        if not slope * x - most <= low:
+            low, low_slope = slope * x - most, slope
+        if not slope * x + most >= high:
+            high, high_slope = slope * x + most, slope
+    return low, high, low_slope, high_slope
+
+
+@njit
+def _rows(first: Array, second: Array, i: int, step: float, out: Array) -> None:
+    """Fill the acceleration rows (2 d, 2) of interval i."""
+    d = first.shape[1]
+    for j in range(d):
+        out[j, 0], out[j, 1] = first[i, j], second[i, j]
+        out[d + j, 0] = first[i + 1, j] + 2.0 * step * second[i + 1, j]
+        out[d + j, 1] = second[i + 1, j]
+
+
+@kernel(VECTOR(VECTOR, ROWS, ROWS, VECTOR, VECTOR))
+def squared_speeds(grid: Array, first: Array, second: Array, v_max: Array, a_max: Array) -> Array:
+    """Return (ds/dt)^2 on the grid (n,), zero at both ends.
+
+    Path derivatives are (n, d), limits (d,) [unit/s], [unit/s^2].
+    """
+    n, d = first.shape
+    most, rows = np.zeros(n), np.empty((2 * d, 2))
+    limits = np.concatenate((a_max, a_max))
+    for i in range(n - 2, -1, -1):
+        step = grid[i + 1] - grid[i]
+        _rows(first, second, i, step, rows)
+        x = np.inf
+        for j in range(d):
+            if abs(first[i, j]) > 0.0:
+                x = min(x, (v_max[j] / first[i, j]) ** 2)
+        for k in range(2 * d):
+            if abs(rows[k, 0]) <= _FLAT and abs(rows[k, 1]) > 0.0:
+                x = min(x, limits[k] / abs(rows[k, 1]))
+        x = min(x, 1e12)
+        # The width of the u range is concave in x and positive at 0, so Newton's method from above converges.
+        for _ in range(_NEWTON_STEPS_MAX):
+            low, high, low_slope, high_slope = _range(rows, limits, most[i + 1], step, x)
+            if high >= low:
+                break
+            lower = x + (high - low) / (low_slope - high_slope)
+            if not 0.0 <= lower < x:
+                x = max(0.0, lower) if lower < x else x
+                break
+            x = lower
+        most[i] = x
+    found = np.zeros(n)
+    for i in range(n - 1):
+        step = grid[i + 1] - grid[i]
+        _rows(first, second, i, step, rows)
+        _, high, _, _ = _range(rows, limits, most[i + 1], step, found[i])
+        found[i + 1] = min(max(0.0, found[i] + 2.0 * step * high), most[i + 1])
+    return found
+
 
 DT_S = 0.001
 _SLOWDOWNS_MAX = 12
@@ -54,40 +129,22 @@ class Curve(Protocol):
 def time_path(
     path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics, along: PathLimits | None = None
 ) -> tuple[Trajectory, Array]:
-    """Return the trajectory of a curve and s at its samples; `along` limits the columns after the joints.
+    """Return the 1 kHz trajectory of a curve and s at its samples; `along` limits the columns after the joints.
 
     Raises:
         TimingError: The limits cannot be kept.
     """
-    robot = kinematics.robot
-    columns = np.arange(robot.dof)[robot.groups[group]]
-    v_max, a_max = limits.velocity_scale * robot.v_max[columns], limits.acceleration_scale * robot.a_max[columns]
-    if along is not None:
-        others = np.arange(robot.dof, path.at(path.knots[:1]).shape[1])
-        columns = np.append(columns, others)
-        v_max = np.append(v_max, np.full(len(others), along.speed_m_per_s))
-        a_max = np.append(a_max, np.full(len(others), along.acceleration_m_per_s2))
-    s, sd = fastest_profile(path, columns, v_max, a_max)
-    return drive(path, s, sd, group, limits, kinematics)
-
-
-def resting(q: Array, duration_s: float, group: str) -> Trajectory:
-    """Return the trajectory that stays at q (n,)."""
-    still = np.zeros((2, len(q)))
-    return Trajectory(np.array([0.0, duration_s]), np.array([q, q]), still, still.copy(), group)
-
-
-def drive(
-    path: Curve, s: Array, sd: Array, group: str, limits: MotionLimits, kinematics: Kinematics
-) -> tuple[Trajectory, Array]:
-    """Return the 1 kHz trajectory of profile sd (n,) on s (n,), slowed to the limits, and s at its samples.
-
-    Raises:
-        TimingError: That does not suffice.
-    """
     robot, factor = kinematics.robot, 1.0
     v_max, a_max = limits.velocity_scale * robot.v_max, limits.acceleration_scale * robot.a_max
     jerk_max = limits.jerk_scale * robot.jerk_max
+    columns = np.arange(robot.dof)[robot.groups[group]]
+    bounds = np.stack([v_max, a_max])[:, columns]
+    if along is not None:
+        others = np.arange(robot.dof, path.at(path.knots[:1]).shape[1])
+        columns = np.append(columns, others)
+        own = [along.speed_m_per_s], [along.acceleration_m_per_s2]
+        bounds = np.hstack([bounds, np.repeat(own, len(others), axis=1)])
+    s, sd = fastest_profile(path, columns, *bounds)
     for _ in range(_SLOWDOWNS_MAX):
         times, at, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
         q, first, second = (path.at(at, order)[:, : robot.dof] for order in range(3))
@@ -98,7 +155,7 @@ def drive(
         factor = np.maximum(factor, math.sqrt(np.max(largest(a) / a_max)))
         factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))
         if factor <= 1.0 + 1e-9:
-            ratio = torque_ratio(q, v, a, kinematics) / limits.torque_scale
+            ratio = float(np.max(kinematics.torque_use(q, v, a, _TORQUE_EVERY))) / limits.torque_scale
             # Gravity torque does not shrink with speed, so the steps are small.
             factor = 1.0 if ratio <= 1.0 else 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
         if not factor > 1.0:
@@ -107,10 +164,10 @@ def drive(
     raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
 
 
-def torque_ratio(q: Array, v: Array, a: Array, kinematics: Kinematics, every: int = _TORQUE_EVERY) -> float:
-    """Return the largest |torque| / limit of every `every`-th state (n, dof) and the last."""
-    rows = np.append(np.arange(0, len(q), every), len(q) - 1)
-    return float(np.max(largest(kinematics.torques(q[rows], v[rows], a[rows])) / kinematics.robot.tau_max))
+def resting(q: Array, duration_s: float, group: str) -> Trajectory:
+    """Return the trajectory that stays at q (n,)."""
+    still = np.zeros((2, len(q)))
+    return Trajectory(np.array([0.0, duration_s]), np.array([q, q]), still, still.copy(), group)
 
 
 def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -> tuple[Array, Array]:

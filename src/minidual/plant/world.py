@@ -9,9 +9,8 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.errors import MinidualError, UsageError, unknown_name
-from minidual.plant.addresses import map_joints
 from minidual.plant.bodies import NamedObject, ObjectPose
-from minidual.plant.model import build_model
+from minidual.plant.model import build_model, map_joints
 from minidual.plant.scenery import GOAL_MARK
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot

@@ -1,24 +1,155 @@
 """Geometry and engines of one scene; a plan succeeds only if `verify` passes it.
 
+The certificate proves from few samples that a trajectory touches nothing. On each stretch every moving pair needs a
+separating plane (`minidual.proof.planes`). Unproven stretches are halved, down to two neighbouring samples.
 The audit tests the certificate by dense sampling with all collision engines, too slow for every plan: a collision on a
 verified trajectory is an error of the certificate.
+
+Limits are checked midway between samples too, torque at every fourth sample.
 """
 
 import functools
+import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba.core import types
 
 from minidual.collision.engine import ENGINES, PairDistance
 from minidual.collision.scene import PlanningScene
-from minidual.proof.certificate import Certificate, certify
-from minidual.proof.limits import LimitUse, limit_use
+from minidual.proof import planes
 from minidual.proof.solids import Solids
+from minidual.robot.compiled import ROWS, floats, inlined, kernel
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
+
+_ROUNDING = 1e-9
+_REST_RAD_S = 1e-6
+_TORQUE_EVERY = 4
+_MISFIT = 0.05  # share of the acceleration limit; plans of 300 stored queries reach 0.016
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """Largest fraction of each limit, smallest distance to a position limit."""
+
+    velocity_ratio: float
+    acceleration_ratio: float
+    jerk_ratio: float
+    torque_ratio: float
+    limit_margin_rad: float
+
+
+def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse, str]:
+    """Return the use, and the first broken limit ("" if none)."""
+    robot, h = kinematics.robot, trajectory.dt_s
+    found = np.empty((8, robot.dof))
+    _extremes(*(floats(x) for x in (trajectory.q, trajectory.v, trajectory.a)), h, found)
+    below, above, speed, acceleration, change, jump, off_velocity, off_acceleration = found
+    worst = {
+        "velocity": speed / robot.v_max,
+        "acceleration": acceleration / robot.a_max,
+        "jerk": change / h / robot.jerk_max,
+        "torque": kinematics.torque_use(trajectory.q, trajectory.v, trajectory.a, _TORQUE_EVERY),
+    }
+    margin = np.minimum(-below - robot.q_lower, robot.q_upper - above)
+    use = LimitUse(
+        **{f"{what}_ratio": float(of.max()) for what, of in worst.items()}, limit_margin_rad=float(margin.min())
+    )
+    names = robot.joint_names
+    if not margin.min() >= -_ROUNDING:
+        joint = int(np.argmin(margin))
+        return use, f"{names[joint]} leaves its position limit by {-margin.min():.4f} rad"
+    for what, ratios in worst.items():
+        joint = int(np.argmax(ratios))
+        if not ratios[joint] <= 1.0 + _ROUNDING:
+            return use, f"{names[joint]} needs {ratios[joint]:.3f} of its {what} limit"
+    at_ends = float(np.abs(trajectory.v[[0, -1]]).max())
+    if not at_ends <= _REST_RAD_S:
+        return use, f"the arms still move at {at_ends:.4f} rad/s at an end"
+    if not jump.max() / h <= float(robot.v_max.max()) * (1.0 + 1e-6):
+        return use, f"positions jump: {jump.max() / h:.2f} rad/s between two samples"
+    for what, of, off in (("velocity", "positions", off_velocity), ("acceleration", "velocity", off_acceleration)):
+        joint = int(np.argmax(off / robot.a_max))
+        if not off[joint] <= _MISFIT * robot.a_max[joint]:
+            return use, f"the {what} of {names[joint]} is not that of its {of}: {off[joint]:.2f} rad/s^2 off"
+    return use, ""
+
+
+@inlined
+def _larger(x: float, y: float) -> float:
+    return x if x > y or x != x else y  # NaN stays
+
+
+@kernel(types.void(ROWS, ROWS, ROWS, types.float64, ROWS))
+def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
+    """Fill (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2].
+
+    A cubic whose mean speed differs from the mean end speed accelerates by six times the difference over the step. The
+    acceleration's change (for a, half of it) is subtracted. NaN propagates.
+    """
+    most[:] = -np.inf
+    for i in range(len(q)):
+        for j in range(q.shape[1]):
+            most[0, j], most[1, j] = _larger(-q[i, j], most[0, j]), _larger(q[i, j], most[1, j])
+            most[2, j], most[3, j] = _larger(abs(v[i, j]), most[2, j]), _larger(abs(a[i, j]), most[3, j])
+        for j in range(q.shape[1] if i else 0):
+            rise, change = q[i, j] - q[i - 1, j], abs(a[i, j] - a[i - 1, j])
+            gain, mean_v = v[i, j] - v[i - 1, j], 0.5 * (v[i, j] + v[i - 1, j])
+            mean_a = 0.5 * (a[i, j] + a[i - 1, j])
+            q_middle, v_middle = 0.5 * (q[i, j] + q[i - 1, j]) - 0.125 * h * gain, 1.5 * rise / h - 0.5 * mean_v
+            most[0, j], most[1, j] = _larger(-q_middle, most[0, j]), _larger(q_middle, most[1, j])
+            most[2, j], most[3, j] = _larger(abs(v_middle), most[2, j]), _larger(abs(mean_a), most[3, j])
+            most[4, j], most[5, j] = _larger(change, most[4, j]), _larger(abs(rise), most[5, j])
+            most[6, j] = _larger(abs(6.0 * (rise / h - mean_v) / h) - change, most[6, j])
+            most[-1, j] = _larger(abs(gain / h - mean_a) - 0.5 * change, most[-1, j])
+
+
+_SLACK_M = 2e-5  # for rounding; the engines' vertices differ by 1e-7 m
+_FIRST_RAD = 0.5
+"""Length of the first stretches, summed over joints."""
+_STRETCHES_MAX = 256
+
+
+def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:
+    """Return the unproven pair and time, or "", and the number of stretch ends; never raises."""
+    q, v = floats(trajectory.q), floats(trajectory.v)
+    # Joints whose samples all agree may still move between them.
+    moved = ((q != q[0]) | (v != 0.0)).any(axis=0)
+    moving = solids.of_arms([side for side in SIDES if moved[solids.robot.groups[f"{side}_arm"]].any()])
+    work = solids.workspace(len(q))
+    # Fixed pairs are checked once, at the start; only moving pairs afterwards.
+    everything = np.arange(len(solids.pairs))
+    if planes.survey(solids.geometry, q[:1], everything, solids.keep(_SLACK_M), work) == 0:
+        return _refusal(solids, trajectory, [0], int(everything[0]))
+    stretches = first_stretches(q, _FIRST_RAD)
+    asked, failed, pair = planes.prove(solids.geometry, q, v, trajectory.dt_s, stretches, moving, _SLACK_M, work)
+    if failed >= 0:
+        return _refusal(solids, trajectory, [failed, failed + 1], pair)
+    return "", int(asked.sum())
+
+
+def first_stretches(q: Array, length_rad: float) -> np.ndarray:
+    """Return first and last samples (s, 2) of stretches of about this length, summed over joints."""
+    gone = np.cumsum(np.abs(np.diff(q, axis=0)))[q.shape[1] - 1 :: q.shape[1]]
+    count = max(1, min(_STRETCHES_MAX, math.ceil(gone[-1] / length_rad)))
+    bounds = [0]
+    for sample in np.searchsorted(gone, np.arange(1, count) * gone[-1] / count).tolist():
+        bounds.append(1 + max(bounds[-1], sample))
+    bounds = [sample for sample in bounds if sample < len(gone)]
+    return np.column_stack([bounds, [*bounds[1:], len(gone)]])
+
+
+def _refusal(solids: Solids, trajectory: Trajectory, samples: list[int], pair: int) -> tuple[str, int]:
+    a, b = sorted(solids.pairs[pair])
+    for k in samples:
+        if not solids.clearance(trajectory.q[[k]], 1.0, np.array([pair])) > 0.0:
+            return f"collision at {trajectory.times[k]:.3f} s: {a} and {b} touch", len(samples)
+    return f"{a} and {b} could not be proven apart after {trajectory.times[samples[0]]:.3f} s", len(samples)
+
 
 STEP_RAD = 0.002
 """Largest joint step in audits."""
@@ -27,8 +158,17 @@ CLEARANCE_MAX_M = 0.04
 
 
 @dataclass(frozen=True)
-class Verification(LimitUse, Certificate):
-    """Certificate and use of limits; `reason` tells what failed first, or ""."""
+class Verification(LimitUse):
+    """Certificate and use of limits.
+
+    Attributes:
+        reason: What failed first, or "".
+        samples_n: Number of stretch ends of the proof.
+    """
+
+    ok: bool
+    reason: str
+    samples_n: int
 
 
 @dataclass(frozen=True)
@@ -62,10 +202,6 @@ class SceneEngines:
         self.engine: Callable[[str], Any] = functools.cache(lambda name: ENGINES[name](scene))
         """Return an engine by name, built on first use (20 ms)."""
 
-    def in_collision(self, q: Array) -> bool:
-        """Return whether parts touch or cannot be proven apart."""
-        return not self.solids.free(q)
-
     def closest(self, q: Array, within_m: float) -> list[PairDistance]:
         """Return checked pairs nearer than `within_m`, nearest first, from MuJoCo."""
         return [] if self.solids.free(q, within_m) else self.engine("mujoco").closest(q, within_m)
@@ -73,9 +209,9 @@ class SceneEngines:
     def verify(self, trajectory: Trajectory) -> Verification:
         """Check limits and prove freedom from contact; never raises."""
         use, broken = limit_use(trajectory, self._kinematics)
-        proof = certify(self.solids, trajectory)
-        reason = proof.reason or broken
-        return Verification(not reason, reason, proof.samples_n, **asdict(use))
+        reason, samples_n = certify(self.solids, trajectory)
+        reason = reason or broken
+        return Verification(**vars(use), ok=not reason, reason=reason, samples_n=samples_n)
 
     def clearance(self, trajectory: Trajectory) -> float:
         """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.

@@ -191,3 +191,9 @@ def pair_urdf(robot: Robot) -> str:
         ET.SubElement(base, "parent", link="world")
         ET.SubElement(base, "child", link=f"{side}_{robot.arm.base_link}")
     return ET.tostring(root, encoding="unicode")
+
+
+def mujoco_urdf(robot: Robot) -> str:
+    """Return `pair_urdf` with options for MuJoCo's reader: it fuses fixed links (and the tcp) into their parents."""
+    options = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco>'
+    return pair_urdf(robot).replace('<link name="world"', f'{options}<link name="world"', 1)

@@ -10,6 +10,7 @@ from pinocchio import computeJointJacobians, getFrameJacobian, updateFramePlacem
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import pair_urdf
 from minidual.robot.pair import Array, Robot
+from minidual.robot.trajectory import largest
 
 _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
@@ -116,6 +117,11 @@ class Kinematics:
         pin.rneaInParallel(1, self._pool, *columns, tau)
         return tau.T
 
+    def torque_use(self, q: Array, v: Array, a: Array, every: int) -> Array:
+        """Return each joint's largest |torque| / limit (n,) over every `every`-th row of states and the last."""
+        rows = np.append(np.arange(0, len(q), every), len(q) - 1)
+        return largest(self.torques(q[rows], v[rows], a[rows])) / self.robot.tau_max
+
 
 class Hands:
     """Placement of both hands, in Pinocchio's own memory: reading costs nothing, copy what you keep.
@@ -123,6 +129,7 @@ class Hands:
     Attributes:
         p, R: Left and right tcp positions (3,) [m] and orientations (3, 3).
         J: (6, n), [linear; angular], of the moving bodies' points at the world's origin.
+        views: J, both positions, both orientations: one argument of kernels.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -131,6 +138,7 @@ class Hands:
         self.p: tuple[Array, Array] = (left.translation, right.translation)
         self.R: tuple[Array, Array] = (left.rotation, right.rotation)
         self.J: Array = self._data.J
+        self.views = (self.J, *self.p, *self.R)
 
     def update(self, q: Array) -> None:
         """Update all arrays, unless they are of these joints: estimate and law ask in the same step."""

@@ -5,11 +5,8 @@ in a: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; 
 Quaternions are wxyz. The world's origin is on the table top between the bases; x points away from them, left is +y.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -101,61 +98,45 @@ class ArmModel:
                 )
 
 
-def _of_both(name: str) -> cached_property[Array]:
-    """Return a property (n,): the arm's values twice."""
-
-    def values(robot: Robot) -> Array:
-        array = np.array(getattr(robot.arm, name) * 2, dtype=float)
-        array.setflags(write=False)
-        return array
-
-    return cached_property(values)
+def _of_both(values: tuple[float, ...]) -> Array:
+    array = np.array(values * 2, dtype=float)
+    array.setflags(write=False)
+    return array
 
 
-@dataclass(frozen=True)
 class Robot:
-    """Two arms of one model; limits are (n,), units as in ArmModel."""
+    """Two arms of one model; limits are (n,), units as in ArmModel. Equal if the models are.
 
-    arm: ArmModel
-
-    @property
-    def hand(self) -> HandModel:
-        """Both arms' gripper."""
-        return self.arm.hand
-
-    @property
-    def base_positions_m(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Left and right base."""
-        x, y = self.arm.base_xy_m
-        return (x, y, 0.0), (x, -y, 0.0)
+    Attributes:
+        hand: Both arms' gripper.
+        base_positions_m: Left and right base.
+        dof_per_arm, dof: Joints per arm, and altogether.
+        joint_names, finger_joint_names: In storage order.
+        tcp_names: Tool centre points.
+        groups: Slices of q.
+    """
 
     sides = SIDES
     """In storage order."""
 
-    @property
-    def dof_per_arm(self) -> int:
-        """Joints per arm."""
-        return len(self.arm.joints)
+    def __init__(self, arm: ArmModel) -> None:
+        self.arm, self.hand = arm, arm.hand
+        (x, y), n = arm.base_xy_m, len(arm.joints)
+        self.base_positions_m = (x, y, 0.0), (x, -y, 0.0)
+        self.dof_per_arm, self.dof = n, 2 * n
+        self.joint_names = tuple(f"{side}_{joint}" for side in SIDES for joint in arm.joints)
+        self.finger_joint_names = tuple(f"{side}_{joint}" for side in SIDES for joint in arm.hand.finger_joints)
+        self.tcp_names = self.both(arm.hand.tcp_link)
+        self.groups = {"left_arm": slice(0, n), "right_arm": slice(n, 2 * n), "both_arms": slice(0, 2 * n)}
+        self.home, self.q_lower, self.q_upper = map(_of_both, (arm.home, arm.q_lower, arm.q_upper))
+        self.v_max, self.a_max, self.jerk_max = map(_of_both, (arm.v_max, arm.a_max, arm.jerk_max))
+        self.tau_max = _of_both(arm.tau_max)
 
-    @property
-    def dof(self) -> int:
-        """Joints altogether."""
-        return 2 * self.dof_per_arm
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Robot) and self.arm == other.arm
 
-    @cached_property
-    def joint_names(self) -> tuple[str, ...]:
-        """In storage order."""
-        return tuple(f"{side}_{joint}" for side in SIDES for joint in self.arm.joints)
-
-    @cached_property
-    def finger_joint_names(self) -> tuple[str, ...]:
-        """In storage order."""
-        return tuple(f"{side}_{joint}" for side in SIDES for joint in self.hand.finger_joints)
-
-    @cached_property
-    def tcp_names(self) -> tuple[str, str]:
-        """Tool centre points."""
-        return self.both(self.hand.tcp_link)
+    def __hash__(self) -> int:
+        return hash(self.arm)
 
     def hand_links(self, side: str) -> tuple[str, str, str]:
         """Return palm and fingers."""
@@ -167,21 +148,7 @@ class Robot:
         left, right = (f"{side}_{name}" for side in SIDES)
         return left, right
 
-    @cached_property
-    def groups(self) -> dict[str, slice]:
-        """Slices of q."""
-        n = self.dof_per_arm
-        return {"left_arm": slice(0, n), "right_arm": slice(n, 2 * n), "both_arms": slice(0, 2 * n)}
-
     def joints_of(self, arm: int) -> slice:
         """Return the slice of arm 0 (left) or 1."""
         n = self.dof_per_arm
         return slice(arm * n, (arm + 1) * n)
-
-    home = _of_both("home")
-    q_lower = _of_both("q_lower")
-    q_upper = _of_both("q_upper")
-    v_max = _of_both("v_max")
-    a_max = _of_both("a_max")
-    jerk_max = _of_both("jerk_max")
-    tau_max = _of_both("tau_max")

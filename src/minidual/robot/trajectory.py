@@ -12,12 +12,6 @@ from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Array
 
 
-def _all_finite(x: Array) -> bool:
-    # A NaN or an overflow spoils the sum, which is faster to check; only then is every value checked.
-    with np.errstate(all="ignore"):
-        return bool(np.isfinite(x.sum()) or np.isfinite(x).all())
-
-
 def largest(x: Array) -> Array:
     """Return the largest |x| per column. NaN propagates."""
     return np.abs(np.ascontiguousarray(x.T)).max(axis=1)
@@ -47,7 +41,7 @@ class Trajectory:
                 f"a trajectory needs n >= 2 times and q, v, a of one shape (n, joints); got {self.times.shape}, "
                 f"{self.q.shape}, {self.v.shape}, {self.a.shape}"
             )
-        if not all(_all_finite(x) for x in (self.times, self.q, self.v, self.a)):
+        if not all(np.isfinite(x).all() for x in (self.times, self.q, self.v, self.a)):
             raise DataError("a trajectory holds a value that is not finite")
         even = np.arange(n) * self.times[1]
         if self.times[0] != 0.0 or self.times[1] <= 0.0 or np.abs(self.times - even).max() > 1e-9:

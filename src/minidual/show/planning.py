@@ -16,9 +16,8 @@ from minidual.collision.mujoco_engine import add_body
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
-from minidual.motion.result import PHASES
-from minidual.plant.addresses import map_joints
-from minidual.plant.model import GROUP_COLLISION, build_spec
+from minidual.motion.api import PHASES
+from minidual.plant.model import GROUP_COLLISION, build_spec, map_joints
 from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

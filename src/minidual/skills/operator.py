@@ -11,7 +11,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.config.teleop import OperatorConfig
-from minidual.control.object_path import minimum_jerk
+from minidual.control.object_impedance import minimum_jerk
 from minidual.motion.ik import PostureIK
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

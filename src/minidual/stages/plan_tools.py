@@ -15,11 +15,9 @@ from minidual.collision.scene_file import load_scene
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
-from minidual.motion.api import Planner
-from minidual.motion.goal import goal_of
-from minidual.motion.goal_plan import GoalPlanner
+from minidual.motion.api import Planner, PlanResult
+from minidual.motion.goal_plan import GoalPlanner, goal_of
 from minidual.motion.goals import GROUP_ARMS
-from minidual.motion.result import PlanResult
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array, Robot

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from minidual.config.scene import ObstacleConfig
-from minidual.control.pinch import SAFETY, pinch_force
+from minidual.control.gripper import SAFETY, pinch_force
 from minidual.registry import Registry
 
 

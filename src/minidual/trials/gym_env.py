@@ -11,7 +11,7 @@ from gymnasium.envs.registration import register, registry
 
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
-from minidual.control.loop import JointLoop
+from minidual.control.joint_control import JointLoop
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.model import CAMERAS
 from minidual.plant.render import Camera, Image

@@ -17,12 +17,12 @@ from minidual.config.planning import MotionLimits
 from minidual.config.seeds import stream
 from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
-from minidual.motion.edges import EdgeChecker
 from minidual.motion.goals import check_joints, require_free
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory, HeldCurve, ObjectPath, fine_curve
 from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_object, shorten
 from minidual.motion.ik import check_pose
+from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import PathLimits
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import SIDES, Array
@@ -256,7 +256,7 @@ class HeldWork:
             ClosedChainError: All lie at limits.
         """
         config, engines, robot, T_goal = self._config, self._engines, self._hands.robot, self._query.T_world_goal
-        goals = [end] if end is not None and not engines.in_collision(end) else []
+        goals = [end] if end is not None and engines.solids.free(end) else []
         roomy = bool(goals) and not engines.closest(goals[0], config.padding_m)
         if not (roomy and wanted_n == 1):
             try:
@@ -276,7 +276,7 @@ class HeldWork:
             if q is None:
                 continue
             relaxed = self._hands.relaxed(T_goal, q)
-            q = q if engines.in_collision(relaxed) else relaxed
+            q = relaxed if engines.solids.free(relaxed) else q
             if all(np.abs(q - other).max() > _SAME_RAD for other in found):
                 found.append(q)
         if not found:

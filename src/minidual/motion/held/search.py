@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.motion.edges import EdgeChecker, bisection_order
+from minidual.motion.blend import kept_vertices
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart
-from minidual.motion.shortcut import kept_vertices
+from minidual.motion.search import EdgeChecker, bisection_order
 from minidual.robot.pair import Array
 
 X, Q = slice(0, 6), slice(6, None)

@@ -8,7 +8,7 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
-from minidual.motion.result import PlanResult
+from minidual.motion.api import PlanResult
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import PHASES

@@ -12,12 +12,11 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
 from minidual.config.seeds import stream, subseed
-from minidual.motion.api import Planner
+from minidual.motion.api import PHASES, Planner, PlanResult
+from minidual.motion.blend import path_length
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
-from minidual.motion.result import PHASES, PlanResult
-from minidual.motion.shortcut import path_length
 from minidual.proof.scene_engines import Audit
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics

@@ -17,11 +17,11 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import Planner
-from minidual.motion.edges import EdgeChecker
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
 from minidual.motion.held.search import HeldSpace, search_object
+from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
