@@ -3,9 +3,9 @@
 import dataclasses
 import itertools
 import time
+from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from panda import HOME, Q_LOWER, Q_UPPER
 
@@ -23,9 +23,10 @@ from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
+from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
-from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
+from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, _Effort, scene_holding
 from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
@@ -123,11 +124,10 @@ def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
     worst = timed_residual(over_the_wall, query(q_start), Kinematics())
     assert worst[0] < 1e-4
     assert worst[1] < np.deg2rad(0.05)
-    # Oracle: forward kinematics at random times, the hands against each other.
-    kinematics, grasp = Kinematics(), inverse(GRASPS[0]) @ GRASPS[1]
+    # Oracle: forward kinematics at random times against the constraint.
+    constraint = GraspConstraint(inverse(GRASPS[0]) @ GRASPS[1])
     times = np.random.default_rng(0).uniform(0.0, over_the_wall.duration_s, 400)
-    hands = [kinematics.tcp_poses(q) for q in over_the_wall.sample_many(times)[0]]
-    off = np.array([pin.log6(pin.SE3(inverse(left @ grasp) @ right)).vector for left, right in hands])
+    off = np.array([constraint.value_and_jacobian(q)[0] for q in over_the_wall.sample_many(times)[0]])
     assert np.linalg.norm(off[:, :3], axis=1).max() < 1e-4
     assert np.linalg.norm(off[:, 3:], axis=1).max() < np.deg2rad(0.05)
     # Negative control: a hand that turns by 2 mrad is seen.
@@ -348,6 +348,20 @@ def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch
     config = Config(plan=PlanConfig(held=HeldMovesConfig(moves_n=2)))
     monkeypatch.setattr(HeldMoveGenerator, "move", lambda self, i: move(self, 0 if self._seed == 5 else i))
     assert [o.ok for o in run_moves(config, 5)] == [True, True]
+
+
+@pytest.mark.parametrize("method", ["projected", "atlas"])
+def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
+    """A goal off the manifold finds nothing; the way to one on it holds the object and joins free edges."""
+    asked = query(q_start)
+    end = planner.plan(asked).q[-1]
+    work = HeldWork(planner, asked, 60.0)  # its state checks end it, not a busy machine
+    effort = _Effort(0.0, checks_n=1500)
+    assert work.search(method, [end + 0.3], replace(effort, checks_n=50), 1) is None
+    points = work.search(method, [end + 0.3, end], effort, 1)
+    assert np.abs(points[-1, Q] - end).max() < 1e-3
+    hands, chart = HandsIK(GRASPS, Kinematics()), ObjectChart(START[:3, :3])
+    assert max(hands.strays(points[:, Q], chart.poses(points[:, X]))) < 1e-6
 
 
 def test_a_search_that_fails_keeps_the_known_goals(planner, q_start, monkeypatch):

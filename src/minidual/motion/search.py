@@ -61,7 +61,7 @@ class EdgeChecker:
         self.padding_m = padding_m
         self.step_rad = step_rad
         self.checks_n = 0
-        self._checks_end = self._deadline = math.inf
+        self.checks_end = self.deadline = math.inf
         rows = solids.of_arms(arms)
         near = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in ends]
         near = [(q, max(0.0, clearance)) for q, clearance in near if clearance < padding_m]
@@ -71,12 +71,12 @@ class EdgeChecker:
 
     def allow(self, checks_n: int, deadline: float) -> None:
         """Bound what follows: state checks, and `deadline` by time.perf_counter()."""
-        self._checks_end, self._deadline = self.checks_n + checks_n, deadline
+        self.checks_end, self.deadline = self.checks_n + checks_n, deadline
 
     @property
     def spent(self) -> bool:
         """Whether a bound is reached."""
-        return self.checks_n >= self._checks_end or time.perf_counter() > self._deadline
+        return self.checks_n >= self.checks_end or time.perf_counter() > self.deadline
 
     def free(self, q: Array) -> bool:
         """Return whether q (dof,) keeps the padding."""
@@ -109,6 +109,34 @@ class _Motion(ob.MotionValidator):
         return self._edge_free(s1, s2)
 
 
+def bounded_space(lower: Array, upper: Array) -> Any:
+    """Return OMPL's space within limits (d,)."""
+    space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
+    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
+        bounds.setLow(i, low)
+        bounds.setHigh(i, high)
+    space.setBounds(bounds)
+    return space
+
+
+def seeded(seed: int) -> None:
+    """Seed OMPL and silence it: repeated setSeed logs an error."""
+    ou.setLogLevel(ou.LOG_NONE)
+    ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
+
+
+def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool]) -> Any:
+    """Return the exact solution between two states, or None if `enough` came first."""
+    definition = ob.ProblemDefinition(worker.getSpaceInformation())
+    definition.setStartAndGoalStates(*ends)
+    worker.setRange(range_rad)
+    worker.setProblemDefinition(definition)
+    worker.setup()
+    ended = ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough())
+    status = worker.solve(ended)
+    return definition.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
+
+
 def search(
     checker: EdgeChecker, ends: Array, joints: slice, *, seed: int, planner: str = "rrtconnect", range_rad: float = 1.0
 ) -> Array | None:
@@ -116,36 +144,23 @@ def search(
 
     Only `joints` move. `range_rad`: longest tree edge (Euclidean).
     """
-    ou.setLogLevel(ou.LOG_NONE)  # repeated setSeed logs an error
-    ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
-    limits = np.column_stack([checker.robot.q_lower[joints], checker.robot.q_upper[joints]]).tolist()
-    space, bounds = ob.RealVectorStateSpace(len(limits)), ob.RealVectorBounds(len(limits))
-    for i, (low, high) in enumerate(limits):
-        bounds.setLow(i, low)
-        bounds.setHigh(i, high)
-    space.setBounds(bounds)
+    seeded(seed)
+    robot = checker.robot
+    si = ob.SpaceInformation(bounded_space(robot.q_lower[joints], robot.q_upper[joints]))
+    indices = range(len(ends[0, joints]))
 
     def full(state: Any) -> Array:
         q = ends[0].copy()
-        q[joints] = [state[i] for i in range(len(limits))]
+        q[joints] = [state[i] for i in indices]
         return q
 
-    si = ob.SpaceInformation(space)
     motion = _Motion(si, lambda s1, s2: checker.edge_free(full(s1), full(s2)))
     si.setStateValidityChecker(lambda state: checker.free(full(state)))
     si.setMotionValidator(motion)
     si.setup()
     states: list[Any] = [si.allocState(), si.allocState()]
     for state, q in zip(states, ends, strict=True):
-        for i, value in enumerate(q[joints].tolist()):
-            state[i] = value
-    definition, worker = ob.ProblemDefinition(si), PLANNERS[planner](si)
-    definition.setStartAndGoalStates(*states)
-    worker.setRange(range_rad)
-    worker.setProblemDefinition(definition)
-    worker.setup()
-    ended = ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or checker.spent)
-    if worker.solve(ended).getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
-        return None
-    path: Any = definition.getSolutionPath()
-    return np.array([full(path.getState(i)) for i in range(path.getStateCount())])
+        for i, value in enumerate(q[joints]):
+            state[i] = float(value)
+    path = exact_path(PLANNERS[planner](si), range_rad, states, lambda: checker.spent)
+    return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])

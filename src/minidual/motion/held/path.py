@@ -107,7 +107,7 @@ class CarriedTrajectory(Trajectory):
     Attributes:
         Ts_world_object: Planned poses (m, 4, 4).
         residual_m, residual_rad: Largest error of grasps or between hands.
-        found_by: "continuation", "object_rrt" or "given".
+        found_by: A search method, "continuation" or "given".
     """
 
     Ts_world_object: Array

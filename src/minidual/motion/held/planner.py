@@ -14,10 +14,11 @@ from minidual.collision.errors import ClosedChainError, NoPathInTimeError, Plann
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Shape
 from minidual.config.planning import MotionLimits
-from minidual.config.seeds import stream
+from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
 from minidual.motion.goals import check_joints, require_free
+from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory, HeldCurve, ObjectPath, fine_curve
 from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_object, shorten
@@ -29,10 +30,13 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 
 _LIMITS = MotionLimits(smoothing_s=0.1)  # gentler than with empty hands
+METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
+"""Search methods by attempt, cyclic; the straight motion comes first."""
 _CORNERS_M = (0.06, 0.02, 0.006)
 _SHORTEN_ROUNDS_N = 10
 _GOALS_N = 16
 _LIMIT_ROOM_RAD = 1e-4
+_MANIFOLD_GOALS_N = 4
 _MORE_GOALS = {1: 1, 2: 10}
 """Attempts that first look for more goal postures: {attempt: multiple of the usual IK restarts}."""
 _CANDIDATES_N = 400
@@ -206,21 +210,21 @@ class HeldWork:
             goals = self.goal_postures(straight, 1)
         except PlanningError:  # free postures may be rare: look longer before saying that there is none
             goals = self.goal_postures(straight, 1, max(_MORE_GOALS.values()))
-        for attempt in itertools.count():
+        for attempt, method in enumerate(itertools.cycle(METHODS)):
             if time.perf_counter() > self._deadline:
                 break
             if attempt in _MORE_GOALS:
                 goals = self.more_goals(goals, straight, _MORE_GOALS[attempt])
             try:
-                points = self.search(goals, effort, attempt)
+                points = self.search(method, goals, effort, attempt)
                 if points is not None:
                     rng = stream(self._query.seed, "held/shorten", attempt)
                     space = self._space([points[-1, Q]], effort)
-                    return self.rounded(shorten(space, points, rng, _SHORTEN_ROUNDS_N), "object_rrt")
-                self.notes.append("object_rrt found no path")
+                    return self.rounded(shorten(space, points, rng, _SHORTEN_ROUNDS_N), method)
+                self.notes.append(f"{method} found no path")
                 effort = effort.after_no_path()
             except (ClosedChainError, TimingError) as error:
-                self.notes.append(f"object_rrt: {error.message}")
+                self.notes.append(f"{method}: {error.message}")
                 effort = effort.after(error)
         raise NoPathInTimeError(
             f"no proven path for the held object within the budget; the straight way: {self.notes[0]}; "
@@ -299,13 +303,29 @@ class HeldWork:
         checker = self._checker(goals[0], effort.padding_m)
         return HeldSpace(self._hands, self._path.chart, checker, effort.step_scale)
 
-    def search(self, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
+    def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""
         query, space = self._query, self._space(goals, effort)
-        space.checker.allow(effort.checks_n, self._deadline)
-        start = space.point(self._T_start, self._q_start)
-        ends = [space.point(query.T_world_goal, q) for q in goals]
-        return search_object(space, start, ends, stream(query.seed, "held/search", attempt))
+        if method == "object_rrt":
+            space.checker.allow(effort.checks_n, self._deadline)
+            start = space.point(self._T_start, self._q_start)
+            ends = [space.point(query.T_world_goal, q) for q in goals]
+            rng = stream(query.seed, "held/search", attempt)
+            return search_object(space, start, ends, rng)
+        left, right = self._hands.grasps
+        constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
+        start, seed = self._hands.solve(self._T_start, self._q_start), subseed(query.seed, "held/manifold", attempt)
+        for goal in goals[:_MANIFOLD_GOALS_N]:
+            if start is None or time.perf_counter() > self._deadline:
+                break
+            space.checker.allow(effort.checks_n, self._deadline)
+            found = search_manifold(constraint, space.checker, start, goal, space=method, seed=seed)
+            if found is not None:
+                points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
+                kept = [z for z in points if z is not None]
+                joined = len(kept) == len(points) and all(itertools.starmap(space.edge_free, itertools.pairwise(kept)))
+                return np.array(kept) if joined else None
+        return None
 
     def rounded(self, points: Array, method: str) -> CarriedTrajectory:
         """Return the proven trajectory along points (m, 6 + n), with the largest feasible corners."""
