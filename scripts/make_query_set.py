@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from minidual.collision.engine import ENGINES
+from minidual.collision.shapes import ENGINES
 from minidual.config.seeds import stream, subseed
 from minidual.motion.blend import shortcut
 from minidual.motion.search import EdgeChecker, search

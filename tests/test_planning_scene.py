@@ -9,10 +9,9 @@ import pytest
 
 from minidual.collision import acm as acm_module
 from minidual.collision.acm import acm_report, build_acm
-from minidual.collision.engine import Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
-from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
+from minidual.collision.shapes import Box, Capsule, Cylinder, Pairs, Sphere
 from minidual.errors import UsageError
 from minidual.robot.arms import DUAL_PANDA, PANDA
 from minidual.robot.description import collision_links, links_of, never_touching

@@ -19,8 +19,7 @@ from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.contact import Expected
 from minidual.control.joint_control import JointLoop
-from minidual.control.limits import Reach
-from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
+from minidual.control.reflexes import REFLEXES, Reach, Reflex, ReflexError
 from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World

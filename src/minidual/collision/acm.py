@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.collision.engine import ENGINES, Pairs
+from minidual.collision.shapes import ENGINES, Pairs
 from minidual.config.seeds import stream
 from minidual.durable import expanded, regular_file, write_text
 from minidual.errors import DataError

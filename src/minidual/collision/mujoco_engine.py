@@ -6,8 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.collision.engine import PairDistance
-from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, PairDistance, Shape, Sphere
 from minidual.robot.description import collision_links, mujoco_urdf
 from minidual.robot.pair import Array
 

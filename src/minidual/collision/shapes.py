@@ -1,15 +1,20 @@
 """Immutable solid obstacles.
 
 Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along z; `length_m` excludes a capsule's ends.
+
+`ENGINES` is the table of collision engines.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from minidual.errors import UsageError
-from minidual.robot.pair import Array
+from minidual.registry import Registry
+from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import pose, rotation_from_quat
 
 Vec3 = tuple[float, float, float]
@@ -142,3 +147,33 @@ def grown(shape: Shape, by_m: float) -> Shape:
             return replace(
                 shape, pieces=tuple((v[:, None] + corners).reshape(-1, 3).tobytes() for v in shape.vertices())
             )
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of parts; engines take these or a `PlanningScene`."""
+
+    robot: Robot
+    checked_pairs: tuple[tuple[str, str], ...]
+    solid_obstacles: tuple[Shape, ...] = ()
+    attached: tuple[Attached, ...] = ()
+
+
+@dataclass(frozen=True)
+class PairDistance:
+    """Two parts; distance negative in penetration."""
+
+    first: str
+    second: str
+    distance_m: float
+
+    def __str__(self) -> str:
+        kind = "penetrate by" if self.distance_m < 0 else "are apart by"
+        return f"{self.first} and {self.second} {kind} {abs(self.distance_m) * 1e3:.1f} mm"
+
+
+ENGINES: Registry[Callable[[Any], Any]] = Registry(
+    "collision engine",
+    {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
+)
+"""Built from a scene; `collisions(Q)` returns contact (n,) bool for Q (n, dof). Audits ask all."""

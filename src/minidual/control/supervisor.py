@@ -12,7 +12,7 @@ import numpy as np
 
 from minidual import emergency
 from minidual.config.supervisor import SupervisorConfig
-from minidual.control import limits
+from minidual.control import reflexes
 from minidual.control.contact import EVERY, ContactSense, Expected
 from minidual.control.joint_sense import JointSense
 from minidual.control.kernels import hand_look
@@ -77,8 +77,8 @@ class Supervisor:
         self.dt_s = dt_s
         self._kinematics = Kinematics() if kinematics is None else kinematics
         self._robot = self._kinematics.robot
-        self.bounds = limits.TickBounds(self.config, dt_s, self._robot)
-        self._reach = limits.Reach(self._kinematics)
+        self.bounds = reflexes.TickBounds(self.config, dt_s, self._robot)
+        self._reach = reflexes.Reach(self._kinematics)
         self._sense = JointSense(self._kinematics, self.config, dt_s)
         self._contact, self._hands = ContactSense(self._kinematics, self.config, dt_s), Hands(self._kinematics)
         self._looked = np.zeros((4, 3))
@@ -89,7 +89,7 @@ class Supervisor:
         self._self_distance, self._clearance = self_distance, clearance
         self._on_reflex = on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
-        self._rows = np.zeros((len(limits.QUANTITIES), self._robot.dof))
+        self._rows = np.zeros((len(reflexes.QUANTITIES), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
         self.reflex: Reflex | None = None
         """Latched."""
@@ -178,7 +178,7 @@ class Supervisor:
         elif self._a_before is not None:  # the new controller has no reference
             self._a_before = None
             rows[4:] = 0.0
-        within = limits.excess(rows, before, self.bounds.centre, self.bounds.scale) <= 1.0  # false for NaN
+        within = reflexes.excess(rows, before, self.bounds.centre, self.bounds.scale) <= 1.0  # false for NaN
         if within and self._usable and not self._stop_asked and time_s <= self._deadline_s:
             applied = rows[2]
         else:
@@ -241,7 +241,7 @@ class Supervisor:
         if (np.abs(q - bounds.centre[0]) * bounds.scale[0]).max() > 1.0:
             self._trip_position(q)
         self._trip_ratio("joint_velocity", v, bounds.v_max)
-        self._trip_ratio("torque_range", tau, bounds.tau_max, tolerance=limits.TORQUE_TOLERANCE)
+        self._trip_ratio("torque_range", tau, bounds.tau_max, tolerance=reflexes.TORQUE_TOLERANCE)
         self._trip_ratio("reference_acceleration", a_ref, bounds.a_max, tolerance=1e-9)
         if self.config.jerk_reflex:
             self._trip_ratio("reference_jerk", a_step / self.dt_s, bounds.a_step / self.dt_s, tolerance=1e-9)
@@ -258,7 +258,7 @@ class Supervisor:
             jump = tau - self._asked
         self._looked_tick = self._tick
         self._asked = tau.copy()
-        self._saturated = np.where(np.abs(tau) >= limits.SATURATED * bounds.tau_max, self._saturated + 1, 0)
+        self._saturated = np.where(np.abs(tau) >= reflexes.SATURATED * bounds.tau_max, self._saturated + 1, 0)
         self._trip_lasting("torque_saturation", self._saturated, self.config.saturation_s, tau, bounds.tau_max)
         # A target streamed at 50 Hz makes the torque jump once in 20 ticks, which the limiter absorbs; chatter jumps in
         # every tick. A jump counts up, any other tick down.

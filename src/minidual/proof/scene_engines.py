@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numba.core import types
 
-from minidual.collision.engine import ENGINES, PairDistance
 from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import ENGINES, PairDistance
 from minidual.proof import planes
 from minidual.proof.solids import Solids
 from minidual.robot.compiled import ROWS, floats, inlined, kernel

@@ -9,10 +9,9 @@ from functools import cache
 
 import numpy as np
 
-from minidual.collision.engine import PairDistance, Pairs
 from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
-from minidual.collision.shapes import Attached, Shape
+from minidual.collision.shapes import Attached, PairDistance, Pairs, Shape
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics

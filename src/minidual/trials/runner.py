@@ -10,8 +10,8 @@ import numpy as np
 
 from minidual.config.seeds import stream
 from minidual.control.kernels import strain
-from minidual.control.limits import SATURATED
 from minidual.control.object_impedance import SingularPostureError
+from minidual.control.reflexes import SATURATED
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder
