@@ -2,13 +2,15 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 from minidual.config.teleop import TeleopConfig
+from minidual.motion.api import Planner
 from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.skills.operator import Demonstration, ScriptedOperator
+from minidual.skills.operator import Demonstration, ScriptedOperator, demonstrate_plan
 from minidual.tasks.task import Task, Trial
 
 
@@ -20,6 +22,11 @@ class LeaderSetup:
     task: Task
     config: TeleopConfig
     seed: int
+
+    @cached_property
+    def planner(self) -> Planner:
+        """Of tasks whose plan is demonstrated."""
+        return Planner(config=self.task.config.plan.planner, robot=self.robot)
 
 
 class Leader(ABC):
@@ -58,9 +65,13 @@ class ScriptedLeader(Leader):
 
     @classmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
-        """Plan the trial."""
-        operator = ScriptedOperator(setup.task.scene, setup.config.operator, kinematics=Kinematics(setup.robot))
-        return cls(operator.plan(trial, seed=setup.seed, rate_hz=setup.config.rate_hz))
+        """Plan: by phases where both hands hold one object all the way, else as the task is planned."""
+        config, seed, rate_hz = setup.config, setup.seed, setup.config.rate_hz
+        if setup.task.together:
+            operator = ScriptedOperator(setup.task.scene, config.operator, kinematics=Kinematics(setup.robot))
+            return cls(operator.plan(trial, seed=seed, rate_hz=rate_hz))
+        rest_s = config.operator.rest_s
+        return cls(demonstrate_plan(setup.task, trial, setup.planner, rest_s=rest_s, seed=seed, rate_hz=rate_hz))
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
         """Return the plan at `now_s`."""

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from minidual import durable
+from minidual.collision.errors import PlanningError
 from minidual.config.arbiter import ArbiterConfig
 from minidual.config.base import StrictModel
 from minidual.config.seeds import stream
@@ -217,8 +218,8 @@ class Rig:
         with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
             try:
                 result = self.lead(trial, lambda tick: writer.append(**vars(tick)))
-            except SimulationDivergedError as error:
-                return self._concluded(Attempt(trial, False, error.message), began)
+            except (SimulationDivergedError, PlanningError) as error:
+                return self._concluded(Attempt(trial, False, error.message.splitlines()[0]), began)
             said = {"completion_s": result.outcome.duration_s}
             said |= {name: value for name in MEASURES[1:] if np.isfinite(value := getattr(result.outcome, name))}
             attempt = Attempt(trial, result.success, self._reason(result), None, said, result.latencies_s)

@@ -12,8 +12,8 @@ GROUP_VISUAL, GROUP_MARKER, GOAL_MARK = 1, 2, "goal_mark"
 # Stiff contacts with little creep; docs/simulation.md compares cone and impratio.
 SOLREF = [0.002, 1.0]
 SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
+# Contact distance of flat faces. Without it parallel faces lose contact for single steps and the fingers jump.
 _FACE_MARGIN_M = 0.0002
-"""Contact distance of flat faces. Without it parallel faces lose contact for single steps and the fingers jump."""
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38

@@ -1,6 +1,6 @@
-"""Scripted operator: joint targets for the rod cycle.
+"""Scripted operator: joint targets of a trial, whose start and goal it knows.
 
-It knows the rod's start and goal. By default, fixed timing makes its motion a smooth, learnable function of them.
+By default, fixed timing makes its motion a smooth, learnable function of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,22 +9,30 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.config.seeds import stream
+from minidual.config.seeds import stream, subseed
 from minidual.config.teleop import OperatorConfig
 from minidual.control.object_impedance import minimum_jerk
+from minidual.motion.api import Planner
 from minidual.motion.ik import PostureIK
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.skills.cycle import pose_of, solve
 from minidual.skills.phases import PHASES
+from minidual.skills.pipeline.stage import Gap
+from minidual.skills.pipeline.state import State
+from minidual.skills.planned_carry import GAP_MARGIN_M
+from minidual.skills.supervised import arm_distance
 from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Task, Trial
 
 _ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
 _OVERLAPPING, _HOLDING, _PAUSED = ("correct", "descend"), ("close", "open"), ("lift", "lower")
+# The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
+# as fast.
 _CONFIG, _WRIST_COST = OperatorConfig(), 0.1
-"""The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
-as fast."""
+
+_SPEED_SHARE = 0.6  # of the joints' limits, where a plan is demonstrated
 
 
 @dataclass(frozen=True)
@@ -158,3 +166,26 @@ def _between(T_from: Array, T_to: Array, s: float) -> Array:
     turn_from, turn_to = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_from, T_to))
     turn = np.arctan2(np.sin(turn_to - turn_from), np.cos(turn_to - turn_from))
     return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)
+
+
+def demonstrate_plan(
+    task: Task, trial: Trial, planner: Planner, *, rest_s: float, seed: int, rate_hz: float
+) -> Demonstration:
+    """Return the task's plan as a demonstration; TaskFailedError without one."""
+    robot = planner.robot
+    start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
+    gap = Gap(arm_distance(robot), task.config.supervisor.self_collision_min_m + GAP_MARGIN_M)
+    own = subseed(seed, f"operator/{trial.purpose}", trial.index)
+    segments = solve(task, trial, start, planner, own, gap).segments
+    q, gripper = list[Array](), list[Array]()
+    for segment in segments:
+        # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.
+        motion = segment.trajectory
+        slower = max(1.0, float(np.abs(motion.v / robot.v_max).max()) / _SPEED_SHARE)
+        times: Array = np.arange(0.0, motion.duration_s, 1.0 / (slower * rate_hz), dtype=float)
+        q.append(motion.sample_many(times)[0])
+        gripper.append(np.tile(segment.openings, (len(times), 1)))
+    rest = round(rate_hz * rest_s)
+    q.append(np.tile(segments[-1].trajectory.q[-1], (rest, 1)))
+    gripper.append(np.tile(segments[-1].openings, (rest, 1)))
+    return Demonstration(rate_hz, np.vstack(q), np.vstack(gripper))

@@ -15,7 +15,7 @@ from minidual.skills.supervised import arm_distance
 from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Task, Trial
 
-_GAP_MARGIN_M = 0.005
+GAP_MARGIN_M = 0.005
 
 
 class PlannedCarry(Drive):
@@ -45,7 +45,7 @@ class PlannedCarry(Drive):
         start = State(world.q, known)
         gap = None
         if supervisor is not None:
-            gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + _GAP_MARGIN_M)
+            gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + GAP_MARGIN_M)
         self.solution: Solution | None = None
         why: str | None = None
         try:

@@ -11,6 +11,7 @@ LIBRARIES = ("numpy", "scipy", "mujoco", "pin", "coal", "ompl", "torch", "lerobo
 _SCENE = Option("scene", "With --to or --acm: planning scene in YAML.")
 _OBJECT = Option("object", "What is carried: rod, board, box, glass.", str, "carry.object")
 _MOTION = Option("motion", "How it travels: straight, rotate, over.", str, "carry.motion")
+_TASK_NAME = Option("task", "Task, such as handover (default: the run's).", str, "task")
 _SPEED = Option("speed", "Share of full speed, 0.1 to 1.", float, "arbiter.speed_override")
 _CARRIES = Option("trials", "Randomised carries to try.", int, "carry.trials_n")
 
@@ -102,9 +103,9 @@ STAGES = StageTable(
             reads=("robot", "task", "teleop", "scene", "arbiter", "supervisor"),
             resolve="minidual.tasks.task:task_config",
             check="minidual.stages.config_checks:check_leader",
-            options=(Option("episodes", "Demonstrations to record.", int, "teleop.episodes_n"),),
+            options=(Option("episodes", "Demonstrations to record.", int, "teleop.episodes_n"), _TASK_NAME),
             watchable=True,
-            examples=("teleop-record --episodes 50", "teleop-record --view web"),
+            examples=("teleop-record --episodes 50", "teleop-record --task handover --view web"),
             keeps=("episodes", "rejected", "attempts", "inputs.json"),
         ),
         StageEntry(
@@ -125,7 +126,7 @@ STAGES = StageTable(
             reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
             resolve="minidual.tasks.task:task_config",
             check="minidual.stages.config_checks:check_deploy",
-            options=(Option("trials", "Held-out trials.", int, "deploy.trials"),),
+            options=(Option("trials", "Held-out trials.", int, "deploy.trials"), _TASK_NAME),
             watchable=True,
             examples=("deploy", "deploy --trials 20 --view web"),
         ),

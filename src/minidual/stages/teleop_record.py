@@ -26,6 +26,8 @@ from minidual.trials.conditions import rooms
 READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
 """Sections that the recording depends on."""
 
+_TESTS_SHOWN = 100
+
 
 def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
     """Return the stage's checks from `Recording.numbers` and the sizes of the dataset."""
@@ -84,7 +86,8 @@ def run(context: StageContext) -> StageResult:
         with context.progress.task("film", 1) as task:
             film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
             task.advance()
-    draw_quality(recorded.attempts, config.scene.task, teleop.jerk_max_rad_s3, folder / "quality.png")
+    tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
+    draw_quality(recorded.attempts, tests, teleop.jerk_max_rad_s3, folder / "quality.png")
     data = {
         "rejected": {str(a.trial.index): a.reason for a in recorded.attempts if not a.kept},
         "faults": {str(a.trial.index): list(a.faults) for a in recorded.attempts if a.faults},

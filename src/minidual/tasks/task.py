@@ -99,6 +99,11 @@ class Task:
         return next(iter(self.objects))
 
     @property
+    def together(self) -> bool:
+        """Whether both hands hold one object all the way."""
+        return bool(self.steps) and all(step.hands == SIDES and len(step.objects) < 2 for step in self.steps)
+
+    @property
     def time_limit_s(self) -> float:
         """Simulated time limit."""
         return self.scene.task.time_limit_s

@@ -228,12 +228,15 @@ def table_colour(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random
 
 def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
     """Put the distractors before the camera, away from starts and goals."""
-    places = [(n, placement(T)) for poses in (trial.start, trial.goal) for n, T in poses.items()]
+    size, places = (
+        2.0 * DISTRACTOR_HALF_M,
+        [(n, placement(T)) for poses in (trial.start, trial.goal) for n, T in poses.items()],
+    )
     for name in DISTRACTORS:
         thing, yaw = model.geom(name), rng.uniform(-np.pi, np.pi)
         for _ in range(_DRAWS_MAX):
             x, y = rng.uniform(*_BESIDE_M).tolist()
-            block = ObstacleConfig(size_m=(2.0 * DISTRACTOR_HALF_M,) * 3, xy_m=(x, y))
+            block = ObstacleConfig(size_m=(size, size, size), xy_m=(x, y))
             if all(beside(task.objects[n].body, block, place) for n, place in places):
                 break
         thing.pos[:] = x, y, DISTRACTOR_HALF_M

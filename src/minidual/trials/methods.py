@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.registry import Registry, load_target
-from minidual.robot.pair import SIDES
 from minidual.tasks.task import TASKS, Task, Trial, make_task
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
@@ -96,8 +95,7 @@ class MethodSpec:
 
 
 def _hands_apart(task: Task, trained: str) -> str:
-    together = bool(task.steps) and all(step.hands == SIDES for step in task.steps)
-    return "" if together else "it is not done with both hands all the way"
+    return "" if task.together else "it is not done with both hands all the way"
 
 
 def _another_task(task: Task, trained: str) -> str:

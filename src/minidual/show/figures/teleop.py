@@ -5,29 +5,27 @@ from pathlib import Path
 
 import numpy as np
 
-from minidual.config.scene import TaskConfig
 from minidual.demos.episode import read_episode
 from minidual.demos.rig import Attempt
 from minidual.show.figures.canvas import BLUE, LIMIT, new_figure
 from minidual.tasks.rod_carry import placement
+from minidual.tasks.task import Trial
 
 
-def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s3: float, path: Path) -> None:
-    """Draw start poses, RMS jerk, and targets of one demonstration."""
+def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limit_rad_s3: float, path: Path) -> None:
+    """Draw starts of attempts and tests, RMS jerk, and targets of one demonstration."""
     figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
     for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
-        chosen = [placement(next(iter(a.trial.start.values()))) for a in attempts if a.kept is kept]
+        chosen = [_start(a.trial) for a in attempts if a.kept is kept]
         if chosen:
             x, y, yaw = np.array(chosen).T
             line = {"headwidth": 0, "headlength": 0, "headaxislength": 0, "width": 0.004, "scale": 18, "pivot": "mid"}
             starts.quiver(y, x, -np.cos(yaw), np.sin(yaw), color=colour, label=f"{label} ({len(chosen)})", **line)
-    (cx, cy), r = task.start_xy_m, task.start_range_m
-    square = r * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-    starts.plot(cy + square[0], cx + square[1], "k--", lw=0.8, label="tested range")
-    reach = 1.6 * max(r, 0.02)
-    starts.set(title="Object at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal")
+    x, y, _ = np.array([_start(trial) for trial in tested]).T
+    starts.plot(y, x, ".", color="0.6", ms=2, zorder=0, label="tests")
+    starts.set(title=f"{next(iter(tested[0].start))} at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal")
     starts.locator_params(nbins=5)
-    starts.set(xlim=(cy + reach, cy - reach), ylim=(cx - reach, cx + reach))
+    starts.invert_xaxis()
     starts.legend(fontsize=7, loc="upper right")
 
     jerks.hist([a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None], bins=20, color=BLUE)
@@ -47,3 +45,7 @@ def draw_quality(attempts: Sequence[Attempt], task: TaskConfig, jerk_limit_rad_s
         motion.set(xlabel="t [s]", ylabel="rad")
         motion.legend(fontsize=7)
     figure.savefig(path)
+
+
+def _start(trial: Trial) -> tuple[float, float, float]:
+    return placement(next(iter(trial.start.values())))
