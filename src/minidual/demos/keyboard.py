@@ -17,10 +17,10 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_z
 from minidual.tasks.task import Trial
 
+# Step per key press: x, y, z [m], yaw [rad].
 _STEP = np.array([0.01, 0.01, 0.01, 0.05])
-"""Step per key press: x, y, z [m], yaw [rad]."""
+# Speed limits: x, y, z [m/s], yaw [rad/s].
 _SPEED = np.array([0.25, 0.25, 0.25, 1.0])
-"""Speed limits: x, y, z [m/s], yaw [rad/s]."""
 _MOVES: dict[str, tuple[int, int]] = {
     key: (axis, sign)
     for axis, keys in enumerate(("ws", "ad", "rf", "qe"))

@@ -25,13 +25,13 @@ from minidual.tasks.task import TASKS, Trial, make_task
 CONTROL_HZ = 50
 """Rate of actions and observations."""
 
+# Observed joints may exceed their limits by this, after a collision.
 _OVERTRAVEL_RAD = 0.1
-"""Observed joints may exceed their limits by this, after a collision."""
+# Bounds of an object's position [m] and quaternion.
 _FAR = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
-"""Bounds of an object's position [m] and quaternion."""
 _RENDERED_PX = 640, 480
+# An object below this height has left the table.
 _FALLEN_M = -0.1
-"""An object below this height has left the table."""
 
 Observation = dict[str, Any]
 

@@ -73,8 +73,8 @@ class TrialMetrics:
 
 
 _OF_SOME_TASKS = ("internal_", "pinch_")
+# Prefixes of indicators over successful trials; the others are over all.
 _OVER_SUCCESSES = ("duration_", "path_", *_OF_SOME_TASKS)
-"""Prefixes of indicators over successful trials; the others are over all."""
 
 
 @dataclass(frozen=True)

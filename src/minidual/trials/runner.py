@@ -32,8 +32,8 @@ from minidual.workers import in_workers
 LOG_RATE_HZ = 250
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
+# Errors that end a trial, with the failure name.
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
-"""Errors that end a trial, with the failure name."""
 
 StepHook = Callable[[World, Method], None]
 """Called after each step; read-only."""

@@ -34,8 +34,8 @@ COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
 _FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
 _SAFE_TORQUE = 0.95
+# The condition of success that the softest step may fail.
 _SQUEEZED = "squeezed"
-"""The condition of success that the softest step may fail."""
 
 
 class TuningError(MinidualError):
