@@ -249,9 +249,9 @@ def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
     points = np.array([np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))])
-    assert planner.prove(query(q_start), points).verification.ok
+    assert HeldWork(planner, query(q_start)).rounded(points, "given").verification.ok
     with pytest.raises(ClosedChainError, match=r"not free: .*wall"):
-        planner.prove(query(q_start, obstacles=(WALL,)), points)
+        HeldWork(planner, query(q_start, obstacles=(WALL,))).rounded(points, "given")
 
 
 @pytest.fixture(scope="module")

@@ -161,12 +161,8 @@ class ObjectPath:
         """Total time [s]."""
         return self._ends[-1]
 
-    def at(self, t_s: float) -> ObjectState:
-        """See `ObjectMotion`."""
-        return self.tilted(t_s, _LEVEL)
-
-    def tilted(self, t_s: float, T_level_object: Array) -> ObjectState:
-        """Return the state of an object that lies at T_level_object (4, 4) in the level frame."""
+    def at(self, t_s: float, T_level_object: Array = _LEVEL) -> ObjectState:
+        """Return the state at a path time of an object that lies at T_level_object (4, 4) in the level frame."""
         i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
         span = self._ends[i + 1] - self._ends[i]
         blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)

@@ -99,7 +99,7 @@ class HeldMotion:
 
     def at(self, t_s: float) -> ObjectState:
         """See `ObjectMotion`."""
-        return self.path.tilted(self.start_s + t_s, self.T_level_object)
+        return self.path.at(self.start_s + t_s, self.T_level_object)
 
 
 def held_motion(

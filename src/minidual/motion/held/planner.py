@@ -110,15 +110,6 @@ class HeldPlanner:
         """
         return HeldWork(self, query, budget_s).run()
 
-    def prove(self, query: HeldQuery, points: Array) -> CarriedTrajectory:
-        """Return the proven trajectory along points (m, 6 + n) in the chart at the start orientation.
-
-        Raises:
-            ClosedChainError, TimingError: Not followed, timed or proven.
-            StartInCollisionError, OutOfLimitsError, UsageError: Bad query.
-        """
-        return HeldWork(self, query).rounded(points, "given")
-
     def follow(
         self,
         q_start: Array,

@@ -19,7 +19,7 @@ from minidual.config.seeds import stream
 from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
-from minidual.motion.held.planner import HeldPlanner, HeldQuery, scene_holding
+from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
 from minidual.motion.held.search import HeldSpace, search_object
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
@@ -176,7 +176,7 @@ class HeldMoveGenerator:
             path = search_object(space, space.point(*goal), [space.point(*start)], rng, any_posture=False)
             with suppress(ClosedChainError, TimingError):
                 if path is not None:
-                    self._prover.prove(query, path[::-1])
+                    HeldWork(self._prover, query).rounded(path[::-1], "given")
                     return path[::-1]
         return None
 
