@@ -25,11 +25,11 @@ from minidual.stages.registry import STAGES
 from minidual.trials import benchmark, runner
 from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark
 from minidual.trials.conditions import CLEAN, CONDITIONS
-from minidual.trials.methods import METHODS, MethodInputs
+from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench, TrialResult, run_trials
 
-SEED = 7
+SEED, METHODS = 7, ("moveit", "impedance", "act")
 ASKED = {CLEAN: 6, "push +x": 4, "pose noise x3": 4, "delay 20 ms": 4, "light -30 %": 4}
 BLANK = {
     ("act", "pose noise x3"),
@@ -81,13 +81,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
     return calls
 
 
-def table(methods: tuple[str, ...] = tuple(METHODS), **other: Any) -> dict[tuple[str, str], BenchmarkCell]:
+def table(methods: tuple[str, ...] = METHODS, **other: Any) -> dict[tuple[str, str], BenchmarkCell]:
     cells, _ = run_benchmark(methods, other.get("trials_n", ASKED), MethodInputs(Config(), SEED), workers=1)
     return {(c.method, c.condition): c for c in cells}
 
 
 def failing(cells: Any, conditions: tuple[str, ...] = tuple(ASKED)) -> set[str]:
-    checks = condition_checks(list(cells), tuple(METHODS), conditions)
+    checks = condition_checks(list(cells), METHODS, conditions)
     return {check.name for check in checks if check.passed is False}
 
 
@@ -107,7 +107,7 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
     assert {key for key, cell in cells.items() if cell.summary is None} == BLANK
     assert cells["act", "delay 20 ms"].why_not == "act reads no pose or contact force during the motion"
     assert cells["moveit", "light -30 %"].record() == {"applies": False, "why": "moveit reads no picture"}
-    count = count_trials(tuple(METHODS), ASKED, MethodInputs(Config(), SEED))
+    count = count_trials(METHODS, ASKED, MethodInputs(Config(), SEED))
     assert count == sum(len(starts) for _, _, starts, _ in asked)
 
 
@@ -133,7 +133,7 @@ def test_what_would_be_the_clean_trials_is_not_run_under_another_name(
 
 def test_a_cell_depends_on_neither_the_order_nor_the_company(asked: list[Any]) -> None:
     everything = table()
-    backwards = table(tuple(METHODS)[::-1], trials_n=dict(reversed(ASKED.items())))
+    backwards = table(METHODS[::-1], trials_n=dict(reversed(ASKED.items())))
     alone = table(("act",), trials_n={"push +x": 4})
     assert list(everything) == list(backwards)[::-1]
     assert all(everything[key] == backwards[key] for key in everything)
@@ -143,7 +143,7 @@ def test_a_cell_depends_on_neither_the_order_nor_the_company(asked: list[Any]) -
 def test_good_cells_pass_and_success_under_a_disturbance_is_reported(asked: list[Any]) -> None:
     cells = table().values()
     assert failing(cells) == set()
-    checks = {c.name: c for c in condition_checks(list(cells), tuple(METHODS), tuple(ASKED))}
+    checks = {c.name: c for c in condition_checks(list(cells), METHODS, tuple(ASKED))}
     push = checks["act.push_+x.success_rate"]
     assert (push.observed, push.limited) == (0.75, False)
     assert "3 of 4 trials, 95 % Wilson interval 0.301 to 0.954" in push.why
@@ -177,7 +177,7 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
     cells = table()
     assert failing(cells.values()) == {"cells_settled"}
     assert cells["act", "push +x"].undisturbed == (2,)
-    checks = {c.name: c for c in condition_checks(list(cells.values()), tuple(METHODS), tuple(ASKED))}
+    checks = {c.name: c for c in condition_checks(list(cells.values()), METHODS, tuple(ASKED))}
     assert "act under push +x (trial 2 succeeded undisturbed)" in checks["cells_settled"].why
 
 
@@ -190,9 +190,7 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     bad = dataclasses.replace(summary, numbers={**summary.numbers, name: math.nan})
     broken = {**cells, key: dataclasses.replace(cells[key], summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
-    (check,) = [
-        c for c in condition_checks(list(broken.values()), tuple(METHODS), tuple(ASKED)) if not c.passed and c.limited
-    ]
+    (check,) = [c for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED)) if not c.passed and c.limited]
     assert f"impedance under push +x: {name}" in check.why
 
 
@@ -382,3 +380,25 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     )
     assert one == two
     assert one[0]["condition"] == "moved 20 mm"
+
+
+def test_the_floor_rests_or_drives_one_plan_wherever_the_object_is() -> None:
+    bench = Bench("hold", MethodInputs(Config(), SEED))
+    result, log = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0))
+    assert not result.success
+    assert np.abs(log.q - log.q[0]).max() < 0.01
+    assert np.isfinite(result.metrics.jerk_rms)
+    replay = Bench("replay", MethodInputs(Config(), SEED))
+    plans = []
+    for index in range(2):
+        trial = sample_trial(Config().scene, SEED, "benchmark", index)
+        replay.world.reset(poses=trial.start)
+        run: Any = replay.factory(replay.world, replay.kinematics, trial)
+        assert run.solution is not None
+        plans.append(np.vstack([segment.trajectory.q for segment in run.solution.segments]))
+    np.testing.assert_array_equal(*plans)
+    shown = replay.task.trial(SEED, "demonstrations", 0).start["rod"]
+    assert run.poses["rod"][:2, 3] == pytest.approx(shown[:2]), "where the object was in the demonstration"
+    for name in ("pose noise x3", "delay 20 ms", "light -30 %"):
+        assert all(CONDITIONS[name].why_not(method, Config()) for method in ("hold", "replay"))
+        assert not CONDITIONS["mass +50 %"].why_not("replay", Config())

@@ -124,6 +124,10 @@ METHODS: Registry[MethodSpec] = Registry(
             senses=frozenset({"picture"}),
             cannot=_another_task,
         ),
+        "replay": MethodSpec(
+            "minidual.trials.model_based:replayed", "the plan of one demonstration, driven blind", senses=frozenset()
+        ),
+        "hold": MethodSpec("minidual.trials.model_based:resting", "the arms rest", senses=frozenset()),
     },
     group="minidual.methods",
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 from minidual.config.seeds import stream, subseed
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
@@ -10,13 +12,17 @@ from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES
-from minidual.skills.cycle import thing_of
+from minidual.robot.pair import SIDES, Array
+from minidual.skills.cycle import pose_of, thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.pipeline.drive import Drive
+from minidual.skills.pipeline.state import OPEN, still
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.methods import Factory, MethodInputs
+
+_REST_S = 2.0
 
 
 def _supervisor(inputs: MethodInputs) -> Supervisor:
@@ -34,11 +40,22 @@ def impedance(inputs: MethodInputs) -> Factory:
     )
 
 
+def _plans(inputs: MethodInputs, task: Task) -> Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]:
+    config, supervisor = inputs.config, _supervisor(inputs)
+    planner = Planner(config=config.plan.planner, robot=robot_from(config.robot))
+
+    def drive(world: World, kinematics: Kinematics, trial: Trial, poses: Mapping[str, Array]) -> PlannedCarry:
+        stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
+        own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
+        return PlannedCarry(stack, planner, task, trial, own, poses=poses)
+
+    return drive
+
+
 def planned(inputs: MethodInputs) -> Factory:
     """Plan from one pose reading, then control joint trajectories."""
-    config = inputs.config
-    supervisor = _supervisor(inputs)
-    planner, task = Planner(config=config.plan.planner, robot=robot_from(config.robot)), make_task(config)
+    config, task = inputs.config, make_task(inputs.config)
+    drive = _plans(inputs, task)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.
@@ -47,8 +64,28 @@ def planned(inputs: MethodInputs) -> Factory:
         poses = {name: sample.T_world_object for name, sample in seen.items() if sample is not None}
         if len(poses) < len(seen):
             raise RuntimeError("the first reading of the sensors holds a pose")
-        stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
-        own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
-        return PlannedCarry(stack, planner, task, trial, own, poses=poses)
+        return drive(world, kinematics, trial, poses)
 
     return make
+
+
+def replayed(inputs: MethodInputs) -> Factory:
+    """Drive the plan of the first demonstration's trial, whatever the start."""
+    task = make_task(inputs.config)
+    shown, drive = task.trial(inputs.seed, "demonstrations", 0), _plans(inputs, task)
+    poses = {name: pose_of(task.objects[name].body, T) for name, T in shown.start.items()}
+    return lambda world, kinematics, trial: drive(world, kinematics, shown, poses)
+
+
+class Rest(Drive):
+    """Holds the arms at home."""
+
+    def __init__(self, stack: ControlStack[World]) -> None:
+        self.world = stack.plant
+        super().__init__(stack, [still("hold", self.world.q, _REST_S, (OPEN, OPEN))])
+
+
+def resting(inputs: MethodInputs) -> Factory:
+    """Hold still."""
+    config, supervisor = inputs.config, _supervisor(inputs)
+    return lambda world, kinematics, trial: Rest(ControlStack(world, kinematics, config.arbiter, supervisor=supervisor))
