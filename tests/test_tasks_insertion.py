@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from collections.abc import Callable
 
 import mujoco
@@ -11,6 +11,7 @@ import pytest
 
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig
+from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
@@ -18,13 +19,15 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import pose_of, solve, thing_of
+from minidual.skills.pipeline import hands
 from minidual.skills.pipeline.state import State
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.reach import solvers
 from minidual.skills.supervised import SceneClearance
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET
-from minidual.tasks.judge import Judge, Outcome
+from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.rod_carry import placement
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.task import Step, Trial, make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
@@ -62,7 +65,7 @@ def test_starts_and_places_in_the_air_vary() -> None:
 def test_both_hands_reach_every_draw() -> None:
     """Over the object, at it, before the mouth and in it; one search each, from the posture before."""
     for draw in DRAWS:
-        ends = {**draw.goal, PEG: draw.goal[SOCKET] @ in_socket(y=-0.025)}
+        ends = {**draw.goal, PEG: draw.goal[SOCKET] @ in_socket(y=-0.015)}
         for name, side in HAND_OF.items():
             grasp, solver = TASK.objects[name].grasps[side], solvers(DUAL_PANDA)[side]
             start = start_of(draw)[name]
@@ -127,10 +130,8 @@ def test_a_frozen_hand_is_away_from_its_object_wherever_the_task_is_done() -> No
 
     The peg is within the tolerance of its goal then, and in the bore, so neither object is elsewhere by more.
     """
-    names = [
-        type(condition.parts[0]).__name__ for condition in TASK.success(TASK, DRAWS[0]) if condition.name == "held"
-    ]
-    assert names == ["_HeldBy"]
+    (held,) = (condition for condition in TASK.success(TASK, DRAWS[0]) if condition.name == "held")
+    assert {part.object: part.hand for part in held.parts} == {SOCKET: 0, PEG: 1}
     tolerance, play = TASK.scene.task.goal_tolerance_m, AIM_M - DEPTH_M + 0.01
     tips = dict(zip(SIDES, Kinematics(DUAL_PANDA).tcp_poses(DUAL_PANDA.home), strict=True))
     for draw in DRAWS:
@@ -352,7 +353,7 @@ def away_from_the_goal(s: Script) -> None:
 def crushed(s: Script) -> None:
     s.pinch()
     s.both(0.2)
-    s.things[SOCKET].force = 45.0
+    s.things[SOCKET].force = 85.0
     s.insert()
     s.wait(0.5)
 
@@ -419,14 +420,18 @@ def test_peg_and_socket_may_touch_in_the_last_move_only() -> None:
     draw = DRAWS[0]
     solution = solve(TASK, draw, State(DUAL_PANDA.home, start_of(draw)), Planner())
     moving = [segment for segment in solution.segments if segment.scene is not None]
-    assert [segment.phase for segment in moving] == ["approach", "descend", "lift", "carry", "insert"]
+    assert list(dict.fromkeys(segment.phase for segment in moving)) == [
+        "approach",
+        "descend",
+        "lift",
+        "carry",
+        "insert",
+    ]
     for segment in moving:
         assert segment.verification.ok
-        allowed = segment.scene.why_unchecked(PEG, SOCKET)
-        assert allowed == ("one goes into the other" if segment.phase == "insert" else None) or segment.phase in (
-            "approach",
-            "descend",
-        )
+        if segment.phase not in ("approach", "descend"):  # lying, neither moves
+            allowed = "one goes into the other" if segment.phase == "insert" else None
+            assert segment.scene.why_unchecked(PEG, SOCKET) == allowed
     np.testing.assert_allclose(solution.states[-1].objects[PEG], draw.goal[PEG])
     tips = Kinematics(DUAL_PANDA).tcp_poses(solution.segments[-1].trajectory.q[-1])
     np.testing.assert_allclose(tips[1], draw.goal[PEG] @ TASK.objects[PEG].grasps["right"], atol=1e-3)
@@ -457,6 +462,38 @@ def test_driven_the_peg_goes_in(bench: Bench) -> None:
     assert result.success, result.text
     assert result.measured["progress"] == 1.0
     assert result.measured["depth_m"] > DEPTH_M
-    assert result.measured["insertion_force_max_n"] < 20.0
+    assert result.measured["insertion_force_max_n"] < 40.0
     assert log.phase[-1] == "settle"
-    assert math.isfinite(result.measured["pinch_min_n"])
+
+
+@pytest.mark.slow
+def test_the_search_finds_a_bore_that_a_straight_move_misses(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stiff joint, the tip of trial 6 comes 6 mm beside the axis and 1.7 degrees aslant."""
+    trial = TASK.trial(TASK.config.seed, "benchmark", 6)
+    found, _ = bench.run(trial, condition="joint friction x2")
+    assert found.success, found.text
+    monkeypatch.setattr(hands, "_spiral", lambda T: ())
+    missed, _ = bench.run(trial, condition="joint friction x2")
+    assert not missed.success
+    assert missed.measured["depth_m"] == 0.0
+
+
+@pytest.mark.slow
+def test_with_the_left_arm_frozen_the_right_one_wins_nothing() -> None:
+    """It does all it can: it puts the peg into the socket that lies on the table."""
+    trial = dataclasses.replace(DRAWS[0], start={PEG: (0.45, -0.12, 0.0), SOCKET: (0.45, 0.16, 0.0)})
+    before, *way = (start_of(trial)[SOCKET] @ in_socket(y=y) for y in (-0.015, 0.0015, AIM_M))
+    right = ("right",)
+    steps = [Step(phase, right, (PEG,)) for phase in ("approach", "descend", "close", "lift")]
+    steps += [Step("carry", right, (PEG,), ({PEG: before},)), Step("insert", right, (PEG, SOCKET), tuple(way))]
+    task, world = dataclasses.replace(TASK, arrange=None, steps=tuple(steps)), World(TASK.scene)
+    judge = begin(world, TASK, trial)
+    carry = PlannedCarry(ControlStack(world, Kinematics()), Planner(), task, trial, 1)
+    assert carry.solution is not None
+    while not carry.done and world.time < TASK.time_limit_s:
+        carry.step()
+        judge.observe(world)
+    outcome = judge.outcome(world)
+    assert not outcome.success
+    assert {"aloft", "mated"} <= {failure.name for failure in outcome.failures}
+    assert judge.stages == ()

@@ -113,8 +113,8 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
             continue
         for step in run:
             if step.phase == "insert":
-                (end,) = step.places
-                stages.append(Insert(label("insert", hands, names), hands, np.asarray(end), handled))
+                way = [np.asarray(T) for T in step.places]
+                stages.append(Insert(label("insert", hands, names), hands, way, *handled))
                 continue
             if step.phase != "approach":
                 stages.append(_OF_HANDS[step.phase](label(step.phase, hands, names), hands))

@@ -37,7 +37,7 @@ PHASES: dict[str, Phase] = {
     "lift": Phase(open=False, limits=_SLOW),
     "carry": Phase(open=False, limits=PathLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)),
     "lower": Phase(open=False, limits=_SLOW),
-    "insert": Phase(open=False, hold_s=0.6, limits=PathLimits(speed_m_per_s=0.05, acceleration_m_per_s2=0.3)),
+    "insert": Phase(open=False, hold_s=0.6, limits=PathLimits(speed_m_per_s=0.015, acceleration_m_per_s2=0.3)),
     "settle": Phase(open=False, hold_s=0.2, force_s=0.1),
     "unload": Phase(open=False, force_s=0.2),
     "open": Phase(open=True, hold_s=0.5, force_s=0.3),

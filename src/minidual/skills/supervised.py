@@ -47,7 +47,7 @@ def _engine(robot: Robot, shapes: tuple[Shape, ...]) -> MujocoEngine:
     attached = [Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)]
     scene = PlanningScene(robot=robot, attached=tuple(attached))
     if len({shape.name for shape in shapes}) > 1:
-        scene = scene.allowing(*(copy.name for copy in held), "they are put together")
+        scene = scene.allowing(held[0].name, held[1].name, "they are put together")
     return MujocoEngine(scene)
 
 

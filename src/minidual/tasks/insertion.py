@@ -27,11 +27,12 @@ _PEG_M, _PEG_LENGTH_M = 0.022, 0.20
 _BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.010
 _BLOCK_M, _BLOCK_LENGTH_M = _BORE_M + 2 * _WALL_M, 0.08
 _MOUTH_M = -(_BLOCK_LENGTH_M / 2 + _BORE_DEPTH_M)  # y in the socket's frame
-_GRASP_M = {SOCKET: 0.0, PEG: -0.06}  # y; so the hands keep 21 cm apart
-_AIM_M, _BEFORE_M = 0.036, 0.025  # depth to which the peg is driven, and its distance from the mouth before
+_GRASP_M = dict(zip(HAND_OF, (0.0, -0.06), strict=True))  # y; so the hands keep 21 cm apart
+_AIM_M, _BEFORE_M = 0.036, 0.015  # depth to which the peg is driven, and its distance from the mouth before
 _START_M, _GOAL_Z_M = (0.45, 0.28), (0.18, 0.26)
+_PRESS_M = 0.003  # driven into the mouth so far, the tip presses gently on the rim that it meets
 _HOLD_S = 0.3
-_BREAKS_N = 40.0
+_BREAKS_N = 80.0
 _PALE, _BLUE, _RED = (0.55, 0.70, 0.92, 1.0), (0.13, 0.33, 0.78, 1.0), (0.80, 0.20, 0.16, 1.0)
 
 
@@ -104,7 +105,8 @@ def arrange(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tu
     names, goal = tuple(HAND_OF), {name: np.asarray(T) for name, T in trial.goal.items()}
     before = goal | {PEG: goal[PEG] @ _along(-_AIM_M - _BEFORE_M)}
     fetch = (Step(phase, SIDES, names) for phase in ("approach", "descend", "close", "lift"))
-    push = Step("insert", (HAND_OF[PEG],), (PEG, SOCKET), (goal[PEG],))
+    touch = goal[PEG] @ _along(_PRESS_M - _AIM_M)
+    push = Step("insert", (HAND_OF[PEG],), (PEG, SOCKET), (touch, goal[PEG]))
     yield *fetch, Step("carry", SIDES, names, (before,)), push
 
 
@@ -115,9 +117,9 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     return (
         success.Each([success.Level(name, asked.tilt_max_rad) for name in bodies]),
         success.Each([success.Whole(n, body.break_pinch_n, body.break_force_n) for n, body in bodies.items()]),
-        _All([_HeldBy(name, asked.pinch_min_n, hand=hand) for name, hand in hands.items()]),
+        success.Each([success.Held(name, asked.pinch_min_n, hand=hand) for name, hand in hands.items()], stage=True),
         success.Each([success.Stood(name) for name in bodies]),
-        _All([_Aloft(name, asked.clear_height_m) for name in bodies]),
+        success.Each([_Aloft(name, asked.clear_height_m) for name in bodies], stage=True),
         _Mated(asked.clear_height_m),
         success.Arrived(PEG, placement(trial.goal[PEG])[:2], asked.goal_tolerance_m),
         success.OnTime(asked.time_limit_s),
@@ -135,25 +137,6 @@ def depth_m(truth: success.Truth) -> float:
     corners = np.array([(x, y, z, 1.0) for x in (-half, half) for z in (-half, half) for y in ends])
     inside = deep > 0.0 and np.abs(corners @ T[[0, 2]].T).max() < _BORE_M / 2
     return float(deep) if inside else 0.0
-
-
-class _All(success.Each):
-    """A stage, reached by each object."""
-
-    stage = True
-
-    def reached(self, truth: success.Truth) -> bool:
-        return all(part.reached(truth) for part in self.parts)
-
-
-@dataclass
-class _HeldBy(success.Held):
-    """By one hand."""
-
-    hand: int = 0
-
-    def _pinch(self, truth: success.Truth) -> tuple[int, float]:
-        return self.hand, truth[self.object].pinch[self.hand]
 
 
 @dataclass

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -118,7 +118,7 @@ class SuccessCondition:
 
     name: str
     """Unique name."""
-    stage: ClassVar[bool] = False
+    stage: bool = False
     """Counts for `progress`."""
     optional: bool = False
     """Only measured unless demanded."""
@@ -203,7 +203,7 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(OfObject):
-    """Once lifted, both hands pinch the object (`both=False`: one) while it is off the table or moves.
+    """Once lifted, both hands (`both=False`: one; `hand`: this one) pinch the object while it is off the table or moves.
 
     On the table it may slip or roll by `slip_m` after its release.
     """
@@ -213,12 +213,14 @@ class Held(OfObject):
     limit_n: float
     both: bool = True
     slip_m: float = 0.02
+    hand: int | None = None
     _least: float = math.inf
     _let_go: tuple[float, float] | None = None
 
     def _pinch(self, truth: Truth) -> tuple[int, float]:
         pinch = truth[self.object].pinch
-        hand = int(pinch[1] < pinch[0]) if self.both else int(pinch[1] > pinch[0])
+        worst, best = int(pinch[1] < pinch[0]), int(pinch[1] > pinch[0])
+        hand = (worst if self.both else best) if self.hand is None else self.hand
         return hand, pinch[hand]
 
     def observe(self, truth: Truth) -> str:
@@ -427,14 +429,17 @@ class AtRest(OfObject):
 class Each(SuccessCondition):
     """One condition of several objects; its numbers are the worst."""
 
-    def __init__(self, parts: Sequence[OfObject]) -> None:
-        self.name, self.optional, self.parts = parts[0].name, parts[0].optional, parts
+    def __init__(self, parts: Sequence[OfObject], *, stage: bool = False) -> None:
+        self.name, self.optional, self.parts, self.stage = parts[0].name, parts[0].optional, parts, stage
 
     def observe(self, truth: Truth) -> str:
         return self._first([part.observe(truth) for part in self.parts])
 
     def holds(self, truth: Truth) -> bool:
         return all(part.holds(truth) for part in self.parts)
+
+    def reached(self, truth: Truth) -> bool:
+        return all(part.reached(truth) for part in self.parts)
 
     def end(self, truth: Truth) -> str:
         return self._first([part.end(truth) for part in self.parts])

@@ -10,6 +10,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
 from minidual.motion.api import PlanResult
 from minidual.robot.pair import SIDES, Array
+from minidual.robot.poses import pose
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
@@ -17,6 +18,7 @@ from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, 
 
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
+_SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
 _SHORTER = (1.0, 0.6)  # shares of the retreat height to try
 
 
@@ -84,20 +86,29 @@ class Close(Stage):
 
 
 class Insert(Stage):
-    """Straight motion of a held object into another one, which it may touch."""
+    """A held object touches another one at a pose, searches across its y axis, and goes into it to the next pose."""
 
-    def __init__(self, name: str, arms: Sequence[str], T_world_end: Array, pair: tuple[str, ...]) -> None:
+    def __init__(self, name: str, arms: Sequence[str], way: Sequence[Array], what: str, into: str) -> None:
         super().__init__(name, arms)
-        self._end, self._pair = T_world_end, pair
+        (touch, end), self._what, self._into = way, what, into
+        self._way = (*_spiral(touch), touch, end)
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """See `Stage`."""
-        scene = tools.scene(start).allowing(*self._pair, "one goes into the other")
-        targets = {arm: self._end @ start.held_by[arm] for arm in self.arms}
-        segment = straight(tools, "insert", start, targets, scene)
-        end = replace(start, q=segment.trajectory.q[-1], objects={**start.objects, self._pair[0]: self._end})
-        wait = still("settle", end.q, PHASES["insert"].hold_s, end.openings)
-        yield Candidate("", 0.0, end, (segment, wait))
+        scene = tools.scene(start).allowing(self._what, self._into, "one goes into the other")
+        state, segments = start, list[Segment]()
+        for T in self._way:
+            targets = {arm: T @ start.held_by[arm] for arm in self.arms}
+            segments.append(straight(tools, "insert", state, targets, scene))
+            state = replace(state, q=segments[-1].trajectory.q[-1], objects={**start.objects, self._what: T})
+        wait = still("settle", state.q, PHASES["insert"].hold_s, state.openings)
+        yield Candidate("", 0.0, state, (*segments, wait))
+
+
+def _spiral(T: Array) -> Iterator[Array]:
+    for k in range(int(np.pi * (_SEARCH_M / _SEARCH_PITCH_M) ** 2) + 1):
+        angle, radius_m = np.sqrt(4.0 * np.pi * k), _SEARCH_PITCH_M * np.sqrt(k / np.pi)
+        yield T @ pose(np.eye(3), (radius_m * np.cos(angle), 0.0, radius_m * np.sin(angle)))
 
 
 class Open(Stage):
