@@ -94,7 +94,7 @@ def _mirrored(places: Mapping[str, ObjectPose]) -> dict[str, ObjectPose]:
 
 
 def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
-    """Yield the steps; then those in which the giver first sets the bottle down to grasp it anew."""
+    """Yield the steps, then those with another grasp of the giver."""
     name, body = task.carried, task.scene.object
     to_the_right = bool(seen[name][1, 3] > 0.0)
     (giver,), (taker,) = (SIDES[:1], SIDES[1:]) if to_the_right else (SIDES[1:], SIDES[:1])

@@ -21,7 +21,7 @@ from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 SOCKET, PEG = "socket", "peg"
 HAND_OF = dict(zip((SOCKET, PEG), SIDES, strict=True))
 CLEARANCE_M, DEPTH_M = 0.0015, 0.03
-"""Play of the peg in the bore, along x and along z; wanted depth of its tip."""
+"""Play of the peg, along x and z; wanted depth of its tip."""
 _FELT_M = 0.0004  # distance at which faces touch: both margins of minidual.plant.scenery
 _PEG_M, _PEG_LENGTH_M = 0.022, 0.20
 _BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.010

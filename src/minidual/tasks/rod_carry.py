@@ -92,7 +92,7 @@ def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition,
 
 
 def transported(task: Task, trial: Trial, *, both: bool = True) -> list[success.SuccessCondition]:
-    """Return the conditions of bringing the object to its goal, held by both hands or one."""
+    """Return the conditions of a transport by both hands or one."""
     asked, name = task.scene.task, task.carried
     start, (x, y, yaw) = placement(trial.start[name]), placement(trial.goal[name])
     return [

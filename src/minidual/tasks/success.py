@@ -22,8 +22,7 @@ AIRBORNE_M = 0.003
 """An object is off the table above this clearance."""
 NEAR_M = 0.05
 """An object may be on the table this near to its start or goal."""
-_FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")
-"""Measured numbers of which the least is the worst."""
+_FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")  # measured numbers of which the least is the worst
 TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
 

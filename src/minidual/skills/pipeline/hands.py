@@ -86,7 +86,7 @@ class Close(Stage):
 
 
 class Insert(Stage):
-    """A held object touches another one at a pose, searches across its y axis, and goes into it to the next pose."""
+    """A held object touches another one, searches across its y axis, and goes in."""
 
     def __init__(self, name: str, arms: Sequence[str], way: Sequence[Array], what: str, into: str) -> None:
         super().__init__(name, arms)
