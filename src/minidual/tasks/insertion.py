@@ -19,7 +19,7 @@ from minidual.tasks.rod_carry import level_pose, placement
 from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
 SOCKET, PEG = "socket", "peg"
-HAND_OF = dict(zip((SOCKET, PEG), SIDES, strict=True))
+HAND_OF: dict[str, str] = dict(zip((SOCKET, PEG), SIDES, strict=True))
 CLEARANCE_M, DEPTH_M = 0.0015, 0.03
 """Play of the peg, along x and z; wanted depth of its tip."""
 _FELT_M = 0.0004  # distance at which faces touch: both margins of minidual.plant.scenery
@@ -27,7 +27,7 @@ _PEG_M, _PEG_LENGTH_M = 0.022, 0.20
 _BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.010
 _BLOCK_M, _BLOCK_LENGTH_M = _BORE_M + 2 * _WALL_M, 0.08
 _MOUTH_M = -(_BLOCK_LENGTH_M / 2 + _BORE_DEPTH_M)  # y in the socket's frame
-_GRASP_M = dict(zip(HAND_OF, (0.0, -0.06), strict=True))  # y; so the hands keep 21 cm apart
+_GRASP_M: dict[str, float] = dict(zip(HAND_OF, (0.0, -0.06), strict=True))  # y; so the hands keep 21 cm apart
 _AIM_M, _BEFORE_M = 0.036, 0.015  # depth to which the peg is driven, and its distance from the mouth before
 _START_M, _GOAL_Z_M = (0.45, 0.28), (0.18, 0.26)
 _PRESS_M = 0.003  # driven into the mouth so far, the tip presses gently on the rim that it meets
