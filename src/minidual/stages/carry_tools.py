@@ -13,6 +13,7 @@ from minidual.tasks.task import task_config
 from minidual.trials.benchmark import count_trials, run_benchmark
 from minidual.trials.methods import MethodInputs
 from minidual.trials.perturbation import DROP_MAX, PURPOSE, promised, robustness
+from minidual.trials.runner import TrialResult
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
 
 PERTURB_TRIALS_N = 20
@@ -22,17 +23,13 @@ def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every promised condition and compare with clean."""
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
-    count = count_trials(["impedance"], promised(trials_n), inputs)
-    with context.progress.task("disturbed carries", count) as task:
-        cells, trials = run_benchmark(
-            ["impedance"],
-            promised(trials_n),
-            inputs,
-            workers=context.workers,
-            purpose=PURPOSE,
-            on_trial=lambda result: task.advance(note=result.metrics.condition),
-            watch=watch_trials(context.view),
-        )
+    asked, watch = (["impedance"], promised(trials_n), inputs), watch_trials(context.view)
+    with context.progress.task("disturbed carries", count_trials(*asked)) as task:
+
+        def tell(result: TrialResult) -> None:
+            task.advance(note=result.metrics.condition)
+
+        cells, trials = run_benchmark(*asked, workers=context.workers, purpose=PURPOSE, on_trial=tell, watch=watch)
     found = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     measured = [r.row() for r in found]
     rows = [{**dict.fromkeys(measured[0], "-"), **row} for row in measured]  # the first, undisturbed, has all columns

@@ -85,17 +85,10 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, pr
         "core_share": core_share,
         "line_blocked_rate": blocked_n / len(outcomes),
     }
-    return worded(
-        "plan",
-        rows,
-        f"{prefix}{group}.",
-        core_share=core_share,
-        excellent_s=_EXCELLENT_S[group],
-        goal_s=_GOAL_S[group],
-        reached="reached" if median < _GOAL_S[group] else "missed",
-        blocked_n=blocked_n,
-        queries_n=len(outcomes),
-    )
+    goal_s, names = _GOAL_S[group], {"core_share": core_share, "blocked_n": blocked_n, "queries_n": len(outcomes)}
+    names |= {"excellent_s": _EXCELLENT_S[group], "goal_s": goal_s}
+    reached = "reached" if median < goal_s else "missed"
+    return worded("plan", rows, f"{prefix}{group}.", reached=reached, **names)
 
 
 def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:

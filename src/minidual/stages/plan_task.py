@@ -47,17 +47,7 @@ def plan_task(context: ToolContext) -> ToolResult:
         with disk_errors(video):
             film_postures(build_model(config.scene, robot_from(config.robot), visuals=True), postures.qpos, video)
         notes.append(f"film: {video}")
-    return ToolResult(
-        lines,
-        notes,
-        {
-            "task": name,
-            "seed": context.seed,
-            "solved": solution is not None,
-            "success": result.success,
-            "result": result.text,
-            "duration_s": None if solution is None else solution.duration_s,
-            "record": record.to_json(),
-        },
-        ExitCode.PASS if result.success else ExitCode.ACCEPTANCE_FAILED,
-    )
+    found = {"solved": solution is not None, "success": result.success, "result": result.text}
+    found |= {"duration_s": None if solution is None else solution.duration_s, "record": record.to_json()}
+    code = ExitCode.PASS if result.success else ExitCode.ACCEPTANCE_FAILED
+    return ToolResult(lines, notes, {"task": name, "seed": context.seed, **found}, code)

@@ -57,19 +57,10 @@ def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) 
     if not np.isfinite(times).all():
         raise DataError(f"{name}: a trial that succeeded has no completion time, so the pair has no difference")
     least, most = bootstrap_median_interval(times, stream(seed, f"bootstrap/paired/{name}"))
-    row: dict[str, Cell] = {
-        **labels,
-        "trials_n": len(shared),
-        "both_n": both,
-        "only_first_n": first,
-        "only_second_n": second,
-        "neither_n": neither,
-        "rate_difference": (first - second) / len(shared),
-        "rate_difference_low": low,
-        "rate_difference_high": high,
-        "p_value": mcnemar_p_value(first, second),
-        "duration_difference_s": float(np.median(times)) if times else math.nan,
-        "duration_difference_low_s": least,
-        "duration_difference_high_s": most,
-    }
+    row: dict[str, Cell] = {**labels, "trials_n": len(shared), "both_n": both}
+    row |= {"only_first_n": first, "only_second_n": second, "neither_n": neither}
+    row |= {"rate_difference": (first - second) / len(shared)}
+    row |= {"rate_difference_low": low, "rate_difference_high": high, "p_value": mcnemar_p_value(first, second)}
+    row |= {"duration_difference_s": float(np.median(times)) if times else math.nan}
+    row |= {"duration_difference_low_s": least, "duration_difference_high_s": most}
     return [{k: NO_PAIR if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}]

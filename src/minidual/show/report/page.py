@@ -88,11 +88,14 @@ def document(report: Report) -> dict[str, Any]:
     given = report.given
     made = report.newest.fingerprint if report.newest else None
     margins = [{**margin, "check": margin["check"].name} for margin in report.facts["margins"]]
-    return {
+    head = {
         "schema": 4,
         "title": given.config.report.title,
         "state": report.state,
         "acceptance": report.state == "pass",
+    }
+    return {
+        **head,
         "profile": given.profile,
         "seed": given.seed,
         "banners": [asdict(banner) for banner in report.banners],

@@ -244,17 +244,11 @@ def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list
     for j, step in enumerate(steps):
         way, share = float(step.reference[-1, j] - step.start[j]), step.share(j)
         first, last = share >= 0.1, share >= 0.9
-        rows.append(
-            {
-                "joint": robot.joint_names[j],
-                "step_rad": way,
-                "rise_s": float(step.t[np.argmax(last)] - step.t[np.argmax(first)]) if last.any() else math.nan,
-                "overshoot_rad": max(0.0, float(np.max(share) - 1.0) * abs(way)),
-                "settled_rad": step.settled,
-                "sine_rms_rad": float(np.sqrt(np.mean(errors[:, j] ** 2))),
-                "sine_peak_rad": float(np.abs(errors[:, j]).max()),
-            }
-        )
+        rise_s = float(step.t[np.argmax(last)] - step.t[np.argmax(first)]) if last.any() else math.nan
+        row = {"joint": robot.joint_names[j], "step_rad": way, "rise_s": rise_s}
+        row |= {"overshoot_rad": max(0.0, float(np.max(share) - 1.0) * abs(way)), "settled_rad": step.settled}
+        row |= {"sine_rms_rad": float(np.sqrt(np.mean(errors[:, j] ** 2)))}
+        rows.append(row | {"sine_peak_rad": float(np.abs(errors[:, j]).max())})
     return rows
 
 

@@ -76,16 +76,9 @@ class Outcome(Attempt[PlanResult]):
         """Return the queries.csv row; values not found or audited are missing."""
         query, result, audit = self.query, self.result, self.audit
         row: dict[str, object] = {name: getattr(query, name) for name in ("group", "index", "seed")}
-        row |= {
-            "ok": self.ok,
-            "reason": self.reason,
-            "kind": query.kind,
-            "goal": "poses" if query.as_poses else "joints",
-            "line_blocked": self.line_blocked,
-            "total_s": self.total_s,
-            "scene_setup_s": self.scene_s,
-            "cpu_s": self.cpu_s,
-        }
+        row |= {"ok": self.ok, "reason": self.reason, "kind": query.kind}
+        row |= {"goal": "poses" if query.as_poses else "joints", "line_blocked": self.line_blocked}
+        row |= {"total_s": self.total_s, "scene_setup_s": self.scene_s, "cpu_s": self.cpu_s}
         if result is not None:
             row |= {f"{phase}_s": result.times_s[phase] for phase in PHASES if phase != "scene"}
             row |= {"direct": result.direct, "attempts_n": result.attempts_n}
@@ -185,22 +178,12 @@ class MoveOutcome(Attempt[CarriedTrajectory]):
         if plan is not None:
             found |= {"residual_m": f"{self.residual_m:.3g}", "residual_rad": f"{self.residual_rad:.3g}"}
             found |= {"clearance_m": round(self.clearance_m, 6)}
-        return {
-            "set": name,
-            "index": move.index,
-            "ok": self.ok,
-            "reason": self.reason,
-            "with_obstacles": move.with_obstacles,
-            "straight_blocked": move.blocked,
-            "distance_m": round(move.distance_m, 4),
-            "turn_rad": round(move.turn_rad, 4),
-            "time_s": round(self.total_s, 6),
-            "cpu_s": round(self.cpu_s, 6),
-            **found,
-            "undecided_before_n": move.undecided_n,
-            "unreachable_before_n": move.unreachable_n,
-            "message": self.message,
-        }
+        row: dict[str, object] = {"set": name, "index": move.index, "ok": self.ok, "reason": self.reason}
+        row |= {"with_obstacles": move.with_obstacles, "straight_blocked": move.blocked}
+        row |= {"distance_m": round(move.distance_m, 4), "turn_rad": round(move.turn_rad, 4)}
+        row |= {"time_s": round(self.total_s, 6), "cpu_s": round(self.cpu_s, 6), **found}
+        row |= {"undecided_before_n": move.undecided_n, "unreachable_before_n": move.unreachable_n}
+        return {**row, "message": self.message}
 
 
 def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinematics) -> tuple[float, float]:
