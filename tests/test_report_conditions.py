@@ -17,7 +17,7 @@ from report_samples import figures_once  # noqa: F401  (a fixture for every test
 from minidual.config.root import Config
 from minidual.gate.stage import StageContext
 from minidual.show.report.figures import success_figure
-from minidual.show.report.model import Report, report_checks
+from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 from minidual.show.report.tables import Tables, tabulate
 from minidual.stages.registry import STAGES
@@ -98,11 +98,11 @@ _PUSH = ("conditions", "push +x", "methods")
 def test_a_hole_is_named_and_fails_the_report(
     data: dict[str, Any], change: Callable[[dict[str, Any]], None], hole: str, given: StageContext
 ) -> None:
-    assert {c.passed for c in report_checks(given, {samples.TASK: table(data)})} == {True}
+    assert {c.passed for c in Report(given, {samples.TASK: table(data)}, {}, ()).checks} == {True}
     broken = copy.deepcopy(data)
     change(broken)
     assert hole in table(broken).missing()
-    checks = {check.name: check for check in report_checks(given, {samples.TASK: table(broken)})}
+    checks = {check.name: check for check in Report(given, {samples.TASK: table(broken)}, {}, ()).checks}
     assert checks["missing_cells"].passed is False
     assert checks["missing_cells"].observed == len(table(broken).missing()) > 0
     assert checks["stages_not_passing"].passed

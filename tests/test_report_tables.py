@@ -42,7 +42,7 @@ def table() -> dict[str, dict]:
 def own_check(table: dict, name: str = "missing_cells", methods: tuple[str, ...] = samples.METHODS) -> Check:
     """Return one of the report's own checks for a table of methods."""
     given = StageContext(folder=Path(), config=Config(), seed=1, profile="standard")
-    checks = model.report_checks(given, {samples.TASK: compare(methods, {"methods": table})})
+    checks = model.Report(given, {samples.TASK: compare(methods, {"methods": table})}, {}, ()).checks
     return next(check for check in checks if check.name == name)
 
 

@@ -157,18 +157,11 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
             session.say(f"being written by {writer}")
     for line in ["the verdicts and artefacts are as signed"] if changed == [] else changed or ():
         session.say(f"signature: {line}", "bold red" if changed else "green")
-    document = {
-        "run": store.run,
-        "folder": store.folder,
-        "profile": session.loaded.profile,
-        "writer": writer,
-        "stages": [_state_json(gate.state(name)) for name in session.table.names],
-        "lowest": lowest and lowest.name,
-        "because": lowest.because() if lowest else (),
-        "next": following,
-        "signature": {"key": key, "changed": changed} if key else None,
-    }
-    session.finish(document, ())
+    head = {"run": store.run, "folder": store.folder, "profile": session.loaded.profile, "writer": writer}
+    stages = [_state_json(gate.state(name)) for name in session.table.names]
+    first = {"lowest": lowest and lowest.name, "because": lowest.because() if lowest else (), "next": following}
+    signed = {"key": key, "changed": changed} if key else None
+    session.finish({**head, "stages": stages, **first, "signature": signed}, ())
     return ExitCode.ACCEPTANCE_FAILED if changed else ExitCode.PASS
 
 
@@ -203,14 +196,9 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
             session.say(f"to run it again: {session.typed.command(f'{entry.name} --force')}")
         else:
             print_lowest(session.data, lowest, session.following(gate, explained=True))
-    document = {
-        **_state_json(state),
-        "summary": entry.summary,
-        "requires": upstream,
-        "verdict": state.verdict.to_json() if state.verdict else None,
-        "lowest": lowest and lowest.name,
-    }
-    session.finish(document, ())
+    verdict = state.verdict.to_json() if state.verdict else None
+    document = {**_state_json(state), "summary": entry.summary, "requires": upstream, "verdict": verdict}
+    session.finish({**document, "lowest": lowest and lowest.name}, ())
     return ExitCode.PASS
 
 
@@ -244,11 +232,7 @@ def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     config show --set plan.queries_n=30 --json
     """
     loaded = session.loaded
-    document = {
-        "profile": loaded.profile,
-        "sources": list(loaded.sources),
-        "overrides": [item.text for item in loaded.overrides],
-        "config": loaded.config,
-    }
+    typed = [item.text for item in loaded.overrides]
+    document = {"profile": loaded.profile, "sources": list(loaded.sources), "overrides": typed, "config": loaded.config}
     session.finish(document, loaded.to_yaml().splitlines())
     return ExitCode.PASS

@@ -1,7 +1,5 @@
 """Run and write one demonstration."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import time
@@ -9,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+import mujoco
 import numpy as np
 from pydantic import Field, ValidationError
 
@@ -39,9 +38,6 @@ from minidual.robot.pair import Robot
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.rod_carry import placement
 from minidual.tasks.task import Task, Trial
-
-if TYPE_CHECKING:
-    import mujoco
 
 PURPOSE = "demonstrations"
 """Random stream, not used by tests."""
@@ -259,13 +255,9 @@ class Rig:
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
         teleop, task = self.job.teleop, self.job.task
-        extra = {
-            "trial": trial.index,
-            "purpose": trial.purpose,
-            "leader": teleop.leader,
-            "start_x_y_yaw": list(placement(trial.start[task.carried])),
-            "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
-        }
+        start, goal = (list(placement(poses[task.carried])) for poses in (trial.start, trial.goal))
+        extra = {"trial": trial.index, "purpose": trial.purpose, "leader": teleop.leader}
+        extra |= {"start_x_y_yaw": start, "goal_x_y_yaw": goal}
         if (room := self.job.room(trial)) is not None:
             extra |= {"condition": room.name, "room_change_s": teleop.room_change_s}
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)

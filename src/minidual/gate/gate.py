@@ -1,12 +1,11 @@
 """State of each stage and of its gate; see docs/architecture.md."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+from minidual.config.loader import LoadedConfig
 from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.code import Code
@@ -15,9 +14,6 @@ from minidual.gate.manifest import CONFIG_FILE, manifest_changes, strays
 from minidual.gate.store import RunStore
 from minidual.gate.table import CommandText, StageTable, overrides
 from minidual.gate.verdict import Verdict
-
-if TYPE_CHECKING:
-    from minidual.config.loader import LoadedConfig
 
 State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
 

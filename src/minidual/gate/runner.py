@@ -1,13 +1,12 @@
 """Run stages whose gates are open."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from minidual import emergency
+from minidual.config.loader import LoadedConfig
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, MinidualError
 from minidual.gate.canonical import canonical
@@ -19,9 +18,6 @@ from minidual.gate.stage import Folders, StageContext, closing_checks
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict, Waiver
-
-if TYPE_CHECKING:
-    from minidual.config.loader import LoadedConfig
 
 EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "error": ExitCode.NOTHING_EVALUATED}
 

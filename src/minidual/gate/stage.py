@@ -4,22 +4,18 @@ A stage writes only in `context.folder`, derives randomness from `context.seed` 
 limit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from minidual.config.root import Config
 from minidual.durable import remove, set_aside
 from minidual.errors import ExitCode, GateClosedError
 from minidual.gate.check import Check
 from minidual.gate.progress import Progress
 from minidual.gate.store import Place
-
-if TYPE_CHECKING:
-    from minidual.config.root import Config
-    from minidual.gate.verdict import Verdict, Waiver
+from minidual.gate.verdict import Verdict, Waiver
 
 
 class Folders(dict[str, Path]):
@@ -55,7 +51,7 @@ class StageContext(Context):
 
     folder: Path
     upstream: Mapping[str, Path] = field(default_factory=dict[str, Path])
-    verdicts: Mapping[str, Verdict] = field(default_factory=lambda: dict[str, "Verdict"]())
+    verdicts: Mapping[str, Verdict] = field(default_factory=dict[str, Verdict])
     summaries: Mapping[str, str] = field(default_factory=dict[str, str])
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     waivers: tuple[Waiver, ...] = ()

@@ -1,7 +1,5 @@
 """Rows of the command line: options, stages, tools. Code is imported on demand."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.metadata
 import keyword
@@ -9,17 +7,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from minidual.config.base import limits
 from minidual.config.loader import Override
+from minidual.config.root import Config
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
 from minidual.gate.code import Code, code_of
 from minidual.gate.stage import StageFunction, ToolFunction
 from minidual.registry import Registry, load_target
-
-if TYPE_CHECKING:
-    from minidual.config.root import Config
 
 CommandText = Callable[[str], str]
 """Turns "plan" into the full command, with profile and run."""
@@ -136,7 +132,7 @@ class StageEntry:
         """
         if self.check is not None and checked:
             _loaded(self.name, self.check)(config)
-        return config if self.resolve is None else cast("Config", _loaded(self.name, self.resolve)(config))
+        return config if self.resolve is None else cast(Config, _loaded(self.name, self.resolve)(config))
 
     def parameters(self, config: Config) -> dict[str, Any]:
         """Return {path: value} of `reads`."""

@@ -15,6 +15,7 @@ from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trial
 from minidual.trials.conditions import CLEAN, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary
+from minidual.trials.runner import TrialResult
 
 _REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
 
@@ -71,20 +72,15 @@ def run(context: StageContext) -> StageResult:
     inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
     trials_n = {name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions}
     count = sum(count_trials(methods, trials_n, given) for given in inputs.values())
-    checks, data = list[Check](), dict[str, Any]()
+    checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)
     tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
     with context.progress.task("benchmark trials", count) as progress:
         for task, given in inputs.items():
-            cells, trials = run_benchmark(
-                methods,
-                trials_n,
-                given,
-                workers=context.workers,
-                on_trial=lambda result, task=task: progress.advance(
-                    note=f"{task}, {result.metrics.method}, {result.metrics.condition}"
-                ),
-                watch=watch_trials(context.view),
-            )
+
+            def tell(result: TrialResult, task: str = task) -> None:
+                progress.advance(note=f"{task}, {result.metrics.method}, {result.metrics.condition}")
+
+            cells, trials = run_benchmark(methods, trials_n, given, workers=context.workers, on_trial=tell, watch=watch)
             clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
             prefix = f"{task}." if len(tasks) > 1 else ""
             checks += benchmark_checks(clean, config, prefix)

@@ -81,16 +81,11 @@ def tune(context: ToolContext) -> ToolResult:
     write_csv(context.output / "tuning.csv", steps)
     draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
     rows = [row for row in steps if row["phase"] in ("final", "compared")]
-    return ToolResult(
-        lines=markdown(rows),
-        notes=[
-            f"least squeeze that holds: {tuning.least_force_n:.1f} N",
-            f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",
-            f"use it: {context.command('carry')} --profile {context.folder / 'tuned.yaml'}",
-        ],
-        data={
-            "settings": {f"carry.impedance.{name}": value for name, value in found.items()},
-            "least_force_n": tuning.least_force_n,
-            "steps": steps,
-        },
-    )
+    notes = [
+        f"least squeeze that holds: {tuning.least_force_n:.1f} N",
+        f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",
+        f"use it: {context.command('carry')} --profile {context.folder / 'tuned.yaml'}",
+    ]
+    settings = {f"carry.impedance.{name}": value for name, value in found.items()}
+    data = {"settings": settings, "least_force_n": tuning.least_force_n, "steps": steps}
+    return ToolResult(lines=markdown(rows), notes=notes, data=data)

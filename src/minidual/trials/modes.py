@@ -165,16 +165,10 @@ class ModesDemo:
         self._measure(switch, *steps)
         if self._steps % _LOG_EVERY == 0:
             names = ("reference_step_max_rad", "torque_step_max_nm", "torque_step_asked_max_nm")
-            self.rows.append(
-                {
-                    "time_s": f"{stack.plant.time:.3f}",
-                    "mode": switch.mode,
-                    "active_source": stack.output.active_source or "",
-                    "state": str(stack.state),
-                    "controllers": " ".join(stack.manager.active),
-                    **{name: f"{x:.6g}" for name, x in zip(names, steps[1:].max(axis=1), strict=True)},
-                }
-            )
+            largest = {name: f"{x:.6g}" for name, x in zip(names, steps[1:].max(axis=1), strict=True)}
+            row = {"time_s": f"{stack.plant.time:.3f}", "mode": switch.mode}
+            row |= {"active_source": stack.output.active_source or "", "state": str(stack.state)}
+            self.rows.append({**row, "controllers": " ".join(stack.manager.active), **largest})
         self._steps += 1
         if stack.state == ArbiterState.STOPPED:
             last = stack.refusals[-1].detail if stack.refusals else "no command came"

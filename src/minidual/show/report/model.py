@@ -25,29 +25,6 @@ class Banner:
     lines: Sequence[str] = ()
 
 
-def report_checks(given: StageContext, tables: Mapping[str, Tables]) -> list[Check]:
-    """Return the report's checks: complete tables of every task, passing stages."""
-    short = not_passing(given)
-    holes = [f"{task}.{hole}" for task, table in tables.items() for hole in table.missing()]
-    shown = f"; missing: {shortened(holes)}" if holes else ""
-    whole = (
-        "every method has every indicator as a finite number with its interval, undisturbed and under every condition "
-        f"that applies to it{shown}"
-    )
-    again = "run minidual benchmark again, with every method and condition that the tables should hold"
-    built = "a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else "")
-    return [
-        Check("missing_cells", len(holes), "==", 0, why=whole, remedy=again),
-        Check("stages_not_passing", len(short), "==", 0, why=built, remedy="minidual status says what to run"),
-    ]
-
-
-def not_passing(given: StageContext) -> list[str]:
-    """Return the preceding stages without a passing verdict."""
-    verdicts = given.verdicts
-    return [name for name in given.summaries if name not in verdicts or verdicts[name].status != "pass"]
-
-
 def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
     """Return the analysis.
 
@@ -92,9 +69,27 @@ class Report:
         return gather(self.given.verdicts)
 
     @property
+    def not_passing(self) -> list[str]:
+        """The preceding stages without a passing verdict."""
+        verdicts = self.given.verdicts
+        return [name for name in self.given.summaries if name not in verdicts or verdicts[name].status != "pass"]
+
+    @property
     def checks(self) -> list[Check]:
-        """The report's own checks."""
-        return report_checks(self.given, self.tables)
+        """The report's own checks: complete tables of every task, passing stages."""
+        short = self.not_passing
+        holes = [f"{task}.{hole}" for task, table in self.tables.items() for hole in table.missing()]
+        shown = f"; missing: {shortened(holes)}" if holes else ""
+        whole = (
+            "every method has every indicator as a finite number with its interval, undisturbed and under every condition "
+            f"that applies to it{shown}"
+        )
+        again = "run minidual benchmark again, with every method and condition that the tables should hold"
+        built = "a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else "")
+        return [
+            Check("missing_cells", len(holes), "==", 0, why=whole, remedy=again),
+            Check("stages_not_passing", len(short), "==", 0, why=built, remedy="minidual status says what to run"),
+        ]
 
     @property
     def shown_checks(self) -> list[Check]:

@@ -15,7 +15,7 @@ from minidual.gate.stage import StageContext
 from minidual.show.report import wording
 from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.media import Medium, collect_media
-from minidual.show.report.model import Report, not_passing
+from minidual.show.report.model import Report
 from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate
 from minidual.trials.conditions import parse_conditions
 from minidual.trials.methods import METHODS
@@ -75,7 +75,7 @@ def render_page(report: Report) -> str:
         given=report.given,
         facts=report.facts,
         state=report.state,
-        not_passing=len(not_passing(report.given)),
+        not_passing=len(report.not_passing),
         style=environment.get_template("report.css").render(),
         indicators=INDICATORS,
         certain=CERTAIN,
@@ -88,16 +88,10 @@ def document(report: Report) -> dict[str, Any]:
     given = report.given
     made = report.newest.fingerprint if report.newest else None
     margins = [{**margin, "check": margin["check"].name} for margin in report.facts["margins"]]
-    head = {
-        "schema": 4,
-        "title": given.config.report.title,
-        "state": report.state,
-        "acceptance": report.state == "pass",
-    }
+    head = {"schema": 4, "title": given.config.report.title, "state": report.state}
+    head |= {"acceptance": report.state == "pass", "profile": given.profile, "seed": given.seed}
     return {
         **head,
-        "profile": given.profile,
-        "seed": given.seed,
         "banners": [asdict(banner) for banner in report.banners],
         "checks": [check.to_json() for check in report.shown_checks],
         "made_with": {n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made},

@@ -59,14 +59,8 @@ def print_bill(context: ToolContext) -> ToolResult:
     except (EnvironmentMissingError, ImportError) as error:
         renderer = f"none: {error}"
     now = circumstances_now(())
-    about = {
-        "minidual": now["version"],
-        "commit": now["commit"] or "none (installed package)",
-        **now["machine"],
-        "platform": platform.platform(),
-        "mujoco_gl": os.environ.get("MUJOCO_GL", ""),
-        "gl_renderer": renderer,
-    }
+    about = {"minidual": now["version"], "commit": now["commit"] or "none (installed package)", **now["machine"]}
+    about |= {"platform": platform.platform(), "mujoco_gl": os.environ.get("MUJOCO_GL", ""), "gl_renderer": renderer}
     libraries, verdict = required_libraries(), None
     lines = ["### minidual environment", ""]
     lines += [*markdown([{"what": k.replace("_", " "), "value": v} for k, v in about.items()]), ""]

@@ -131,14 +131,8 @@ def run(context: StageContext) -> StageResult:
         task.advance(note="film")
 
     measured = Measured(moved, contacts, steps, responses, step, sine, agreement, latency, stop, cameras, frames)
-    data = {
-        "arm": robot.arm.name,
-        "libraries": {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries},
-        "latency": asdict(latency),
-        "emergency_stop": asdict(stop),
-        "agreement": agreement,
-        "contacts_home": [list(pair) for pair in contacts],
-        "cameras": asdict(cameras),
-    }
+    versions = {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries}
+    data = {"arm": robot.arm.name, "libraries": versions, "latency": asdict(latency), "emergency_stop": asdict(stop)}
+    data |= {"agreement": agreement, "contacts_home": [list(pair) for pair in contacts], "cameras": asdict(cameras)}
     notes = [f"pictures are drawn by {cameras.gl_renderer}", f"the step leaves {step.settled:.1e} rad"]
     return StageResult(checks=[*installed, *measured_checks(measured, config, robot)], data=data, notes=notes)
