@@ -1,6 +1,6 @@
 """`minidual plan --task NAME`: plan, simulate and judge one whole task."""
 
-from typing import cast
+from typing import Any, cast
 
 from minidual.config.change import replaced
 from minidual.durable import disk_errors
@@ -47,7 +47,7 @@ def plan_task(context: ToolContext) -> ToolResult:
         with disk_errors(video):
             film_postures(build_model(config.scene, robot_from(config.robot), visuals=True), postures.qpos, video)
         notes.append(f"film: {video}")
-    found = {"solved": solution is not None, "success": result.success, "result": result.text}
+    found: dict[str, Any] = {"solved": solution is not None, "success": result.success, "result": result.text}
     found |= {"duration_s": None if solution is None else solution.duration_s, "record": record.to_json()}
     code = ExitCode.PASS if result.success else ExitCode.ACCEPTANCE_FAILED
     return ToolResult(lines, notes, {"task": name, "seed": context.seed, **found}, code)

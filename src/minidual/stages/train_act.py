@@ -1,26 +1,25 @@
 """`minidual train-act`: train a policy and check its checkpoint."""
 
+from __future__ import annotations
+
 import shutil
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from minidual.config.learning import TrainConfig
 from minidual.config.seeds import subseed
 from minidual.demos.schema import GRIPPERS_N
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
-from minidual.policies import records
-from minidual.policies.acceptance import EmittedActions, exercise_checkpoint
-from minidual.policies.demonstrations import load_demonstrations
-from minidual.policies.kinds import POLICIES, Training
-from minidual.robot.arms import robot_from
-from minidual.robot.pair import Robot
 from minidual.stages.words import Rows, worded
 
+if TYPE_CHECKING:
+    from minidual.config.learning import TrainConfig
+    from minidual.policies.acceptance import EmittedActions
+    from minidual.policies.records import TrainResult
+    from minidual.robot.pair import Robot
 
-def train_checks(
-    result: records.TrainResult, emitted: EmittedActions, config: TrainConfig, robot: Robot
-) -> list[Check]:
+
+def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConfig, robot: Robot) -> list[Check]:
     """Return the stage's checks."""
     rows: Rows = {
         "loss_ratio": (result.loss_ratio, "<", config.loss_ratio_max),
@@ -39,6 +38,12 @@ def train_checks(
 
 def run(context: StageContext) -> StageResult:
     """Train with every seed, reload each checkpoint as deployment does, and write records."""
+    from minidual.policies import records
+    from minidual.policies.acceptance import exercise_checkpoint
+    from minidual.policies.demonstrations import load_demonstrations
+    from minidual.policies.kinds import POLICIES, Training
+    from minidual.robot.arms import robot_from
+
     config, robot = context.config.train, robot_from(context.config.robot)
     kind = POLICIES[config.policy]
     kind.require(config.device)  # before the dataset is read: this is quick to mend
@@ -62,8 +67,12 @@ def run(context: StageContext) -> StageResult:
         emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
         records.write_loss_csv(result.curve, folder / "loss.csv")
         records.draw_loss(result, folder / "loss.png")
-        sizes = {c: list(demos.images[c].shape[1:3]) for c in demos.cameras}
-        extra = {"policy": config.policy, "seed": seed, "cameras": sizes, "inference_hz": emitted.inference_hz}
+        extra = {
+            "policy": config.policy,
+            "seed": seed,
+            "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
+            "inference_hz": emitted.inference_hz,
+        }
         all_records.append(records.write_train_json(result, extra, folder / "train.json"))
         prefix = f"seed_{k + 1}." if k else ""
         checks += [replace(check, name=prefix + check.name) for check in train_checks(result, emitted, config, robot)]

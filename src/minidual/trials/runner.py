@@ -185,8 +185,10 @@ class Bench:
         outcome = judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
-        logged = {"q": log.q, "tcp_positions": log.tcp, "rate_hz": LOG_RATE_HZ, "torque_ratio_max": peak}
-        metrics = trial_metrics(self.method, trial.index, outcome, **logged, aborted=method.aborted or "")
+        logged: dict[str, Any] = {"q": log.q, "tcp_positions": log.tcp, "rate_hz": LOG_RATE_HZ}
+        metrics = trial_metrics(
+            self.method, trial.index, outcome, **logged, torque_ratio_max=peak, aborted=method.aborted or ""
+        )
         return TrialResult(metrics, longest * world.dt, outcome.measured), log
 
     def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:

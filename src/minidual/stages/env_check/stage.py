@@ -1,6 +1,7 @@
 """Stage `env-check`: test all joints and cameras."""
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -132,7 +133,8 @@ def run(context: StageContext) -> StageResult:
 
     measured = Measured(moved, contacts, steps, responses, step, sine, agreement, latency, stop, cameras, frames)
     versions = {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries}
-    data = {"arm": robot.arm.name, "libraries": versions, "latency": asdict(latency), "emergency_stop": asdict(stop)}
+    data: dict[str, Any] = {"arm": robot.arm.name, "libraries": versions}
+    data |= {"latency": asdict(latency), "emergency_stop": asdict(stop)}
     data |= {"agreement": agreement, "contacts_home": [list(pair) for pair in contacts], "cameras": asdict(cameras)}
     notes = [f"pictures are drawn by {cameras.gl_renderer}", f"the step leaves {step.settled:.1e} rad"]
     return StageResult(checks=[*installed, *measured_checks(measured, config, robot)], data=data, notes=notes)
