@@ -20,6 +20,7 @@ FORMS = sorted({command for page, command in printed_commands() if not any(word 
 SMALLER = {
     r"--(trials|episodes) \d+": r"--\1 2",
     r"train\.steps=\d+": "train.steps=210",
+    r"teleop\.episodes_n=\d+": "teleop.episodes_n=4",
     "(runs/|--run )standard": r"\1smoke",
     "run --profile configs/mine.yaml": r"\g<0> --until env-check",
     "^minidual view(?! --for-s)": r"\g<0> --for-s 1",

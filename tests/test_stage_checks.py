@@ -134,6 +134,9 @@ def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[s
     assert failing(set_checks("room", summary, [0.9], settings)) == names
     (rate,) = set_checks("table colour", summary, [0.9], settings)
     assert (rate.name, rate.limited) == ("table_colour_success_rate", False)
+    unjudged = settings.model_copy(update={"judge_success": False})
+    (rate,) = set_checks("room", summary, [0.9], unjudged)
+    assert not rate.limited
 
 
 def test_a_limit_of_deploy_needs_its_condition() -> None:

@@ -24,11 +24,11 @@ class AugmentConfig(StrictModel):
     """Of full scale."""
     permuted_share: float = Field(default=0.25, ge=0.0, le=1.0)
     """Pictures with permuted colour channels."""
-    turn_deg: float = Field(default=4.0, ge=0.0, le=180.0)
-    scale: float = Field(default=0.07, ge=0.0, lt=1.0)
-    shift: float = Field(default=0.06, ge=0.0, lt=1.0)
+    turn_deg: float = Field(default=6.0, ge=0.0, le=180.0)
+    scale: float = Field(default=0.12, ge=0.0, lt=1.0)
+    shift: float = Field(default=0.1, ge=0.0, lt=1.0)
     """Of width and height."""
-    straight_share: float = Field(default=0.3, ge=0.0, le=1.0)
+    straight_share: float = Field(default=0.1, ge=0.0, le=1.0)
     """Pictures that keep their place."""
     things_max: int = Field(default=4, ge=0, le=50)
     thing_size: tuple[Rate, Rate] = (0.03, 0.15)
@@ -59,11 +59,11 @@ class TrainConfig(StrictModel):
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
     use_vae: bool = False
     kl_weight: float = Field(default=10.0, ge=0.0, le=1e4)
-    keypoints: int = Field(default=32, ge=4, le=256)
+    keypoints: int = Field(default=64, ge=4, le=256)
     """Spatial-softmax keypoints of each camera."""
-    context_layers: int = Field(default=0, ge=0, le=4)
+    context_layers: int = Field(default=2, ge=0, le=4)
     """Layers on maps of half the size that see what stands around; with 2 a place sees 81 pixels, with 0 21."""
-    standardised_maps: bool = False
+    standardised_maps: bool = True
     """Whether the encoder's maps get mean 0 and deviation 1."""
     keyframe_weight: float = Field(default=1.0, ge=0.0, le=100.0)
     """Weight of the grasp-posture loss (spatial_act only)."""
@@ -71,7 +71,7 @@ class TrainConfig(StrictModel):
     # Optimisation
     seeds_n: AtLeast[int] = Field(default=1, ge=1, le=10)
     """Trainings, each with its own seed; deploy runs every policy, benchmark the first."""
-    steps: int = Field(default=12000, ge=1, le=10_000_000)
+    steps: int = Field(default=8000, ge=1, le=10_000_000)
     time_limit_s: float = Field(default=1800.0, gt=0.0, le=1e7)
     """Training that takes longer is stopped and fails its check."""
     batch_size: int = Field(default=32, ge=1, le=4096)

@@ -6,6 +6,7 @@ bfloat16 resolves a quarter pixel.
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 _LEAST_DEVIATION = 1e-3
 
@@ -72,9 +73,7 @@ class KeypointEncoder(nn.Module):
         around: list[nn.Module] = []
         for k in range(context_layers):
             around += [nn.Conv2d(third, third, 3, padding=2**k, dilation=2**k), nn.ReLU(inplace=True)]
-        self.context = (
-            nn.Sequential(nn.AvgPool2d(2), *around, nn.Upsample(scale_factor=2, mode="bilinear")) if around else None
-        )
+        self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *around) if around else None
         self.heads = nn.Conv2d(third, keypoints, 1)
         self.pool = SpatialSoftmax(keypoints)
         self.bf16 = False
@@ -89,7 +88,8 @@ class KeypointEncoder(nn.Module):
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
             features = self.features(image)
             if self.context is not None:
-                features = features + self.context(features)
+                size = features.shape[-2:]
+                features = features + functional.interpolate(self.context(features), size, mode="bilinear")
             maps = self.heads(features)
         if not self.standardised:
             return maps

@@ -117,7 +117,8 @@ def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settin
     """Return the checks of a set of trials with the rate of each training seed."""
     rows: dict[str, Any] = {}
     if name != "held_out":
-        rows |= {"success_rate": (summary["success_rate"], ">=", settings.condition_rate_min.get(name))}
+        limit = settings.condition_rate_min.get(name) if settings.judge_success else None
+        rows |= {"success_rate": (summary["success_rate"], ">=", limit)}
     if len(rates) > 1:
         rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
     return worded("deploy-set", rows, f"{name.replace(' ', '_')}_", set=name, interval=summary.interval)

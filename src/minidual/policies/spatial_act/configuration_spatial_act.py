@@ -16,9 +16,9 @@ class SpatialActConfig(ACTConfig):
     """
 
     pretrained_backbone_weights: str | None = None
-    keypoints: int = 32
-    context_layers: int = 0
-    standardised_maps: bool = False
+    keypoints: int = 64
+    context_layers: int = 2
+    standardised_maps: bool = True
     keyframe_weight: float = 1.0
     keyframes: int = 2
 
