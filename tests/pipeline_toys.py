@@ -92,7 +92,7 @@ def _sleepy(context: StageContext) -> None:
 
 
 if __name__ == "__main__":
-    from minidual import cli
+    from minidual.cli import process as cli
     from minidual.cli.app import run_command_line
 
     bench = Bench(Path(sys.argv[1]))

@@ -116,10 +116,10 @@ def test_things_have_their_size_and_leave_the_rest_alone() -> None:
     np.testing.assert_array_equal(changed(given, config.model_copy(update={"things": False})), given)
 
 
-def test_three_pictures_in_ten_keep_their_place() -> None:
+def test_one_picture_in_ten_keeps_its_place() -> None:
     maps = warps(2000, 96, 128, AugmentConfig(), np.random.default_rng(0))
     straight = (maps == np.eye(2, 3)).all(axis=(1, 2)).mean()
-    assert straight == pytest.approx(0.3, abs=0.03)
+    assert straight == pytest.approx(0.1, abs=0.02)
 
 
 def test_each_kind_can_be_left_out_of_the_batch() -> None:

@@ -165,11 +165,12 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
 
 def _facing(position: tuple[float, float, float], target: tuple[float, float, float]) -> Array:
     """Return the axes (3, 3) of an upright camera facing `target`."""
-    z = np.subtract(position, target)
-    z = z / np.linalg.norm(z)
-    x = np.cross([0.0, 0.0, 1.0], z)
-    x = x / np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    z: Array = np.subtract(position, target)
+    z /= np.linalg.norm(z)
+    x: Array = np.array([-z[1], z[0], 0.0])
+    x /= np.linalg.norm(x)
+    y: Array = np.cross(z, x)
+    return np.array([x, y, z]).T
 
 
 def _opening_deg(scene: SceneConfig, position: tuple[float, float, float], R: Array, usual_deg: float) -> float:

@@ -134,7 +134,11 @@ ARM_MODELS: Registry[ArmModel] = Registry("arm", {"panda": PANDA, "xarm7": XARM7
 DUAL_PANDA = Robot(PANDA)
 
 
-@functools.cache
 def robot_from(config: RobotConfig) -> Robot:
     """Return the configured robot; UsageError for unknown arms."""
-    return DUAL_PANDA if config.arm == "panda" else Robot(ARM_MODELS[config.arm])
+    return _robot(config.arm)
+
+
+@functools.cache
+def _robot(arm: str) -> Robot:
+    return DUAL_PANDA if arm == "panda" else Robot(ARM_MODELS[arm])

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pinocchio as pin
 
 from minidual.robot.pair import Array
 
@@ -56,4 +55,11 @@ def rotation_log(R: Array) -> Array:
 
 def rotation_from_quat(quat_wxyz: Array) -> Array:
     """Return the rotation."""
-    return pin.Quaternion(*quat_wxyz).matrix()
+    w, x, y, z = quat_wxyz  # not Pinocchio: a command that asks for tasks need not import it
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -6,7 +6,7 @@ median difference.
 
 import math
 from collections.abc import Sequence
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) 
     if not shared:
         return []
     won = [(one[i].success, two[i].success) for i in shared]
-    both, first, second, neither = map(won.count, product((True, False), repeat=2))
+    both, first, second, neither = (won.count((a, b)) for a in (True, False) for b in (True, False))
     low, high = paired_rate_interval(both, first, second, neither)
     times = [one[i].duration_s - two[i].duration_s for i in shared if one[i].success and two[i].success]
     if not np.isfinite(times).all():
