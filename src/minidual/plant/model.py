@@ -169,8 +169,7 @@ def _facing(position: tuple[float, float, float], target: tuple[float, float, fl
     z /= np.linalg.norm(z)
     x: Array = np.array([-z[1], z[0], 0.0])
     x /= np.linalg.norm(x)
-    y: Array = np.cross(z, x)
-    return np.array([x, y, z]).T
+    return np.array([x, np.cross(z, x), z], dtype=np.float64).T
 
 
 def _opening_deg(scene: SceneConfig, position: tuple[float, float, float], R: Array, usual_deg: float) -> float:
