@@ -32,7 +32,7 @@ _AIM_M, _BEFORE_M = 0.036, 0.015  # depth to which the peg is driven, and its di
 _START_M, _GOAL_Z_M = (0.45, 0.28), (0.18, 0.26)
 _PRESS_M = 0.003  # driven into the mouth so far, the tip presses gently on the rim that it meets
 _HOLD_S = 0.3
-_BREAKS_N = 80.0
+_BREAKS_N = 40.0
 _PALE, _BLUE, _RED = (0.55, 0.70, 0.92, 1.0), (0.13, 0.33, 0.78, 1.0), (0.80, 0.20, 0.16, 1.0)
 
 
