@@ -87,6 +87,17 @@ def test_code_counts_and_words_do_not(package, module, text, changed):
     assert (now is before) == (module == "stranger")  # no tree is built while the files are the same
 
 
+def test_the_table_beside_a_module_counts_and_its_comments_do_not(package, tmp_path):
+    table = tmp_path / "site" / "toycode" / "inner.yaml"
+    table.write_text("speed: 1.0\n")
+    package("inner", "VALUE = 1.0\n")
+    before = reach()
+    for text, changed in (("speed: 1.0  # slow\n", []), ("speed: 2.0\n", ["toycode.inner"])):
+        table.write_text(text)
+        package("inner", "VALUE = 1.0\n")
+        assert before.changes(code_of(["toycode.stage:run"], before)) == changed
+
+
 def test_the_real_stages_reach_their_physics_and_not_each_other():
     modules = STAGES["carry"].code().modules
     assert {"minidual.plant.world", "minidual.control.stack", "minidual.gate.check"} <= modules.keys()

@@ -17,7 +17,7 @@ from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot import description
-from minidual.robot.arms import DUAL_PANDA, PANDA, XARM7, robot_from
+from minidual.robot.arms import ARM_MODELS, DUAL_PANDA, PANDA, robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 from minidual.robot.visuals import FACES_PER_ARM, arm_visuals
@@ -185,8 +185,9 @@ def test_no_link_is_cut_by_the_simplification():
     """The shoulder of the xArm 7 loses its upper half to the first, hasty simplification."""
     import trimesh
 
-    sizes = {mesh.link: np.ptp(mesh.vertices, axis=0) for mesh in arm_visuals(XARM7)}
-    folder = description.file_at(XARM7.urdf).parents[1] / "meshes" / "xarm7" / "visual"
+    arm = ARM_MODELS["xarm7"]
+    sizes = {mesh.link: np.ptp(mesh.vertices, axis=0) for mesh in arm_visuals(arm)}
+    folder = description.file_at(arm.urdf).parents[1] / "meshes" / "xarm7" / "visual"
     for joint in range(1, 8):
         whole = np.ptp(trimesh.load_mesh(folder / f"link{joint}.stl").vertices, axis=0)
         assert (sizes[f"link{joint}"] > whole - 0.01).all()

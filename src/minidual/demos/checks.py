@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from minidual.demos import schema
+from minidual.registry import rows_beside
 from minidual.robot.pair import Robot
 
 Array = NDArray[np.floating]
@@ -26,7 +25,7 @@ FROZEN_MOTION_RAD = 0.05
 """Joint motion during which an image must change."""
 LIMIT_TOLERANCE_RAD = 1e-3
 
-REMEDIES: dict[str, str] = yaml.safe_load(Path(__file__).with_name("remedies.yaml").read_text(encoding="utf-8"))
+REMEDIES: dict[str, str] = rows_beside(__file__, "remedies.yaml")
 
 
 @dataclass(frozen=True)

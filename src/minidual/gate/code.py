@@ -1,4 +1,4 @@
-"""Code that a stage reaches: a digest per module, without comments and docstrings.
+"""Code that a stage reaches: a digest per module and its YAML table, without comments and docstrings.
 
 Follows imports outside TYPE_CHECKING and "module:attribute" texts, within minidual and the target's package.
 """
@@ -15,6 +15,8 @@ from functools import cache
 from importlib.machinery import ModuleSpec, PathFinder
 from itertools import accumulate
 from pathlib import Path
+
+from minidual.registry import rows_beside
 
 _TARGET = re.compile(r"(\w+(?:\.\w+)*):\w+")
 _PACKAGE = __name__.split(".")[0]
@@ -52,8 +54,8 @@ def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
 def _sources(modules: Iterable[str]) -> str:
     total = hashlib.sha256()
     for name in modules:
-        path = _source(name)
-        total.update(b"" if path is None else hashlib.sha256(path.read_bytes()).digest())
+        for path in _files(name):
+            total.update(hashlib.sha256(path.read_bytes()).digest())
     return total.hexdigest()
 
 
@@ -73,11 +75,12 @@ def _reach(target: str) -> dict[str, str]:
 
 @cache
 def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
-    path = _source(name)
-    if path is None:
+    files = _files(name)
+    if not files:
         return None
-    tree = _Strip().visit(ast.parse(path.read_bytes()))
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16], tuple(sorted(set(_reached(tree))))
+    tree = _Strip().visit(ast.parse(files[0].read_bytes()))
+    content = ast.dump(tree) + (repr(rows_beside(str(files[0]))) if files[1:] else "")
+    return hashlib.sha256(content.encode()).hexdigest()[:16], tuple(sorted(set(_reached(tree))))
 
 
 @cache
@@ -90,9 +93,11 @@ def _spec(name: str) -> ModuleSpec | None:
     return PathFinder.find_spec(name, folders) if folders else None
 
 
-def _source(name: str) -> Path | None:
+def _files(name: str) -> list[Path]:
+    """Return a module's source, and the YAML file beside it that is called like it."""
     origin = spec.origin if (spec := _spec(name)) else None
-    return Path(origin) if origin and origin.endswith(".py") else None
+    source = Path(origin or "")
+    return [source, *source.parent.glob(f"{source.stem}.yaml")] if source.suffix == ".py" else []
 
 
 class _Strip(ast.NodeTransformer):

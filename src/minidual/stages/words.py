@@ -2,11 +2,9 @@
 
 import functools
 from collections.abc import Mapping
-from pathlib import Path
-
-import yaml
 
 from minidual.gate.check import Check, Number, Op
+from minidual.registry import rows_beside
 
 Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]
 """{check: observed value, or (observed value, operator, limit)}; without a limit it is only reported."""
@@ -14,7 +12,7 @@ Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]
 
 @functools.cache
 def _words() -> dict[str, dict[str, dict[str, str]]]:
-    return yaml.safe_load(Path(__file__).with_name("checks.yaml").read_text(encoding="utf-8"))
+    return rows_beside(__file__, "checks.yaml")
 
 
 def worded(stage: str, rows: Rows, prefix: str = "", **names: object) -> list[Check]:

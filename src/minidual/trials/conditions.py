@@ -19,7 +19,7 @@ from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, ObstacleConfig
 from minidual.errors import UsageError, unknown_name
-from minidual.registry import Registry
+from minidual.registry import Registry, rows_beside
 from minidual.robot.pair import Array
 from minidual.tasks.rod_carry import beside, placement
 from minidual.tasks.task import Task, Trial
@@ -39,6 +39,7 @@ _ALOFT_M = 0.01  # lower, the table may take up part of the push
 DRY_NM = 0.36
 """Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., IEEE RA-L 4(4),
 2019."""
+_SHADE = (0.6, 1.4)  # factors of an object's colour
 OBJECT_COLOURS = ((0.78, 0.12, 0.12), (0.15, 0.55, 0.20), (0.50, 0.18, 0.60), (0.10, 0.65, 0.70), (0.88, 0.88, 0.86))
 TABLE_COLOURS = ((0.60, 0.45, 0.30), (0.85, 0.85, 0.83), (0.18, 0.18, 0.20), (0.35, 0.50, 0.38), (0.28, 0.38, 0.56))
 """Discrete, unlike the trainer's augmentation."""
@@ -60,11 +61,13 @@ class Disturbance(Protocol):
 
 Change = Callable[["mujoco.MjModel", Task, Trial, np.random.Generator], None]
 """Changes the compiled model."""
+Range = tuple[float, float]
+"""Least and largest value."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One row of the table.
+    """One row of the table, conditions.yaml.
 
     Attributes:
         act: Makes the disturbance of a trial.
@@ -244,25 +247,29 @@ def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.
         thing.rgba[:] = *OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))], 1.0
 
 
-def room(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
-    """Change light, camera and colours, and show distractors."""
-    light(model, task, trial, rng, factor=float(rng.uniform(*_LIGHT)))
-    for change in (_CAMERA_MOVED, object_colour, table_colour, distractors):
+def room(
+    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, lights: Range, **camera: float
+) -> None:
+    """Change light, camera (see `camera_moved`) and colours, and show distractors."""
+    light(model, task, trial, rng, factor=float(rng.uniform(*lights)))
+    for change in (partial(camera_moved, **camera), object_colour, table_colour, distractors):
         change(model, task, trial, rng)
 
 
-def randomised(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+def randomised(
+    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, ranges: Mapping[str, Range]
+) -> None:
     """Change room and plant."""
-    light(model, task, trial, rng, factor=float(rng.uniform(*_LIGHT)))
-    moved_m, turned_rad = rng.uniform(0.0, _CAMERA_MAX).tolist()
+    light(model, task, trial, rng, factor=float(rng.uniform(*ranges["light"])))
+    moved_m, turned_rad = (float(rng.uniform(*ranges[name])) for name in ("camera_m", "camera_rad"))
     camera_moved(model, task, trial, rng, distance_m=moved_m, angle_rad=turned_rad)
     for change in (object_colour, table_colour, distractors):
         change(model, task, trial, rng)
     for name in task.objects:
-        _scale_mass(model, name, rng.uniform(*_MASS))
-    model.geom_friction[_touching(model, task), 0] *= rng.uniform(*_SLIP)
+        _scale_mass(model, name, rng.uniform(*ranges["mass"]))
+    model.geom_friction[_touching(model, task), 0] *= rng.uniform(*ranges["friction"])
     for hinge in _hinges(model):
-        _scale_friction(model, hinge, rng.uniform(*_JOINTS))
+        _scale_friction(model, hinge, rng.uniform(*ranges["joint_friction"]))
 
 
 class Push:
@@ -324,86 +331,26 @@ def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturba
     return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
 
 
-_LIGHT = (0.7, 1.4)
-_CAMERA_MAX = 0.02, np.radians(3.0)  # shift [m] and turn [rad]
-_CAMERA_MOVED = partial(camera_moved, distance_m=_CAMERA_MAX[0], angle_rad=_CAMERA_MAX[1])
-# Factors: colours, masses, friction of surfaces, friction of joints.
-_SHADE, _MASS, _SLIP, _JOINTS = (0.6, 1.4), (0.5, 1.5), (0.7, 1.3), (0.5, 1.5)
-_BIAS_M, _BIAS_RAD = 0.003, 0.01  # standard deviation of each coordinate of the pose sensor's offset
-_PUSH_N = 20.0
-_AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
-_FRICTION = "scene.object.friction"
+_FUNCTIONS = (
+    push,
+    move,
+    mass,
+    friction,
+    joint_friction,
+    light,
+    camera_moved,
+    object_colour,
+    table_colour,
+    object_hidden,
+)
+_NAMED: dict[str, Callable[..., Any]] = {f.__name__: f for f in (*_FUNCTIONS, distractors, room, randomised)}
 
 CONDITIONS: Registry[Condition] = Registry("condition", group="minidual.conditions")
-for _row in (
-    Condition(CLEAN, "nothing disturbs the trial"),
-    *(
-        Condition(
-            f"push {axis}",
-            f"{_PUSH_N:.0f} N along {axis} for 0.2 s while the object is in the air",
-            act=partial(push, force_n=[_PUSH_N * u for u in unit]),
-        )
-        for axis, unit in _AXES.items()
-    ),
-    Condition(
-        "moved 20 mm",
-        "somebody moves the object 20 mm along the table while the hands approach",
-        act=partial(move, distance_m=0.020),
-        promised=False,
-    ),
-    Condition("mass -50 %", "an object of half the mass that is expected", change=partial(mass, factor=0.5)),
-    Condition(
-        "mass +50 %", "an object of one and a half times the mass that is expected", change=partial(mass, factor=1.5)
-    ),
-    *(
-        Condition(
-            f"friction {mu}",
-            f"pads, object and table have friction {mu}, which nobody is told",
-            change=partial(friction, value=mu),
-            instead_of={_FRICTION: mu},
-        )
-        for mu in (0.3, 0.7)
-    ),
-    Condition(
-        "pose noise x3",
-        "the camera sees the object three times as badly",
-        factors={"carry.sensing.pose_noise_m": 3.0, "carry.sensing.pose_noise_rad": 3.0},
-        sense="pose",
-    ),
-    Condition(
-        "delay 20 ms", "pose and forces arrive 20 ms late", settings={"carry.sensing.delay_s": 0.020}, sense="feedback"
-    ),
-    Condition(
-        "light -30 %", "the cameras look at a darker room", change=partial(light, factor=_LIGHT[0]), sense="picture"
-    ),
-    *(
-        Condition(name, summary, change=change, sense="picture", promised=False)
-        for name, summary, change in (
-            ("light +40 %", "the cameras look at a brighter room", partial(light, factor=_LIGHT[1])),
-            ("camera moved", "the camera stands 20 mm and 3 degrees off", _CAMERA_MOVED),
-            ("object colour", "an object of another colour", object_colour),
-            ("table colour", "a table of another colour", table_colour),
-            ("object hidden", "an object that no camera sees: a policy that looks must fail", object_hidden),
-            ("distractors", "two more things on the table", distractors),
-            ("room", "light of 0.7 to 1.4, camera, colours and distractors at once", room),
-        )
-    ),
-    Condition("start range x1.5", "an object that starts anywhere in a larger area", widen=1.5, promised=False),
-    Condition(
-        "joint friction x2",
-        f"one joint, another each trial, with twice a real joint's dry friction ({2.0 * DRY_NM:.2f} Nm)",
-        change=partial(joint_friction, factor=2.0),
-    ),
-    Condition(
-        "randomised",
-        "room and plant at once: light, camera, colours, distractors, masses, friction, every joint's friction and the "
-        "pose sensor's offset, drawn for each trial",
-        change=randomised,
-        settings={"carry.sensing.pose_bias_m": _BIAS_M, "carry.sensing.pose_bias_rad": _BIAS_RAD},
-        promised=False,
-    ),
-):
-    CONDITIONS.add(_row.name, _row)
+for _name, _row in rows_beside(__file__).items():
+    for _field in ("act", "change"):
+        for _function, _arguments in _row.get(_field, {}).items():
+            _row[_field] = partial(_NAMED[_function], **_arguments)
+    CONDITIONS.add(_name, Condition(_name, **_row))
 
 
 def condition(name: str) -> Condition:

@@ -2,14 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any
 
-import yaml
-
 from minidual.gate.check import Number, format_number
+from minidual.registry import rows_beside
 
-WORDS: dict[str, Any] = yaml.safe_load((files("minidual.show.report") / "templates/words.yaml").read_text("utf-8"))
+WORDS: dict[str, Any] = rows_beside(__file__, "templates/words.yaml")
 """Captions by stage and file, and faults by violated condition of success."""
 
 
