@@ -110,7 +110,7 @@ def load_target(target: str) -> Any:
 
 
 def rows_beside(module_file: str, name: str = "") -> Any:
-    """Return the content of a YAML file beside a module, by default the one called like it."""
+    """Return the YAML beside a module, by default of its name."""
     path = Path(module_file)
     text = (path.parent / (name or f"{path.stem}.yaml")).read_text(encoding="utf-8")
     return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the compiled one is ten times faster

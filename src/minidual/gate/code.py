@@ -1,4 +1,4 @@
-"""Code that a stage reaches: a digest per module and its YAML table, without comments and docstrings.
+"""Code that a stage reaches: a digest per module, with the YAML table called like it, without comments and docstrings.
 
 Follows imports outside TYPE_CHECKING and "module:attribute" texts, within minidual and the target's package.
 """
@@ -94,7 +94,7 @@ def _spec(name: str) -> ModuleSpec | None:
 
 
 def _files(name: str) -> list[Path]:
-    """Return a module's source, and the YAML file beside it that is called like it."""
+    """Return a module's source and its YAML table."""
     origin = spec.origin if (spec := _spec(name)) else None
     source = Path(origin or "")
     return [source, *source.parent.glob(f"{source.stem}.yaml")] if source.suffix == ".py" else []

@@ -9,7 +9,6 @@ from minidual.robot.pair import ArmModel, HandModel, Robot
 
 
 def _frozen(value: Any) -> Any:
-    """Return lists as tuples, in mappings too."""
     if isinstance(value, dict):
         return {key: _frozen(item) for key, item in value.items()}
     return tuple(map(_frozen, value)) if isinstance(value, list) else value
