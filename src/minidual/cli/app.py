@@ -5,31 +5,15 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
 import minidual
 from minidual.cli.commands import Body, config_body, explain_body, run_body, run_stage, run_tool, status_body, stop_body
-from minidual.cli.session import WATCHING, Session, Typed
+from minidual.cli.session import OPTIONS, Session, Typed
 from minidual.errors import ExitCode, printable, unknown_name
 from minidual.gate.table import Option, StageTable, ToolEntry
-
-_RUNNING = (
-    Option("force", "Run even if fresh. Never opens a gate.", bool),
-    Option(
-        "waive-gate",
-        "Open a closed gate; the reason is recorded, and nothing built on it counts as acceptance.",
-        metavar="REASON",
-    ),
-    Option("yes", "Replace finished stages that were run with other options.", bool),
-)
-_UNTIL = Option("until", "Last stage to run.", metavar="STAGE")
-_SIGN = Option("sign", "Sign the verdicts with this OpenSSH key.", Path, metavar="KEY")
-_VERIFY = Option("verify", "Verify the signature with this .pub file.", Path, metavar="KEY")
-_NAME = Option("name", "Name of a run; none stops all.", argument=True, optional=True, metavar="RUN")
-_STAGE = Option("stage", "A stage; none shows what to look at first.", argument=True, optional=True, metavar="stage")
 
 
 def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:
@@ -68,6 +52,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         rich_markup_mode="rich",
     )
     config = typer.Typer(help="The resolved configuration.", no_args_is_help=True)
+    watching, running = OPTIONS["watching"], OPTIONS["running"]
 
     def add(name: str, summary: str, examples: Sequence[str], body: Body, own: Iterable[Option], panel: str) -> None:
         parameters = _parameters(own)
@@ -91,20 +76,16 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     for entry in table:
         commands = (*entry.asides, entry)
         own = [option for command in commands for option in command.options]
-        own += [*(WATCHING if any(command.watchable for command in commands) else ()), *_RUNNING]
+        own += [*(watching if any(command.watchable for command in commands) else ()), *running]
         add(entry.name, entry.summary, entry.examples, partial(run_stage, entry), own, "Stages, in order")
-    for name, body, own in (
-        ("run", run_body, (_UNTIL, _SIGN, *WATCHING, *_RUNNING)),
-        ("status", status_body, (_VERIFY,)),
-        ("explain", explain_body, (_STAGE,)),
-        ("stop", stop_body, (_NAME,)),
-        ("show", config_body, ()),
-    ):
+    bodies: dict[str, Body] = {"run": run_body, "status": status_body, "explain": explain_body, "stop": stop_body}
+    for name, body in {**bodies, "show": config_body}.items():
+        own = (*OPTIONS.get(name, ()), *((*watching, *running) if name == "run" else ()))
         summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()
         add(name, summary.rstrip("."), examples, body, own, "The run")
     app.add_typer(config, name="config", rich_help_panel="The run")
     for tool in tools:
-        own = (*tool.options, *(WATCHING if tool.watchable else ()))
+        own = (*tool.options, *(watching if tool.watchable else ()))
         add(tool.name, tool.summary, tool.examples, partial(run_tool, tool), own, "Tools, without gate and verdict")
     return app
 

@@ -26,25 +26,15 @@ from minidual.gate.canonical import digest, dumps
 from minidual.gate.gate import Gate
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
-from minidual.gate.table import Option, StageTable, overrides
+from minidual.gate.table import StageTable, options_of, overrides
+from minidual.registry import rows_beside
 
 if TYPE_CHECKING:
     from minidual.show.view import View
 
 _every = partial(typer.Option, rich_help_panel="Every command")
 
-
-WATCHING = (
-    Option("view", "Watch the arms in a browser.", metavar="none|web"),
-    Option(
-        "view-host",
-        "Interface for --view web (default 127.0.0.1: this machine and ssh tunnels only).",
-        str,
-        "view.host",
-    ),
-    Option("view-port", "First port to try for --view web (default 8080).", int, "view.port"),
-)
-"""Options of watchable commands; they never change a verdict."""
+OPTIONS = {command: options_of(rows) for command, rows in rows_beside(__file__, "options.yaml").items()}
 
 
 @dataclass(frozen=True)
@@ -127,7 +117,8 @@ class Session:
         from minidual.show.view import make_view
 
         name = values.get("view") or default
-        typed = overrides(WATCHING, {option.name: values.get(option.key) for option in WATCHING})
+        watching = OPTIONS["watching"]
+        typed = overrides(watching, {option.name: values.get(option.key) for option in watching})
         if typed and name != "web":
             raise UsageError(f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}")
         view = make_view(name, self.loaded.with_overrides(typed).config.view, say=self.say)

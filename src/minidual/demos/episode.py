@@ -14,9 +14,8 @@ from minidual.demos import checks, schema
 from minidual.demos.checks import EpisodeFault
 from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Array, Robot
 
-Array = NDArray[np.float64]
 ARRAY_BYTES_MAX = 2**32
 """Limit of one array in memory."""
 

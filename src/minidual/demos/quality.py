@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from minidual.demos.episode import Episode
 from minidual.demos.smoothness import rms_jerk
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 
 CELL_M = 0.05
 """Cube edge of the workspace count."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

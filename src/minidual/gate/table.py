@@ -46,6 +46,15 @@ class Option:
         return f"{name}_" if keyword.iskeyword(name) else name
 
 
+_KINDS = {kind.__name__: kind for kind in (bool, int, float, str, tuple, Path)}
+
+
+def options_of(rows: Mapping[str, Mapping[str, Any]]) -> tuple[Option, ...]:
+    """Return the options of {name: fields}; kinds are named, by default str."""
+    fields: dict[str, dict[str, Any]] = {k: {**row, "kind": _KINDS[row.get("kind", "str")]} for k, row in rows.items()}
+    return tuple(Option(name, **row) for name, row in fields.items())
+
+
 def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Override]:
     """Return the configuration overrides of options with a path."""
     found: list[Override] = []

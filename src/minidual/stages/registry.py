@@ -5,23 +5,18 @@ A stage is a function (see minidual.gate.stage) and a row, there or in another d
 
 from typing import Any
 
-from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
+from minidual.gate.table import StageEntry, StageTable, ToolEntry, options_of
 from minidual.registry import rows_beside
 
 _ROWS = rows_beside(__file__, "stages.yaml")
-_KINDS = {kind.__name__: kind for kind in (bool, int, float, str, tuple)}
 
 
 def _entry[E: (StageEntry, ToolEntry)](kind: type[E], name: str, row: dict[str, Any]) -> E:
     fields: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in row.items()}
-    fields["options"] = tuple(_option(key, **option) for key, option in row.get("options", {}).items())
+    fields["options"] = options_of(row.get("options", {}))
     if "asides" in row:
         fields["asides"] = tuple(_entry(ToolEntry, key, aside) for key, aside in row["asides"].items())
     return kind(name, **fields)
-
-
-def _option(name: str, *, kind: str = "str", **fields: Any) -> Option:
-    return Option(name, kind=_KINDS[kind], **fields)
 
 
 STAGES = StageTable([_entry(StageEntry, *row) for row in _ROWS["stages"].items()], _ROWS["libraries"])

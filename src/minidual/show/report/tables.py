@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from minidual.registry import rows_beside
 from minidual.trials.conditions import CLEAN
 from minidual.trials.statistics import holm
 
@@ -13,7 +14,7 @@ _UNSEEN = 0.0005  # smaller displayed values are rounding error
 
 @dataclass(frozen=True)
 class Indicator:
-    """One column of the comparison.
+    """One column of the comparison, a row of tables.yaml.
 
     Attributes:
         key: Key in the benchmark's data.
@@ -27,10 +28,10 @@ class Indicator:
     column: str
     title: str
     unit: str
-    scale: float
-    excellent: float | None
-    spread: tuple[str, str, str]
+    spread: Sequence[str]
     meaning: str
+    scale: float = 1.0
+    excellent: float | None = None
     needs_success: bool = False
     more_is_better: bool = False
 
@@ -63,29 +64,8 @@ def three_digits(value: float) -> str:
     return text if "e" not in text else f"{value:.1e}"
 
 
-def _spread(name: str, unit: str, middle: str = "median_") -> tuple[str, str, str]:
-    return f"{name}_{middle}{unit}".rstrip("_"), f"{name}_low_{unit}".rstrip("_"), f"{name}_high_{unit}".rstrip("_")
-
-
-# Limits of "excellent": day 11 of the tutorial that the pipeline follows.
-# fmt: off
-SUCCESS = Indicator("success_rate", "success", "Success", "%", 100.0, 0.8, ("success_rate", "success_low", "success_high"),
-                    "share of trials that passed the whole success test, with its 95 % Wilson interval",
-                    more_is_better=True)
-INDICATORS: tuple[Indicator, ...] = (
-    SUCCESS,
-    Indicator("duration_median_s", "duration_s", "Completion time", "s", 1.0, 10.0, _spread("duration", "s"),
-              "median of the successful trials, from start to the object released at its goal", needs_success=True),
-    Indicator("torque_ratio_max", "torque_ratio_max", "Peak torque", "% of limit", 100.0, 0.8,
-              _spread("torque_ratio", ""), "largest motor torque over its limit, over joints, time and trials"),
-    Indicator("jerk_rms_median", "jerk_rms", "RMS jerk", "rad/s³", 1.0, 100.0, _spread("jerk_rms", ""),
-              "third derivative of the measured joints of both arms after a low-pass, median over trials"),
-    Indicator("tilt_max_rad", "tilt_max_rad", "Largest tilt", "deg", 180.0 / math.pi, math.radians(5.0),
-              _spread("tilt", "rad"), "largest tilt of the object, over time and trials"),
-    Indicator("path_length_m", "path_length_m", "Path length", "m", 1.0, None, _spread("path_length", "m", ""),
-              "path of a hand, mean of the two, median over the successful trials", needs_success=True),
-)
-# fmt: on
+INDICATORS = tuple(Indicator(key, **row) for key, row in rows_beside(__file__).items())
+SUCCESS = INDICATORS[0]
 
 CERTAIN = 0.05
 """Two-sided significance level after Holm's correction."""
