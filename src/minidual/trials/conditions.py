@@ -61,8 +61,8 @@ class Disturbance(Protocol):
 
 Change = Callable[["mujoco.MjModel", Task, Trial, np.random.Generator], None]
 """Changes the compiled model."""
-Range = tuple[float, float]
-"""Least and largest value."""
+Amount = float | tuple[float, float]
+"""A number, or the least and largest value of a draw."""
 
 
 @dataclass(frozen=True)
@@ -148,21 +148,26 @@ def _derive(model: mujoco.MjModel) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: float) -> None:
+def _drawn(rng: np.random.Generator, amount: Amount) -> float:
+    return amount if isinstance(amount, float | int) else float(rng.uniform(*amount))
+
+
+def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
     """Scale the mass and inertia of every object."""
     for name in task.objects:
-        _scale_mass(model, name, factor)
-
-
-def _scale_mass(model: mujoco.MjModel, name: str, factor: float) -> None:
-    body = model.body(name).id
-    model.body_mass[body] *= factor
-    model.body_inertia[body] *= factor
+        body, scale = model.body(name).id, _drawn(rng, factor)
+        model.body_mass[body] *= scale
+        model.body_inertia[body] *= scale
 
 
 def friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, value: float) -> None:
     """Set friction of objects, pads and table."""
     model.geom_friction[_touching(model, task), 0] = value
+
+
+def slip(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
+    """Scale it."""
+    model.geom_friction[_touching(model, task), 0] *= _drawn(rng, factor)
 
 
 def _touching(model: mujoco.MjModel, task: Task) -> list[int]:
@@ -172,39 +177,35 @@ def _touching(model: mujoco.MjModel, task: Task) -> list[int]:
     return [i for i, n in named if n.endswith("_pad") or n == "table_top" or int(model.geom_bodyid[i]) in objects]
 
 
-def joint_friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: float) -> None:
-    """Scale the friction of one joint, another each trial; no dry friction counts as `DRY_NM`."""
-    hinges = _hinges(model)
-    _scale_friction(model, hinges[trial.index % len(hinges)], factor)
+def joint_friction(
+    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount, every: bool = False
+) -> None:
+    """Scale the friction of every joint, or of one, another each trial; no dry friction counts as `DRY_NM`."""
+    hinges = np.flatnonzero(model.jnt_type == _HINGE).tolist()
+    for hinge in hinges if every else [hinges[trial.index % len(hinges)]]:
+        joint, scale = model.joint(hinge), _drawn(rng, factor)
+        joint.damping[0] *= scale
+        joint.frictionloss[0] = scale * (joint.frictionloss[0] or DRY_NM)
 
 
-def _hinges(model: mujoco.MjModel) -> list[int]:
-    return np.flatnonzero(model.jnt_type == _HINGE).tolist()
-
-
-def _scale_friction(model: mujoco.MjModel, hinge: int, factor: float) -> None:
-    joint = model.joint(hinge)
-    joint.damping[0] *= factor
-    joint.frictionloss[0] = factor * (joint.frictionloss[0] or DRY_NM)
-
-
-def light(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: float) -> None:
+def light(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
     """Scale every light."""
-    lamp = model.vis.headlight
+    lamp, scale = model.vis.headlight, _drawn(rng, factor)
     for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
-        values *= factor
+        values *= scale
 
 
 def camera_moved(
-    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, distance_m: float, angle_rad: float
+    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, distance_m: Amount, angle_rad: Amount
 ) -> None:
     """Shift and turn every camera of the room in a random direction."""
     import mujoco
 
+    shift_m, half_rad = _drawn(rng, distance_m), _drawn(rng, angle_rad) / 2.0
     for camera in np.flatnonzero(model.cam_bodyid == 0):
         way, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-        model.cam_pos[camera] += distance_m * way
-        turn = np.r_[np.cos(angle_rad / 2.0), np.sin(angle_rad / 2.0) * axis]
+        model.cam_pos[camera] += shift_m * way
+        turn = np.r_[np.cos(half_rad), np.sin(half_rad) * axis]
         mujoco.mju_mulQuat(model.cam_quat[camera], turn, model.cam_quat[camera].copy())
 
 
@@ -231,10 +232,8 @@ def table_colour(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random
 
 def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
     """Put the distractors before the camera, away from starts and goals."""
-    size, places = (
-        2.0 * DISTRACTOR_HALF_M,
-        [(n, placement(T)) for poses in (trial.start, trial.goal) for n, T in poses.items()],
-    )
+    size = 2.0 * DISTRACTOR_HALF_M
+    places = [(n, placement(T)) for poses in (trial.start, trial.goal) for n, T in poses.items()]
     for name in DISTRACTORS:
         thing, yaw = model.geom(name), rng.uniform(-np.pi, np.pi)
         for _ in range(_DRAWS_MAX):
@@ -247,29 +246,11 @@ def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.
         thing.rgba[:] = *OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))], 1.0
 
 
-def room(
-    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, lights: Range, **camera: float
+def _in_turn(
+    changes: Sequence[Change], model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator
 ) -> None:
-    """Change light, camera (see `camera_moved`) and colours, and show distractors."""
-    light(model, task, trial, rng, factor=float(rng.uniform(*lights)))
-    for change in (partial(camera_moved, **camera), object_colour, table_colour, distractors):
+    for change in changes:
         change(model, task, trial, rng)
-
-
-def randomised(
-    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, ranges: Mapping[str, Range]
-) -> None:
-    """Change room and plant."""
-    light(model, task, trial, rng, factor=float(rng.uniform(*ranges["light"])))
-    moved_m, turned_rad = (float(rng.uniform(*ranges[name])) for name in ("camera_m", "camera_rad"))
-    camera_moved(model, task, trial, rng, distance_m=moved_m, angle_rad=turned_rad)
-    for change in (object_colour, table_colour, distractors):
-        change(model, task, trial, rng)
-    for name in task.objects:
-        _scale_mass(model, name, rng.uniform(*ranges["mass"]))
-    model.geom_friction[_touching(model, task), 0] *= rng.uniform(*ranges["friction"])
-    for hinge in _hinges(model):
-        _scale_friction(model, hinge, rng.uniform(*ranges["joint_friction"]))
 
 
 class Push:
@@ -331,25 +312,16 @@ def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturba
     return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
 
 
-_FUNCTIONS = (
-    push,
-    move,
-    mass,
-    friction,
-    joint_friction,
-    light,
-    camera_moved,
-    object_colour,
-    table_colour,
-    object_hidden,
-)
-_NAMED: dict[str, Callable[..., Any]] = {f.__name__: f for f in (*_FUNCTIONS, distractors, room, randomised)}
+_MADE = {f.__name__: f for f in (push, move)}
+_CHANGED = (mass, friction, slip, joint_friction, light, camera_moved, object_colour, table_colour, object_hidden)
+_CHANGES: dict[str, Callable[..., None]] = {f.__name__: f for f in (*_CHANGED, distractors)}
 
 CONDITIONS: Registry[Condition] = Registry("condition", group="minidual.conditions")
 for _name, _row in rows_beside(__file__).items():
-    for _field in ("act", "change"):
-        for _function, _arguments in _row.get(_field, {}).items():
-            _row[_field] = partial(_NAMED[_function], **_arguments)
+    for _function, _arguments in _row.get("act", {}).items():
+        _row["act"] = partial(_MADE[_function], **_arguments)
+    if "change" in _row:
+        _row["change"] = partial(_in_turn, [partial(_CHANGES[f], **given) for f, given in _row["change"].items()])
     CONDITIONS.add(_name, Condition(_name, **_row))
 
 
