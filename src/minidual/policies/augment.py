@@ -5,8 +5,6 @@ Places: turn, scale and shift about the middle; the border is repeated.
 Things: ellipses and turned boxes of one colour, anywhere.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -50,12 +50,11 @@ def _taken(picture: Picture, name: str, world: World) -> Image:
     try:
         image, stamp_s = picture(name)
     except Exception as error:  # drivers raise anything
-        why = f"camera '{name}' gives no picture ({type(error).__name__}: {error})"
-        raise PolicyStoppedError("camera_failed", why, remedy="look at that camera and its driver") from error
+        why = f"{type(error).__name__}: {error}"
+        raise PolicyStoppedError("camera_failed", camera=name, error=why) from error
     age_s = world.time - stamp_s
     if not -PICTURE_AGE_MAX_S <= age_s <= PICTURE_AGE_MAX_S:
-        why = f"the picture of camera '{name}' is {age_s:.3f} s old; limit {PICTURE_AGE_MAX_S} s"
-        raise PolicyStoppedError("stale_picture", why, remedy="look at that camera and its driver")
+        raise PolicyStoppedError("stale_picture", camera=name, age_s=age_s, limit_s=PICTURE_AGE_MAX_S)
     return image
 
 

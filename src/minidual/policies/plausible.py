@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.errors import DataError
+from minidual.registry import rows_beside
 
 Floats = NDArray[np.float64]
 
+_STOPS: dict[str, dict[str, str]] = rows_beside(__file__)
 OVERSHOOT_RAD = 0.3  # networks regress to targets at a limit with some error
 _ZERO_RAD = 1e-9
 SWING_RAD = 0.05
@@ -22,10 +24,10 @@ MOVED_RAD = 0.1
 
 
 class PolicyStoppedError(DataError):
-    """The policy's input or output is broken; `name` says how (docs/deploy.md)."""
+    """The policy's input or output is broken; `name`, a row of plausible.yaml, says how (docs/deploy.md)."""
 
-    def __init__(self, name: str, message: str, *, remedy: str | None = None) -> None:
-        super().__init__(f"{name}: {message}", remedy=remedy)
+    def __init__(self, name: str, **values: object) -> None:
+        super().__init__(f"{name}: {_STOPS[name]['text'].format(**values)}", remedy=_STOPS[name]["remedy"])
         self.name = name
 
 
@@ -55,26 +57,18 @@ class Plausible:
             if content != before:
                 self._pictures[camera] = content, q.copy()
             elif (moved := float(np.abs(q - q_before).max())) > MOVED_RAD:
-                raise PolicyStoppedError(
-                    "frozen_picture",
-                    f"camera '{camera}' gives the same picture after {moved:.2f} rad of motion; bound {MOVED_RAD} rad",
-                    remedy="look at that camera and its driver",
-                )
+                raise PolicyStoppedError("frozen_picture", camera=camera, moved_rad=moved, bound_rad=MOVED_RAD)
 
     def chunk(self, chunk: Floats) -> None:
         """Check the joint targets (k, n) that will run."""
         zero = np.abs(chunk).max(axis=1) < _ZERO_RAD
         if zero.any():
-            raise PolicyStoppedError("all_zero", "the policy emits 0.0 rad for every joint", remedy=_REMEDY)
+            raise PolicyStoppedError("all_zero")
         beyond = np.maximum(self._lower - chunk, chunk - self._upper)
         row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
         if beyond[row, joint] > 0.0:
-            raise PolicyStoppedError(
-                "out_of_bounds",
-                f"the policy asks joint {joint + 1} of {self._n} for {chunk[row, joint]:.4g} rad; bounds "
-                f"{self._lower[joint]:.4g} to {self._upper[joint]:.4g}",
-                remedy=_REMEDY,
-            )
+            named = {"asked_rad": chunk[row, joint], "lower_rad": self._lower[joint], "upper_rad": self._upper[joint]}
+            raise PolicyStoppedError("out_of_bounds", joint=joint + 1, joints_n=self._n, **named)
 
     def action(self, q: Floats) -> None:
         """Check that the joint targets q (n,) do not swing to and fro."""
@@ -89,12 +83,6 @@ class Plausible:
         self._extreme = np.where(onward, q, self._extreme)
         joint = int(np.argmax(self._turns))
         if self._turns[joint] > TURNS_MAX:
-            raise PolicyStoppedError(
-                "oscillation",
-                f"the target of joint {joint + 1} of {self._n} turned back {self._turns[joint]} times by more than {SWING_RAD} "
-                f"rad within {_WINDOW_TICKS} ticks; bound {TURNS_MAX}",
-                remedy=_REMEDY,
-            )
-
-
-_REMEDY = "this checkpoint must not drive arms: minidual train-act --force"
+            bounds = {"swing_rad": SWING_RAD, "ticks": _WINDOW_TICKS, "bound_n": TURNS_MAX}
+            turns_n = self._turns[joint]
+            raise PolicyStoppedError("oscillation", joint=joint + 1, joints_n=self._n, turns_n=turns_n, **bounds)
