@@ -50,7 +50,7 @@ _KINDS = {kind.__name__: kind for kind in (bool, int, float, str, tuple, Path)}
 
 
 def options_of(rows: Mapping[str, Mapping[str, Any]]) -> tuple[Option, ...]:
-    """Return the options of {name: fields}; kinds are named, by default str."""
+    """Return the options of {name: fields}; `kind` by name."""
     fields: dict[str, dict[str, Any]] = {k: {**row, "kind": _KINDS[row.get("kind", "str")]} for k, row in rows.items()}
     return tuple(Option(name, **row) for name, row in fields.items())
 

@@ -2,7 +2,7 @@
 
 Checks keep `padding_m`, as paths may touch between samples. Near an endpoint with less clearance it is 0.9 of that
 clearance and grows back within `RELAX_RAD` of joint motion. Limits count state checks, so results do not depend on the
-machine. Only exact solutions count (`bool(status)` is also true for approximate ones).
+machine.
 """
 
 import math
@@ -133,7 +133,7 @@ def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Calla
     worker.setProblemDefinition(definition)
     worker.setup()
     ended = ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough())
-    status = worker.solve(ended)
+    status = worker.solve(ended)  # also true for approximate solutions
     return definition.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
 
 

@@ -112,7 +112,6 @@ class Robot:
         base_positions_m: Left and right base.
         dof_per_arm, dof: Joints per arm, and altogether.
         joint_names, finger_joint_names: In storage order.
-        tcp_names: Tool centre points.
         groups: Slices of q.
     """
 

@@ -67,7 +67,7 @@ Amount = float | tuple[float, float]
 
 @dataclass(frozen=True)
 class Condition:
-    """One row of the table, conditions.yaml.
+    """One row of conditions.yaml.
 
     Attributes:
         act: Makes the disturbance of a trial.
@@ -166,7 +166,7 @@ def friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Gen
 
 
 def slip(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
-    """Scale it."""
+    """Scale the same friction."""
     model.geom_friction[_touching(model, task), 0] *= _drawn(rng, factor)
 
 

@@ -4,8 +4,6 @@ F(q) = log6(E), E = T_world_left^-1 T_world_right T_left_right^-1, [linear; angu
 Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 
     dF/dq = Jlog6(E) [ -Ad(E^-1) J_left,  Ad(T_left_right) J_right ]
-
-OMPL keeps F only to 1e-4, so its states need another projection.
 """
 
 from typing import Any
@@ -26,7 +24,7 @@ SPACES: Registry[Any] = Registry(
 )
 _DELTA_RAD = 0.15
 _BOX_RAD = 0.7
-_OMPL_TOLERANCE = 1e-4
+_OMPL_TOLERANCE = 1e-4  # not finer: its states need another projection
 _CALLS_A_CHECK = 20
 """Constraint evaluations allowed per state check."""
 

@@ -14,7 +14,7 @@ _UNSEEN = 0.0005  # smaller displayed values are rounding error
 
 @dataclass(frozen=True)
 class Indicator:
-    """One column of the comparison, a row of tables.yaml.
+    """One column of the comparison (tables.yaml).
 
     Attributes:
         key: Key in the benchmark's data.

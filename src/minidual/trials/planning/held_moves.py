@@ -1,7 +1,7 @@
 """Seeded moves of an object held in both hands.
 
 Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path. Each move has a
-witness: a timed, proven path of a long search. Other draws are counted and left out.
+witness: a timed, proven path of a long search.
 """
 
 import time
