@@ -42,6 +42,7 @@ def package(tmp_path, monkeypatch):
         (folder / f"{name}.py").write_text(textwrap.dedent(text))
         gate_code._reach.cache_clear()
         gate_code._module.cache_clear()
+        gate_code._files.cache_clear()
 
     write("__init__", "")
     write("stage", STAGE)

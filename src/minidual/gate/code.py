@@ -93,11 +93,12 @@ def _spec(name: str) -> ModuleSpec | None:
     return PathFinder.find_spec(name, folders) if folders else None
 
 
+@cache
 def _files(name: str) -> list[Path]:
     """Return a module's source and its YAML table."""
     origin = spec.origin if (spec := _spec(name)) else None
     source = Path(origin or "")
-    return [source, *source.parent.glob(f"{source.stem}.yaml")] if source.suffix == ".py" else []
+    return [path for path in (source, source.with_suffix(".yaml")) if path.exists()] if source.suffix == ".py" else []
 
 
 class _Strip(ast.NodeTransformer):
