@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import importlib.metadata
+from pathlib import Path
 
 import pytest
+import yaml
 
+import minidual
 from minidual.errors import UsageError
-from minidual.registry import Registry
+from minidual.registry import Registry, rows_beside
+
+SOURCES = Path(minidual.__file__).parent
 
 
 def plug(monkeypatch, *points):
@@ -63,3 +68,26 @@ def test_names_are_read_from_text():
     for text, message in (("", "no number named"), ("two,two", "named twice"), ("two,tree", "no number 'tree'")):
         with pytest.raises(UsageError, match=message):
             table.names(text)
+
+
+def test_a_table_stands_beside_its_module(tmp_path):
+    (tmp_path / "arms.yaml").write_text("two: {joints: 7}\n")
+    (tmp_path / "words.yaml").write_text("three: 3\n")
+    assert rows_beside(str(tmp_path / "arms.py")) == {"two": {"joints": 7}}
+    assert rows_beside(str(tmp_path / "arms.py"), "words.yaml") == {"three": 3}
+
+
+def misread(node):
+    """Return keys that stand twice in one mapping, of which YAML keeps the last, or that are no text, such as `yes`."""
+    if isinstance(node, yaml.MappingNode):
+        keys = [key.value for key, _ in node.value]
+        wrong = [key.value for key, _ in node.value if keys.count(key.value) > 1 or not key.tag.endswith(":str")]
+        return wrong + [found for _, value in node.value for found in misread(value)]
+    return [found for item in node.value for found in misread(item)] if isinstance(node, yaml.SequenceNode) else []
+
+
+def test_names_in_tables_are_text_and_stand_once():
+    assert misread(yaml.compose("a: {b: 1, b: 2, c: [{yes: 1}]}")) == ["b", "b", "yes"]
+    tables = [path for path in SOURCES.rglob("*.yaml") if path.parent.name != "configs"]
+    assert len(tables) > 5
+    assert {path.name: found for path in tables if (found := misread(yaml.compose(path.read_text())))} == {}
