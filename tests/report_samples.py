@@ -66,6 +66,9 @@ _CHECKS: dict[str, list[Check]] = {
 }
 
 
+_DEPLOY = {"trials": 60, "successes_n": 47, "success_low": 0.65, "success_high": 0.87, "failures": {"arrived": 13}}
+_ROOM = {**_DEPLOY, "successes_n": 45, "success_low": 0.63, "failures": {"arrived": 15}, "by_seed": [0.8, 0.65, 0.8]}
+
 _DRAWN: dict[str, list[Figure]] = {}
 
 
@@ -211,7 +214,7 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageC
     for stage, _summary in STAGES:
         folder = root / stage
         folder.mkdir(parents=True)
-        checks, data = _CHECKS.get(stage, []), {}
+        checks, data = _CHECKS.get(stage, []), {**_DEPLOY, "room": _ROOM} if stage == "deploy" else {}
         if stage == "benchmark":
             write_csv(folder / "benchmark.csv", [{"task": TASK, **t.to_row()} for t in trials])
             data = {"tasks": {TASK: benchmark_data(trials)}}

@@ -209,6 +209,8 @@ def test_failures_are_named_and_counted(page: str) -> None:
 def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None:
     assert "held out from training: 78 % (95 % interval 65 % to 87 %)" in page
     assert "training set: 95 %, +17 points, outside that interval" in page
+    assert "undisturbed: 47 of 60 succeed (65 % to 87 %); missed the goal (13)." in page
+    assert "room: 45 of 60 succeed (63 % to 87 %); missed the goal (15); training by training 80 %, 65 %, 80 %." in page
 
 
 def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
@@ -232,7 +234,7 @@ def test_a_share_at_100_percent_has_no_margin_to_be_thin(report: Report) -> None
 
 def test_without_numbers_there_is_no_analysis() -> None:
     found, nothing = gather({}), compare(samples.METHODS, {})
-    assert (nothing.pairs, nothing.losses, found) == ([], [], {"gap": None, "margins": [], "at_best_n": 0})
+    assert (nothing.pairs, nothing.losses, found) == ([], [], {"gap": None, "sets": {}, "margins": [], "at_best_n": 0})
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:

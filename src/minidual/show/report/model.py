@@ -28,7 +28,8 @@ class Banner:
 def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
     """Return the analysis.
 
-    `gap`: success of the policy on held-out starts, with 95 % interval, and on training starts, or None. `margins`:
+    `gap`: success of the policy on held-out starts, with 95 % interval, and on training starts, or None. `sets`: the
+    summary of each set of its trials, by condition; "held_out" is undisturbed. `margins`:
     stage, check and share of its limit, thinnest first. `at_best_n`: number of passed checks at their best value.
     """
     ranked, at_best = list[dict[str, Any]](), 0
@@ -39,7 +40,10 @@ def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
         elif relative is not None:
             ranked.append({"stage": stage, "check": check, "share_of_limit": relative})
     thinnest = sorted(ranked, key=lambda margin: margin["share_of_limit"])[:_THINNEST]
-    return {"gap": _gap(verdicts.get("deploy")), "margins": thinnest, "at_best_n": at_best}
+    deploy = verdicts.get("deploy")
+    data = {} if deploy is None else {"held_out": deploy.data, **deploy.data}
+    sets = {name: row for name, row in data.items() if isinstance(row, Mapping) and "successes_n" in row}
+    return {"gap": _gap(deploy), "sets": sets, "margins": thinnest, "at_best_n": at_best}
 
 
 def _gap(deploy: Verdict | None) -> dict[str, float] | None:
