@@ -35,6 +35,7 @@ Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()
 SCENE = SceneConfig()
 A, B, C = ("both_arms",), ("left_arm", "right_arm"), ("object_impedance",)
+HAND = ("left_arm", "right_hand")
 STOPPING = ("soft_stop",)
 BAD_SETS = (("left_arm",), ("both_arms", "left_arm"), ())
 # A trajectory at its speed limit, plus what fades of its distance from the reference, plus rounding.
@@ -199,7 +200,7 @@ class Witness:
 
 source = st.sampled_from(SOURCES)
 group = st.sampled_from(sorted(GROUPS))
-sets = st.sampled_from([A, A, B, C, *BAD_SETS])
+sets = st.sampled_from([A, A, B, C, HAND, *BAD_SETS])
 events = st.one_of(
     st.tuples(st.just("request"), st.sampled_from((*SOURCES, HOLD)), st.one_of(st.none(), sets)),
     st.tuples(st.just("controllers"), sets),
@@ -242,6 +243,7 @@ scripts = st.sampled_from(
             ("trajectory", "moveit", "right_arm", 0.0, -0.1, 0.3, 0.0),
             ("run", 90),
         ],
+        [*turn("moveit", HAND), ("trajectory", "moveit", "both_arms", 0.0, 0.1, 0.3, 0.0), ("run", 90)],
         [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 160), ("run", 30)],
         [*turn("moveit", C), ("object", "moveit", 0.05, 0.4), ("run", 90)],
         [*turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4)],
@@ -289,6 +291,7 @@ def test_random_histories_reach_all_that_there_is() -> None:
         A,
         B,
         C,
+        HAND,
         STOPPING,
         TrajectoryCommand,
         ObjectCommand,

@@ -15,10 +15,11 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import State
+from minidual.skills.pipeline.state import Segment, State
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.judge import Outcome, begin
@@ -51,12 +52,14 @@ def bench() -> Slack:
     return Slack(TASK.scene)
 
 
-def run(world: Slack, planner: Planner, index: int) -> tuple[Outcome, PlannedCarry]:
+def run(
+    world: Slack, planner: Planner, index: int, kind: type[PlannedCarry] = PlannedCarry
+) -> tuple[Outcome, PlannedCarry]:
     trial = TASK.trial(1, "plan", index)
     judge = begin(world, TASK, trial)
     shape = thing_of(TASK.objects[TASK.carried].body).shape
     supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot, shapes=[shape])
-    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, index)
+    carry = kind(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, index)
     return drive(world, judge, carry), carry
 
 
@@ -73,6 +76,25 @@ def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(bench: Slack
     assert outcome.measured["goal_error_m"] < 0.02
     names = [stage.name for stage in carry.solution.record.stages]
     assert names[3:8] == ["carry right", "approach left", "descend left", "close left", "open right"]
+
+
+@pytest.mark.slow
+def test_by_impedance_the_taker_is_soft_until_the_giver_has_let_go_and_where_it_stands_the_bottle(
+    bench: Slack, planner: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[tuple[str, tuple[str, ...]]] = []
+    drive_by = CompliantCarry._take_control
+
+    def note(self: CompliantCarry, segment: Segment) -> None:
+        drive_by(self, segment)
+        taken.append((segment.phase, self.stack.manager.active))
+
+    monkeypatch.setattr(CompliantCarry, "_take_control", note)
+    outcome, carry = run(bench, planner, TO_THE_LEFT, CompliantCarry)
+    assert outcome.success, (outcome.reason, carry.aborted)
+    soft = [phase for phase, active in taken if active == ("left_hand", "right_arm")]
+    assert soft == ["close", "settle", "open", "lower"]
+    assert {active for phase, active in taken if phase not in soft} == {("both_arms",)}
 
 
 def test_the_giver_keeps_what_the_taker_does_not_hold(bench: Slack, planner: Planner) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pose_of, solve, thing_of
 from minidual.skills.pipeline import hands
 from minidual.skills.pipeline.state import State
@@ -466,6 +468,48 @@ def test_driven_the_peg_goes_in(bench: Bench) -> None:
     assert log.phase[-1] == "settle"
 
 
+@pytest.fixture(scope="module")
+def soft() -> Bench:
+    return Bench("impedance", MethodInputs(TASK.config, TASK.config.seed))
+
+
+def controllers_of(
+    bench: Bench, trial: Trial, condition: str = "clean"
+) -> tuple[Any, dict[str, set[tuple[str, ...]]], float]:
+    """Return a trial's result, the controllers of each phase, and the largest force of the right hand in the last ones."""
+    active: dict[str, set[tuple[str, ...]]] = {}
+    forces = [0.0]
+
+    def look(world: World, method: Any) -> None:
+        if method.stack.executing:
+            active.setdefault(method.phase, set()).add(method.stack.manager.active)
+        if method.phase in ("insert", "settle"):
+            forces.append(float(np.linalg.norm(world.truth(PEG).forces()[1])))
+
+    result, _ = bench.run(trial, condition=condition, on_step=look)
+    return result, active, max(forces)
+
+
+def test_by_impedance_the_right_hand_alone_is_soft_and_presses_little(soft: Bench) -> None:
+    """It goes straight in: without the search that the plan of `moveit` has."""
+    result, active, force_n = controllers_of(soft, TASK.trial(TASK.config.seed, "driven", 0))
+    assert result.success, result.text
+    assert result.measured["depth_m"] > AIM_M
+    assert force_n < 5.0
+    by_position = {phase: {("both_arms",)} for phase in ("approach", "descend", "close", "lift", "carry")}
+    assert active == by_position | {phase: {("left_arm", "right_hand")} for phase in ("insert", "settle")}
+
+
+@pytest.mark.slow
+def test_by_impedance_the_peg_goes_in_where_the_search_of_moveit_fails(bench: Bench, soft: Bench) -> None:
+    trial = TASK.trial(TASK.config.seed, "benchmark", 13)
+    missed, _ = bench.run(trial, condition="joint friction x2")
+    assert not missed.success
+    found, _, force_n = controllers_of(soft, trial, "joint friction x2")
+    assert found.success, found.text
+    assert force_n < 25.0
+
+
 @pytest.mark.slow
 def test_the_search_finds_a_bore_that_a_straight_move_misses(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a stiff joint, the tip of trial 6 comes 6 mm beside the axis and 1.7 degrees aslant."""
@@ -479,7 +523,8 @@ def test_the_search_finds_a_bore_that_a_straight_move_misses(bench: Bench, monke
 
 
 @pytest.mark.slow
-def test_with_the_left_arm_frozen_the_right_one_wins_nothing() -> None:
+@pytest.mark.parametrize("kind", [PlannedCarry, CompliantCarry])
+def test_with_the_left_arm_frozen_the_right_one_wins_nothing(kind: type[PlannedCarry]) -> None:
     """It does all it can: it puts the peg into the socket that lies on the table."""
     trial = dataclasses.replace(DRAWS[0], start={PEG: (0.45, -0.12, 0.0), SOCKET: (0.45, 0.16, 0.0)})
     before, *way = (start_of(trial)[SOCKET] @ in_socket(y=y) for y in (-0.015, 0.0015, AIM_M))
@@ -488,7 +533,7 @@ def test_with_the_left_arm_frozen_the_right_one_wins_nothing() -> None:
     steps += [Step("carry", right, (PEG,), ({PEG: before},)), Step("insert", right, (PEG, SOCKET), tuple(way))]
     task, world = dataclasses.replace(TASK, arrange=None, steps=tuple(steps)), World(TASK.scene)
     judge = begin(world, TASK, trial)
-    carry = PlannedCarry(ControlStack(world, Kinematics()), Planner(), task, trial, 1)
+    carry = kind(ControlStack(world, Kinematics()), Planner(), task, trial, 1)
     assert carry.solution is not None
     while not carry.done and world.time < TASK.time_limit_s:
         carry.step()

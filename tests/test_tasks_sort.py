@@ -19,6 +19,7 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_z
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.pipeline.state import State
@@ -363,13 +364,10 @@ def test_a_cheat_with_one_cube_is_refused_though_the_others_are_sorted(cheat: Ca
 # --- driven ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def bench() -> Bench:
-    return Bench("moveit", MethodInputs(TASK.config, TASK.config.seed))
-
-
 @pytest.mark.slow
-def test_driven_it_sorts(bench: Bench) -> None:
+@pytest.mark.parametrize("method", ["moveit", "impedance"])
+def test_driven_it_sorts(method: str) -> None:
+    bench = Bench(method, MethodInputs(TASK.config, TASK.config.seed))
     for k in range(2):
         result, _ = bench.run(TASK.trial(TASK.config.seed, "driven", k))
         assert result.success, result.text
@@ -377,8 +375,10 @@ def test_driven_it_sorts(bench: Bench) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", SIDES)
-def test_with_one_arm_frozen_it_sorts_half_at_most(arm: str) -> None:
+@pytest.mark.parametrize(
+    ("arm", "kind"), [(SIDES[0], PlannedCarry), (SIDES[1], PlannedCarry), (SIDES[0], CompliantCarry)]
+)
+def test_with_one_arm_frozen_it_sorts_half_at_most(arm: str, kind: type[PlannedCarry]) -> None:
     """The arm does all it can: its own colour, near its side."""
     trial = TASK.trial(9, "frozen", 0)
     spots = iter([(0.42, 0.25), (0.54, 0.25), (0.42, -0.25), (0.54, -0.25)])
@@ -386,7 +386,7 @@ def test_with_one_arm_frozen_it_sorts_half_at_most(arm: str) -> None:
     world = World(TASK.scene)
     judge = begin(world, TASK, trial)
     own = one_armed(arm, *(name for name in TASK.objects if side_of(name) == arm))
-    carry = PlannedCarry(ControlStack(world, Kinematics()), Planner(), own, trial, 1)
+    carry = kind(ControlStack(world, Kinematics()), Planner(), own, trial, 1)
     while not carry.done and world.time < TASK.time_limit_s:
         carry.step()
         judge.observe(world)

@@ -2,14 +2,11 @@
 
 A  `both_arms`                  joint trajectories
 B  `left_arm`, `right_arm`      the same, one arm
+   `left_hand`, `right_hand`    the same, by impedance of a hand
 C  `object_impedance`           both arms and an object
    `soft_stop`                  stops both arms
 
-Integral action of a hold along gravity learns what a hand holds:
-
-    F <- sat_[0, F_max](F + k e_z dt),  tau = J_z^T F
-
-e_z is how far a hand is below its reference. Forces between two hands are horizontal, so they cannot build up.
+A hold learns what a hand holds (docs/control.md).
 """
 
 from abc import ABC, abstractmethod

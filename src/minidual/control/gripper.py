@@ -3,12 +3,7 @@
     closing   target' = -sat(k (F - f), speed),  f measured
     opening   target' = +speed
 
-The target stays within half the travel of the fingers. Two pads carry squeeze F and half the weight by friction if each
-finger presses with
-
-    N >= safety sqrt(F^2 + (m g / 2)^2) / (2 mu)
-
-Torsional friction is neglected; the hands' torsional springs hold that rotation.
+The target stays within half the travel of the fingers. Pinch and squeeze: docs/force-control.md.
 """
 
 import math

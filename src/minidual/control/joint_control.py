@@ -6,10 +6,7 @@ Targets arriving at 50 to 100 Hz become references at 1 kHz:
     v_want(e) = w e / 2                         for |e| <= d = 4 b / w^2
                 sign(e) sqrt(2 b (|e| - d / 2)) beyond, braking with b < a_max
 
-w is the bandwidth. Recording and deployment must use the same numbers. Motor torques (Siciliano et al., Robotics, ch.
-8.5.2; h: Coriolis, centrifugal and gravity torques):
-
-    tau = M(q) [a_ref + 2 wn (v_ref - v) + wn^2 (q_ref - q)] + h(q, v) + d v + c tanh(v / v_s)
+w is the bandwidth. Recording and deployment must use the same numbers. Motor torques: docs/force-control.md.
 """
 
 import numpy as np
@@ -79,7 +76,7 @@ class Motors:
 
 
 class ComputedTorque:
-    """Tracks joint references with natural frequency wn, critically damped."""
+    """Tracks joint references, critically damped."""
 
     def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0) -> None:
         self._motors, self._w = Motors(kinematics), natural_frequency_rad_s

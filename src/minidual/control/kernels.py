@@ -149,7 +149,7 @@ def impedance(
     qdd: Array,
     push: Array,
 ) -> bool:
-    """Fill qdd (n,) and push (n,) = J^T f; see `object_impedance`.
+    """Fill qdd (n,) and push (n,) = J^T f; see docs/force-control.md.
 
     law: (1,) of LAW. sag: (n,), posture - q. Return False if a hand has lost a direction of motion.
     """

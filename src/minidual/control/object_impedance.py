@@ -1,16 +1,6 @@
 """Object impedance: the held object behaves like a damped spring; the squeeze (internal force) is servoed.
 
-    e_p   = p_d - p                                                  position error, world axes
-    w     = [K e_p + D (v_d - v) + m (a_d - g); I_w alpha_d + omega_d x I_w omega_d],  I_w = R I_o R^T
-    F     = sat_[0, 80](F_d + sat_c(k_int (F_d - F_measured)))       squeeze, c: force_correction_max_n
-    f     = G^+ w + (I - G^+ G) f_int(F) + [0; (K e_i + D (omega_d - omega_i)) / 2]   hand wrenches
-    tau_i = M qdd_ff + h + J_i^T f_i + friction,  J qdd_ff = a_hand - Jdot v
-
-e_i = log(R_d R_i^T), R_i the object's orientation by the grasp of hand i: each hand bears half of the rotational
-stiffness, which also keeps it from pivoting on opposed pads. D = 2 zeta sqrt(K M_eff), M_eff including the arms.
-Sources: docs/force-control.md; Schneider and Cannon 1992; Caccavale et al. 2008.
-
-Object paths are straight minimum-jerk segments between level poses.
+Law and sources: docs/force-control.md. Object paths are straight minimum-jerk segments between level poses.
 """
 
 import bisect
@@ -67,6 +57,20 @@ class HeldObject:
     axis: Array
 
 
+def lost_direction(arm: int) -> SingularPostureError:
+    """Return the error of a stretched arm."""
+    text = f"the {SIDES[arm]} hand has lost a direction of motion: J J^T is singular"
+    return SingularPostureError(text, remedy=_BENT)
+
+
+def inertia_at_hand(M: Array, J: Array, arm: int) -> Array:
+    """Return (J M^-1 J^T)^-1 (k, k) for an arm's M (n, n) and J (k, n), or raise SingularPostureError."""
+    try:
+        return np.array(np.linalg.inv(J @ np.linalg.solve(M, J.T)), dtype=float)
+    except np.linalg.LinAlgError as error:
+        raise lost_direction(arm) from error
+
+
 class ObjectImpedance:
     """The law for one object and grasp."""
 
@@ -91,18 +95,11 @@ class ObjectImpedance:
         M = self._kinematics.mass_matrix(q)
         moving = np.r_[np.full(3, self.held.mass_kg), np.diag(self.held.inertia_kg_m2)]
         lever = max(float(np.linalg.norm(T[:3, 3])) for T in self.held.T_object_tcps)
-        for index, (name, J) in enumerate(zip(SIDES, self._kinematics.tcp_jacobians(q), strict=True)):
+        for index, J in enumerate(self._kinematics.tcp_jacobians(q)):
             arm = self._kinematics.robot.joints_of(index)
-            try:
-                mass_at_hand, inertia_at_hand = (
-                    np.linalg.inv(part @ np.linalg.solve(M[arm, arm], part.T)) for part in (J[:3, arm], J[3:, arm])
-                )
-            except np.linalg.LinAlgError as error:
-                raise SingularPostureError(
-                    f"the {name} hand has lost a direction of motion: J M^-1 J^T is singular", remedy=_BENT
-                ) from error
-            moving[:3] += np.diag(mass_at_hand)
-            moving[3:] += lever**2 * float(np.mean(np.diag(mass_at_hand))) + np.diag(inertia_at_hand)
+            mass, inertia = (np.diag(inertia_at_hand(M[arm, arm], part, index)) for part in (J[:3, arm], J[3:, arm]))
+            moving[:3] += mass
+            moving[3:] += lever**2 * float(np.mean(mass)) + inertia
         self._posture = np.array(q, dtype=float)
         self._law["D"] = 2.0 * self.gains.damping_ratio * np.sqrt(self._law["K"] * moving)
 

@@ -16,6 +16,7 @@ from minidual.control.controller_manager import ControllerManager, ControllerSwi
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
+from minidual.control.hand_impedance import HandImpedanceController
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
@@ -23,7 +24,7 @@ from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 
 DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 """Set after a reset."""
@@ -71,14 +72,15 @@ class ControlStack[P: Plant]:
                 f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz",
                 remedy="take a divisor of it, such as 50 or 100",
             )
-        self._kinematics, self._robot = kinematics, kinematics.robot
+        self.kinematics, self._robot = kinematics, kinematics.robot
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
         groups = ("both_arms", "left_arm", "right_arm")
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
         self._payload = Payload(kinematics, plant.dt)
+        self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self._payload) for arm in range(len(SIDES))]
         self._controllers: list[Controller] = [
             *(JointTrajectoryController(group, kinematics, plant.dt, self._payload) for group in groups),
-            self.impedance,
+            *(self.impedance, *self.hands),
             SoftStopController(kinematics, plant.dt),
         ]
         self._flush_listeners: list[Callable[[str], None]] = []
@@ -333,8 +335,8 @@ class ControlStack[P: Plant]:
         if not (still and _SAG_MIN_RAD <= sag <= _SAG_MAX_RAD):
             return None
         held = q.copy()
-        wanted = [T[2, 3] for T in self._kinematics.tcp_poses(reference)]
-        for arm, T in enumerate(self._kinematics.tcp_poses(q)):
+        wanted = [T[2, 3] for T in self.kinematics.tcp_poses(reference)]
+        for arm, T in enumerate(self.kinematics.tcp_poses(q)):
             if T[2, 3] < wanted[arm]:  # something else has moved a hand that is not lower
                 joints = self._robot.joints_of(arm)
                 held[joints] = reference[joints]

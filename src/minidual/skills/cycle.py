@@ -129,14 +129,22 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
     return Pipeline(task.name, stages, _KEENNESS if any(step.grasps for step in steps) else 0.0)
 
 
-def solve(task: Task, trial: Trial, start: State, planner: Planner, seed: int = 0, gap: Gap | None = None) -> Solution:
+def solve(
+    task: Task,
+    trial: Trial,
+    start: State,
+    planner: Planner,
+    seed: int = 0,
+    gap: Gap | None = None,
+    by_force: bool = False,
+) -> Solution:
     """Return a plan of the whole task from `start`, by the first arrangement of its steps that has one.
 
     Raises:
         TaskFailedError: Of the last arrangement.
     """
     things = [thing_of(item.body) for item in task.objects.values()]
-    tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap)
+    tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)
     for pipeline in others:

@@ -51,8 +51,6 @@ class _RefusedError(Exception):
 class ImpedanceCarry:
     """One trial; call `step` until `done`.
 
-    The default supervisor has standard bounds and ignores the arm distance.
-
     A sensed fault halts the arms; lost motors also lose their torque. After a reflex the supervisor stops them. Another
     mode, a halt by another source, a refusal or silence is the fault `interrupted`: the arbiter stops them.
 

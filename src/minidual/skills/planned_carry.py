@@ -25,6 +25,8 @@ class PlannedCarry(Drive):
     distance plus a margin.
     """
 
+    by_force = False
+
     def __init__(
         self,
         stack: ControlStack[World],
@@ -35,21 +37,21 @@ class PlannedCarry(Drive):
         *,
         poses: Mapping[str, Array] | None = None,
     ) -> None:
-        world = self.world = stack.plant
+        self.task, self.world = task, (world := stack.plant)
         supervisor = stack.supervisor
         self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
-        known = {
+        known = self._poses = {
             name: pose_of(task.objects[name].body, placement(T)) if task.stands else level_part(T)
             for name, T in self.poses.items()
         }
-        start = State(world.q, known)
+        start = State(world.q, dict(known))
         gap = None
         if supervisor is not None:
             gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + GAP_MARGIN_M)
         self.solution: Solution | None = None
         why: str | None = None
         try:
-            self.solution = solve(task, trial, start, planner, seed, gap)
+            self.solution = solve(task, trial, start, planner, seed, gap, self.by_force)
             self.record = self.solution.record
         except TaskFailedError as error:
             why, self.record = error.summary, error.record

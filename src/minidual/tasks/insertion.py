@@ -24,6 +24,7 @@ CLEARANCE_M, DEPTH_M = 0.0015, 0.03
 """Play of the peg, along x and z; wanted depth of its tip."""
 _FELT_M = 0.0004  # distance at which faces touch: both margins of minidual.plant.scenery
 _PEG_M, _PEG_LENGTH_M = 0.022, 0.20
+_TIP_M = (0.0, _PEG_LENGTH_M / 2, 0.0)
 _BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.010
 _BLOCK_M, _BLOCK_LENGTH_M = _BORE_M + 2 * _WALL_M, 0.08
 _MOUTH_M = -(_BLOCK_LENGTH_M / 2 + _BORE_DEPTH_M)  # y in the socket's frame
@@ -58,7 +59,9 @@ def insertion(config: Config) -> Task:
     config = preset(config, {f"scene.{name}": value for name, value in values.items()})
     down = rot_z(np.pi / 2.0) @ rot_x(np.pi)
     objects = {
-        name: TaskObject(body, {HAND_OF[name]: pose(down, (0.0, _GRASP_M[name], body.grasp_height_m))})
+        name: TaskObject(
+            body, {HAND_OF[name]: pose(down, (0.0, _GRASP_M[name], body.grasp_height_m))}, touches_m=_TIP_M
+        )
         for name, body in config.scene.objects.items()
     }
     return Task(

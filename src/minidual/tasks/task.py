@@ -39,11 +39,13 @@ class TaskObject:
     Attributes:
         grasps: T_object_tcp (4, 4) by hand.
         symmetry: Yaws that look alike in a turn: 2 for a rod.
+        touches_m: (3,) where it touches others first.
     """
 
     body: ObjectConfig
     grasps: Mapping[str, Array] = field(default_factory=dict)
     symmetry: int = 1
+    touches_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -94,10 +94,6 @@ class MethodSpec:
         return make(inputs)
 
 
-def _hands_apart(task: Task, trained: str) -> str:
-    return "" if task.together else "it is not done with both hands all the way"
-
-
 def _another_task(task: Task, trained: str) -> str:
     return "" if task.name == trained else f"its policy is trained on '{trained}'"
 
@@ -112,10 +108,9 @@ METHODS: Registry[MethodSpec] = Registry(
         ),
         "impedance": MethodSpec(
             "minidual.trials.model_based:impedance",
-            "object impedance with internal force control",
+            "impedance of what the hands hold, and internal force control",
             demands=frozenset({"squeezed"}),
             senses=frozenset({"pose", "feedback"}),
-            cannot=_hands_apart,
         ),
         "act": MethodSpec(
             "minidual.trials.learned:policy",

@@ -13,6 +13,7 @@ from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pose_of, thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.pipeline.drive import Drive
@@ -33,29 +34,33 @@ def _supervisor(inputs: MethodInputs) -> Supervisor:
 
 
 def impedance(inputs: MethodInputs) -> Factory:
-    """Object impedance."""
+    """Impedance of the object in both hands, else of what one hand holds."""
+    if not make_task(inputs.config).together:
+        return planned(inputs, CompliantCarry)
     config, supervisor = inputs.config, _supervisor(inputs)
     return lambda world, kinematics, trial: ImpedanceCarry(
         world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor, arbiter=config.arbiter
     )
 
 
-def _plans(inputs: MethodInputs, task: Task) -> Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]:
+def _plans(
+    inputs: MethodInputs, task: Task, kind: type[PlannedCarry] = PlannedCarry
+) -> Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]:
     config, supervisor = inputs.config, _supervisor(inputs)
     planner = Planner(config=config.plan.planner, robot=robot_from(config.robot))
 
     def drive(world: World, kinematics: Kinematics, trial: Trial, poses: Mapping[str, Array]) -> PlannedCarry:
         stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
         own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
-        return PlannedCarry(stack, planner, task, trial, own, poses=poses)
+        return kind(stack, planner, task, trial, own, poses=poses)
 
     return drive
 
 
-def planned(inputs: MethodInputs) -> Factory:
+def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Factory:
     """Plan from one pose reading, then control joint trajectories."""
     config, task = inputs.config, make_task(inputs.config)
-    drive = _plans(inputs, task)
+    drive = _plans(inputs, task, kind)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.

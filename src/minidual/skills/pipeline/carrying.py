@@ -105,7 +105,8 @@ class Carry(Stage):
             name = state.object_of(SIDES[0])
             return self._in_both_hands([state.objects[name], goals[name]], state, tools, phase)
         scene = tools.scene(state, resting=phase != "carry")
-        return straight(tools, phase, state, _hands_at(goals, state), scene)
+        segment = straight(tools, phase, state, _hands_at(goals, state), scene)
+        return replace(segment, soft=tuple(state.held_by)) if phase == "lower" else segment
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         scene = tools.scene(state, resting=True)

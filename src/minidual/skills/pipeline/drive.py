@@ -77,6 +77,7 @@ class Drive:
             self._proposed += 1
             self._began_s = self.stack.plant.time
             self._tell_held(segment)
+            self._take_control(segment)
             command = TrajectoryCommand(segment.trajectory, np.array(segment.openings), self._began_s, self._proposed)
             refused = self.stack.propose(SOURCE, command)
         if refused is not None:
@@ -98,6 +99,9 @@ class Drive:
         supervisor.hold(None)
         for held in segment.scene.attached:
             supervisor.hold(segment.scene.robot.tcp_names.index(held.link), held.shape.T_parent_shape)
+
+    def _take_control(self, segment: Segment) -> None:
+        """Choose the controllers of a segment."""
 
     def _abort(self, reason: str) -> None:
         self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"

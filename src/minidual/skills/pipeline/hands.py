@@ -19,6 +19,7 @@ from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, 
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
 _SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
+_DRIVEN_M = 0.006  # further by force
 _SHORTER = (1.0, 0.6)  # shares of the retreat height to try
 
 
@@ -82,26 +83,27 @@ class Close(Stage):
         held = {**start.held_by, **{arm: start.reached[arm] for arm in self.arms}}
         left = {arm: T for arm, T in start.reached.items() if arm not in self.arms}
         end = replace(start.opened(self.arms, CLOSED), held_by=held, reached=left)
-        yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings),))
+        soft = self.arms if end.closed_chain and start.held_by else ()
+        yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings, soft=soft),))
 
 
 class Insert(Stage):
-    """A held object touches another one, searches across its y axis, and goes in."""
+    """A held object touches another one, searches across its y axis, and goes in; `by_force` without search."""
 
     def __init__(self, name: str, arms: Sequence[str], way: Sequence[Array], what: str, into: str) -> None:
         super().__init__(name, arms)
-        (touch, end), self._what, self._into = way, what, into
-        self._way = (*_spiral(touch), touch, end)
+        (self._touch, self._end), self._what, self._into = way, what, into
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """See `Stage`."""
         scene = tools.scene(start).allowing(self._what, self._into, "one goes into the other")
-        state, segments = start, list[Segment]()
-        for T in self._way:
+        state, segments, touch, end = start, list[Segment](), self._touch, self._end
+        way = (end @ pose(np.eye(3), (0.0, _DRIVEN_M, 0.0)),) if tools.by_force else (*_spiral(touch), touch, end)
+        for T in way:
             targets = {arm: T @ start.held_by[arm] for arm in self.arms}
-            segments.append(straight(tools, "insert", state, targets, scene))
+            segments.append(replace(straight(tools, "insert", state, targets, scene), soft=self.arms))
             state = replace(state, q=segments[-1].trajectory.q[-1], objects={**start.objects, self._what: T})
-        wait = still("settle", state.q, PHASES["insert"].hold_s, state.openings)
+        wait = still("settle", state.q, PHASES["insert"].hold_s, state.openings, soft=self.arms)
         yield Candidate("", 0.0, state, (*segments, wait))
 
 
@@ -124,9 +126,10 @@ class Open(Stage):
         if not start.rests and any(start.object_of(arm) not in kept for arm in self.arms):
             raise Failure("would_fall", "the object is in the air and no other hand holds it")
         end = replace(start.opened(self.arms, OPEN), held_by=held)
+        kept_by = () if start.rests else tuple(held)
         segments = (
-            still("settle", start.q, PHASES["settle"].hold_s, start.openings),
-            still("open", start.q, PHASES["open"].hold_s, end.openings, kept_by=() if start.rests else tuple(held)),
+            still("settle", start.q, PHASES["settle"].hold_s, start.openings, soft=kept_by),
+            still("open", start.q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by),
         )
         yield Candidate("", 0.0, end, segments)
 

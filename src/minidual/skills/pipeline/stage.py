@@ -64,12 +64,18 @@ class Gap:
 
 
 class Tools:
-    """Planners and scene of a search; `around` holds the other obstacles."""
+    """Planners and scene of a search; `around` holds the other obstacles; `by_force`: for impedance, not position."""
 
     def __init__(
-        self, around: PlanningScene, things: Sequence[Thing], planner: Planner, seed: int = 0, gap: Gap | None = None
+        self,
+        around: PlanningScene,
+        things: Sequence[Thing],
+        planner: Planner,
+        seed: int = 0,
+        gap: Gap | None = None,
+        by_force: bool = False,
     ) -> None:
-        self.around, self.planner, self.seed, self.gap = around, planner, seed, gap
+        self.around, self.planner, self.seed, self.gap, self.by_force = around, planner, seed, gap, by_force
         self.things = {thing.shape.name: thing for thing in things}
         self.robot = planner.robot
         self.linear = LinearPlanner(kinematics=planner.kinematics)

@@ -60,6 +60,7 @@ class Segment:
     Attributes:
         scene, verification: Of the proof; None without motion.
         kept_by: Hands that must feel the object first.
+        soft: Hands that may touch something with what they hold.
     """
 
     phase: str
@@ -68,6 +69,7 @@ class Segment:
     scene: PlanningScene | None = None
     verification: Verification | None = None
     kept_by: tuple[str, ...] = ()
+    soft: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -91,10 +93,15 @@ class Thing:
 
 
 def still(
-    phase: str, q: Array, duration_s: float, openings: tuple[float, float], kept_by: tuple[str, ...] = ()
+    phase: str,
+    q: Array,
+    duration_s: float,
+    openings: tuple[float, float],
+    kept_by: tuple[str, ...] = (),
+    soft: tuple[str, ...] = (),
 ) -> Segment:
     """Return a segment that holds the arms at q (n,)."""
-    return Segment(phase, resting(q, duration_s, "both_arms"), openings, kept_by=kept_by)
+    return Segment(phase, resting(q, duration_s, "both_arms"), openings, kept_by=kept_by, soft=soft)
 
 
 def moved(T: Array, shift_m: Array) -> Array:
