@@ -220,6 +220,9 @@ def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():
     noise = CONDITIONS["pose noise x3"]
     assert noise.why_not("act", Config()) == "act reads no sensed pose of the object"
     assert noise.why_not("impedance", Config()) == ""
+    late = CONDITIONS["delay 20 ms"]
+    assert late.why_not("impedance", Config()) == ""
+    assert late.why_not("impedance", Config(task="insertion")).startswith("impedance reads no pose or contact force")
     assert CONDITIONS["mass +50 %"].why_not("act", Config()) == "", "nobody escapes the plant"
     assert {c.sense for c in CONDITIONS.values() if c.sense} == set(SENSES)
     for c in CONDITIONS.values():

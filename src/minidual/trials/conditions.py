@@ -22,7 +22,7 @@ from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry, rows_beside
 from minidual.robot.pair import Array
 from minidual.tasks.rod_carry import beside, placement
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.methods import METHODS, SENSES
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
@@ -92,7 +92,7 @@ class Condition:
 
     def why_not(self, method: str, config: Config) -> str:
         """Return why it does not apply, or an empty string."""
-        if self.sense and self.sense not in METHODS[method].senses:
+        if self.sense and self.sense not in METHODS[method].reads(make_task(config)):
             return f"{method} reads no {SENSES[self.sense]}"
         values = {**self.instead_of, **self.settings_under(config)}
         told = self.change is None or self.instead_of

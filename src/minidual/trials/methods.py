@@ -78,6 +78,7 @@ class MethodSpec:
         needs_images: Whether to compile visual meshes.
         demands: Optional conditions of success that it must meet.
         senses: Rows of SENSES that it reads.
+        senses_apart: The same where the hands do not hold one object all the way, if others.
         cannot: (task, trained) -> why it cannot do a task, or "".
     """
 
@@ -86,7 +87,12 @@ class MethodSpec:
     needs_images: bool = False
     demands: frozenset[str] = frozenset()
     senses: frozenset[str] = frozenset(SENSES)
+    senses_apart: frozenset[str] | None = None
     cannot: Callable[[Task, str], str] = lambda task, trained: ""
+
+    def reads(self, task: Task) -> frozenset[str]:
+        """Return the rows of SENSES that it reads in a task."""
+        return self.senses if task.together or self.senses_apart is None else self.senses_apart
 
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
@@ -111,6 +117,7 @@ METHODS: Registry[MethodSpec] = Registry(
             "impedance of what the hands hold, and internal force control",
             demands=frozenset({"squeezed"}),
             senses=frozenset({"pose", "feedback"}),
+            senses_apart=frozenset({"pose"}),
         ),
         "act": MethodSpec(
             "minidual.trials.learned:policy",
