@@ -16,7 +16,7 @@ class Phase:
         open: Whether the acting hands are open.
         rise_m: Final height of the hands over their grasps.
         hold_s: Standstill, position-driven.
-        force_s: Shortest force ramp.
+        force_s: Shortest force ramp, or standstill.
         limits: Of the object or hands; None: the planner's.
     """
 
@@ -37,7 +37,9 @@ PHASES: dict[str, Phase] = {
     "lift": Phase(open=False, limits=_SLOW),
     "carry": Phase(open=False, limits=PathLimits(speed_m_per_s=0.35, acceleration_m_per_s2=1.0)),
     "lower": Phase(open=False, limits=_SLOW),
-    "insert": Phase(open=False, hold_s=0.6, limits=PathLimits(speed_m_per_s=0.015, acceleration_m_per_s2=0.3)),
+    "insert": Phase(
+        open=False, hold_s=0.6, force_s=2.0, limits=PathLimits(speed_m_per_s=0.015, acceleration_m_per_s2=0.3)
+    ),
     "settle": Phase(open=False, hold_s=0.2, force_s=0.1),
     "unload": Phase(open=False, force_s=0.2),
     "open": Phase(open=True, hold_s=0.5, force_s=0.3),

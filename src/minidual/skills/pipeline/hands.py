@@ -103,7 +103,8 @@ class Insert(Stage):
             targets = {arm: T @ start.held_by[arm] for arm in self.arms}
             segments.append(replace(straight(tools, "insert", state, targets, scene), soft=self.arms))
             state = replace(state, q=segments[-1].trajectory.q[-1], objects={**start.objects, self._what: T})
-        wait = still("settle", state.q, PHASES["insert"].hold_s, state.openings, soft=self.arms)
+        hold_s = PHASES["insert"].force_s if tools.by_force else PHASES["insert"].hold_s
+        wait = still("settle", state.q, hold_s, state.openings, soft=self.arms)
         yield Candidate("", 0.0, state, (*segments, wait))
 
 
