@@ -33,16 +33,13 @@ class ControllerManager:
         self._robot = robot
         self._all = {c.name: c for c in controllers}
         self._active: tuple[Controller, ...] = ()
+        self.active: tuple[str, ...] = ()
+        """Names."""
         self._dt, self._fade_steps, self._fade_left = dt_s, max(1, round(_FADE_S / dt_s)), 0
         self._rate: TorqueRate | None = None
         self._offset: Array | None = None
         self.tau = np.zeros(robot.dof)
         """Last torques (n,) [Nm]."""
-
-    @property
-    def active(self) -> tuple[str, ...]:
-        """Names of the active controllers."""
-        return tuple(c.name for c in self._active)
 
     def __getitem__(self, name: str) -> Controller:
         if name not in self._all:
@@ -84,7 +81,7 @@ class ControllerManager:
         if self._active and chosen != self._active:
             self._fade_left, self._offset = self._fade_steps, None
             self._rate = TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
-        self._active = chosen
+        self._active, self.active = chosen, tuple(names)
 
     def refuses(self, command: Command) -> Reason | None:
         """Return why a command is refused, or None."""

@@ -87,7 +87,7 @@ class _Execution[C: TimedCommand]:
 
     def step(self) -> None:
         """Advance one control step; the first goes to time zero."""
-        self._paced = self._paced or self.braking or min(self.pace, self._speed) < 1.0
+        self._paced = self._paced or self.pace < 1.0 or self._speed < 1.0 or self.braking
         if not self._paced:
             if self._k < self._steps:
                 self._k += 1

@@ -108,7 +108,8 @@ class Grippers:
                 self._compare(hand, grip[hand])
                 continue
             way = self._gain * (grip[hand] - self._force_n)
-            target = min(target + min(step, max(-step, way)), self._travel_m)
+            way = step if way > step else -step if way < -step else way
+            target = min(target + way, self._travel_m)
             if grip[hand] < _NEAR * self._force_n:  # otherwise the target is not far ahead of the fingers
                 target = max(target, float(self._plant.fingers[hand]) - 0.5 * self._travel_m)
                 self._compare(hand, grip[hand])

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.control.gripper import Grippers
-from minidual.control.kernels import add_friction, follow_target, servo
+from minidual.control.kernels import add_loads, follow_target, servo
 from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
@@ -64,14 +64,13 @@ class Motors:
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics, arm = kinematics, kinematics.robot.arm
         self._limits = arm.damping, arm.friction, np.array(kinematics.robot.tau_max)
+        self._no_load = np.zeros(kinematics.robot.dof)
 
     def torque(self, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:
         """Return torques (n,) [Nm] for accelerations a (n,) and load (n,), clipped to the limits; NaN stays NaN."""
         # rnea(q, v, a) = M a + h in O(n), with rotor inertia from model.armature.
         tau = pin.rnea(self._kinematics.model, self._kinematics.data, q, v, a)
-        if load is not None:
-            tau += load
-        add_friction(tau, v, *self._limits)
+        add_loads(tau, self._no_load if load is None else load, v, *self._limits)
         return tau
 
 

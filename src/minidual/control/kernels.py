@@ -24,6 +24,7 @@ LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
     [
         *((name, "f8", 6) for name in ("K", "D")),
         *((name, "f8") for name in ("mass", "posture_stiffness", "posture_damping")),
+        *((name, "f8") for name in ("force_gain", "force_limit", "force_max")),
         *(("inertia", "f8", (3, 3)), ("axis", "f8", 3), ("R_tcps_object", "f8", (2, 3, 3))),
     ]
 )
@@ -133,7 +134,10 @@ def hand_look(hands: Placed, v: Array, torque: Array, out: Array) -> None:
 
 
 @kernel(
-    types.boolean(types.Array(from_dtype(LAW), 1, "C"), ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL, _HANDS, *[VECTOR] * 4)
+    types.boolean(
+        *(types.Array(from_dtype(LAW), 1, "C"), ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL, _REAL),
+        *(_HANDS, _VIEW, _VIEW, VECTOR, VECTOR, VECTOR),
+    )
 )
 def impedance(
     law: Array,
@@ -142,16 +146,18 @@ def impedance(
     T_d: Array,
     twist_d: Array,
     a_d: Array,
-    squeeze_n: float,
+    wanted_n: float,
+    felt_n: float,
     hands: Placed,
-    sag: Array,
+    posture: Array,
+    q: Array,
     v: Array,
     qdd: Array,
     push: Array,
 ) -> bool:
     """Fill qdd (n,) and push (n,) = J^T f; see docs/force-control.md.
 
-    law: (1,) of LAW. sag: (n,), posture - q. Return False if a hand has lost a direction of motion.
+    law: (1,) of LAW. Return False if a hand has lost a direction of motion.
     """
     J, p_left, p_right, R_left, R_right = hands
     s = law[0]
@@ -166,6 +172,8 @@ def impedance(
     moment = plus(I_alpha, cross(omega, I_omega))
     p, p_hands = three(T[:, 3], 0), (three(p_left, 0), three(p_right, 0))
     r = (minus(p_left, p), minus(p_right, p))
+    correction = within(s.force_gain * (wanted_n - felt_n), -s.force_limit, s.force_limit)
+    squeeze_n = within(wanted_n + correction, 0.0, s.force_max)
     f = hand_wrenches(three(force, 0), moment, r[0], r[1], times(squeeze_n, apply(T, s.axis)))
     n = len(v) // 2
     J_hand, R, lacking, wrench = np.empty((6, n)), np.empty((3, 3)), np.empty(6), np.empty(6)
@@ -189,7 +197,7 @@ def impedance(
         a_hand = plus(a, plus(cross(alpha, r[i]), cross(omega, cross(omega, r[i]))))
         lacking[:3], lacking[3:] = minus(a_hand, drift[0]), minus(alpha, drift[1])
         for j in range(n * i, n * i + n):
-            qdd[j] = s.posture_stiffness * sag[j] - s.posture_damping * v[j]
+            qdd[j] = s.posture_stiffness * (posture[j] - q[j]) - s.posture_damping * v[j]
         for k in range(6):
             for j in range(n):
                 lacking[k] -= J_hand[k, j] * qdd[n * i + j]
@@ -256,6 +264,14 @@ def smooth(forces: Array, pinch: Array, raw: Array, felt: Array, share: float, g
     return odd
 
 
+@kernel(_REAL(VECTOR, ROWS))
+def pressed(felt: Array, T: Array) -> float:
+    """Return the internal force [N] that the hands' forces felt[:6] have along y of T; NaN stays NaN."""
+    y = three(T[:, 1], 0)
+    left, right = -inner(three(felt, 0), y), inner(three(felt, 3), y)
+    return right if right < left or right != right else left
+
+
 @kernel(types.void(ROWS, _REAL, _REAL, _REAL, types.Array(_REAL, 2, "A", readonly=True), ROWS, ROWS))
 def on_line(ends: Array, s: float, ds: float, dds: float, X: Array, T: Array, motion: Array) -> None:
     """Fill T (4, 4) with the level pose at share s between two poses, times X; `motion` (2, 6) with twist, acceleration.
@@ -313,10 +329,11 @@ def servo(q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, w: float
         a[j] = a_ref[j] + 2.0 * w * (v_ref[j] - v[j]) + w * w * (q_ref[j] - q[j])
 
 
-@kernel(types.void(VECTOR, _VIEW, _REAL, _REAL, _VIEW))
-def add_friction(tau: Array, v: Array, damping: float, dry: float, tau_max: Array) -> None:
-    """Add d v + c tanh(v / v_s) to tau (n,) and clip; tanh, because near rest the sign of v is noise."""
+@kernel(types.void(VECTOR, _VIEW, _VIEW, _REAL, _REAL, _VIEW))
+def add_loads(tau: Array, load: Array, v: Array, damping: float, dry: float, tau_max: Array) -> None:
+    """Add load (n,) and friction d v + c tanh(v / v_s) to tau (n,) and clip; tanh, because near rest the sign of v is noise."""
     for j in range(len(tau)):
+        tau[j] += load[j]
         tau[j] += damping * v[j] + (dry * math.tanh(v[j] / 0.02) if dry != 0.0 else 0.0)
         tau[j] = within(tau[j], -tau_max[j], tau_max[j])
 

@@ -133,9 +133,10 @@ class ObjectImpedanceController(Controller):
             self.desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n
             if self._execution.finished:
                 self._execution = None
-        step = within(self._squeeze_wanted - self._squeeze, -self._squeeze_step, self._squeeze_step)
+        if self._squeeze != self._squeeze_wanted:
+            self._squeeze += within(self._squeeze_wanted - self._squeeze, -self._squeeze_step, self._squeeze_step)
         # The hands slip above the friction limit: reduce the squeeze at once.
-        self._squeeze = min(self._squeeze + step, sensor.grip_limit_n)
+        self._squeeze = min(self._squeeze, sensor.grip_limit_n)
         measured, felt_n = sensor.read()
         self.reference, self._v, desired = q, v, self.desired or measured
         return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)

@@ -13,7 +13,7 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import Motors
-from minidual.control.kernels import LAW, impedance, on_line, within
+from minidual.control.kernels import LAW, impedance, on_line
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -79,7 +79,8 @@ class ObjectImpedance:
         K = np.repeat([gains.stiffness_n_per_m, gains.stiffness_nm_per_rad], 3)
         posture = POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S
         R_tcps_object = [T[:3, :3].T for T in held.T_object_tcps]
-        data = (K, np.zeros(6), held.mass_kg, *posture, held.inertia_kg_m2, held.axis, R_tcps_object)
+        servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_CEILING_N
+        data = (K, np.zeros(6), held.mass_kg, *posture, *servo, held.inertia_kg_m2, held.axis, R_tcps_object)
         self._law = np.array([data], LAW)
         self._posture = kinematics.robot.home
         self._hands = Hands(kinematics)
@@ -113,15 +114,12 @@ class ObjectImpedance:
         Raises:
             SingularPostureError: A hand lost a direction of motion.
         """
-        gains, hands = self.gains, self._hands
-        limit = gains.force_correction_max_n
-        correction = within(gains.force_gain * (wanted_n - felt_n), -limit, limit)
-        squeeze = within(wanted_n + correction, 0.0, SQUEEZE_CEILING_N)
+        hands = self._hands
         hands.update(q)
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),
-            *(desired.T_world_object, desired.twist, desired.acceleration, squeeze),
-            *(hands.views, self._posture - q, v, self._qdd, self.push),
+            *(desired.T_world_object, desired.twist, desired.acceleration, wanted_n, felt_n),
+            *(hands.views, self._posture, q, v, self._qdd, self.push),
         ):
             raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
         return self._motors.torque(q, v, self._qdd, self.push)

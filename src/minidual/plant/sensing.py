@@ -10,14 +10,25 @@ from collections import deque
 
 import numpy as np
 import pinocchio as pin
+from numba.core import types
 
 from minidual.config.control import SensingConfig
 from minidual.plant.protocol import PoseSample, Reading
 from minidual.plant.world import World
+from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _BLOCK = 512
 _FORCES = 8  # three components of two hands, then two pinches
+
+
+@kernel(types.void(ROWS, types.int64, VECTOR))
+def add_forces(samples: Array, row: int, seen: Array) -> None:
+    """Add the forces in `seen` (see `NamedObject.look`) to a row of noise (T, 8)."""
+    for i in range(8):
+        samples[row, i] += seen[6 + i]
+        if i >= 6 and samples[row, i] < 0.0:
+            samples[row, i] = 0.0
 
 
 class Sensors:
@@ -35,33 +46,32 @@ class Sensors:
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
         self._tick, self._begin_s = 0, world.time
-        self._late: deque[tuple[Array | None, Array]] = deque()
+        self._late: deque[tuple[Array | None, Array, Array]] = deque()
 
     def sense(self) -> Reading:
         """See `ObjectSensors`."""
-        tick = self._tick
-        forces = self._sample_forces()
-        pose = self._sample_pose() if tick % self._period_ticks == 0 else None
+        tick, row = self._tick, self._tick % _BLOCK
+        if row == 0:
+            self._draw_noise()
+        add_forces(self._samples, row, self._object.look())
+        pose, forces, pinch = None, self._forces[row], self._pinches[row]
+        if tick % self._period_ticks == 0:
+            pose = self._sample_pose()
         if tick == 0:
-            self._late.extend([(None, forces)] * self.delay_ticks)
-        self._late.append((pose, forces))
-        arrived, forces = self._late.popleft()
+            self._late.extend([(None, forces, pinch)] * self.delay_ticks)
+        self._late.append((pose, forces, pinch))
+        arrived, forces, pinch = self._late.popleft()
         if tick == 0:
             arrived = pose  # at rest before the trial
         self._tick += 1
         sample = None if arrived is None else PoseSample(arrived, self.delay_ticks)
         stamp_s = max(0, tick - self.delay_ticks) * self._world.dt + self._begin_s
-        return Reading(sample, forces[:6].reshape(2, 3), forces[6:], stamp_s)
+        return Reading(sample, forces, pinch, stamp_s)
 
-    def _sample_forces(self) -> Array:
-        """Return noisy forces and pinches (8,)."""
-        row = self._tick % _BLOCK
-        if row == 0:
-            self._force_noise = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-        forces: Array = self._object.look()[6:14] + self._force_noise[row]
-        pinch = forces[6:]
-        np.maximum(pinch, 0.0, pinch)
-        return forces
+    def _draw_noise(self) -> None:
+        # the noise of the next steps, which `add_forces` turns into samples; a view costs less when many are made
+        self._samples = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
+        self._forces, self._pinches = list(self._samples[:, :6].reshape(_BLOCK, 2, 3)), list(self._samples[:, 6:])
 
     def _sample_pose(self) -> Array:
         T = self._object.pose()

@@ -7,14 +7,13 @@ import math
 import numpy as np
 
 from minidual.config.control import CarryConfig
-from minidual.control.kernels import smooth
+from minidual.control.kernels import pressed, smooth
 from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.control.object_impedance import ObjectState
 from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-from minidual.robot.vectors import inner
 from minidual.skills.faults import Fault, FaultMonitor
 from minidual.tasks.rod_carry import tilt_rad
 
@@ -48,7 +47,7 @@ class CarryWatch:
         self._sensed_s = self._posed_s = world.time
         self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
         self._felt = np.nan_to_num(self._raw)
-        self._forces, self._pinch = self._felt[:6].reshape(2, 3), self._felt[6:]  # views
+        self._pinch = self._felt[6:]  # a view
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
         self._odd_max_n = round(config.faults.persistence_s / world.dt)
         self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
@@ -95,21 +94,20 @@ class CarryWatch:
 
     def sense(self) -> None:
         """Read and filter the sensors; call once a control step."""
-        world = self._world
-        if world.time > self._sensed_s:  # the constructor sensed the first step
+        world, held, now_s = self._world, self._held, self._world.time
+        if now_s > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
         reading = self._reading
-        if reading.pose is not None:
-            if np.isfinite(reading.pose.T_world_object).all():
-                self._posed_s = world.time - reading.pose.age_ticks * world.dt
+        pose = reading.pose
+        if pose is not None:
+            if np.isfinite(pose.T_world_object).all():
+                self._posed_s = now_s - pose.age_ticks * world.dt
             else:
-                self._reading = reading = reading._replace(pose=None)
+                pose, self._reading = None, reading._replace(pose=None)
         self._feel_forces(reading)
-        if self._held is not None:
-            pose = reading.pose
-            sample = (None, 0) if pose is None else (pose.T_world_object, pose.age_ticks)
-            self._held.update(world.q, world.v, *sample)
-            self._feel()
+        if held is not None:
+            held.update(world.q, world.v, *(pose or (None, 0)))
+            self._felt_n = pressed(self._felt, held.state.T_world_object)
 
     def _feel_forces(self, reading: Reading) -> None:
         glitch_n, patient = self._config.faults.force_glitch_n, self._odd_n < self._odd_max_n
@@ -130,7 +128,7 @@ class CarryWatch:
             least_gain=period / max(sensing.grasp_memory_s, period),
         )
         self._held.update(world.q, world.v, None)
-        self._feel()
+        self._felt_n = pressed(self._felt, self.T_world_object)
 
     def let_go(self) -> None:
         """From now on, estimate an object at rest."""
@@ -195,12 +193,8 @@ class CarryWatch:
         return self._monitor.motors(told, self._world.tau)
 
     def _gaps_m(self) -> list[float]:
-        return [2.0 * half for half in self._world.fingers.tolist()]
-
-    def _feel(self) -> None:
-        y, (left, right) = self.T_world_object[:3, 1].tolist(), self._forces.tolist()
-        pressed = -inner(left, y), inner(right, y)
-        self._felt_n = min(pressed) if pressed[1] == pressed[1] else math.nan  # `min` drops a NaN that comes second
+        left_m, right_m = self._world.fingers.tolist()
+        return [2.0 * left_m, 2.0 * right_m]
 
     def _ease(self, spread_m: float) -> None:
         """Reduce the internal force when the hands begin to slip.

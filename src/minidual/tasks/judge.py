@@ -104,8 +104,9 @@ class Judge:
 
     def observe(self, world: World) -> None:
         """Evaluate the state."""
-        truth, now = self.truth, world.time
+        truth = self.truth
         truth.refresh(world)
+        now = truth.time
         for condition in self._observing:
             detail = condition.observe(truth)
             if detail and condition.name not in self._muted:

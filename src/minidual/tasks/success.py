@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -54,17 +54,19 @@ class ObjectTruth:
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
         along = min(1.0, abs(up[self._axis]))  # vertical share of the long axis
         self.tilt_rad = math.acos(along) if self.body.upright else math.asin(along)
-        self.clearance_m = z + min(self._lowest_points(up))
+        self.clearance_m = z + self._lowest_m(up)
         self.airborne = self.clearance_m > AIRBORNE_M
 
-    def _lowest_points(self, up: Sequence[float]) -> Iterator[float]:
+    def _lowest_m(self, up: Sequence[float]) -> float:
+        lows = list[float]()
         for at, half, is_round, axis in self._solids:
             if is_round:
                 along = min(1.0, abs(up[axis]))
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
             else:
                 down = abs(up[0]) * half[0] + abs(up[1]) * half[1] + abs(up[2]) * half[2]
-            yield up[0] * at[0] + up[1] * at[1] + up[2] * at[2] - down
+            lows.append(up[0] * at[0] + up[1] * at[1] + up[2] * at[2] - down)
+        return min(lows)
 
     def distance_m(self, xy: tuple[float, float]) -> float:
         """Return the horizontal distance of its centre."""
@@ -160,7 +162,8 @@ class Level(OfObject):
 
     def observe(self, truth: Truth) -> str:
         tilt = truth[self.object].tilt_rad
-        self._largest = max(self._largest, tilt)
+        if tilt > self._largest:
+            self._largest = tilt
         if tilt > self.limit_rad:
             return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
         return ""
@@ -217,9 +220,10 @@ class Held(OfObject):
     _let_go: tuple[float, float] | None = None
 
     def _pinch(self, truth: Truth) -> tuple[int, float]:
-        pinch = truth[self.object].pinch
-        worst, best = int(pinch[1] < pinch[0]), int(pinch[1] > pinch[0])
-        hand = (worst if self.both else best) if self.hand is None else self.hand
+        left, right = pinch = truth[self.object].pinch
+        hand = self.hand
+        if hand is None:  # the weaker one, or the firmer
+            hand = int(right < left if self.both else right > left)
         return hand, pinch[hand]
 
     def observe(self, truth: Truth) -> str:
