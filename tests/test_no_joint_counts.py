@@ -13,7 +13,6 @@ SHAPING = {"range", "zeros", "empty", "ones", "full", "eye", "reshape", "tile", 
 EXCUSED = {
     "motion/held/hands.py": 1,  # the row of V beyond the six of a Jacobian
     "plant/bodies.py": 4,  # position and quaternion of an object; places in what `look` sees
-    "plant/sensing.py": 1,  # the same
     "show/view/scene.py": 1,  # position and quaternion of a body
 }
 """Files with such a number that is no count of joints, and how many."""
