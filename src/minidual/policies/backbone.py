@@ -25,7 +25,8 @@ class SpatialSoftmax(nn.Module):
     def forward(self, logits: Tensor) -> Tensor:
         """Map logits (B, K, h, w) in float32."""
         scaled = logits.float().flatten(2) * self.log_inverse_temperature.exp().unsqueeze(1)
-        moments = scaled.softmax(dim=-1) @ _pixel_centres(*logits.shape[2:], logits.device)
+        height, width = logits.shape[2:]
+        moments = scaled.softmax(dim=-1) @ _pixel_centres(height, width, logits.device)
         mean, square = moments[..., :2], moments[..., 2:]
         deviation = ((square - mean.square()).sum(-1).clamp_min(0.0) + 1e-6).sqrt()
         return torch.cat([mean[..., 0], mean[..., 1], deviation], dim=1)
