@@ -157,18 +157,29 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
             session.say(f"being written by {writer}")
     for line in ["the verdicts and artefacts are as signed"] if changed == [] else changed or ():
         session.say(f"signature: {line}", "bold red" if changed else "green")
-    head = {"run": store.run, "folder": store.folder, "profile": session.loaded.profile, "writer": writer}
-    stages = [_state_json(gate.state(name)) for name in session.table.names]
-    first = {"lowest": lowest and lowest.name, "because": lowest.because() if lowest else (), "next": following}
-    signed = {"key": key, "changed": changed} if key else None
-    session.finish({**head, "stages": stages, **first, "signature": signed}, ())
+    document = {
+        "run": store.run,
+        "folder": store.folder,
+        "profile": session.loaded.profile,
+        "writer": writer,
+        "stages": [_state_json(gate.state(name)) for name in session.table.names],
+        "lowest": lowest and lowest.name,
+        "because": lowest.because() if lowest else (),
+        "next": following,
+        "signature": {"key": key, "changed": changed} if key else None,
+    }
+    session.finish(document, ())
     return ExitCode.ACCEPTANCE_FAILED if changed else ExitCode.PASS
 
 
 def _state_json(state: StageState) -> dict[str, Any]:
     verdict = state.verdict
     return {
-        **{name: getattr(state, name) for name in ("name", "state", "reasons", "warnings", "folder")},
+        "name": state.name,
+        "state": state.state,
+        "reasons": state.reasons,
+        "warnings": state.warnings,
+        "folder": state.folder,
         "status": verdict.status if verdict else None,
         "acceptance": verdict.acceptance if verdict else False,
         "failed": [check.to_json() for check in verdict.failed_checks()] if verdict else [],
@@ -196,9 +207,14 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
             session.say(f"to run it again: {session.typed.command(f'{entry.name} --force')}")
         else:
             print_lowest(session.data, lowest, session.following(gate, explained=True))
-    verdict = state.verdict.to_json() if state.verdict else None
-    document = {**_state_json(state), "summary": entry.summary, "requires": upstream, "verdict": verdict}
-    session.finish({**document, "lowest": lowest and lowest.name}, ())
+    document = {
+        **_state_json(state),
+        "summary": entry.summary,
+        "requires": upstream,
+        "verdict": state.verdict.to_json() if state.verdict else None,
+        "lowest": lowest and lowest.name,
+    }
+    session.finish(document, ())
     return ExitCode.PASS
 
 
@@ -232,7 +248,11 @@ def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     config show --set plan.queries_n=30 --json
     """
     loaded = session.loaded
-    typed = [item.text for item in loaded.overrides]
-    document = {"profile": loaded.profile, "sources": list(loaded.sources), "overrides": typed, "config": loaded.config}
+    document = {
+        "profile": loaded.profile,
+        "sources": list(loaded.sources),
+        "overrides": [item.text for item in loaded.overrides],
+        "config": loaded.config,
+    }
     session.finish(document, loaded.to_yaml().splitlines())
     return ExitCode.PASS

@@ -32,6 +32,7 @@ class InHand(NamedTuple):
         name: Of the object; empty for nothing.
         T_tcp_object: (4, 4).
         T_tcp_planned: The same in the plan that gave the joint reference.
+        mass_kg: Of the object.
         centre_m: (3,) centre of compliance, object axes.
     """
 

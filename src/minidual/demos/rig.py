@@ -255,9 +255,13 @@ class Rig:
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
         teleop, task = self.job.teleop, self.job.task
-        start, goal = (list(placement(poses[task.carried])) for poses in (trial.start, trial.goal))
-        extra: dict[str, Any] = {"trial": trial.index, "purpose": trial.purpose, "leader": teleop.leader}
-        extra |= {"start_x_y_yaw": start, "goal_x_y_yaw": goal}
+        extra = {
+            "trial": trial.index,
+            "purpose": trial.purpose,
+            "leader": teleop.leader,
+            "start_x_y_yaw": list(placement(trial.start[task.carried])),
+            "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
+        }
         if (room := self.job.room(trial)) is not None:
             extra |= {"condition": room.name, "room_change_s": teleop.room_change_s}
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)

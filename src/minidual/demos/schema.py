@@ -106,11 +106,17 @@ class EpisodeMeta:
 
     def to_attrs(self, ticks: int) -> dict[str, Any]:
         """Return the attributes of a file."""
-        attrs: dict[str, Any] = {TICKS: int(ticks), "success": bool(self.success), "sim": bool(self.sim)}
-        attrs |= {"fps": float(self.fps), "task": self.task, "seed": int(self.seed)}
-        attrs["cameras"] = json.dumps(list(self.cameras))
-        extra = json.dumps(dict(self.extra), sort_keys=True, allow_nan=False)
-        return {**attrs, "schema_version": SCHEMA_VERSION, "extra": extra}
+        return {
+            TICKS: int(ticks),
+            "success": bool(self.success),
+            "sim": bool(self.sim),
+            "fps": float(self.fps),
+            "task": self.task,
+            "seed": int(self.seed),
+            "cameras": json.dumps(list(self.cameras)),
+            "schema_version": SCHEMA_VERSION,
+            "extra": json.dumps(dict(self.extra), sort_keys=True, allow_nan=False),
+        }
 
     @staticmethod
     def from_attrs(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:

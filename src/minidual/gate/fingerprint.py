@@ -104,10 +104,18 @@ def _short(value: Any) -> str:
 @cache
 def circumstances_now(libraries: tuple[str, ...]) -> dict[str, Any]:
     """Return version, commit, machine and versions of distributions."""
-    machine = {"system": platform.system(), "architecture": platform.machine(), "processor": _processor()}
-    machine = {**machine, "cores": os.cpu_count(), "python": platform.python_version()}
-    versions = {name: installed_version(name) or "not installed" for name in libraries}
-    return {"version": minidual.__version__, "commit": _commit(), "machine": machine, "libraries": versions}
+    return {
+        "version": minidual.__version__,
+        "commit": _commit(),
+        "machine": {
+            "system": platform.system(),
+            "architecture": platform.machine(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+        },
+        "libraries": {name: installed_version(name) or "not installed" for name in libraries},
+    }
 
 
 def installed_version(name: str) -> str | None:

@@ -93,9 +93,15 @@ class Verdict:
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON types, with derived values and a digest."""
-        head = {"schema": SCHEMA, "profile": self.profile, "seed": self.fingerprint.seed, "status": self.status}
-        checks = [check.to_json() for check in self.checks]
-        body = canonical({**asdict(self), **head, "acceptance": self.acceptance, "checks": checks})
+        derived = {
+            "schema": SCHEMA,
+            "profile": self.profile,
+            "seed": self.fingerprint.seed,
+            "status": self.status,
+            "acceptance": self.acceptance,
+            "checks": [check.to_json() for check in self.checks],
+        }
+        body = canonical({**asdict(self), **derived})
         return {**body, "digest": digest(body)}
 
 
