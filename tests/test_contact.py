@@ -209,3 +209,25 @@ def test_when_one_arm_is_off_the_other_is_watched(faulty: FaultyWorld) -> None:
     faulty.data.xfrc_applied[faulty.model.body("right_panda_link4").id, 0] = 100.0
     with pytest.raises(ReflexError, match=r"joint_contact.*right_panda"):
         _steps(stack, 30)
+
+
+def test_hands_that_open_may_press_until_they_are_open(world: World) -> None:
+    """Hands let go of an object that stands on the table: it pushes back while the fingers part."""
+    world.reset(HOME)
+    stack = ControlStack(world, Kinematics(), supervisor=Supervisor(dt_s=world.dt))
+    stack.request("teleop")
+    pushed = Kinematics().tcp_jacobians(HOME)[0][1] * 25.0
+    stopped: ReflexError | None = None
+    for k in range(1600):
+        if stack.tick_next and stopped is None:
+            stack.propose("teleop", JointCommand(HOME, np.full(2, float(k >= 800)), world.time, k + 1))
+        if k == 810:
+            world.data.qfrc_applied[world.joints.qvel] = pushed
+        try:
+            stack.step()
+        except ReflexError as error:
+            stopped = error
+            break
+    assert stopped is not None
+    assert world.fingers.min() > 0.038
+    assert stopped.reflex.where.endswith("free motion")

@@ -67,7 +67,8 @@ class Grippers:
 
     def reset(self) -> None:
         """Start with open hands."""
-        self._is_open = [True, True]
+        self.is_open = [True, True]
+        """Commanded state of each hand."""
         self.forget_grip()
         self._targets = [self._travel_m] * 2
         self.targets_m = np.array(self._targets)
@@ -78,16 +79,16 @@ class Grippers:
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
-        self._is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
+        self.is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
 
     @property
-    def is_open(self) -> Array:
-        """Commanded state (2,), 0 or 1."""
-        return np.array(self._is_open, dtype=float)
+    def wide(self) -> bool:
+        """Whether both hands have opened to their full travel."""
+        return all(self.is_open) and self._targets == [self._travel_m] * 2
 
     def step(self, command: Array) -> Array:
         """Advance towards command (2,); return finger targets (2,) [m]."""
-        is_open = self._is_open
+        is_open = self.is_open
         for hand, wanted in enumerate(command.tolist()):
             if wanted > OPEN_ABOVE:
                 if not is_open[hand]:
@@ -96,7 +97,7 @@ class Grippers:
             elif wanted < CLOSE_BELOW:
                 is_open[hand] = False
         targets, step = self._targets, self._step_m
-        if is_open[0] and is_open[1] and targets[0] == targets[1] == self._travel_m:
+        if self.wide:
             return self.targets_m
         grip = self._plant.grip.tolist()
         for hand, target in enumerate(targets):
