@@ -2,30 +2,19 @@
 
 import itertools
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from minidual.config.change import preset
 from minidual.config.root import Config
+from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import draw_on_table, placement, transported
 from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
-_BOTTLE: dict[str, Any] = {
-    "name": "bottle",
-    "shape": "box",
-    "upright": True,
-    "length_m": 0.20,
-    "width_m": 0.05,
-    "height_m": 0.05,
-    "mass_kg": 0.3,
-    "friction": 0.8,
-    "grasp_offset_m": 0.07,
-    "colour": (0.16, 0.45, 0.36, 1.0),
-}
+_VALUES = rows_beside(__file__)
 # Exchange poses if the left hand gives.
 _MEETINGS = tuple(
     pose(rot_z(yaw), xyz)
@@ -45,22 +34,7 @@ _ACROSS = np.diag([1.0, -1.0, 1.0, 1.0])
 
 def handover(config: Config) -> Task:
     """Return the task."""
-    config = preset(
-        config,
-        {
-            **{f"scene.object.{name}": value for name, value in _BOTTLE.items()},
-            "scene.task.start_xy_m": (0.42, 0.58),
-            "scene.task.start_range_m": 0.03,
-            "scene.task.goal_xy_m": (0.50, -0.60),
-            "scene.task.goal_yaw_rad": -0.7,
-            "scene.task.goal_range_m": 0.03,
-            "scene.task.goal_range_rad": 0.26,
-            "scene.task.mirrored_share": 0.5,
-            "scene.task.lift_height_m": 0.10,
-            "scene.task.time_limit_s": 25.0,
-            "scene.task.tilt_max_rad": 0.20,
-        },
-    )
+    config = preset(config, _VALUES)
     body = config.scene.object
     return Task(
         name="handover",

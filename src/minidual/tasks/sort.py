@@ -13,17 +13,19 @@ from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import MarkConfig, ObjectConfig
 from minidual.errors import UsageError
+from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import level_pose, placement
 from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
 
+_ROWS = rows_beside(__file__)
 COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}
 SIDE_OF = dict(zip(COLOURS, SIDES, strict=True))
 """Arm that reaches the bin of a colour."""
 _WAY = dict(zip(SIDES, (1.0, -1.0), strict=True))  # sign of y on an arm's side
-_EDGE_M, _APART_M = 0.04, 0.10
+_APART_M = 0.10
 _START_M = ((0.38, 0.58), (-0.42, 0.42))
 _WRONG_M = 0.15
 # Size and centre of a bin, and its places along y. However it stretches, the other arm ends 3 cm before it.
@@ -39,32 +41,12 @@ def sort(config: Config) -> Task:
     """Return the task."""
     names = [f"{colour}_{k}" for colour in COLOURS for k in (1, 2)]
     cubes = [
-        ObjectConfig(
-            name=name,
-            shape="box",
-            upright=True,
-            length_m=_EDGE_M,
-            width_m=_EDGE_M,
-            height_m=_EDGE_M,
-            mass_kg=0.06,
-            friction=0.8,
-            grasp_offset_m=0.0,
-            colour=COLOURS[name.split("_")[0]],
-            xy_m=(0.44, 0.3 - 0.2 * k),
-        )
+        ObjectConfig(name=name, colour=COLOURS[name.split("_")[0]], xy_m=(0.44, 0.3 - 0.2 * k), **_ROWS["cube"])
         for k, name in enumerate(names)
     ]
-    config = preset(
-        config,
-        {
-            "scene.object": cubes[0],
-            "scene.more": tuple(cubes[1:]),
-            "scene.marks": tuple(mark for colour in COLOURS for mark in _bin(colour)),
-            "scene.task.lift_height_m": 0.10,
-            "scene.task.tilt_max_rad": 0.20,
-            "scene.task.time_limit_s": 60.0,
-        },
-    )
+    marks = tuple(mark for colour in COLOURS for mark in _bin(colour))
+    bodies = {"scene.object": cubes[0], "scene.more": tuple(cubes[1:]), "scene.marks": marks}
+    config = preset(config, {**bodies, **_ROWS["values"]})
     down = pose(rot_z(np.pi / 2.0) @ rot_x(np.pi), (0.0, 0.0, config.scene.object.grasp_height_m))
     grasps = dict.fromkeys(SIDES, down)
     return Task(
