@@ -131,7 +131,7 @@ class SpatialActKind(ActKind):
         own = ("keypoints", "keyframe_weight", "context_layers", "standardised_maps")
         described = SpatialActConfig(**{name: getattr(config, name) for name in own}, **common)
         policy = SpatialActPolicy(described)
-        encoders: Any = policy.model.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        encoders: Any = policy.model.backbone
         for encoder in encoders:
             encoder.bf16 = use_bf16(config)
         return policy

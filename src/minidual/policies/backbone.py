@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-_LEAST_DEVIATION = 1e-3
+_LEAST_VARIANCE = 1e-6
 
 
 class SpatialSoftmax(nn.Module):
@@ -24,21 +24,19 @@ class SpatialSoftmax(nn.Module):
 
     def forward(self, logits: Tensor) -> Tensor:
         """Map logits (B, K, h, w) in float32."""
-        batch, channels, height, width = logits.shape
-        scaled = logits.float() * self.log_inverse_temperature.exp().view(1, -1, 1, 1)
-        weights = scaled.reshape(batch, channels, height * width).softmax(dim=-1).view(batch, channels, height, width)
-        xs = _pixel_centres(width, logits.device)
-        ys = _pixel_centres(height, logits.device)
-        along_x = weights.sum(dim=2)
-        along_y = weights.sum(dim=3)
-        x = along_x @ xs
-        y = along_y @ ys
-        variance = along_x @ xs.square() - x.square() + along_y @ ys.square() - y.square()
-        return torch.cat([x, y, (variance.clamp_min(0.0) + 1e-6).sqrt()], dim=1)
+        scaled = logits.float().flatten(2) * self.log_inverse_temperature.exp().unsqueeze(1)
+        height, width = logits.shape[2:]
+        moments = scaled.softmax(dim=-1) @ _pixel_centres(height, width, logits.device)
+        mean, square = moments[..., :2], moments[..., 2:]
+        deviation = ((square - mean.square()).sum(-1).clamp_min(0.0) + 1e-6).sqrt()
+        return torch.cat([mean[..., 0], mean[..., 1], deviation], dim=1)
 
 
-def _pixel_centres(count: int, device: torch.device) -> Tensor:
-    return (torch.arange(count, dtype=torch.float32, device=device) + 0.5) * (2.0 / count) - 1.0
+def _pixel_centres(height: int, width: int, device: torch.device) -> Tensor:
+    """Return x, y, x^2 and y^2 of every pixel (height * width, 4)."""
+    along = [(torch.arange(n, dtype=torch.float32, device=device) + 0.5) * (2.0 / n) - 1.0 for n in (height, width)]
+    y, x = (grid.flatten() for grid in torch.meshgrid(*along, indexing="ij"))
+    return torch.stack([x, y, x.square(), y.square()], dim=1)
 
 
 class KeypointEncoder(nn.Module):
@@ -82,20 +80,20 @@ class KeypointEncoder(nn.Module):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def maps(self, image: Tensor) -> Tensor:
         """Map images (B, 3, H, W) to maps (B, K, H / 4, W / 4)."""
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
-            features = self.features(image)
+            features = self.features(image.to(memory_format=torch.channels_last))
             if self.context is not None:
                 size = features.shape[-2:]
                 features = features + functional.interpolate(self.context(features), size, mode="bilinear")
             maps = self.heads(features)
         if not self.standardised:
             return maps
-        maps = maps.float()
-        mean, deviation = maps.mean((2, 3), keepdim=True), maps.std((2, 3), keepdim=True)
-        return (maps - mean) / (deviation + _LEAST_DEVIATION)
+        flat = maps.float().flatten(2)
+        return functional.layer_norm(flat, flat.shape[2:], eps=_LEAST_VARIANCE).view(maps.shape)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map images (B, 3, H, W) to (B, 3 K)."""
