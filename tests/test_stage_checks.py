@@ -155,6 +155,10 @@ def test_held_out_starts_are_none_of_the_demonstrations(monkeypatch: pytest.Monk
     starts, seen_n = deploy_starts(config, 7, [4, 0, 2])
     assert seen_n == 0
     assert [t.index for t in starts["held_out"]] == list(range(config.deploy.trials))
+    later = config.model_copy(update={"deploy": config.deploy.model_copy(update={"first_start": 1000})})
+    assert [t.index for t in deploy_starts(later, 7, [4])[0]["held_out"]] == list(
+        range(1000, 1000 + later.deploy.trials)
+    )
     assert [t.index for t in starts["training"]] == [4, 0, 2][: config.deploy.training_trials]
     # The demonstrations' starts are those that teleop-record draws.
     assert {t.purpose for t in starts["training"]} == {PURPOSE}

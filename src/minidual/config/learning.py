@@ -131,6 +131,8 @@ class DeployConfig(StrictModel):
     device: Literal["cpu", "cuda"] = "cpu"
     trials: AtLeast[int] = Field(default=50, ge=1, le=10_000)
     """Trials from starts held out from training."""
+    first_start: int = Field(default=0, ge=0, le=10_000_000)
+    """Number of the first held-out start; another one gives starts that no decision has seen."""
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
     conditions: tuple[str, ...] = ("room",)
     """Conditions under which the held-out trials run again."""
@@ -144,5 +146,6 @@ class DeployConfig(StrictModel):
     @model_validator(mode="after")
     def _limits_are_measured(self) -> Self:
         if missing := [name for name in self.condition_rate_min if name not in self.conditions]:
-            raise ValueError(f"condition_rate_min limits {missing[0]}, which conditions does not name")
+            missed = f"condition_rate_min limits {missing[0]}, which conditions does not name"
+            raise ValueError(f"{missed}: name it there too, or set condition_rate_min to {{}}")
         return self

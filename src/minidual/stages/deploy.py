@@ -43,8 +43,9 @@ def deploy_starts(config: Config, seed: int, demonstrated: Sequence[int]) -> tup
     """
     task, settings = make_task(config), config.deploy
     shown, widen = demonstrated[: settings.training_trials], config.teleop.widen
+    held_out = range(settings.first_start, settings.first_start + settings.trials)
     starts = {
-        "held_out": [task.trial(seed, HELD_OUT, i) for i in range(settings.trials)],
+        "held_out": [task.trial(seed, HELD_OUT, i) for i in held_out],
         "training": [task.trial(seed, TRAINING, i, widen=widen) for i in shown],
     }
     drawn = [_poses(task.trial(seed, TRAINING, i)) for i in demonstrated]  # as wide as the held-out ones
