@@ -106,6 +106,23 @@ class TestOracle:
             assert np.abs(tau - plain).max() < 5e-9  # the oracle's drift is a finite difference
         assert unclipped > 25
 
+    def test_a_squeeze_in_world_axes_keeps_its_first_direction(self, kinematics: Kinematics) -> None:
+        """It equals a law whose axis, in object axes, turns against the object."""
+        case = draw(np.random.default_rng(5), kinematics)
+        elsewhere = case.q_engaged + 0.2
+        left, right = (T[:3, 3] for T in kinematics.tcp_poses(elsewhere))
+        first = (left - right) / np.linalg.norm(left - right)
+        turned = dataclasses.replace(case.held, axis=case.measured.T_world_object[:3, :3].T @ first)
+
+        def torque(held: HeldObject, gains: ImpedanceConfig) -> np.ndarray:
+            law = ObjectImpedance(kinematics, held, gains)
+            law.engage(elsewhere)
+            return law.torque(case.q, case.v, case.measured, case.desired, wanted_n=case.wanted_n, felt_n=case.felt_n)
+
+        world = torque(case.held, ImpedanceConfig(squeeze_axes="world"))
+        assert world == pytest.approx(torque(turned, ImpedanceConfig()), abs=1e-12)
+        assert np.abs(world - torque(case.held, ImpedanceConfig())).max() > 0.1
+
     def test_the_oracle_notices_every_term(self, kinematics: Kinematics) -> None:
         """Change one thing the law must heed: the torques must answer."""
         case = draw(np.random.default_rng(3), kinematics)

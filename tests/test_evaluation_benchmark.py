@@ -22,7 +22,8 @@ from minidual.gate.stage import StageContext
 from minidual.stages.benchmark import benchmark_checks, condition_checks
 from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
-from minidual.trials import benchmark, runner
+from minidual.tasks.task import make_task
+from minidual.trials import benchmark, methods, runner
 from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
@@ -379,6 +380,21 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     )
     assert one == two
     assert one[0]["condition"] == "moved 20 mm"
+
+
+def test_counterfactuals_of_force_change_one_setting_and_need_one_object_in_both_hands() -> None:
+    settings = {"impedance_open": ("force_gain", 0.0), "impedance_world": ("squeeze_axes", "world")}
+    for method, (name, value) in settings.items():
+        given: list[Config] = []
+        spec = dataclasses.replace(
+            methods.METHODS[method], target=lambda inputs, given=given: given.append(inputs.config)
+        )
+        spec.factory(MethodInputs(Config(), SEED))
+        (config,) = given
+        usual = Config().carry.impedance
+        assert config.carry.impedance == usual.model_copy(update={name: value}) != usual
+        assert "together" in methods.METHODS[method].cannot(make_task(Config(task="handover")), "")
+        assert not methods.METHODS[method].cannot(make_task(Config()), "")
 
 
 def test_the_floor_rests_or_drives_one_plan_wherever_the_object_is() -> None:

@@ -1,5 +1,7 @@
 """Configuration of `env-check` and `carry`."""
 
+from typing import Literal
+
 from pydantic import Field, field_validator
 
 from minidual.config.base import AtLeast, AtMost, StrictModel
@@ -41,6 +43,8 @@ class ImpedanceConfig(StrictModel):
     force_gain: float = Field(default=0.5, ge=0.0, lt=1.0)
     """Proportional force feedback; the loop oscillates from 1 on."""
     force_correction_max_n: float = Field(default=15.0, ge=0.0, le=20.0)
+    squeeze_axes: Literal["object", "world"] = "object"
+    """Axes in which the squeeze has a fixed direction; `world` is a counterfactual."""
     pinch_n: float = Field(default=60.0, gt=20.0, le=140.0)
     """Finger force; friction mu requires internal_force < 2 mu pinch."""
 

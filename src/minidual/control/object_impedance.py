@@ -82,7 +82,7 @@ class ObjectImpedance:
         servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_CEILING_N
         data = (K, np.zeros(6), held.mass_kg, *posture, *servo, held.inertia_kg_m2, held.axis, R_tcps_object)
         self._law = np.array([data], LAW)
-        self._posture = kinematics.robot.home
+        self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)
         self._hands = Hands(kinematics)
         self._motors, self._qdd, self.push = Motors(kinematics), *np.zeros((2, kinematics.robot.dof))
         """push: (n,) [Nm], last J^T f."""
@@ -101,6 +101,8 @@ class ObjectImpedance:
             mass, inertia = (np.diag(inertia_at_hand(M[arm, arm], part, index)) for part in (J[:3, arm], J[3:, arm]))
             moving[:3] += mass
             moving[3:] += lever**2 * float(np.mean(mass)) + inertia
+        left, right = self._kinematics.tcp_poses(q)
+        self._world_axis = (left - right)[:3, 3] / np.linalg.norm((left - right)[:3, 3])
         self._posture = np.array(q, dtype=float)
         self._law["D"] = 2.0 * self.gains.damping_ratio * np.sqrt(self._law["K"] * moving)
 
@@ -116,6 +118,8 @@ class ObjectImpedance:
         """
         hands = self._hands
         hands.update(q)
+        if self.gains.squeeze_axes == "world":
+            self._law["axis"] = measured.T_world_object[:3, :3].T @ self._world_axis
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),
             *(desired.T_world_object, desired.twist, desired.acceleration, wanted_n, felt_n),

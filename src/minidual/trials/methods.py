@@ -6,11 +6,13 @@ A method drives a world through one trial: `step()` until `done`, without readin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
+from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.registry import Registry, load_target
@@ -80,6 +82,7 @@ class MethodSpec:
         senses: Rows of SENSES that it reads.
         senses_apart: The same where the hands do not hold one object all the way, if others.
         cannot: (task, trained) -> why it cannot do a task, or "".
+        settings: {dotted path: value} of the configuration that it changes.
     """
 
     target: str | Callable[[MethodInputs], Factory]
@@ -89,6 +92,7 @@ class MethodSpec:
     senses: frozenset[str] = frozenset(SENSES)
     senses_apart: frozenset[str] | None = None
     cannot: Callable[[Task, str], str] = lambda task, trained: ""
+    settings: Mapping[str, Any] = MappingProxyType({})
 
     def reads(self, task: Task) -> frozenset[str]:
         """Return the rows of SENSES that it reads in a task."""
@@ -97,13 +101,24 @@ class MethodSpec:
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
         make: Any = load_target(self.target) if isinstance(self.target, str) else self.target
-        return make(inputs)
+        return make(replace(inputs, config=changed(inputs.config, self.settings)))
 
 
 def _another_task(task: Task, trained: str) -> str:
     return "" if task.name == trained else f"its policy is trained on '{trained}'"
 
 
+def _held_apart(task: Task, trained: str) -> str:
+    return "" if task.together else "the hands hold no object together"
+
+
+_IMPEDANCE = MethodSpec(
+    "minidual.trials.model_based:impedance",
+    "impedance of what the hands hold, and internal force control",
+    demands=frozenset({"squeezed"}),
+    senses=frozenset({"pose", "feedback"}),
+    senses_apart=frozenset({"pose"}),
+)
 METHODS: Registry[MethodSpec] = Registry(
     "method",
     {
@@ -112,12 +127,18 @@ METHODS: Registry[MethodSpec] = Registry(
             "planned and timed path (OMPL, TOPP-RA), joint trajectory control",
             senses=frozenset({"pose"}),
         ),
-        "impedance": MethodSpec(
-            "minidual.trials.model_based:impedance",
-            "impedance of what the hands hold, and internal force control",
-            demands=frozenset({"squeezed"}),
-            senses=frozenset({"pose", "feedback"}),
-            senses_apart=frozenset({"pose"}),
+        "impedance": _IMPEDANCE,
+        "impedance_open": replace(
+            _IMPEDANCE,
+            summary="impedance without feedback of the internal force",
+            cannot=_held_apart,
+            settings={"carry.impedance.force_gain": 0.0},
+        ),
+        "impedance_world": replace(
+            _IMPEDANCE,
+            summary="impedance with an internal force of fixed direction in world axes",
+            cannot=_held_apart,
+            settings={"carry.impedance.squeeze_axes": "world"},
         ),
         "act": MethodSpec(
             "minidual.trials.learned:policy",
