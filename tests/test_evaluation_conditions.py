@@ -1,5 +1,7 @@
 """Conditions change the plant as they say, and leave it as it was."""
 
+from functools import partial
+
 import mujoco
 import numpy as np
 import pytest
@@ -293,3 +295,25 @@ def test_a_darker_room_gives_darker_pictures(visual_model):
         dark = camera.picture(world.data, "high")
     assert 0.6 < dark.mean() / bright.mean() < 0.9
     np.testing.assert_array_equal(camera.picture(world.data, "high"), bright)
+
+
+@pytest.mark.parametrize("name", ["rod_carry", "handover", "pot_lift", "sort"])
+@pytest.mark.parametrize("factor", [0.85, 1.15])
+def test_an_object_of_another_size_stands_where_it_stood(name, factor):
+    task = make_task(Config(task=name))
+    model, trial = build_model(task.scene, visuals=False), task.trial(0, "conditions", 0)
+    body = model.body(task.carried).id
+    sizes = model.geom_size[model.geom_bodyid == body].copy()
+    world = World(task.scene, model=model)
+    with conditions.Condition("size", "", change=partial(conditions.size, factor=factor)).applied(
+        model, task, trial, RNG
+    ):
+        assert model.geom_size[model.geom_bodyid == body] == pytest.approx(factor * sizes)
+        world.reset(poses=trial.start)
+        before = world.data.xpos[body].copy()
+        gravity = Kinematics().gravity(world.q)
+        for _ in range(200):
+            world.command(gravity, np.full(2, world.robot.hand.travel_m))
+            world.step()
+        assert world.data.xpos[body] == pytest.approx(before, abs=5e-4)
+    assert model.geom_size[model.geom_bodyid == body] == pytest.approx(sizes)

@@ -160,6 +160,21 @@ def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generat
         model.body_inertia[body] *= scale
 
 
+def size(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
+    """Scale every object about the point where it stands; its frame stays, and so does the height of its centre of mass."""
+    for name in task.objects:
+        body, scale = model.body(name), _drawn(rng, factor)
+        where, upright = trial.start[name], (task.objects[name].body.rest_height_m, np.eye(3)[2])
+        height_m, up = upright if isinstance(where, tuple) else (where[2, 3], where[2, :3])
+        geoms = model.geom_bodyid == body.id
+        model.geom_pos[geoms] = scale * model.geom_pos[geoms] + (scale - 1.0) * height_m * up
+        model.geom_sameframe[geoms] = 0  # otherwise their place is not read
+        for values in (model.geom_size, model.geom_rbound, model.geom_aabb):
+            values[geoms] *= scale
+        boxes = slice(model.body_bvhadr[body.id], model.body_bvhadr[body.id] + model.body_bvhnum[body.id])
+        model.bvh_aabb[boxes, 3:] += 0.1  # too large a box loses no contact
+
+
 def friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, value: float) -> None:
     """Set friction of objects, pads and table."""
     model.geom_friction[_touching(model, task), 0] = value
@@ -313,7 +328,7 @@ def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturba
 
 
 _MADE = {f.__name__: f for f in (push, move)}
-_CHANGED = (mass, friction, slip, joint_friction, light, camera_moved, object_colour, table_colour, object_hidden)
+_CHANGED = (mass, size, friction, slip, joint_friction, light, camera_moved, object_colour, table_colour, object_hidden)
 _CHANGES: dict[str, Callable[..., None]] = {f.__name__: f for f in (*_CHANGED, distractors)}
 
 CONDITIONS: Registry[Condition] = Registry("condition", group="minidual.conditions")
