@@ -155,6 +155,16 @@ def test_continuation_and_projection_agree_with_the_grasps(q_start):
     assert max(hands.strays(swung[None], START[None])) < 1e-8
 
 
+def test_rounding_beyond_a_limit_is_cut_off_and_more_is_refused(monkeypatch, q_start):
+    hands, q = HandsIK(GRASPS, Kinematics()), q_start.copy()
+    monkeypatch.setattr(hands, "_nearest", lambda *_: q)
+    q[10] = Q_UPPER[10] + 5e-7
+    assert hands.solve(START, q_start)[10] == Q_UPPER[10]
+    for beyond in (Q_UPPER[10] + 1e-5, Q_LOWER[10] - 1e-5, np.nan):
+        q[10] = beyond
+        assert hands.solve(START, q_start) is None
+
+
 def test_joints_are_pushed_off_their_limits_only_near_them():
     off_limits = HandsIK(GRASPS, Kinematics()).off_limits
     assert not off_limits(HOME).any()

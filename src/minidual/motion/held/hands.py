@@ -14,6 +14,7 @@ _LIMIT_PUSH_RAD_PER_M = 3.0
 _RELAX_STEPS_N = 12
 _RELAX_STEP_M = 0.05
 _ARM_M = 0.2
+_ROUNDING_RAD = 1e-6  # beyond a limit: a start on a limit is solved again to either side of it
 JUMP_MAX_RAD = 0.15
 """Larger joint steps between path points are jumps."""
 RESIDUAL_MAX_M = 1e-4
@@ -54,7 +55,8 @@ class HandsIK:
         `wish` (n,) is a preferred step from q_near.
         """
         q = self._nearest(T_world_object, q_near, wish)
-        return q if self._inside(q) else None
+        inside = np.clip(q, self.robot.q_lower, self.robot.q_upper)
+        return inside if np.abs(inside - q).max() <= _ROUNDING_RAD else None
 
     def elbow_swing(self, q: Array, swings_rad: Array) -> Array:
         """Return a null-space step (n,) by `swings_rad` (2,); zero for six-joint arms."""
