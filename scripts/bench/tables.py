@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from minidual.config.root import Config
 
@@ -17,12 +18,16 @@ class BenchInputs:
         seed: The run's seed.
         repeats_n: How often the thing is timed: steps, queries.
         advance: Call with the name of what was just measured.
+        peers: Whether other planners are measured too.
+        roboplan: Python with roboplan.
     """
 
     config: Config
     seed: int
     repeats_n: int
     advance: Callable[[str], None] = lambda _what: None
+    peers: bool = False
+    roboplan: Path = Path(".venv-roboplan/bin/python")
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class BenchRow:
 
     Attributes:
         name: What, unique in its table.
-        numbers: By column; names carry their unit, `step_us`.
+        numbers: By column; names carry their unit, `step_us`. Integers are counts.
         limits: Columns whose number must not exceed a value.
     """
 
@@ -87,6 +92,8 @@ class BenchTable:
     def _cell(row: BenchRow, column: str, *, over: bool) -> str:
         if column not in row.numbers:
             return "-"
+        if isinstance(row.numbers[column], int):
+            return str(row.numbers[column])
         limit = f" (<= {row.limits[column]:g})" if column in row.limits else ""
         return f"{'!' if over else ''}{row.numbers[column]:.{_digits(row.numbers[column])}f}{limit}"
 
