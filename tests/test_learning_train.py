@@ -91,8 +91,17 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
     with pytest.raises(KeyboardInterrupt):
         train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
     assert not (tmp_path / "cut").exists()
-    resumed = train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
-    assert resumed.resumed_from_step == stop_at
+    told: list[int] = []
+    resumed = train(
+        demos,
+        config,
+        5,
+        tmp_path / "cut",
+        resume_dir=tmp_path / "progress",
+        advance=lambda steps, _: told.append(steps),
+    )
+    assert resumed.resumed_from_step == told[0] == stop_at
+    assert sum(told) == whole.steps
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
     assert resumed.curve == whole.curve
 

@@ -11,6 +11,7 @@ class Task:
     def __init__(self, description: str, total: float | None, say: Callable[[str], None], every_s: float) -> None:
         self._description, self._total, self._say, self._every_s = description, total, say, every_s
         self._done, self._note = 0.0, ""
+        self._first: tuple[float, float] | None = None  # time and count of the first call, of earlier work perhaps
         self._started = self._last = time.monotonic()
 
     def advance(self, steps: float = 1, note: str = "") -> None:
@@ -18,6 +19,7 @@ class Task:
         self._done += steps
         self._note = note or self._note
         now = time.monotonic()
+        self._first = self._first or (now, self._done)
         if now - self._last >= self._every_s:
             self._last = now
             self._say(self._line(now))
@@ -26,8 +28,9 @@ class Task:
         spent = now - self._started
         of = "" if self._total is None else f"/{self._total:g}"
         line = f"{self._description}: {self._done:g}{of}, {spent:.0f} s"
-        if self._total is not None and 0 < self._done < self._total:
-            line += f", about {spent * (self._total - self._done) / self._done:.0f} s left"
+        since, before = self._first or (now, self._done)
+        if self._total is not None and before < self._done < self._total:
+            line += f", about {(now - since) * (self._total - self._done) / (self._done - before):.0f} s left"
         return f"{line}, {self._note}" if self._note else line
 
     def __enter__(self) -> Self:

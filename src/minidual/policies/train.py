@@ -134,6 +134,8 @@ class _Loop:
         """Train; return "steps" or "time limit"."""
         config, state = self.config, self.state
         self.policy.train()
+        if advance is not None and state.step:
+            advance(state.step, state.recent[-1][0] if state.recent else state.curve[-1].loss)
         last = time.perf_counter()
         while state.step < config.steps:
             loss = self._step(state.step)
