@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -214,3 +215,22 @@ def test_rates_of_seeds_are_told_apart_and_each_training_has_its_own_seed() -> N
     assert seeds[0] == 20260
     assert len(set(seeds)) == 3
     assert training_seeds(20260, 1) == seeds[:1]
+
+
+def test_films_show_the_seed_that_failed(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """Of two trainings with three starts each, the second fails on its last start."""
+    filmed: list[tuple[Any, Any, str]] = []
+    notes: list[str] = []
+
+    def film(method: str, inputs: Any, trial: Any, path: Any) -> Any:
+        filmed.append((inputs, trial, path.name))
+        return SimpleNamespace(text="told")
+
+    monkeypatch.setattr(deploy_stage, "film_trial", film)
+    context: Any = SimpleNamespace(folder=tmp_path, progress=SimpleNamespace(note=notes.append))
+    results: Any = [SimpleNamespace(success=k != 5) for k in range(6)]
+    inputs: Any = ("first", "second")
+    starts: Any = ("a", "b", "c")
+    deploy_stage.film_outcomes(context, inputs, starts, results)
+    assert filmed == [("first", "a", "success.mp4"), ("second", "c", "failure.mp4")]
+    assert notes[1] == "failure.mp4 shows trial 2, seed 2: told"

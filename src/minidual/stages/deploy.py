@@ -94,7 +94,12 @@ def run(context: StageContext) -> StageResult:
     write_csv(context.folder / "trials.csv", [r.metrics.to_row() for rows in results.values() for r in rows])
     rng = stream(context.seed, "bootstrap/deploy")
     summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
-    _film(context, MethodInputs(config, context.seed, checkpoints[0]), starts["held_out"], results["held_out"])
+    film_outcomes(
+        context,
+        [MethodInputs(config, context.seed, path) for path in checkpoints],
+        starts["held_out"],
+        results["held_out"],
+    )
 
     inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
     checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
@@ -130,12 +135,17 @@ def seed_rates(results: Sequence[TrialResult], seeds_n: int) -> list[float]:
     return np.reshape([result.success for result in results], (seeds_n, -1)).mean(axis=1).tolist()
 
 
-def _film(context: StageContext, inputs: MethodInputs, trials: Sequence[Trial], results: Sequence[TrialResult]) -> None:
+def film_outcomes(
+    context: StageContext, inputs: Sequence[MethodInputs], trials: Sequence[Trial], results: Sequence[TrialResult]
+) -> None:
+    """Film one success and one failure; `results` of each of `inputs` in turn."""
     for label, wanted in (("success", True), ("failure", False)):
-        index = next((i for i, r in enumerate(results) if r.success is wanted), None)
-        if index is not None:
-            filmed = film_trial(METHOD, inputs, trials[index], context.folder / f"{label}.mp4")
-            context.progress.note(f"{label}.mp4 shows trial {index}: {filmed.text}")
+        found = next((i for i, r in enumerate(results) if r.success is wanted), None)
+        if found is not None:
+            k, index = divmod(found, len(trials))
+            filmed = film_trial(METHOD, inputs[k], trials[index], context.folder / f"{label}.mp4")
+            who = f", seed {k + 1}" if k else ""
+            context.progress.note(f"{label}.mp4 shows trial {index}{who}: {filmed.text}")
 
 
 def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]:
