@@ -103,15 +103,6 @@ def _set_options(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = scene.physics.impratio
-    visual = spec.visual
-    visual.global_.offwidth, visual.global_.offheight = 1920, 1080
-    # Only films have shadows. MuJoCo's reach of 1 leaves speckles on the floor.
-    visual.map.shadowclip, visual.quality.shadowsize = 2.0, 2048
-    visual.quality.offsamples = 0  # software rendering: multi-sampling costs more than pixels
-    visual.headlight.ambient = [0.35, 0.35, 0.36]
-    visual.headlight.diffuse = [0.35, 0.35, 0.35]
-    visual.headlight.specular = [0.1, 0.1, 0.1]
-    visual.map.znear = 0.02
 
 
 def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visuals: bool) -> None:

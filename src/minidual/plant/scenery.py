@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 
 from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, OBSTACLE, MarkConfig, PartConfig, SceneConfig
+from minidual.registry import rows_beside
 from minidual.robot.pair import Array, Robot
 
+_LOOK = rows_beside(__file__)
 GROUP_VISUAL, GROUP_MARKER, GOAL_MARK = 1, 2, "goal_mark"
 # Stiff contacts with little creep; docs/simulation.md compares cone and impratio.
 SOLREF = [0.002, 1.0]
@@ -24,28 +26,14 @@ _ALONG_Y = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
 
 
 def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
-    """Add everything but arms and objects."""
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.62, 0.70, 0.80],
-        width=64,
-        height=384,
-    )
-    world = spec.worldbody
-    world.add_light(
-        name="key",
-        pos=[0.9, 0.7, 2.0],
-        dir=[-0.35, -0.4, -1.0],
-        castshadow=True,
-        diffuse=[0.55, 0.55, 0.53],
-        specular=[0.2, 0.2, 0.2],
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-    )
-    plane, rgba = mujoco.mjtGeom.mjGEOM_PLANE, [0.80, 0.82, 0.85, 1]
-    world.add_geom(name="floor", type=plane, size=[4, 4, 0.1], pos=[0, 0, -0.75], rgba=rgba, **INTANGIBLE)
+    """Set the look; add everything but arms and objects."""
+    for section, values in _LOOK["visual"].items():
+        for name, value in values.items():
+            setattr(getattr(spec.visual, section), name, value)
+    world, gradient = spec.worldbody, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    spec.add_texture(type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=gradient, **_LOOK["sky"])
+    world.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, **_LOOK["light"])
+    world.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, **_LOOK["floor"], **INTANGIBLE)
     table = world.add_body(name="table", pos=[_TABLE_CENTRE_X_M, 0.0, -_TABLE_HALF_M[2]])
     top = table.add_geom(name="table_top", type=_BOX, size=list(_TABLE_HALF_M), rgba=[0.42, 0.47, 0.50, 1])
     top.friction, top.solref, top.solimp = [scene.object.friction, 0.005, 0.0001], SOLREF, SOLIMP
