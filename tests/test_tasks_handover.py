@@ -15,12 +15,11 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose
-from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.pipeline.state import Segment, State
-from minidual.skills.planned_carry import PlannedCarry
+from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.task import Step, Task, Trial, make_task

@@ -19,11 +19,10 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_x, rot_z
-from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pose_of, solve, thing_of
 from minidual.skills.pipeline import hands
 from minidual.skills.pipeline.state import State
-from minidual.skills.planned_carry import PlannedCarry
+from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.reach import solvers
 from minidual.skills.supervised import SceneClearance
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET
