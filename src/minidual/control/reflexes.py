@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numba.core import types
 
 from minidual.config.supervisor import SupervisorConfig
 from minidual.errors import MinidualError
+from minidual.registry import rows_beside
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
@@ -25,8 +25,7 @@ class ReflexKind:
     unit: str = ""
 
 
-_TABLE = Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8")
-REFLEXES = {name: ReflexKind(**words) for name, words in yaml.safe_load(_TABLE).items()}
+REFLEXES = {name: ReflexKind(**words) for name, words in rows_beside(__file__).items()}
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,6 @@ Minimum jerk over distance d in time T peaks at speed 1.875 d / T and accelerati
 over object position, yaw and all joints; at least 0.25 s.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Faults of a carry: detection, and what the hands do. Latencies: docs/carry.md."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Source `moveit` proposes joint motions for free hands (controller A) and object 
 docs/carry.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The supervisor of a trial."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace

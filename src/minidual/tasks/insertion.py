@@ -1,7 +1,5 @@
 """Insertion: a socket in the left hand and a peg in the right one are put together in the air."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Both arms carry a long object across the table."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

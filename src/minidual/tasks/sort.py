@@ -1,7 +1,5 @@
 """Sort: four cubes into two bins, each within one arm's reach; cubes of the wrong side are passed by the middle."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Model-based methods: object impedance, and planned motion with joint control."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from minidual.config.seeds import stream, subseed

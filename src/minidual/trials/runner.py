@@ -32,6 +32,8 @@ from minidual.workers import in_workers
 LOG_RATE_HZ = 250
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
+_STATE = mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
+"""What is kept of a complete state."""
 # Errors that end a trial, with the failure name.
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
 
@@ -93,22 +95,6 @@ class TrialResult:
 type Judged = tuple[TrialResult, TrialLog]
 
 
-class _State:
-    """The last complete state of a world."""
-
-    def __init__(self, data: mujoco.MjData) -> None:
-        self._data, self._qpos, self._qvel = data, data.qpos, data.qvel
-        self._kept = self._qpos.copy(), self._qvel.copy()
-        self.keep()
-
-    def keep(self) -> None:
-        self._kept[0][:], self._kept[1][:], self._time = self._qpos, self._qvel, self._data.time
-
-    def restore(self, world: World) -> None:
-        (self._qpos[:], self._qvel[:]), self._data.time = self._kept, self._time
-        mujoco.mj_forward(world.model, world.data)
-
-
 class Bench:
     """A world and a method for many trials; `visuals` compiles visual meshes."""
 
@@ -155,17 +141,20 @@ class Bench:
         rows: list[tuple[Any, ...]] = []
         peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), world.robot.tau_max
         finished_s, broken = 0.0, None
-        last = _State(world.data)
+        model, data = world.model, world.data
+        last = np.empty(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, data, last, _STATE)
         for step in range(round(self.task.time_limit_s / world.dt)):
             try:
                 method.step()
             except tuple(_BROKEN) as error:
-                last.restore(world)  # a diverged world has been reset
+                mujoco.mj_setState(model, data, last, _STATE)  # a diverged world has been reset
+                mujoco.mj_forward(model, data)
                 broken = Failure(_BROKEN[type(error)], world.time, error.message)
                 judge.truth.refresh(world)
                 rows = rows or [self._sample(seen, method.phase)]
                 break
-            last.keep()
+            mujoco.mj_getState(model, data, last, _STATE)
             judge.observe(world)
             ratio = strain(world.tau, tau_max, saturated, SATURATED)
             peak = peak if ratio <= peak or peak != peak else ratio  # NaN stays

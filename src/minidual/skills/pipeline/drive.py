@@ -1,7 +1,5 @@
 """Execute planned segments in turn through the control stack."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
