@@ -17,6 +17,7 @@ from minidual.robot.pair import Array, Robot
 
 STOP_SHARE = 0.5
 """Peak deceleration as share of the joints' limits."""
+_STOP_LEAST_S = 0.1
 _STOP_FREQUENCY_RAD_S = 8.0  # soft: hands on one object must not fight
 
 
@@ -60,9 +61,9 @@ class SoftStop:
     1.5 |v_0| / T.
     """
 
-    def __init__(self, q: Array, v: Array, deceleration: Array, *, least_s: float = 0.1) -> None:
+    def __init__(self, q: Array, v: Array, deceleration: Array) -> None:
         self._q, self._v = q.copy(), v.copy()
-        self.duration_s = max(least_s, float(np.max(1.5 * np.abs(v) / deceleration)))
+        self.duration_s = max(_STOP_LEAST_S, float(np.max(1.5 * np.abs(v) / deceleration)))
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
         """Return (q, v, a) at time t; at rest from `duration_s` on."""

@@ -56,9 +56,9 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
     return None
 
 
-def lock_holder(folder: Path, name: str = LOCK_FILE) -> str | None:
+def lock_holder(folder: Path) -> str | None:
     """Return the holder, "process 12 (minidual carry, since ...)", or None."""
-    record = _record(folder / name)
+    record = _record(folder / LOCK_FILE)
     if record is None:
         return None
     try:

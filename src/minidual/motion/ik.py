@@ -20,7 +20,7 @@ _SMALL = 1e-4
 _NEAR_ITERATIONS = 8
 _NEAR_STEP_MAX_RAD = 1.0
 _REST_ITERATIONS, _REST_STEP_MAX_RAD, _REST_DAMPING = 60, 0.2, 1e-9
-_REST_TOLERANCE_RAD = 1e-5
+_REST_TOLERANCE_RAD, _REST_MARGIN_RAD = 1e-5, 0.02
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,12 @@ class ArmIK:
         target = floats(T_world_tcp)
         return q if project(self._frames, target, q, wish, _NEAR_ITERATIONS, _SMALL, _NEAR_STEP_MAX_RAD) else None
 
-    def resting(
-        self, T_world_tcp: Array, q_start: Array, posture: Array, mobility: Array, margin_rad: float = 0.02
-    ) -> IKSolution:
+    def resting(self, T_world_tcp: Array, q_start: Array, posture: Array, mobility: Array) -> IKSolution:
         """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch.
 
         Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4).
         """
-        lower, upper = self.lower + margin_rad, self.upper - margin_rad
+        lower, upper = self.lower + _REST_MARGIN_RAD, self.upper - _REST_MARGIN_RAD
         q, reached = np.array(q_start, dtype=float), False
         damping = _REST_DAMPING * np.eye(6)  # bounds steps near singularities
         for _ in range(_REST_ITERATIONS):

@@ -197,10 +197,8 @@ def _grid(path: Curve) -> Array:
     return np.append(points, path.length)
 
 
-def sample_parameters(
-    s: Array, sd: Array, smoothing_s: float = 0.0, dt_s: float = DT_S
-) -> tuple[Array, Array, Array, Array]:
-    """Return (times, s, ds/dt, d2s/dt2) every dt_s, stretched to whole steps.
+def sample_parameters(s: Array, sd: Array, smoothing_s: float = 0.0) -> tuple[Array, Array, Array, Array]:
+    """Return (times, s, ds/dt, d2s/dt2) every `DT_S`, stretched to whole steps.
 
     Averaged over `smoothing_s` as a mean of delayed copies: derivatives are exact.
 
@@ -209,23 +207,23 @@ def sample_parameters(
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (sd[1:] + sd[:-1])))
-    if not passed[-1] / dt_s < _STEPS_MAX:
+    if not passed[-1] / DT_S < _STEPS_MAX:
         raise TimingError("the path's speed profile takes no finite time")
-    n = max(1, math.ceil(passed[-1] / dt_s - 1e-9))
-    stretch = n * dt_s / passed[-1]
-    t = np.arange(n + 1) * dt_s / stretch
+    n = max(1, math.ceil(passed[-1] / DT_S - 1e-9))
+    stretch = n * DT_S / passed[-1]
+    t = np.arange(n + 1) * DT_S / stretch
     i = np.clip(np.searchsorted(passed, t, side="right") - 1, 0, len(s) - 2)
     u = ((sd[1:] ** 2 - sd[:-1] ** 2) / (2.0 * np.diff(s)))[i]
     x = t - passed[i]
     position = np.clip(s[i] + sd[i] * x + 0.5 * u * (x * x), 0.0, s[-1])
     speed, acceleration = np.maximum(0.0, sd[i] + u * x) / stretch, u / stretch**2
     position[-1], speed[-1] = s[-1], 0.0
-    copies = max(1, round(smoothing_s / dt_s))
+    copies = max(1, round(smoothing_s / DT_S))
     if copies > 1:
         acceleration[-1] = 0.0  # at rest afterwards
         position = _averaged(position, copies, s[-1])
         speed, acceleration = _averaged(speed, copies, 0.0), _averaged(acceleration, copies, 0.0)
-    return np.arange(len(position), dtype=float) * dt_s, position, speed, acceleration
+    return np.arange(len(position), dtype=float) * DT_S, position, speed, acceleration
 
 
 def _averaged(values: Array, copies: int, end: float) -> Array:

@@ -12,7 +12,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import draw_on_table, placement, transported
-from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
+from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
 _VALUES = rows_beside(__file__)
 # Exchange poses if the left hand gives.
@@ -49,9 +49,7 @@ def handover(config: Config) -> Task:
     )
 
 
-def draw_either_way(
-    task: Task, rng: np.random.Generator, widen: float = 1.0
-) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+def draw_either_way(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
     """Draw start and goal, mirrored in a share of the trials."""
     start, goal = draw_on_table(task, rng, widen)
     if rng.uniform() >= task.scene.task.mirrored_share:
@@ -59,8 +57,8 @@ def draw_either_way(
     return _mirrored(start), _mirrored(goal)
 
 
-def _mirrored(places: Mapping[str, ObjectPose]) -> dict[str, ObjectPose]:
-    found: dict[str, ObjectPose] = {}
+def _mirrored(places: Poses) -> Poses:
+    found: Poses = {}
     for name, place in places.items():
         x, y, yaw = placement(place)
         found[name] = x, -y, -yaw

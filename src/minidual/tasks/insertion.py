@@ -14,7 +14,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import level_pose, placement
-from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
+from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
 SOCKET, PEG = "socket", "peg"
 HAND_OF: dict[str, str] = dict(zip((SOCKET, PEG), SIDES, strict=True))
@@ -81,11 +81,9 @@ def _body(name: str, length_m: float, width_m: float, **others: Any) -> ObjectCo
     return ObjectConfig(name=name, shape="box", friction=0.8, break_force_n=_BREAKS_N, **size, **others)
 
 
-def draw_apart(
-    task: Task, rng: np.random.Generator, widen: float = 1.0
-) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+def draw_apart(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
     """Draw a start on each side, and where in the air they meet."""
-    asked, start = task.scene.task, dict[str, ObjectPose]()
+    asked, start = task.scene.task, Poses()
     for name, item in task.objects.items():
         (x, y), ranges = item.body.xy_m or asked.start_xy_m, (asked.start_range_m,) * 2 + (asked.start_range_rad,)
         dx, dy, yaw = (widen * np.array(ranges) * rng.uniform(-1.0, 1.0, size=3)).tolist()

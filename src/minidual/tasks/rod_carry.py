@@ -12,7 +12,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.objects import MOTIONS, OBJECTS
-from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
+from minidual.tasks.task import ObjectPose, Poses, Step, Task, TaskObject, Trial
 
 _DRAWS_MAX, _ROOM_M = 1000, 0.02
 _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", "open", "retreat")
@@ -50,9 +50,7 @@ def carry_task(name: str, instruction: str, config: Config, stream: str) -> Task
     )
 
 
-def draw_on_table(
-    task: Task, rng: np.random.Generator, widen: float = 1.0
-) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+def draw_on_table(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
     """Draw start and goal uniformly, beside the obstacle.
 
     Raises:

@@ -16,7 +16,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import level_pose, placement
-from minidual.tasks.task import ObjectPose, Step, Task, TaskObject, Trial
+from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
 _ROWS = rows_beside(__file__)
 COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}
@@ -78,9 +78,7 @@ def side_of(name: str) -> str:
     return SIDE_OF[name.split("_")[0]]
 
 
-def draw_cubes(
-    task: Task, rng: np.random.Generator, widen: float = 1.0
-) -> tuple[dict[str, ObjectPose], dict[str, ObjectPose]]:
+def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
     """Draw starts, one or more on the wrong side, and places in the bins; `widen` acts on x.
 
     Raises:
@@ -88,7 +86,7 @@ def draw_cubes(
     """
     (x_low, x_high), y_range = _START_M
     middle, half = (x_low + x_high) / 2, widen * (x_high - x_low) / 2
-    goal: dict[str, ObjectPose] = {name: _slot(name, k % 2) for k, name in enumerate(task.objects)}
+    goal: Poses = {name: _slot(name, k % 2) for k, name in enumerate(task.objects)}
     for _ in range(_DRAWS_MAX):
         xy = {n: (float(rng.uniform(middle - half, middle + half)), float(rng.uniform(*y_range))) for n in goal}
         apart = all(math.dist(xy[a], xy[b]) >= _APART_M for a in xy for b in xy if a < b)

@@ -20,6 +20,8 @@ from minidual.tasks.success import SuccessCondition
 
 ObjectPose = Array | tuple[float, float, float]
 """As in minidual.plant.bodies."""
+Poses = dict[str, ObjectPose]
+"""By object."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class Task:
     objects: Mapping[str, TaskObject]
     steps: tuple[Step, ...]
     success: Callable[[Task, Trial], Sequence[SuccessCondition]]
-    draw: Callable[[Task, np.random.Generator, float], tuple[dict[str, ObjectPose], dict[str, ObjectPose]]]
+    draw: Callable[[Task, np.random.Generator, float], tuple[Poses, Poses]]
     stream: str = "trial"
     arrange: Callable[[Task, Trial, Mapping[str, Array]], Iterable[Sequence[Step]]] | None = None
     stands: bool = False
