@@ -8,7 +8,7 @@ import dataclasses
 import io
 from collections.abc import Buffer, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
@@ -43,7 +43,7 @@ class _Disk(io.FileIO):
             return size or 0
 
 
-class EpisodeWriter:
+class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
     """Records one episode; `path` exists after `finish` and `publish`.
 
     Leaving the context discards what is not published.
@@ -64,9 +64,6 @@ class EpisodeWriter:
         self._closed = False
         self._disk = _Disk(self._partial, "w+")
         self._file = h5py.File(self._disk, "w")
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.abort()

@@ -2,10 +2,10 @@
 
 import time
 from collections.abc import Callable
-from typing import Self
+from contextlib import AbstractContextManager
 
 
-class Task:
+class Task(AbstractContextManager["Task"]):
     """Counted work, a context manager. Prints a line at most every `every_s` seconds, and one at the end."""
 
     def __init__(self, description: str, total: float | None, say: Callable[[str], None], every_s: float) -> None:
@@ -32,9 +32,6 @@ class Task:
         if self._total is not None and before < self._done < self._total:
             line += f", about {(now - since) * (self._total - self._done) / (self._done - before):.0f} s left"
         return f"{line}, {self._note}" if self._note else line
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self._say(self._line(time.monotonic()) + (" (stopped)" if any(error) else ""))

@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -23,7 +23,7 @@ from minidual.plant.model import GROUP_COLLISION
 Image = npt.NDArray[np.uint8]
 
 
-class Camera:
+class Camera(AbstractContextManager["Camera"]):
     """Renders images of one size; close it after use.
 
     `supersample` is the anti-aliasing factor.
@@ -87,10 +87,7 @@ class Camera:
         """Free the OpenGL context."""
         self._renderer.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
