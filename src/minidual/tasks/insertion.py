@@ -10,12 +10,14 @@ import numpy as np
 from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PartConfig
+from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import level_pose, placement
 from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
+_VALUES = rows_beside(__file__)
 SOCKET, PEG = "socket", "peg"
 HAND_OF: dict[str, str] = dict(zip((SOCKET, PEG), SIDES, strict=True))
 CLEARANCE_M, DEPTH_M = 0.0015, 0.03
@@ -43,18 +45,8 @@ def insertion(config: Config) -> Task:
     parts = tuple(PartConfig(position_m=at, size_m=size, colour=_PALE) for at, size in walls)
     peg = _body(PEG, _PEG_LENGTH_M, _PEG_M, mass_kg=0.06, colour=_RED, xy_m=(x, -y))
     socket = _body(SOCKET, _BLOCK_LENGTH_M, _BLOCK_M, mass_kg=0.12, colour=_BLUE, xy_m=(x, y), parts=parts)
-    values = {
-        "object": peg,
-        "more": (socket,),
-        "task.start_xy_m": (x, -y),
-        "task.start_range_rad": 0.35,
-        "task.goal_xy_m": (0.48, -0.045),
-        "task.goal_range_m": 0.03,
-        "task.goal_range_rad": 0.26,
-        "task.clear_height_m": 0.10,
-        "task.time_limit_s": 20.0,
-    }
-    config = preset(config, {f"scene.{name}": value for name, value in values.items()})
+    bodies = {"scene.object": peg, "scene.more": (socket,), "scene.task.start_xy_m": (x, -y)}
+    config = preset(config, {**bodies, **_VALUES})
     down = rot_z(np.pi / 2.0) @ rot_x(np.pi)
     objects = {
         name: TaskObject(
