@@ -4,6 +4,7 @@
 """
 
 from collections import deque
+from copy import copy
 from typing import Any, NamedTuple, Protocol
 
 from minidual.errors import UsageError
@@ -103,8 +104,8 @@ class ObjectSensors(Protocol):
 _MEASURED = ("stamp_s", "q", "v", "tau", "fingers", "grip")
 
 
-def _late(name: str, doc: str) -> Any:
-    return property(lambda self: self._states[0][name].copy(), doc=doc)
+def _late(name: str) -> Any:
+    return property(lambda self: copy(self._states[0][name]), doc="See `Plant`.")
 
 
 def _now(name: str) -> Any:
@@ -120,12 +121,7 @@ class DelayedPlant:
         UsageError: The delay is negative.
     """
 
-    q = _late("q", "Joint positions (n,) [rad].")
-    v = _late("v", "Joint velocities (n,) [rad/s].")
-    tau = _late("tau", "Torques (n,) [Nm].")
-    fingers = _late("fingers", "Distance (2,) [m] of each hand's fingers from the middle.")
-    grip = _late("grip", "Closing force (2,) [N] of each hand.")
-    stamp_s: Any = property(lambda self: self._states[0]["stamp_s"], doc="See `Plant`.")
+    stamp_s, q, v, tau, fingers, grip = map(_late, _MEASURED)
     robot, time, grip_max_n, health = map(_now, ("robot", "time", "grip_max_n", "health"))
 
     def __init__(self, plant: Plant, delay_s: float) -> None:
