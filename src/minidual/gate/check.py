@@ -2,7 +2,7 @@
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
@@ -122,3 +122,17 @@ def format_number(value: Number | None) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return str(value) if isinstance(value, int) else f"{value:.4g}"
+
+
+Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]
+"""{check: observed value, or (observed value, operator, limit)}; without a limit it is only reported."""
+
+
+def checks_of(words: Mapping[str, Mapping[str, str]], rows: Rows, prefix: str = "", **names: object) -> list[Check]:
+    """Return a check per row, called `prefix` and its name; `names` are filled into its words."""
+    checks: list[Check] = []
+    for name, row in rows.items():
+        observed, op, limit = row if isinstance(row, tuple) else (row, None, None)
+        texts = {key: text.format(**names) for key, text in words[name].items()}
+        checks.append(Check(f"{prefix}{name}", observed, None if limit is None else op, limit, **texts))
+    return checks

@@ -6,10 +6,10 @@ from typing import Any
 from minidual.config.evaluation import BenchmarkConfig
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.watch import watch_trials
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 from minidual.tasks.task import tasks_of
 from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trials, run_benchmark
 from minidual.trials.conditions import CLEAN, parse_conditions

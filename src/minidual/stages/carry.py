@@ -10,13 +10,13 @@ from minidual.config.seeds import stream
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import DataError
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.robot.arms import robot_from
 from minidual.show.figures.film import film_trial
 from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import summarise

@@ -13,7 +13,7 @@ from minidual.config.seeds import stream
 from minidual.demos.episode import episode_paths, read_meta
 from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.plant.render import Camera, Image
 from minidual.policies.occlusion import occlusion, on_object
@@ -23,7 +23,7 @@ from minidual.robot.pair import Array
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs

@@ -9,7 +9,7 @@ from minidual.collision.acm import acm_report
 from minidual.config.planning import PlanConfig
 from minidual.config.seeds import subseed
 from minidual.durable import write_csv
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
@@ -18,7 +18,7 @@ from minidual.show.planning import play_queries, write_paths, write_times
 from minidual.show.view import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 from minidual.trials.planning import evaluate
 from minidual.trials.planning.evaluate import MoveOutcome, Outcome
 

@@ -13,13 +13,13 @@ from minidual.demos.schema import MAX_SYNC_S
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
 from minidual.show.watch import watch_recording
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 from minidual.tasks.task import make_task
 from minidual.trials.conditions import rooms
 

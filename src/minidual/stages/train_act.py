@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from minidual.config.seeds import subseed
 from minidual.demos.schema import GRIPPERS_N
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 
 if TYPE_CHECKING:
     from minidual.config.learning import TrainConfig

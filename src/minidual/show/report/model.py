@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows, checks_of
 from minidual.gate.stage import StageContext, closing_checks
 from minidual.gate.verdict import Verdict, Waiver, derive_status
 from minidual.show.report.figures import Figure
 from minidual.show.report.media import Medium
 from minidual.show.report.tables import Tables, finite
-from minidual.show.report.wording import commit, joined, moment, shortened
+from minidual.show.report.wording import WORDS, commit, joined, moment, shortened
 
 _THINNEST = 5
 
@@ -83,17 +83,10 @@ class Report:
         """The report's own checks: complete tables of every task, passing stages."""
         short = self.not_passing
         holes = [f"{task}.{hole}" for task, table in self.tables.items() for hole in table.missing()]
-        shown = f"; missing: {shortened(holes)}" if holes else ""
-        whole = (
-            "every method has every indicator as a finite number with its interval, undisturbed and under every condition "
-            f"that applies to it{shown}"
-        )
-        again = "run minidual benchmark again, with every method and condition that the tables should hold"
-        built = "a report is built on passing verdicts" + (f"; without one: {', '.join(short)}" if short else "")
-        return [
-            Check("missing_cells", len(holes), "==", 0, why=whole, remedy=again),
-            Check("stages_not_passing", len(short), "==", 0, why=built, remedy="minidual status says what to run"),
-        ]
+        rows: Rows = {"missing_cells": (len(holes), "==", 0), "stages_not_passing": (len(short), "==", 0)}
+        missing = f"; missing: {shortened(holes)}" if holes else ""
+        without = f"; without one: {', '.join(short)}" if short else ""
+        return checks_of(WORDS["checks"], rows, missing=missing, without=without)
 
     @property
     def shown_checks(self) -> list[Check]:

@@ -8,7 +8,7 @@ from minidual.gate.check import Number, format_number
 from minidual.registry import rows_beside
 
 WORDS: dict[str, Any] = rows_beside(__file__, "templates/words.yaml")
-"""Captions by stage and file, and faults by violated condition of success."""
+"""Words of the checks, captions by stage and file, and faults by violated condition of success."""
 
 
 def fault(name: str) -> str:

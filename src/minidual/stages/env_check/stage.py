@@ -8,7 +8,7 @@ import numpy as np
 from minidual.config.control import EnvCheckConfig
 from minidual.config.seeds import stream
 from minidual.durable import write_csv
-from minidual.gate.check import Check
+from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.plant.model import build_model
 from minidual.plant.world import World
@@ -20,7 +20,7 @@ from minidual.show.watch import StackNarrator, watched
 from minidual.stages.env_check import model as measure
 from minidual.stages.env_check import pictures, tracking
 from minidual.stages.env_check.installation import Library, required_libraries
-from minidual.stages.words import Rows, worded
+from minidual.stages.words import worded
 
 _REACHED_RAD = 0.005
 """Error norm of all joints below which a single step has settled."""
