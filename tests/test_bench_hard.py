@@ -80,6 +80,7 @@ class TestDraws:
             plannable = [query for query in of_set if query.plannable]
             nothing = hard.judged(plannable, [Run(None, 1.0, "gave up")] * len(plannable), planner)
             assert nothing["solved"] == 0
+            assert nothing["early"] == nothing["timed_out"]
             assert nothing["low_pct"] == 0.0
             assert counts["drawn"] == len(of_set) == 12
             assert counts["infeasible"] + counts["no_posture"] + nothing["timed_out"] == 12
@@ -191,6 +192,12 @@ class TestLook:
         numbers = hard.judged([blocked], runs, planner)
         assert (numbers["solved"], numbers["colliding"], numbers["over_jerk"]) == (1, 0, 0)
         assert numbers["high_pct"] == 100.0
+
+    def test_what_takes_too_long_is_timed_out_and_not_early(self, blocked, planner) -> None:
+        path = straight(blocked.q_start, blocked.q_goal, planner)
+        for run in (Run(path, 1.1 * hard.BUDGET_S), Run(None, hard.BUDGET_S, "no path in time")):
+            numbers = hard.judged([blocked], [run], planner)
+            assert (numbers["solved"], numbers["timed_out"], numbers["early"]) == (0, 1, 0)
 
     def test_a_path_to_another_place_is_not_solved(self, blocked, planner) -> None:
         run = Run(straight(blocked.q_start, blocked.q_goal + 0.01, planner), 0.01)

@@ -6,7 +6,6 @@ about each sample.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -23,18 +22,29 @@ from minidual.robot.poses import inverse
 from minidual.robot.trajectory import Trajectory
 from minidual.trials.planning.evaluate import attempted
 from minidual.trials.statistics import wilson_interval
-from scripts.bench.peers import Roboplan, Run, plan_ompl
+from scripts.bench.peers import Roboplan, Run, core_share, plan_ompl
 from scripts.bench.queries import GROUP, SETS, DrawnQuery, PosedQuery, draw, posed, rod_grasps
 from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 DRAWS = ("drawn", "infeasible", "no_posture")
-RUNS = ("solved", "timed_out", "low_pct", "high_pct", "median_ms", "p99_ms", "colliding", "over_jerk", "off_grasp")
+RUNS = (
+    "solved",
+    "timed_out",
+    "early",
+    "low_pct",
+    "high_pct",
+    "median_ms",
+    "p99_ms",
+    "colliding",
+    "over_jerk",
+    "off_grasp",
+)
 BUDGET_S = 10.0
-_SHARE_S = 0.2
 _ARRIVED_M, _ARRIVED_RAD = 1e-3, 1e-3
 _NOTES = (
     "drawn = infeasible (proven) + no_posture (inverse kinematics found no free one at an end) + solved + timed_out",
-    f"timed_out: no timed path within {BUDGET_S:g} s of processor time",
+    f"timed_out: no timed path within {BUDGET_S:g} s of processor time; early: of these, ended before 90 % of that:",
+    "    the planner gave up, or other programs ran (minidual and roboplan go by the wall clock)",
     "low, high: 95 % Wilson interval of solved and free of contact, among those with postures",
     "median, p99: processor time of the solved, from postures to timed path; scenes are built before",
     "colliding, over_jerk: solved, but it touches something, or needs more than the arms' jerk limits",
@@ -77,21 +87,13 @@ def measure(inputs: BenchInputs) -> BenchTable:
         for planner_name, plan_all in planners.items():
             if of.rod and plan_all is plan_to_poses:
                 continue  # a held rod's goal is its pose anyway
-            runs = plan_all(plannable, planner, BUDGET_S / core_share())
+            runs = plan_all(plannable, planner, BUDGET_S)
             rows.append(BenchRow(f"{name}: {planner_name}", judged(plannable, runs, planner), {}))
             for query, run in zip(plannable, runs, strict=True):
                 if run.trajectory is None:
                     inputs.advance(f"query {query.drawn.index}, {run.cpu_s:.1f} s: {run.reason}")
             inputs.advance(f"{rows[-1].name}: {rows[-1].numbers}")
     return BenchTable(title, (*DRAWS, *RUNS), tuple(rows), notes)
-
-
-def core_share() -> float:
-    """Return the share of a core that this process gets: planners end by the wall clock, and other programs may run."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    while time.process_time() < cpu + _SHARE_S:
-        pass
-    return min(1.0, (time.process_time() - cpu) / (time.perf_counter() - wall))
 
 
 def counted(queries: Sequence[PosedQuery]) -> dict[str, float]:
@@ -112,6 +114,7 @@ def judged(queries: Sequence[PosedQuery], runs: Sequence[Run], planner: Planner)
             found.append(looked)
             times.append(1e3 * run.cpu_s)
     numbers: dict[str, float] = {"solved": len(found), "timed_out": len(queries) - len(found)}
+    numbers["early"] = sum(run.trajectory is None and run.cpu_s < 0.9 * BUDGET_S for run in runs)
     for what in ("colliding", "over_jerk", "off_grasp"):
         numbers[what] = sum(getattr(one, what) for one in found)
     if queries:
@@ -159,24 +162,26 @@ def _same(T: Array, other: Array) -> bool:
 
 def plan_minidual(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> list[Run]:
     """Plan to the postures, or to the rod's goal."""
-    return [_run(query, planner, budget_s, to_poses=False) for query in queries]
+    wall_s = budget_s / core_share()
+    return [_run(query, planner, wall_s, to_poses=False) for query in queries]
 
 
 def plan_to_poses(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> list[Run]:
     """Plan to the hands' poses, in any posture: inverse kinematics counts."""
-    return [_run(query, planner, budget_s, to_poses=True) for query in queries]
+    wall_s = budget_s / core_share()
+    return [_run(query, planner, wall_s, to_poses=True) for query in queries]
 
 
-def _run(query: PosedQuery, planner: Planner, budget_s: float, *, to_poses: bool) -> Run:
+def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) -> Run:
     drawn, held = query.drawn, HeldPlanner(planner)
     planner.engines(drawn.scene)
 
     def plan() -> PlanResult | Trajectory:
-        how = {"scene": drawn.scene, "seed": drawn.seed, "budget_s": budget_s}
+        how = {"scene": drawn.scene, "seed": drawn.seed, "budget_s": wall_s}
         if drawn.T_world_rod is not None:
             left, right = rod_grasps().values()
             asked = HeldQuery(query.q_start, drawn.T_world_rod, (left, right), drawn.scene, drawn.seed)
-            return held.plan(asked, budget_s)
+            return held.plan(asked, wall_s)
         if to_poses:
             return planner.plan_to_poses(GROUP, query.q_start, drawn.goal, **how)
         return planner.plan_to_joints(GROUP, query.q_start, query.q_goal, **how)
