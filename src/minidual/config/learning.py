@@ -71,7 +71,7 @@ class TrainConfig(StrictModel):
     # Optimisation
     seeds_n: AtLeast[int] = Field(default=1, ge=1, le=10)
     """Trainings, each with its own seed; deploy runs every policy, benchmark the first."""
-    steps: int = Field(default=8000, ge=1, le=10_000_000)
+    steps: int = Field(default=5600, ge=1, le=10_000_000)
     time_limit_s: float = Field(default=1800.0, gt=0.0, le=1e7)
     """Training that takes longer is stopped and fails its check."""
     batch_size: int = Field(default=32, ge=1, le=4096)
@@ -132,7 +132,7 @@ class DeployConfig(StrictModel):
     trials: AtLeast[int] = Field(default=50, ge=1, le=10_000)
     """Trials from starts held out from training."""
     first_start: int = Field(default=0, ge=0, le=10_000_000)
-    """Number of the first held-out start; another one gives starts that no decision has seen."""
+    """Number of the first held-out start."""
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
     conditions: tuple[str, ...] = ("room",)
     """Conditions under which the held-out trials run again."""

@@ -161,7 +161,7 @@ def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generat
 
 
 def size(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
-    """Scale every object about the point where it stands; its frame stays, and so does the height of its centre of mass."""
+    """Scale every object about the point where it stands; its frame and centre of mass stay."""
     for name in task.objects:
         body, scale = model.body(name), _drawn(rng, factor)
         where, upright = trial.start[name], (task.objects[name].body.rest_height_m, np.eye(3)[2])
