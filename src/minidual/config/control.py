@@ -44,7 +44,7 @@ class ImpedanceConfig(StrictModel):
     """Proportional force feedback; the loop oscillates from 1 on."""
     force_correction_max_n: float = Field(default=15.0, ge=0.0, le=20.0)
     squeeze_axes: Literal["object", "world"] = "object"
-    """Axes in which the squeeze has a fixed direction; `world` is a counterfactual."""
+    """Axes in which the squeeze keeps its direction."""
     pinch_n: float = Field(default=60.0, gt=20.0, le=140.0)
     """Finger force; friction mu requires internal_force < 2 mu pinch."""
 

@@ -68,7 +68,7 @@ class Grippers:
     def reset(self) -> None:
         """Start with open hands."""
         self.is_open = [True, True]
-        """Commanded state of each hand."""
+        """By command, each hand."""
         self.forget_grip()
         self._targets = [self._travel_m] * 2
         self.targets_m = np.array(self._targets)
@@ -83,7 +83,7 @@ class Grippers:
 
     @property
     def wide(self) -> bool:
-        """Whether both hands have opened to their full travel."""
+        """Whether both hands are fully open."""
         return all(self.is_open) and self._targets == [self._travel_m] * 2
 
     def step(self, command: Array) -> Array:

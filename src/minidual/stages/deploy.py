@@ -138,7 +138,7 @@ def seed_rates(results: Sequence[TrialResult], seeds_n: int) -> list[float]:
 def film_outcomes(
     context: StageContext, inputs: Sequence[MethodInputs], trials: Sequence[Trial], results: Sequence[TrialResult]
 ) -> None:
-    """Film one success and one failure; `results` of each of `inputs` in turn."""
+    """Film a success and a failure; `results` of each of `inputs` in turn."""
     for label, wanted in (("success", True), ("failure", False)):
         found = next((i for i, r in enumerate(results) if r.success is wanted), None)
         if found is not None:
