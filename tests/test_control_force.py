@@ -13,14 +13,8 @@ from panda import HOME, JOINT_DAMPING
 from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import object_impedance
-from minidual.control.object_impedance import (
-    HeldObject,
-    ObjectImpedance,
-    ObjectPath,
-    ObjectState,
-    Waypoint,
-    minimum_jerk,
-)
+from minidual.control.kernels import minimum_jerk
+from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z

@@ -9,7 +9,7 @@ from panda import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 
 from minidual.config.scene import SceneConfig
 from minidual.config.teleop import OperatorConfig
-from minidual.control.object_impedance import minimum_jerk
+from minidual.control.kernels import minimum_jerk
 from minidual.errors import UsageError
 from minidual.motion.ik import PostureIK
 from minidual.robot.kinematics import Kinematics

@@ -17,7 +17,7 @@ import numpy as np
 from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand, arms_of
 from minidual.control.execution import ArbiterOutput, TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque, ReferenceFilter
-from minidual.control.object_impedance import minimum_jerk
+from minidual.control.kernels import minimum_jerk
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array
 

@@ -215,7 +215,7 @@ def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
     return plus(linear, cross(omega, p)), omega
 
 
-@kernel(_REAL(_HANDS, _VIEW, ROWS, ROWS, ROWS, VECTOR))
+@kernel(_REAL(_HANDS, VECTOR, ROWS, ROWS, ROWS, VECTOR))
 def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: Array) -> float:
     """Fill the frame T_hands (4, 4) of both hands, and pose T = T_hands X and twist (6,) of an object that follows them.
 
@@ -246,12 +246,22 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
     return distance
 
 
-@kernel(types.intp(ROWS, VECTOR, VECTOR, VECTOR, _REAL, _REAL, types.boolean))
-def smooth(forces: Array, pinch: Array, raw: Array, felt: Array, share: float, glitch_n: float, patient: bool) -> int:
+@kernel(_REAL(VECTOR, ROWS))
+def pressed(felt: Array, T: Array) -> float:
+    """Return the internal force [N] that the hands' forces felt[:6] have along y of T; NaN stays NaN."""
+    y = three(T[:, 1], 0)
+    left, right = -inner(three(felt, 0), y), inner(three(felt, 3), y)
+    return right if right < left or right != right else left
+
+
+@kernel(types.Tuple([types.intp, _REAL])(ROWS, VECTOR, VECTOR, VECTOR, _REAL, _REAL, types.boolean, ROWS))
+def smooth(
+    forces: Array, pinch: Array, raw: Array, felt: Array, share: float, glitch_n: float, patient: bool, T: Array
+) -> tuple[int, float]:
     """Fill `raw` (8,) with forces (2, 3) and pinch (2,), and move `felt` (8,) towards it by `share`.
 
     A value further away than `glitch_n` is left out if `patient`, one that is not finite always. Return 0 if all were
-    near, 1 if all were finite, else 2.
+    near, 1 if finite, else 2; and `pressed`.
     """
     odd = 0
     for i in range(8):
@@ -261,35 +271,39 @@ def smooth(forces: Array, pinch: Array, raw: Array, felt: Array, share: float, g
         odd = max(odd, 0 if near else 1 if finite else 2)
         if near or (finite and not patient):
             felt[i] += share * change
-    return odd
+    return odd, pressed(felt, T)
 
 
-@kernel(_REAL(VECTOR, ROWS))
-def pressed(felt: Array, T: Array) -> float:
-    """Return the internal force [N] that the hands' forces felt[:6] have along y of T; NaN stays NaN."""
-    y = three(T[:, 1], 0)
-    left, right = -inner(three(felt, 0), y), inner(three(felt, 3), y)
-    return right if right < left or right != right else left
+@kernel(types.UniTuple(_REAL, 3)(_REAL))
+def minimum_jerk(s: float) -> tuple[float, float, float]:
+    """Return the quintic rest-to-rest blend at s, clipped to 0..1, and its first two derivatives."""
+    s = within(s, 0.0, 1.0)
+    return s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0))
 
 
-@kernel(types.void(ROWS, _REAL, _REAL, _REAL, types.Array(_REAL, 2, "A", readonly=True), ROWS, ROWS))
-def on_line(ends: Array, s: float, ds: float, dds: float, X: Array, T: Array, motion: Array) -> None:
-    """Fill T (4, 4) with the level pose at share s between two poses, times X; `motion` (2, 6) with twist, acceleration.
+@kernel(types.void(ROWS, VECTOR, _REAL, ROWS, ROWS, ROWS))
+def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion: Array) -> None:
+    """Fill T (4, 4) with a path's level pose times X, and `motion` (2, 6) with twist and acceleration.
 
-    ends: (2, 4), x, y, z and yaw each. ds, dds: derivatives of s by time.
+    poses: (k, 4), x, y, z and yaw each, reached at ends_s (k,).
     """
-    yaw = ends[0, 3] + s * (ends[1, 3] - ends[0, 3])
+    first = 0
+    while first < len(ends_s) - 2 and ends_s[first + 1] <= t_s:
+        first += 1
+    start, end, span = poses[first], poses[first + 1], ends_s[first + 1] - ends_s[first]
+    s, ds, dds = minimum_jerk((t_s - ends_s[first]) / span)
+    yaw = start[3] + s * (end[3] - start[3])
     cosine, sine = math.cos(yaw), math.sin(yaw)
     for k in range(4):
         T[0, k] = cosine * X[0, k] - sine * X[1, k]
         T[1, k] = sine * X[0, k] + cosine * X[1, k]
         T[2, k], T[3, k] = X[2, k], X[3, k]
     for i in range(4):
-        way = ends[1, i] - ends[0, i]
+        way = end[i] - start[i]
         if i < 3:
-            T[i, 3] += ends[0, i] + s * way
+            T[i, 3] += start[i] + s * way
         axis = i if i < 3 else 5
-        motion[0, axis], motion[1, axis] = ds * way, dds * way
+        motion[0, axis], motion[1, axis] = ds / span * way, dds / span**2 * way
 
 
 @kernel(types.boolean(*[types.Array(_REAL, 2, "A", readonly=True)] * 2, _REAL, _REAL))
@@ -302,7 +316,7 @@ def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
     return True
 
 
-@kernel(_REAL(_VIEW, _VIEW))
+@kernel(_REAL(VECTOR, VECTOR))
 def farthest(a: Array, b: Array) -> float:
     """Return the largest |a - b|; NaN stays."""
     most = 0.0
@@ -311,7 +325,7 @@ def farthest(a: Array, b: Array) -> float:
     return most
 
 
-@kernel(_REAL(_VIEW, _VIEW, VECTOR, _REAL))
+@kernel(_REAL(VECTOR, VECTOR, VECTOR, _REAL))
 def strain(tau: Array, tau_max: Array, ticks: Array, saturated: float) -> float:
     """Return the largest |tau| / tau_max; NaN stays. Count in `ticks` (n,) for how many calls it was saturated."""
     most = 0.0

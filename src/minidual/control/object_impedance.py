@@ -3,8 +3,6 @@
 Law and sources: docs/force-control.md. Object paths are straight minimum-jerk segments between level poses.
 """
 
-import bisect
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,7 +11,7 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import Motors
-from minidual.control.kernels import LAW, impedance, on_line
+from minidual.control.kernels import LAW, impedance, on_path
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -132,12 +130,6 @@ class ObjectImpedance:
 _LEVEL = np.eye(4)
 
 
-def minimum_jerk(s: float) -> tuple[float, float, float]:
-    """Return the quintic rest-to-rest blend at s, clipped to 0..1, and its first two derivatives."""
-    s = min(1.0, max(0.0, s))
-    return (s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0)))
-
-
 @dataclass(frozen=True)
 class Waypoint:
     """Level object pose and the time to reach it from the previous one."""
@@ -153,18 +145,15 @@ class ObjectPath:
     def __init__(self, start: Waypoint, waypoints: Sequence[Waypoint]) -> None:
         points = [start, *waypoints]
         self._poses = np.array([(*w.xyz_m, w.yaw_rad) for w in points])
-        self._ends = list(itertools.accumulate((w.duration_s for w in waypoints), initial=0.0))
+        self._ends_s = np.cumsum([0.0, *(w.duration_s for w in waypoints)])
 
     @property
     def duration_s(self) -> float:
         """Total time [s]."""
-        return self._ends[-1]
+        return float(self._ends_s[-1])
 
     def at(self, t_s: float, T_level_object: Array = _LEVEL) -> ObjectState:
         """Return the state at a path time of an object that lies at T_level_object (4, 4) in the level frame."""
-        i = min(max(bisect.bisect_right(self._ends, t_s) - 1, 0), len(self._ends) - 2)
-        span = self._ends[i + 1] - self._ends[i]
-        blend, rate, curvature = minimum_jerk((t_s - self._ends[i]) / span)
         T, motion = np.empty((4, 4)), np.zeros((2, 6))
-        on_line(self._poses[i : i + 2], blend, rate / span, curvature / span**2, T_level_object, T, motion)
+        on_path(self._poses, self._ends_s, t_s, T_level_object, T, motion)
         return ObjectState(T, motion[0], motion[1])

@@ -384,13 +384,13 @@ class ControlStack[P: Plant]:
     def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
         if self.supervisor is None:
             try:
-                return self._asked(q, v)[0], None
+                return self._asked(time_s, stamp_s, q, v)[0], None
             except MinidualError as error:
                 return self._fall_back(error, q, v), error
         tau, acceleration = self.applied, None
         if self._failed is None:
             try:
-                tau, acceleration = self._asked(q, v)
+                tau, acceleration = self._asked(time_s, stamp_s, q, v)
             except Exception as error:
                 self.fail(error)
         failed, self._failed = self._failed, None
@@ -405,8 +405,8 @@ class ControlStack[P: Plant]:
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error
 
-    def _asked(self, q: Array, v: Array) -> tuple[Array, Array | None]:
-        self._check_plant()
+    def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
+        self._check_plant(np.nan if stamp_s is None else time_s - stamp_s)
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.
         return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration
@@ -420,11 +420,10 @@ class ControlStack[P: Plant]:
             return Expected("free motion", None, manager.reference, off=off)
         return Expected("closed hands", None, manager.reference, grippers.fault, off)
 
-    def _check_plant(self) -> None:
-        plant, limit_s = self.plant, self._config.stale_s
-        if plant.health:
-            raise PlantError(f"the plant cannot be driven: {plant.health}")
-        age_s = plant.time - plant.stamp_s
+    def _check_plant(self, age_s: float) -> None:
+        limit_s = self._config.stale_s
+        if self.plant.health:
+            raise PlantError(f"the plant cannot be driven: {self.plant.health}")
         if not abs(age_s) <= limit_s:
             raise PlantError(
                 f"the measurements are {age_s:.3f} s old; limit {limit_s} s",

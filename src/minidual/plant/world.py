@@ -104,8 +104,14 @@ class World:
     @property
     def fingers(self) -> Array:
         """See `Plant`."""
+        left, right = self.gaps_m
+        return np.array([0.5 * left, 0.5 * right])
+
+    @property
+    def gaps_m(self) -> tuple[float, float]:
+        """Between each hand's fingers [m]."""
         a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
-        return np.array([0.5 * (a + b), 0.5 * (c + d)])
+        return a + b, c + d
 
     @property
     def grip(self) -> Array:

@@ -44,7 +44,7 @@ class CarryWatch:
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
-        self._sensed_s = self._posed_s = world.time
+        self._now_s = self._sensed_s = self._posed_s = world.time
         self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
         self._felt = np.nan_to_num(self._raw)
         self._pinch = self._felt[6:]  # a view
@@ -95,6 +95,7 @@ class CarryWatch:
     def sense(self) -> None:
         """Read and filter the sensors; call once a control step."""
         world, held, now_s = self._world, self._held, self._world.time
+        self._now_s = now_s
         if now_s > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
         reading = self._reading
@@ -104,14 +105,13 @@ class CarryWatch:
                 self._posed_s = now_s - pose.age_ticks * world.dt
             else:
                 pose, self._reading = None, reading._replace(pose=None)
-        self._feel_forces(reading)
         if held is not None:
             held.update(world.q, world.v, *(pose or (None, 0)))
-            self._felt_n = pressed(self._felt, held.state.T_world_object)
-
-    def _feel_forces(self, reading: Reading) -> None:
         glitch_n, patient = self._config.faults.force_glitch_n, self._odd_n < self._odd_max_n
-        odd = smooth(reading.hand_forces, reading.pinch, self._raw, self._felt, self._filter_share, glitch_n, patient)
+        odd, self._felt_n = smooth(
+            *(reading.hand_forces, reading.pinch, self._raw, self._felt, self._filter_share, glitch_n, patient),
+            (self._resting if held is None else held.state).T_world_object,
+        )
         self._odd_n = self._odd_n + 1 if odd else 0
         if odd < 2:
             self._forces_s = reading.stamp_s
@@ -139,7 +139,7 @@ class CarryWatch:
 
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
-        now_s, dt, monitor, sensing = self._world.time, self._world.dt, self._monitor, self._config.sensing
+        now_s, dt, monitor, sensing = self._now_s, self._world.dt, self._monitor, self._config.sensing
         bound_s = self._sensors.delay_ticks * dt + self._config.faults.sensor_age_max_s
         period_s = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else dt
         found = monitor.silent("pose", now_s - self._posed_s, bound_s + period_s)
@@ -165,7 +165,7 @@ class CarryWatch:
 
     def closing(self, t_s: float) -> Fault | None:
         """Check closing hands."""
-        return self._monitor.closing(self._gaps_m(), self._pinch, t_s)
+        return self._monitor.closing(self._world.gaps_m, self._pinch, t_s)
 
     def holding(self, *, steady: bool) -> Fault | None:
         """Check a held object, reducing the internal force on slip; `steady` also checks that force."""
@@ -173,7 +173,7 @@ class CarryWatch:
         if estimate is None:
             return None
         tilt = tilt_rad(estimate.state.T_world_object, self._body)
-        found = monitor.holding(self._pinch.tolist(), self._gaps_m(), estimate.spread_m, tilt)
+        found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, estimate.spread_m, tilt)
         self._ease(estimate.spread_m)
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
         weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
@@ -181,20 +181,16 @@ class CarryWatch:
 
     def grippers(self, told: str) -> Fault | None:
         """Check every 4 ms the motion of hands that are told to "open", to "close", or neither ("")."""
-        now_s, margin_m = self._world.time, self._config.faults.gap_margin_m
+        now_s, margin_m = self._now_s, self._config.faults.gap_margin_m
         if now_s - self._gripped_s < _GRIPPERS_S:
             return None
         self._gripped_s = now_s
         target_m = 2.0 * self._world.robot.hand.travel_m - margin_m if told == "open" else self._width_m + margin_m
-        return self._monitor.grippers(now_s, told, self._gaps_m(), self._pinch.tolist(), target_m)
+        return self._monitor.grippers(now_s, told, self._world.gaps_m, self._pinch.tolist(), target_m)
 
     def motors(self, told: Array) -> Fault | None:
         """Compare commanded torques (n,) [Nm] with applied ones."""
         return self._monitor.motors(told, self._world.tau)
-
-    def _gaps_m(self) -> list[float]:
-        left_m, right_m = self._world.fingers.tolist()
-        return [2.0 * left_m, 2.0 * right_m]
 
     def _ease(self, spread_m: float) -> None:
         """Reduce the internal force when the hands begin to slip.

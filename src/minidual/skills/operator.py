@@ -11,7 +11,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.config.teleop import OperatorConfig
-from minidual.control.object_impedance import minimum_jerk
+from minidual.control.kernels import minimum_jerk
 from minidual.motion.api import Planner
 from minidual.motion.ik import PostureIK
 from minidual.robot.kinematics import Kinematics

@@ -58,15 +58,17 @@ class ObjectTruth:
         self.airborne = self.clearance_m > AIRBORNE_M
 
     def _lowest_m(self, up: Sequence[float]) -> float:
-        lows = list[float]()
-        for at, half, is_round, axis in self._solids:
+        lowest, (ux, uy, uz) = math.inf, up
+        for (x, y, z), half, is_round, axis in self._solids:
             if is_round:
                 along = min(1.0, abs(up[axis]))
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
             else:
-                down = abs(up[0]) * half[0] + abs(up[1]) * half[1] + abs(up[2]) * half[2]
-            lows.append(up[0] * at[0] + up[1] * at[1] + up[2] * at[2] - down)
-        return min(lows)
+                down = abs(ux) * half[0] + abs(uy) * half[1] + abs(uz) * half[2]
+            low = ux * x + uy * y + uz * z - down
+            if not low >= lowest:  # true for NaN
+                lowest = low
+        return lowest
 
     def distance_m(self, xy: tuple[float, float]) -> float:
         """Return the horizontal distance of its centre."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.control.commands import JointCommand, TrajectoryCommand
-from minidual.control.object_impedance import minimum_jerk
+from minidual.control.kernels import minimum_jerk
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.errors import ExitCode, MinidualError
 from minidual.motion.api import Planner

@@ -139,7 +139,7 @@ class Bench:
         every = round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
-        peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), world.robot.tau_max
+        peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), np.array(world.robot.tau_max)
         finished_s, broken = 0.0, None
         model, data = world.model, world.data
         last = np.empty(mujoco.mj_stateSize(model, _STATE))
