@@ -68,3 +68,23 @@ def test_worse_sensing_raises_no_false_alarm(bench):
     assert result.success, result.text
     plain, _ = carry(bench, "clean")
     assert result.metrics.to_row() != {**plain.metrics.to_row(), "condition": noise.name}, "the noise was not sensed"
+
+
+def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
+    """All joints dry, and a camera that is off: the spring stops short of the goal, and the path goes on by that."""
+    all_at_once = condition("randomised")
+    config = all_at_once.config_under(Config())
+    ends = []
+
+    def watch(world, driven):
+        if driven.phase == "unload" and not ends:
+            ends.append(driven.desired.T_world_object[:3, 3] - driven.watch.T_world_object[:3, 3])
+            ends.append(float(driven.watch.T_world_object[2, 3]))
+
+    result, _ = Bench("impedance", MethodInputs(config, 20260)).run(
+        sample_trial(config.scene, 20260, "benchmark", 0), condition=all_at_once.name, on_step=watch
+    )
+    assert result.success, result.text
+    stretched_m, height_m = ends
+    assert np.linalg.norm(stretched_m) > 0.005, "no friction"
+    assert abs(height_m - config.scene.object.rest_height_m) < 0.006, "let go in the air"

@@ -136,6 +136,18 @@ def test_the_mean_of_a_resting_object_falls_with_the_root_of_the_samples() -> No
     assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.radians(0.3) / 10, rel=0.25)
 
 
+def test_a_mean_that_forgets_follows_an_object_that_closing_hands_shift() -> None:
+    before, after = pose(np.eye(3), (0.5, 0.0, 0.1)), pose(rot_x(0.1), (0.5, 0.003, 0.1))
+    steady, forgets = RestingEstimate(before), RestingEstimate(before)
+    for T, n in ((before, 100), (after, 20)):
+        for _ in range(n):
+            steady.add(T)
+            forgets.add(T, 0.2)
+    assert np.linalg.norm(steady.T_world_object[:3, 3] - after[:3, 3]) > 0.002
+    assert np.linalg.norm(forgets.T_world_object[:3, 3] - after[:3, 3]) < 0.0001
+    assert np.linalg.norm(rotation_log(forgets.T_world_object[:3, :3].T @ after[:3, :3])) < 0.002
+
+
 def _held_pose(kinematics: Kinematics, q: np.ndarray) -> np.ndarray:
     """An object carried by both hands: midway between them, along the line that joins them."""
     left, right = kinematics.tcp_poses(q)

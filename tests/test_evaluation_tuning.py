@@ -153,7 +153,7 @@ def test_oscillation_is_what_is_fast_alone():
 
 
 def test_gains_stay_inside_the_configuration():
-    assert gains(40.0, 500.0)["stiffness_nm_per_rad"] == pytest.approx(20.0)
+    assert gains(40.0, 500.0)["stiffness_nm_per_rad"] == pytest.approx(80.0)
     ceiling = changed(Config(), {"carry.impedance.internal_force_n": FORCE_FACTOR * FORCES_N[-1]})
     assert ceiling.carry.impedance.internal_force_n < 80.0, "the factor may not lead past the safety ceiling"
     for n in (*FORCES_N, *tuning.COMPARED_N):

@@ -36,7 +36,7 @@ class ImpedanceConfig(StrictModel):
     """Gains of the object impedance; see docs/carry.md."""
 
     stiffness_n_per_m: float = Field(default=500.0, ge=50.0, le=3000.0)
-    stiffness_nm_per_rad: float = Field(default=20.0, ge=1.0, le=200.0)
+    stiffness_nm_per_rad: float = Field(default=80.0, ge=1.0, le=200.0)
     damping_ratio: float = Field(default=1.0, ge=0.1, le=3.0)
     internal_force_n: float = Field(default=40.0, ge=5.0, le=80.0)
     """Squeeze along the object."""

@@ -33,10 +33,11 @@ class RestingEstimate:
         self.samples_n = 1
         self.innovation = (0.0, 0.0)
 
-    def add(self, T_world_object: Array) -> None:
-        """Add a sample (4, 4) to the mean."""
+    def add(self, T_world_object: Array, least_gain: float = 0.0) -> None:
+        """Add a sample (4, 4) to the mean; with a least gain the mean forgets."""
         self.samples_n += 1
-        self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, 1.0 / self.samples_n)
+        gain = max(1.0 / self.samples_n, least_gain)
+        self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, gain)
 
 
 class HeldEstimate:

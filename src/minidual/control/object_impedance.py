@@ -152,6 +152,12 @@ class ObjectPath:
         """Total time [s]."""
         return float(self._ends_s[-1])
 
+    def onward(self, by_m: Array, duration_s: float) -> "ObjectPath":
+        """Return a path from the end of this one to a place by_m (3,) [m] beside it."""
+        x, y, z, yaw = self._poses[-1].tolist()
+        onward = tuple((self._poses[-1, :3] + by_m).tolist())
+        return ObjectPath(Waypoint((x, y, z), yaw, 0.0), [Waypoint(onward, yaw, duration_s)])
+
     def at(self, t_s: float, T_level_object: Array = _LEVEL) -> ObjectState:
         """Return the state at a path time of an object that lies at T_level_object (4, 4) in the level frame."""
         T, motion = np.empty((4, 4)), np.zeros((2, 6))

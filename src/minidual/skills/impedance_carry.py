@@ -4,7 +4,7 @@ Source `moveit` proposes joint motions for free hands (controller A) and object 
 docs/carry.md.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import CarryConfig
 from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_impedance import ObjectState, SingularPostureError
+from minidual.control.object_impedance import ObjectPath, ObjectState, SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
@@ -39,6 +39,8 @@ _TOLD = {"close": "close", "open": "open", "retreat": "open"}
 """What the hands are told in a phase."""
 _BRAKED_S = 0.6
 """Longest braking along the path."""
+_ARRIVALS, _ONWARD_S, _ARRIVED_M, _STRETCH_M = 2, 0.8, 0.003, 0.018
+"""Most corrections of a path's end, their time, the distance that needs none, and the longest stretch of the spring."""
 _STOPPED_S = 0.5
 
 
@@ -189,6 +191,8 @@ class ImpedanceCarry:
         self._supervisor.hold(0, inverse(held.T_object_tcps[0]) @ thing_of(scene.object).shape.T_parent_shape)
         stack.switch_controllers(OBJECT_CONTROLLERS)
         for phase in ("squeeze", "carry", "unload"):
+            if phase == "unload":
+                path = yield from self._arrive(path, T_level_object)
             self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, watch.squeeze_n), _CLOSED)
             yield from self._executing()
         watch.let_go()
@@ -198,6 +202,21 @@ class ImpedanceCarry:
         q = world.q
         yield from self._move("open", q, q, PHASES["open"].force_s)
         yield from self._move("retreat", q, self._grasp(q, above_m=PHASES["retreat"].rise_m))
+
+    def _arrive(self, path: ObjectPath, T_level_object: Array) -> Generator[None, None, ObjectPath]:
+        """Follow a path's end until the object is there: friction in the joints holds a spring off; return the path."""
+        goal_m = end_m = path.at(path.duration_s, T_level_object).T_world_object[:3, 3]
+        for _ in range(_ARRIVALS):
+            p_m = self.watch.T_world_object[:3, 3]
+            short, stretched = (float(np.linalg.norm(to_m - p_m)) for to_m in (goal_m, end_m))
+            if short < _ARRIVED_M or stretched >= _STRETCH_M:
+                break
+            onward_m = (goal_m - p_m) * min(1.0, (_STRETCH_M - stretched) / short)
+            path, end_m = path.onward(onward_m, _ONWARD_S), end_m + onward_m
+            motion = held_motion("carry", path, T_level_object, self.watch.squeeze_n)
+            self._propose("carry", ObjectCommand, *motion, _CLOSED)
+            yield from self._executing()
+        return path
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array:
         """Return the posture (n,) at or over the grasps."""

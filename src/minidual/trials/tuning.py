@@ -112,11 +112,11 @@ class Tuning:
 
 
 def gains(force_n: float, stiffness_n_per_m: float) -> dict[str, float]:
-    """Return values of `carry.impedance`; rotational stiffness is 1/25 of translational."""
+    """Return values of `carry.impedance`; rotational stiffness is 0.16 m^2 of translational."""
     return {
         "internal_force_n": float(force_n),
         "stiffness_n_per_m": float(stiffness_n_per_m),
-        "stiffness_nm_per_rad": float(stiffness_n_per_m) / 25.0,
+        "stiffness_nm_per_rad": 0.16 * float(stiffness_n_per_m),
     }
 
 
