@@ -144,6 +144,20 @@ def test_the_hand_follows_what_streams_and_gives_way_to_a_push(plant: ArmsPlant)
     np.testing.assert_allclose(plant.q[:7], HOME[:7], atol=1e-4)
 
 
+def test_a_soft_hand_may_press_and_stay_back_although_it_is_open(plant: ArmsPlant) -> None:
+    supervisor = Supervisor()
+    stack = stack_on(plant, supervisor=supervisor)
+    for controllers, mode in ((("both_arms",), "free motion"), (SOFT, "closed hands")):
+        hand_over(stack, "moveit", controllers)
+        for _ in range(2000):
+            if stack.grippers.wide:
+                break
+            stack.step()
+        assert supervisor.expected().mode == mode
+        stack.request("hold")
+        stack.step()
+
+
 def test_a_stretched_arm_stops_the_arms_by_name(plant: ArmsPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     stack: ControlStack = stack_on(plant, supervisor=Supervisor())
     hand_over(stack, "moveit", SOFT)

@@ -242,7 +242,7 @@ CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
 """The first failure of a carry by both hands, and of a handover, where the yaw of the bottle is free."""
 
 
-@pytest.mark.parametrize("name", ("rod straight", "pot_lift", "handover"))
+@pytest.mark.parametrize("name", ["rod straight", "pot_lift", "handover"])
 def test_with_one_arm_frozen_no_draw_succeeds(name: str) -> None:
     """256 draws, each with one arm frozen, a handover from either side. The script's free hand reaches everywhere."""
     task, won, sides = TASKS[name](), Counter[str](), Counter[bool]()

@@ -26,6 +26,7 @@ from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.sort import bin_of, side_of
 from minidual.tasks.task import Step, Task, Trial, make_task
+from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
@@ -158,6 +159,28 @@ def test_a_draw_is_planned_with_the_other_cubes_as_obstacles() -> None:
         held = {shape.name for shape in segment.scene.attached}
         assert held | {shape.name for shape in segment.scene.obstacles} == {*TASK.objects, "table"}
     assert any(len(segment.scene.attached) == 2 for segment in moving)
+
+
+def test_by_force_what_is_put_down_is_lowered_by_soft_hands_before_it_is_let_go() -> None:
+    trial, kinematics, let_go = TASK.trial(7, "plan", 0), Kinematics(), 0
+    start, planner = State(DUAL_PANDA.home, start_of(trial)), Planner()
+    for by_force in (False, True):
+        segments = solve(TASK, trial, start, planner, by_force=by_force).segments
+        for before, last in itertools.pairwise(k for k, segment in enumerate(segments) if segment.phase == "open"):
+            lower, settle, opens = segments[last - 2 : last + 1]
+            assert before < last - 2
+            assert (lower.phase, settle.phase) == ("lower", "settle")
+            assert bool(opens.soft) is by_force
+            if not by_force or opens.kept_by:
+                continue
+            let_go += 1
+            assert set(lower.soft) == set(settle.soft) == set(opens.soft)
+            from_m, to_m = (np.array(kinematics.tcp_poses(lower.trajectory.q[k]))[:, 2, 3] for k in (0, -1))
+            arms = [SIDES.index(arm) for arm in opens.soft]
+            assert (from_m - to_m)[arms] == pytest.approx(0.004, abs=1e-5)
+            assert opens.scene is not None
+            assert {shape.link[:4] for shape in opens.scene.attached}.isdisjoint(arm[:4] for arm in opens.soft)
+    assert let_go >= 1
 
 
 # --- the success test --------------------------------------------------------------------------------------------------
@@ -371,6 +394,19 @@ def test_driven_it_sorts(method: str) -> None:
         result, _ = bench.run(TASK.trial(TASK.config.seed, "driven", k))
         assert result.success, result.text
         assert result.measured["progress"] == 1.0
+
+
+@pytest.mark.slow
+def test_a_camera_that_sees_cubes_too_high_makes_position_drop_them_and_not_force() -> None:
+    under = condition("randomised")
+    config = under.config_under(TASK.config)
+    task, found = make_task(config), {}
+    for method in ("moveit", "impedance"):
+        bench = Bench(method, MethodInputs(config, config.seed))
+        found[method] = bench.run(task.trial(20260, "benchmark", 6), condition=under.name)[0]
+    assert not found["moveit"].success
+    assert "held" in found["moveit"].text
+    assert found["impedance"].success, found["impedance"].text
 
 
 @pytest.mark.slow

@@ -416,7 +416,8 @@ class ControlStack[P: Plant]:
         off = () if self._off is None else self._off.arms
         if manager.active == OBJECT_CONTROLLERS:
             return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off)
-        if grippers.wide:  # until then fingers that open still touch what they held
+        soft = any(hand.name in manager.active for hand in self.hands)  # dry joints hold a spring off
+        if grippers.wide and not soft:  # until then fingers that open still touch what they held
             return Expected("free motion", None, manager.reference, off=off)
         return Expected("closed hands", None, manager.reference, grippers.fault, off)
 

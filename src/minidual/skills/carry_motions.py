@@ -17,7 +17,7 @@ from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.kernels import minimum_jerk
 from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
-from minidual.control.object_impedance import HeldObject, ObjectPath, ObjectState, Waypoint
+from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
 from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import inverse
 from minidual.robot.trajectory import Trajectory
@@ -27,6 +27,8 @@ from minidual.tasks.rod_carry import level_part, level_pose
 
 LANDED_S = 0.1
 """Rest time before release."""
+_TESTED = 1.15
+"""Share of the squeeze that is tried before the lift."""
 _PEAK_SPEED = 1.875
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 _LEAST_S = 0.25
@@ -106,14 +108,15 @@ def held_motion(
 ) -> tuple[HeldMotion, Callable[[float], float]]:
     """Return a phase's object motion, and its internal force [N] by time [s].
 
-    squeeze: ramp up at the path's start; carry: the path, plus rest; unload: ramp down at its end. Ramps keep
-    controller C's rate.
+    squeeze: ramp up at the path's start, for a moment beyond, so that a smooth object slips on the table and not in the
+    air; carry: the path, plus rest; unload: ramp down at its end. Ramps keep controller C's rate.
     """
     ramp_s = max(PHASES[phase].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     if phase == "squeeze":
-        duration_s = ramp_s + PHASES["settle"].force_s
+        most = min(_TESTED, SQUEEZE_CEILING_N / max(squeeze_n, 1.0))
+        duration_s = (2.0 * most - 1.0) * ramp_s + PHASES["settle"].force_s
         motion = HeldMotion(path, T_level_object, -duration_s, duration_s)
-        return motion, lambda t_s: squeeze_n * min(1.0, t_s / ramp_s)
+        return motion, lambda t_s: squeeze_n * min(t_s / ramp_s, max(1.0, 2.0 * most - t_s / ramp_s))
     if phase == "carry":
         return HeldMotion(path, T_level_object, 0.0, path.duration_s + LANDED_S), lambda _: squeeze_n
     motion = HeldMotion(path, T_level_object, path.duration_s, ramp_s)
@@ -127,8 +130,11 @@ def plan_path(
     goal: tuple[float, float, float],
     T_world_object: Array,
     q: Array,
+    rest_m: float,
 ) -> ObjectPath:
     """Return the path to `goal` (x [m], y [m], yaw [rad]), as fast as limits allow.
+
+    rest_m: sensed height of the object on the table.
 
     Raises:
         GraspUnreachableError: A hand cannot follow.
@@ -137,17 +143,17 @@ def plan_path(
     level = level_part(T_world_object)
     yaw = float(np.arctan2(level[1, 0], level[0, 0]))
     gx, gy, goal_yaw = goal
-    high, rest = z + scene.task.lift_height_m, scene.object.rest_height_m
+    high = z + scene.task.lift_height_m
     start = place = Waypoint((x, y, z), yaw, 0.0)
     waypoints: list[Waypoint] = []
-    ends = [((x, y, high), yaw), ((gx, gy, high), goal_yaw), ((gx, gy, rest + pace.landing_m), goal_yaw)]
+    ends = [((x, y, high), yaw), ((gx, gy, high), goal_yaw), ((gx, gy, rest_m + pace.landing_m), goal_yaw)]
     for xyz, direction in ends:
         end = Waypoint(xyz, direction, 0.0)
         duration_s, q = object_duration_s(scene, robot, place, end, q, pace)
         waypoints.append(Waypoint(xyz, direction, duration_s))
         place = end
     if pace.landing_m > 0.0:
-        waypoints.append(Waypoint((gx, gy, rest), goal_yaw, pace.landing_s))
+        waypoints.append(Waypoint((gx, gy, rest_m), goal_yaw, pace.landing_s))
     return ObjectPath(start, waypoints)
 
 

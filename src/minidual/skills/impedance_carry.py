@@ -26,7 +26,7 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
-from minidual.skills.cycle import thing_of
+from minidual.skills.cycle import pose_of, thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
@@ -163,7 +163,7 @@ class ImpedanceCarry:
 
     def _phases(self) -> Iterator[None]:
         world, watch, stack = self.world, self.watch, self.stack
-        level = level_part(watch.T_world_object)
+        level = self._lying()
         q_over = posture_over(world.scene, world.robot, level, PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
         stack.request(SOURCE)
@@ -172,6 +172,7 @@ class ImpedanceCarry:
             yield
         yield from self._move("approach", q, q_over)
         q = self._grasp(q_over)  # of the mean of all poses so far, about a hundred
+        rest_m = float(watch.T_world_object[2, 3])
         yield from self._move("descend", q_over, q)
 
         # Closing ends on felt pinch, not on time, so the posture is streamed.
@@ -183,7 +184,7 @@ class ImpedanceCarry:
 
         T_object, scene = watch.T_world_object, world.scene
         goal = placement(self._trial.goal[scene.object.name])
-        path = plan_path(scene, world.robot, self._config.pace, goal, T_object, world.q)
+        path = plan_path(scene, world.robot, self._config.pace, goal, T_object, world.q, rest_m)
         T_level_object = inverse(level_part(T_object)) @ T_object
         held = held_object(scene, T_object, self._kinematics.tcp_poses(world.q))
         stack.impedance.configure(held, self._config.impedance)
@@ -220,8 +221,11 @@ class ImpedanceCarry:
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array:
         """Return the posture (n,) at or over the grasps."""
-        level = level_part(self.watch.T_world_object)
-        return grasp_posture(self.world.scene, self.world.robot, level, q_near, above_m=above_m)
+        return grasp_posture(self.world.scene, self.world.robot, self._lying(), q_near, above_m=above_m)
+
+    def _lying(self) -> Array:
+        """Return the pose (4, 4) of the object on the table, whose height is known better than the camera tells."""
+        return pose_of(self.world.scene.object, placement(self.watch.T_world_object))
 
     def _move(self, phase: str, q: Array, q_goal: Array, duration_s: float | None = None) -> Iterator[None]:
         world = self.world

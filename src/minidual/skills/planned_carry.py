@@ -25,8 +25,8 @@ GAP_MARGIN_M = 0.005
 class PlannedCarry(Drive):
     """One planned trial by position: stiff joints give the internal force. Call `step` until `done`.
 
-    `poses` are the objects' sensed poses, by default the true ones. The plan keeps the supervisor's minimum arm
-    distance plus a margin.
+    `poses` are the objects' sensed poses, by default the true ones; what starts on the table has a known height. The
+    plan keeps the supervisor's minimum arm distance plus a margin.
     """
 
     by_force = False
@@ -45,7 +45,9 @@ class PlannedCarry(Drive):
         supervisor = stack.supervisor
         self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
         known = self._poses = {
-            name: pose_of(task.objects[name].body, placement(T)) if task.stands else level_part(T)
+            name: pose_of(task.objects[name].body, placement(T))
+            if isinstance(trial.start[name], tuple)
+            else level_part(T)
             for name, T in self.poses.items()
         }
         start = State(world.q, dict(known))

@@ -64,7 +64,6 @@ def insertion(config: Config) -> Task:
         draw=draw_apart,
         stream="insertion-trial",
         arrange=arrange,
-        stands=True,
     )
 
 

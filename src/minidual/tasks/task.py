@@ -78,7 +78,6 @@ class Task:
         success: (task, trial) -> new conditions.
         draw: (task, rng, widen) -> start and goal, each {object: pose}.
         arrange: (task, trial, sensed poses) -> lists of steps, preferred first, where they depend on the start.
-        stands: On the table; plans ignore the sensed height.
     """
 
     name: str
@@ -90,7 +89,6 @@ class Task:
     draw: Callable[[Task, np.random.Generator, float], tuple[Poses, Poses]]
     stream: str = "trial"
     arrange: Callable[[Task, Trial, Mapping[str, Array]], Iterable[Sequence[Step]]] | None = None
-    stands: bool = False
 
     @property
     def scene(self) -> SceneConfig:

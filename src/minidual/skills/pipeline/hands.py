@@ -19,7 +19,7 @@ from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, 
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
 _SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
-_DRIVEN_M = 0.006  # further by force
+_DRIVEN_M, _RESTED_M = 0.006, 0.004  # further by force: into another object, down to rest
 _SHORTER = (1.0, 0.6)  # shares of the retreat height to try
 
 
@@ -115,7 +115,7 @@ def _spiral(T: Array) -> Iterator[Array]:
 
 
 class Open(Stage):
-    """Open hands; the object stays in place or with the other hand."""
+    """Open hands; the object stays in place or with the other hand. `by_force` lower it first until it rests."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """See `Stage`."""
@@ -126,13 +126,18 @@ class Open(Stage):
         kept = {start.object_of(arm) for arm in held}
         if not start.rests and any(start.object_of(arm) not in kept for arm in self.arms):
             raise Failure("would_fall", "the object is in the air and no other hand holds it")
-        end = replace(start.opened(self.arms, OPEN), held_by=held)
-        kept_by = () if start.rests else tuple(held)
-        segments = (
-            still("settle", start.q, PHASES["settle"].hold_s, start.openings, soft=kept_by),
-            still("open", start.q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by),
-        )
-        yield Candidate("", 0.0, end, segments)
+        kept_by, soft, q, down = () if start.rests else tuple(held), (), start.q, ()
+        if tools.by_force and start.rests and not start.closed_chain:
+            poses, soft = tools.planner.kinematics.tcp_poses(start.q), tuple(self.arms)
+            deeper = {arm: moved(poses[SIDES.index(arm)], np.array([0.0, 0.0, -_RESTED_M])) for arm in self.arms}
+            down = (replace(straight(tools, "lower", start, deeper, tools.scene(start, resting=True)), soft=soft),)
+            q = down[-1].trajectory.q[-1]
+        end = replace(start.opened(self.arms, OPEN), held_by=held, q=q)
+        settle = still("settle", q, PHASES["settle"].hold_s, start.openings, soft=kept_by or soft)
+        opens = still("open", q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by or soft)
+        if down:  # the hand sinks to q as soon as it holds nothing
+            opens = replace(opens, scene=tools.scene(end, touching=self.arms))
+        yield Candidate("", 0.0, end, (*down, settle, opens))
 
 
 class Retreat(Stage):
