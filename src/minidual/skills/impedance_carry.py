@@ -39,7 +39,7 @@ _TOLD = {"close": "close", "open": "open", "retreat": "open"}
 """What the hands are told in a phase."""
 _BRAKED_S = 0.6
 """Longest braking along the path."""
-_ARRIVALS, _ONWARD_S, _ARRIVED_M, _STRETCH_M = 2, 0.8, 0.003, 0.018
+_ARRIVALS, _ONWARD_S, _ARRIVED_M, _STRETCH_M = 4, 0.8, 0.003, 0.018
 """Most corrections of a path's end, their time, the distance that needs none, and the longest stretch of the spring."""
 _STOPPED_S = 0.5
 
