@@ -4,8 +4,6 @@ At rest it is the mean of all samples. When held, its pose X in a frame H of the
 between the tool centre points, y from right to left, x along the mean finger direction. Samples z correct X:
 
     X <- X + g (T_H(t - delay)^-1 z - X),  g = max(1 / n, sample period / memory)
-
-y comes from positions because an object can pivot between two pads.
 """
 
 import math
@@ -34,7 +32,7 @@ class RestingEstimate:
         self.innovation = (0.0, 0.0)
 
     def add(self, T_world_object: Array, least_gain: float = 0.0) -> None:
-        """Add a sample (4, 4) to the mean; with a least gain the mean forgets."""
+        """Add a sample (4, 4) to the mean, which a least gain makes forget."""
         self.samples_n += 1
         gain = max(1.0 / self.samples_n, least_gain)
         self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, gain)

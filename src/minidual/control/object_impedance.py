@@ -153,7 +153,7 @@ class ObjectPath:
         return float(self._ends_s[-1])
 
     def onward(self, by_m: Array, duration_s: float) -> "ObjectPath":
-        """Return a path from the end of this one to a place by_m (3,) [m] beside it."""
+        """Return a path by_m (3,) from the end of this one."""
         x, y, z, yaw = self._poses[-1].tolist()
         onward = tuple((self._poses[-1, :3] + by_m).tolist())
         return ObjectPath(Waypoint((x, y, z), yaw, 0.0), [Waypoint(onward, yaw, duration_s)])

@@ -27,8 +27,7 @@ from minidual.tasks.rod_carry import level_part, level_pose
 
 LANDED_S = 0.1
 """Rest time before release."""
-_TESTED = 1.15
-"""Share of the squeeze that is tried before the lift."""
+_TESTED = 1.15  # share of the squeeze that is tried before the lift: what is smooth slips on the table, not in the air
 _PEAK_SPEED = 1.875
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 _LEAST_S = 0.25
@@ -108,8 +107,8 @@ def held_motion(
 ) -> tuple[HeldMotion, Callable[[float], float]]:
     """Return a phase's object motion, and its internal force [N] by time [s].
 
-    squeeze: ramp up at the path's start, for a moment beyond, so that a smooth object slips on the table and not in the
-    air; carry: the path, plus rest; unload: ramp down at its end. Ramps keep controller C's rate.
+    squeeze: ramp up at the path's start; carry: the path, plus rest; unload: ramp down at its end. Ramps keep
+    controller C's rate.
     """
     ramp_s = max(PHASES[phase].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     if phase == "squeeze":

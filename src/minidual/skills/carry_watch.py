@@ -18,16 +18,12 @@ from minidual.skills.faults import Fault, FaultMonitor
 from minidual.tasks.rod_carry import tilt_rad
 
 _GRIPPED = 0.9
-_MOVED_M = 0.0005
-"""Motion of the hands between two poses that the second must show."""
+_MOVED_M = 0.0005  # motion of the hands between two poses that the second must show
 _COMPARE_S, _GRIPPERS_S = 0.01, 0.004
 _FORCES = ("the left hand's force", "the right hand's force", "the pinch")
-_SETTLING = 0.2
-"""Least gain of a pose while the hands close: the held estimate takes the result for five samples."""
-_EASED = 0.75
-"""Share of the force felt at slip onset, requested afterwards."""
-_EASE_MARGIN = 1.1
-"""Lower bound of that request, relative to the task's need."""
+_SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
+_EASED = 0.75  # share of the force felt at slip onset, requested afterwards
+_EASE_MARGIN = 1.1  # lower bound of that request, relative to the task's need
 
 
 class CarryWatch:
@@ -166,7 +162,7 @@ class CarryWatch:
         return self._monitor.resting(self._resting.innovation)
 
     def closing(self, t_s: float) -> Fault | None:
-        """Check closing hands, and follow the object that they shift and turn."""
+        """Check closing hands; follow the object."""
         if self._reading.pose is not None:
             self._resting.add(self._reading.pose.T_world_object, _SETTLING)
         return self._monitor.closing(self._world.gaps_m, self._pinch, t_s)

@@ -35,12 +35,11 @@ from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Trial
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
+# what the hands are told in a phase
 _TOLD = {"close": "close", "open": "open", "retreat": "open"}
-"""What the hands are told in a phase."""
-_BRAKED_S = 0.6
-"""Longest braking along the path."""
+_BRAKED_S = 0.6  # longest braking along the path
 _ARRIVALS, _ONWARD_S, _ARRIVED_M, _STRETCH_M = 4, 0.8, 0.003, 0.018
-"""Most corrections of a path's end, their time, the distance that needs none, and the longest stretch of the spring."""
+# most corrections of a path's end, their time, the distance that needs none, the longest stretch of the spring
 _STOPPED_S = 0.5
 
 
@@ -205,7 +204,7 @@ class ImpedanceCarry:
         yield from self._move("retreat", q, self._grasp(q, above_m=PHASES["retreat"].rise_m))
 
     def _arrive(self, path: ObjectPath, T_level_object: Array) -> Generator[None, None, ObjectPath]:
-        """Follow a path's end until the object is there: friction in the joints holds a spring off; return the path."""
+        """Move a path's end on until the object is there."""  # friction in the joints holds a spring off
         goal_m = end_m = path.at(path.duration_s, T_level_object).T_world_object[:3, 3]
         for _ in range(_ARRIVALS):
             p_m = self.watch.T_world_object[:3, 3]
@@ -224,7 +223,7 @@ class ImpedanceCarry:
         return grasp_posture(self.world.scene, self.world.robot, self._lying(), q_near, above_m=above_m)
 
     def _lying(self) -> Array:
-        """Return the pose (4, 4) of the object on the table, whose height is known better than the camera tells."""
+        """Return the object's pose (4, 4) at its known height on the table."""
         return pose_of(self.world.scene.object, placement(self.watch.T_world_object))
 
     def _move(self, phase: str, q: Array, q_goal: Array, duration_s: float | None = None) -> Iterator[None]:

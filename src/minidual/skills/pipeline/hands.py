@@ -115,7 +115,7 @@ def _spiral(T: Array) -> Iterator[Array]:
 
 
 class Open(Stage):
-    """Open hands; the object stays in place or with the other hand. `by_force` lower it first until it rests."""
+    """Open hands; the object stays in place or with the other hand. `by_force` lowers it first."""
 
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """See `Stage`."""
