@@ -177,3 +177,13 @@ def test_the_pot_is_lifted_under_object_impedance_and_put_on_the_plate() -> None
     assert result.measured["goal_error_m"] < 0.005
     assert set(SIDES) == set(TASK.objects["pot"].grasps)
     assert log.pinch[-1].max() == 0.0
+
+
+def test_where_the_arms_reach_no_higher_the_pot_is_lifted_as_high_as_the_task_asks() -> None:
+    trial = TASK.trial(20260, "benchmark", 121)
+    start = State(DUAL_PANDA.home, {name: pose_of(item.body, trial.start[name]) for name, item in TASK.objects.items()})
+    segments, kinematics = solve(TASK, trial, start, Planner()).segments, Kinematics(DUAL_PANDA)
+    carried = next(segment for segment in segments if segment.phase in ("lift", "carry"))
+    begin, *heights = ([T[2, 3] for T in kinematics.tcp_poses(q)] for q in carried.trajectory.q[::20])
+    risen_m = min(max(h[arm] for h in heights) - begin[arm] for arm in range(2))
+    assert TASK.scene.task.clear_height_m < risen_m < TASK.scene.task.lift_height_m

@@ -31,6 +31,7 @@ _PRISM = 16  # sides of the prism round a cylinder
 _KEENNESS = 0.5  # where grasps can be chosen, the cheapest of all plans would take too long to find
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
+_CLEAR_M = 0.005  # over the height that the task asks for
 _PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
 _OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retreat, "home": Home}
 
@@ -109,7 +110,8 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
                 goals = {name: pose_of(task.objects[name].body, trial.goal[name]) for name in handled}
                 places = [Place("the goal", goals)]
             tilt_rad = _PLANNED_TILT * asked.tilt_max_rad
-            stages.append(Carry(label("carry", hands, names), places, asked.lift_height_m, tilt_rad))
+            least_m = asked.clear_height_m + _CLEAR_M
+            stages.append(Carry(label("carry", hands, names), places, asked.lift_height_m, tilt_rad, least_m))
             continue
         for step in run:
             if step.phase == "insert":
