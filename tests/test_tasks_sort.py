@@ -163,23 +163,18 @@ def test_a_draw_is_planned_with_the_other_cubes_as_obstacles() -> None:
 
 def test_by_force_what_is_put_down_is_lowered_by_soft_hands_before_it_is_let_go() -> None:
     trial, kinematics, let_go = TASK.trial(7, "plan", 0), Kinematics(), 0
-    start, planner = State(DUAL_PANDA.home, start_of(trial)), Planner()
-    for by_force in (False, True):
-        segments = solve(TASK, trial, start, planner, by_force=by_force).segments
-        for before, last in itertools.pairwise(k for k, segment in enumerate(segments) if segment.phase == "open"):
-            lower, settle, opens = segments[last - 2 : last + 1]
-            assert before < last - 2
-            assert (lower.phase, settle.phase) == ("lower", "settle")
-            assert bool(opens.soft) is by_force
-            if not by_force or opens.kept_by:
-                continue
-            let_go += 1
-            assert set(lower.soft) == set(settle.soft) == set(opens.soft)
-            from_m, to_m = (np.array(kinematics.tcp_poses(lower.trajectory.q[k]))[:, 2, 3] for k in (0, -1))
-            arms = [SIDES.index(arm) for arm in opens.soft]
-            assert (from_m - to_m)[arms] == pytest.approx(0.004, abs=1e-5)
-            assert opens.scene is not None
-            assert {shape.link[:4] for shape in opens.scene.attached}.isdisjoint(arm[:4] for arm in opens.soft)
+    segments = solve(TASK, trial, State(DUAL_PANDA.home, start_of(trial)), Planner(), by_force=True).segments
+    for lower, settle, opens in zip(segments, segments[1:], segments[2:], strict=False):
+        if opens.phase != "open" or opens.kept_by:
+            continue
+        let_go += 1
+        assert (lower.phase, settle.phase) == ("lower", "settle")
+        assert set(lower.soft) == set(settle.soft) == set(opens.soft) != set()
+        from_m, to_m = (np.array(kinematics.tcp_poses(lower.trajectory.q[k]))[:, 2, 3] for k in (0, -1))
+        arms = [SIDES.index(arm) for arm in opens.soft]
+        assert (from_m - to_m)[arms] == pytest.approx(0.004, abs=1e-5)
+        assert opens.scene is not None
+        assert {shape.link[:4] for shape in opens.scene.attached}.isdisjoint(arm[:4] for arm in opens.soft)
     assert let_go >= 1
 
 
