@@ -191,7 +191,7 @@ GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
     "does not close": ("gripper_stuck", "close", 0.0, lambda target, told: 0.04, 0.1),
     "answers 0.1 s late": ("gripper_stuck", "close", 0.0, lambda target, told: told[-100], 0.1),
     "blocked at 60 mm": ("gripper_stuck", "close", 0.0, lambda target, told: max(target, 0.03), 0.3),
-    "jitters": ("gripper_jitter", "carry", 0.2, lambda target, told: target + 0.004 * ((len(told) + 8) // 25 % 2), 0.3),
+    "jitters": ("gripper_jitter", "carry", 0.2, lambda target, told: target + 0.004 * (len(told) // 25 % 2), 0.3),
     "does not open": ("gripper_stuck", "open", 0.0, lambda target, told: -0.004, 0.2),
 }
 
@@ -340,6 +340,33 @@ def test_a_hand_that_moves_as_it_is_told_has_no_fault(monitor: FaultMonitor) -> 
     blind = monitor.grippers(20.2, "close", nothing, nothing, 0.024)
     assert blind is not None
     assert blind.name == "gripper_stuck"
+
+
+@pytest.mark.parametrize("phase", range(5))
+def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(monitor: FaultMonitor, phase: int) -> None:
+    """+-6.5 N about 60 N at 20 Hz, after rest: the swing of 13 N counts, not the distance from where the hand rested."""
+    told_s = None
+    for k in range(200):
+        t = 4e-3 * k
+        swing = 6.5 * np.sign(np.sin(2.0 * np.pi * 20.0 * (t - 0.2) + 1.2 * phase)) if t >= 0.2 else 0.0
+        fault = monitor.grippers(10.0 + t, "", (0.018, 0.018), (60.0 + swing, 60.0), 0.022)
+        if fault is not None:
+            told_s = t - 0.2
+            assert fault.name == "gripper_jitter"
+            break
+    assert told_s is not None
+    assert told_s < 0.17
+
+
+@pytest.mark.parametrize("swing_n", [5.5, 11.5])
+def test_a_pinch_that_swings_by_less_than_a_step_or_rises_slowly_does_not_jitter(
+    monitor: FaultMonitor, swing_n: float
+) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(1000):
+        t = 4e-3 * k
+        pinch = 40.0 + 5.0 * t + 0.5 * swing_n * np.sign(np.sin(2.0 * np.pi * 20.0 * t)) + rng.normal(0.0, 0.02)
+        assert monitor.grippers(10.0 + t, "", (0.018, 0.018), (pinch, 60.0), 0.022) is None
 
 
 def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:

@@ -1,13 +1,22 @@
 """What the carry makes of a world that is not as expected: smoother objects, worse cameras."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
-from carry_trials import sample_trial
+from carry_trials import carry_task, sample_trial
 
 from minidual.config.change import changed
 from minidual.config.control import CarryFaultConfig
 from minidual.config.root import Config
+from minidual.control.stack import ControlStack
+from minidual.motion.api import Planner
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
+from minidual.skills import impedance_carry
 from minidual.skills.faults import FaultMonitor
+from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
@@ -88,3 +97,59 @@ def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
     stretched_m, height_m = ends
     assert np.linalg.norm(stretched_m) > 0.005, "no friction"
     assert abs(height_m - config.scene.object.rest_height_m) < 0.006, "let go in the air"
+
+
+def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
+    config = changed(Config(), {"carry.sensing.pose_bias_m": 0.006})
+    rest_m, sensed_m, used_m = config.scene.object.rest_height_m, [], []
+    reach = impedance_carry.grasp_posture
+    monkeypatch.setattr(
+        impedance_carry, "grasp_posture", lambda *a, **k: (used_m.append(a[2][2, 3]), reach(*a, **k))[1]
+    )
+    world, trial = World(config.scene), sample_trial(config.scene, 11, "robust", 0)
+    world.reset(poses=trial.start)
+    carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=11)
+    while carry.phase in ("approach", "descend") and not carry.done:
+        carry.step()
+        sensed_m.append(carry.watch.T_world_object[2, 3])
+    assert carry.phase == "close", carry.aborted
+    assert abs(sensed_m[-1] - rest_m) > 0.002, "no offset was drawn"
+    assert len(used_m) == 2
+    assert used_m == pytest.approx([rest_m] * 2, abs=1e-12)
+
+
+def test_a_plan_begins_with_objects_at_their_known_height():
+    task = carry_task(Config().scene)
+    trial = task.trial(11, "robust", 0)
+    world = World(task.scene)
+    world.reset(poses=trial.start)
+    seen = {"rod": world.object_pose("rod") + np.outer([0.0, 0.0, 0.007, 0.0], [0.0, 0.0, 0.0, 1.0])}
+    carry = PlannedCarry(ControlStack(world, Kinematics()), Planner(), task, trial, 1, poses=seen)
+    assert carry.aborted is None
+    height_m = carry.solution.states[0].objects["rod"][2, 3]
+    assert height_m == pytest.approx(task.scene.object.rest_height_m, abs=1e-12)
+    assert seen["rod"][2, 3] - height_m > 0.006
+
+
+def test_a_smooth_object_slips_before_it_is_lifted(bench):
+    """Friction 0.36: the pads carry 43 N, more than the 40 N of the squeeze and less than the 46 N that are tried."""
+    slid = {}
+
+    def watch(world, driven):
+        if driven.watch.squeeze_n < Config().carry.impedance.internal_force_n:
+            slid.setdefault(driven.phase, world.time)
+
+    with smooth(bench.world.model, 0.36):
+        result, _ = bench.run(sample_trial(bench.world.scene, 11, "robust", 0), on_step=watch)
+    assert result.success, result.text
+    assert next(iter(slid)) == "squeeze"
+
+
+@contextmanager
+def smooth(model, friction):
+    kept = model.geom_friction.copy()
+    try:
+        model.geom_friction[:, 0] = friction
+        yield
+    finally:
+        model.geom_friction[:] = kept

@@ -66,18 +66,21 @@ class _Turns:
     """Last step of a signal that is no noise [s], and its turns."""
 
     def __init__(self, step: float) -> None:
-        self._step, self._at, self._way = step, math.inf, 0.0
+        self._step, self._at, self._way = step, math.inf, 0
+        self._high, self._low = -math.inf, math.inf  # since the last turn
         self.moved_s = -math.inf
         self._turns_s: deque[float] = deque(maxlen=_TURNS)
 
     def update(self, value: float, now_s: float) -> None:
         """Take a value."""
-        way = value - self._at
-        if not abs(way) >= self._step:
-            return
-        if way * self._way < 0.0:
-            self._turns_s.append(now_s)
-        self._at, self._way, self.moved_s = value, way, now_s
+        if abs(value - self._at) >= self._step:
+            self._at, self.moved_s = value, now_s
+        self._high, self._low = max(self._high, value), min(self._low, value)
+        falls = self._way >= 0 and self._high - value >= self._step
+        if falls or (self._way <= 0 and value - self._low >= self._step):
+            if self._way:
+                self._turns_s.append(now_s)
+            self._way, self._high, self._low = -1 if falls else 1, value, value
 
     def jitters(self, now_s: float) -> bool:
         """Whether it has turned often of late."""
