@@ -118,6 +118,19 @@ def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
     assert used_m == pytest.approx([rest_m] * 2, abs=1e-12)
 
 
+def test_what_the_camera_sees_too_low_is_put_down_all_the_same():
+    config = changed(Config(), {"carry.sensing.pose_bias_m": 0.006})
+    world, rest_m = World(config.scene), config.scene.object.rest_height_m
+    trial = sample_trial(config.scene, 11, "robust", 2)
+    world.reset(poses=trial.start)
+    carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=11)
+    assert carry.watch.T_world_object[2, 3] < rest_m - 0.004, "another offset was drawn"
+    while carry.phase != "unload" and not carry.done:
+        carry.step()
+    assert carry.aborted is None
+    assert world.object_pose("rod")[2, 3] == pytest.approx(rest_m, abs=0.0015)
+
+
 def test_a_plan_begins_with_objects_at_their_known_height():
     task = carry_task(Config().scene)
     trial = task.trial(11, "robust", 0)
