@@ -24,7 +24,7 @@ from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
 from minidual.tasks.task import make_task
 from minidual.trials import benchmark, methods, runner
-from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark
+from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark, trials_asked
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
@@ -210,7 +210,7 @@ def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) ->
 def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
     clean = [c.summary for c in table().values() if c.condition == CLEAN and c.summary is not None]
     assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
-    checks = benchmark_checks(clean, BenchmarkConfig(trials_n=6))
+    checks = benchmark_checks(clean, BenchmarkConfig().success_rate_min, 6)
     assert {c.name for c in checks if c.limited} == {*(f"{m}.success_rate" for m in METHODS), "trials_per_method"}
 
 
@@ -260,6 +260,28 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
         rows = [(row["task"], row["method"]) for row in csv.DictReader(stream)]
     shared = [("handover", m) for m in ("moveit", "impedance") for _ in range(5)]
     assert rows == [("rod_carry", m) for m in METHODS for _ in range(5)] + shared
+
+
+def test_further_tasks_run_undisturbed_beside_the_runs_own(asked: list[Any], tmp_path: Path) -> None:
+    few = {"further_tasks": {"handover": 2, "pot_lift": 50, "rod_carry": 7}, "trials_n": 3, "perturbed_trials_n": 2}
+    config = Config.model_validate({"benchmark": {**few, "conditions": ["clean", "mass +50 %"]}})
+    check_benchmark(config)
+    own = {"clean": 3, "mass +50 %": 2}
+    assert trials_asked(config) == {"rod_carry": own, "handover": {"clean": 2}, "pot_lift": {"clean": 3}}
+    assert trials_asked(changed(config, {"benchmark.tasks": ("sort",)})) == {"sort": own}
+    given = StageContext(folder=tmp_path, config=STAGES["benchmark"].resolved(config), seed=SEED, profile="standard")
+    result = STAGES["benchmark"].load()(dataclasses.replace(given, upstream={"train-act": tmp_path}))
+    assert all(check.passed is not False for check in result.checks)
+    assert list(result.data["tasks"]) == ["rod_carry", "handover", "pot_lift"]
+    assert {config.scene.object.name for *_, config in asked} == {"rod", "bottle", "pot"}
+    assert list(result.data["tasks"]["rod_carry"]["conditions"]) == ["mass +50 %"]
+    assert result.data["tasks"]["handover"]["conditions"] == {}
+    one_less = [cell for cell in table().values() if cell.summary][:1]
+    assert one_less[0].summary is not None
+    checks = benchmark_checks([one_less[0].summary], {}, 7, "handover.")
+    assert [c.name for c in checks if c.passed is False] == ["handover.trials_per_method"]
+    with pytest.raises(UsageError, match="no task 'potlift'"):
+        check_benchmark(changed(config, {"benchmark.further_tasks": {"potlift": 2}}))
 
 
 @pytest.mark.parametrize(

@@ -174,17 +174,17 @@ def summaries(rows: list[TrialMetrics]) -> list[Any]:
 
 
 def test_benchmark_fails_a_method_below_its_rate_and_a_method_that_ran_too_little() -> None:
-    config = BenchmarkConfig(trials_n=10)
-    assert failing(benchmark_checks(summaries(trials()), config)) == set()
+    asked = BenchmarkConfig().success_rate_min, 10
+    assert failing(benchmark_checks(summaries(trials()), *asked)) == set()
     rows = trials(**BAD)
     rows[:2] = [TrialMetrics(**{**GOOD, **BAD, "index": i}) for i in range(2)]
-    assert failing(benchmark_checks(summaries(rows), config)) == {"impedance.success_rate"}
-    assert failing(benchmark_checks(summaries(trials(9)), config)) == {"trials_per_method"}
-    assert failing(benchmark_checks([], config)) == {"trials_per_method"}
+    assert failing(benchmark_checks(summaries(rows), *asked)) == {"impedance.success_rate"}
+    assert failing(benchmark_checks(summaries(trials(9)), *asked)) == {"trials_per_method"}
+    assert failing(benchmark_checks([], *asked)) == {"trials_per_method"}
 
 
 def test_benchmark_reports_every_indicator_of_every_method() -> None:
-    names = {check.name for check in benchmark_checks(summaries(trials()), BenchmarkConfig(trials_n=10))}
+    names = {check.name for check in benchmark_checks(summaries(trials()), BenchmarkConfig().success_rate_min, 10)}
     for indicator in (
         "success_rate",
         "duration_median_s",

@@ -1,5 +1,7 @@
 """Configuration of `benchmark` and `report`."""
 
+from typing import Annotated
+
 from pydantic import Field
 
 from minidual.config.base import AtLeast, Rate, StrictModel
@@ -9,7 +11,9 @@ class BenchmarkConfig(StrictModel):
     """Configuration of `benchmark`."""
 
     tasks: AtLeast[tuple[str, ...]] = ()
-    """Empty: the run's `task`."""
+    """Empty: the run's `task` and `further_tasks`."""
+    further_tasks: AtLeast[dict[str, Annotated[int, Field(ge=1, le=10000)]]] = Field(default={})
+    """Undisturbed trials of each method in other tasks, {task: trials}; at most `trials_n`."""
     methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
     conditions: AtLeast[tuple[str, ...]] = Field(default=("clean",), min_length=1)
     """Conditions, with `clean`; or `all`."""

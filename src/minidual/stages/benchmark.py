@@ -1,9 +1,8 @@
 """`minidual benchmark`: all methods on the same task, with and without disturbances."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from minidual.config.evaluation import BenchmarkConfig
 from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.gate.check import Check, Rows
@@ -11,8 +10,8 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
 from minidual.tasks.task import tasks_of
-from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trials, run_benchmark
-from minidual.trials.conditions import CLEAN, parse_conditions
+from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trials, run_benchmark, trials_asked
+from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary
 from minidual.trials.runner import TrialResult
@@ -20,18 +19,20 @@ from minidual.trials.runner import TrialResult
 _REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
 
 
-def benchmark_checks(summaries: Sequence[MethodSummary], config: BenchmarkConfig, prefix: str = "") -> list[Check]:
+def benchmark_checks(
+    summaries: Sequence[MethodSummary], success_rate_min: Mapping[str, float], asked_n: int, prefix: str = ""
+) -> list[Check]:
     """Return the checks of the undisturbed trials.
 
     Limits: trial counts, and success rates where configured.
     """
     checks: list[Check] = []
     for s in summaries:
-        rows: Rows = {"success_rate": (s["success_rate"], ">", config.success_rate_min.get(s.method))}
+        rows: Rows = {"success_rate": (s["success_rate"], ">", success_rate_min.get(s.method))}
         rows = {**rows, **{name: s[name] for name in _REPORTED}}
         checks += worded("benchmark", rows, f"{prefix}{s.method}.", interval=s.interval, jerk_filter=JERK_FILTER)
     evaluated = min((s.trials_n for s in summaries), default=0)
-    return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", config.trials_n)}, prefix)
+    return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", asked_n)}, prefix)
 
 
 def condition_checks(
@@ -67,11 +68,10 @@ def _first(names: Sequence[str]) -> str:
 def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
     config, seed, folder = context.config.benchmark, context.seed, context.folder
-    methods, conditions = METHODS.names(config.methods), parse_conditions(config.conditions)
+    methods, asked = METHODS.names(config.methods), trials_asked(context.config)
     checkpoint, tasks = context.upstream["train-act"] / "checkpoint", tasks_of(context.config)
     inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
-    trials_n = {name: config.trials_n if name == CLEAN else config.perturbed_trials_n for name in conditions}
-    count = sum(count_trials(methods, trials_n, given) for given in inputs.values())
+    count = sum(count_trials(methods, asked[task], given) for task, given in inputs.items())
     checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)
     tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
     with context.progress.task("benchmark trials", count) as progress:
@@ -80,11 +80,12 @@ def run(context: StageContext) -> StageResult:
             def tell(result: TrialResult, task: str = task) -> None:
                 progress.advance(note=f"{task}, {result.metrics.method}, {result.metrics.condition}")
 
+            trials_n = asked[task]
             cells, trials = run_benchmark(methods, trials_n, given, workers=context.workers, on_trial=tell, watch=watch)
             clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
             prefix = f"{task}." if len(tasks) > 1 else ""
-            checks += benchmark_checks(clean, config, prefix)
-            checks += condition_checks(cells, methods, conditions, prefix)
+            checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
+            checks += condition_checks(cells, methods, tuple(trials_n), prefix)
             data[task] = benchmark_data(cells, trials, seed)
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]

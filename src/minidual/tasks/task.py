@@ -144,7 +144,7 @@ def tasks_of(config: Config) -> dict[str, Task]:
     Raises:
         UsageError: Unknown or repeated name.
     """
-    names = TASKS.names(config.benchmark.tasks or (config.task,))
+    names = TASKS.names(config.benchmark.tasks or dict.fromkeys((config.task, *config.benchmark.further_tasks)))
     return {name: make_task(config if name == config.task else changed(config, {"task": name})) for name in names}
 
 
@@ -155,4 +155,4 @@ def task_config(config: Config) -> Config:
 
 def benchmark_config(config: Config) -> Config:
     """Return `task_config`; several tasks are resolved when they run."""
-    return config if config.benchmark.tasks else task_config(config)
+    return config if config.benchmark.tasks or config.benchmark.further_tasks else task_config(config)

@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.tasks.task import make_task
 from minidual.trials.comparisons import compare_all, compare_with_clean
-from minidual.trials.conditions import CLEAN, condition
+from minidual.trials.conditions import CLEAN, condition, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import TrialResult, Watch, run_trials
@@ -50,6 +51,16 @@ class BenchmarkCell:
         applies = "yes" if self.summary is not None else f"no: {self.why_not}"
         values = {} if self.summary is None else self.summary.to_row()
         return {"method": self.method, "condition": self.condition, "applies": applies, **values}
+
+
+def trials_asked(config: Config) -> dict[str, dict[str, int]]:
+    """Return {task: {condition: trials of each method}}."""
+    asked = config.benchmark
+    names = parse_conditions(asked.conditions)
+    trials_n = {name: asked.trials_n if name == CLEAN else asked.perturbed_trials_n for name in names}
+    every = dict.fromkeys(asked.tasks or (config.task,), trials_n)
+    further = {} if asked.tasks else asked.further_tasks
+    return every | {task: {CLEAN: min(n, asked.trials_n)} for task, n in further.items() if task not in every}
 
 
 def _why_not(method: str, name: str, inputs: MethodInputs) -> str:

@@ -17,7 +17,7 @@ from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.media import Medium, collect_media
 from minidual.show.report.model import Report
 from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate
-from minidual.trials.conditions import parse_conditions
+from minidual.trials.benchmark import trials_asked
 from minidual.trials.methods import METHODS
 
 TRIALS_FILE = "benchmark.csv"
@@ -36,8 +36,8 @@ def build_report(given: StageContext, folder: Path) -> Report:
             captions = verdict.data.get("captions", {})
             media += collect_media(stage, given.upstream[stage], verdict.artefacts, captions, folder)
         data = benchmark.data["tasks"] if benchmark else {}
-        conditions, tasks = parse_conditions(wanted.conditions), wanted.tasks or tuple(data) or (given.config.task,)
-        tables = {task: tabulate(wanted.methods, conditions, data.get(task, {})) for task in tasks}
+        asked = trials_asked(given.config).items()
+        tables = {task: tabulate(wanted.methods, tuple(under), data.get(task, {})) for task, under in asked}
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
         figures = {
             task: benchmark_figures(table, [t for t in trials if t["task"] == task]) for task, table in tables.items()
