@@ -79,7 +79,7 @@ class Bench:
 
     def states(self, *overrides: str) -> list[str]:
         gate = self.gate(*overrides)
-        return [gate.state(name).state for name in self.table.names]
+        return [gate.state(name).state for name in self.table]
 
     def run_all(self) -> None:
         for _ in self.runner().run_until():

@@ -102,7 +102,7 @@ def test_closed_gate_exits_3_with_the_command_in_full(cli):
 
 def test_missing_library_exits_4(cli, monkeypatch):
     broken = StageEntry("first", "no_such_library_at_all.stage:run", (), "Broken")
-    monkeypatch.setitem(cli.bench.table._entries._rows, "first", broken)
+    monkeypatch.setitem(cli.bench.table._rows, "first", broken)
     code, _, err = cli("first")
     assert code == 4
     assert "needs the library 'no_such_library_at_all'" in err
@@ -292,16 +292,16 @@ def test_version(capsys):
 def test_help_lists_every_command_in_order(capsys):
     assert run_command_line(["--help"], STAGES, TOOLS) == 0
     text = capsys.readouterr().out
-    commands = ["Stages, in order", *STAGES.names, "The run", "run", "status", "explain", "config"]
+    commands = ["Stages, in order", *STAGES, "The run", "run", "status", "explain", "config"]
     tools = ["Tools, without gate and verdict", *(tool.name for tool in TOOLS)]
     places = [text.index(f" {name} ") for name in [*commands, *tools]]
     assert places == sorted(places)
     words = " ".join(text.replace("│", " ").split())
-    for entry in (*STAGES, *TOOLS):
+    for entry in (*STAGES.values(), *TOOLS):
         assert f"{entry.summary}." in words, "summaries are whole"
 
 
-@pytest.mark.parametrize("entry", [*STAGES, *TOOLS], ids=lambda entry: entry.name)
+@pytest.mark.parametrize("entry", [*STAGES.values(), *TOOLS], ids=lambda entry: entry.name)
 def test_help_of_a_command_shows_two_examples_that_can_be_typed(entry, capsys, monkeypatch):
     assert len(entry.examples) == 2
     assert run_command_line([entry.name, "--help"], STAGES, TOOLS) == 0

@@ -104,7 +104,7 @@ def test_stages_that_still_match_come_along(toys):
             dataclasses.replace(entry, options=toys.bench.table["first"].options, reads=(KNOB,))
             if entry.name == "second"
             else dataclasses.replace(entry, reads=())
-            for entry in toys.bench.table
+            for entry in toys.bench.table.values()
         ]
     )
     toys("run", "--force")
@@ -137,7 +137,7 @@ def test_plain_words_do_not_replace_what_was_made_with_options(toys):
 def test_run_does_not_replace_a_stale_stage_that_was_made_with_options(toys):
     toys("third", "--waive-gate", "x")
     toys.bench.table = StageTable(
-        [dataclasses.replace(e, options=toys.bench.table["first"].options) for e in toys.bench.table]
+        [dataclasses.replace(e, options=toys.bench.table["first"].options) for e in toys.bench.table.values()]
     )
     toys("second", "--mood", "good", "--yes")
     toys("first", "--force")
@@ -194,7 +194,10 @@ def test_a_failed_result_is_finished_too_and_a_corrupt_one_is_not(toys):
 
 @pytest.mark.parametrize("words", [["--yes", "--queries", "3"], ["--force"]])
 def test_a_recording_is_set_aside_and_never_deleted(toys, words):
-    table = [dataclasses.replace(entry, keeps=("out",) if entry.name == "first" else ()) for entry in toys.bench.table]
+    table = [
+        dataclasses.replace(entry, keeps=("out",) if entry.name == "first" else ())
+        for entry in toys.bench.table.values()
+    ]
     toys.bench.table = StageTable(table)
     before = contents(toys.folder("toys") / "first")
     code, _, err = toys("first", *words)
@@ -215,7 +218,7 @@ def test_a_replacement_cut_short_keeps_both_results(toys):
 
 
 def test_the_recorder_is_the_stage_whose_results_are_kept():
-    assert [entry.name for entry in STAGES if entry.keeps] == ["teleop-record"]
+    assert [entry.name for entry in STAGES.values() if entry.keeps] == ["teleop-record"]
 
 
 def documented() -> list[str]:
@@ -224,7 +227,7 @@ def documented() -> list[str]:
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         for line in page.read_text(encoding="utf-8").splitlines():
             match = re.match(r"^(?: {4}|\.venv/bin/|)minidual ([a-z].*?)(?: {2,}#.*| \\)?$", line)
-            if match and "[" not in match[1] and match[1].split()[0] in (*STAGES.names, "run"):
+            if match and "[" not in match[1] and match[1].split()[0] in (*STAGES, "run"):
                 found[match[1]] = None
     return list(found)
 
@@ -234,7 +237,7 @@ def finished(tmp_path_factory):
     """A fabricated finished run of the standard profile: toys under the real names, options and parameters."""
     root = tmp_path_factory.mktemp("finished")
     table = StageTable(
-        [dataclasses.replace(e, target=Toy(e.name), resolve=None, check=None, closing=False) for e in STAGES]
+        [dataclasses.replace(e, target=Toy(e.name), resolve=None, check=None, closing=False) for e in STAGES.values()]
     )
     for _ in Runner(table, RunStore(root, "standard"), load_config("standard")).run_until():
         pass

@@ -264,7 +264,7 @@ def test_loaded_configuration_is_frozen():
 
 
 def test_every_option_of_every_stage_overrides_a_value_that_exists():
-    for entry in STAGES:
+    for entry in STAGES.values():
         for option in entry.options:
             assert option.path is not None
             value = Config()

@@ -65,7 +65,7 @@ def test_a_command_with_a_wrong_option_does_not_parse() -> None:
 
 def test_there_are_commands_to_try() -> None:
     commands = {command.split()[1] for _, command in printed_commands()}
-    assert set(STAGES.names) <= commands | {"report"}
+    assert set(STAGES) <= commands | {"report"}
 
 
 def run_blocks(page: str, folder: Path) -> dict:

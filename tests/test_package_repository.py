@@ -135,5 +135,5 @@ def test_the_documents_name_every_stage_and_exit_code() -> None:
     from minidual.stages.registry import STAGES
 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert [name for name in STAGES.names if f"| `{name}` |" not in readme] == []
+    assert [name for name in STAGES if f"| `{name}` |" not in readme] == []
     assert [int(code) for code in ExitCode if f"| {int(code)} |" not in readme] == []

@@ -21,8 +21,8 @@ PROFILES = ("smoke", "standard", "gpu")
 
 
 def test_stages_stand_in_order():
-    assert STAGES.names == ORDER
-    assert [entry.name for entry in STAGES if entry.closing] == ["report"]
+    assert tuple(STAGES) == ORDER
+    assert [entry.name for entry in STAGES.values() if entry.closing] == ["report"]
     assert STAGES.upstream("report") == ORDER[:-1]
 
 
@@ -55,7 +55,7 @@ def test_asking_every_stage_for_its_parameters_imports_nothing_heavy():
         "from minidual.config.loader import load_config\n"
         "from minidual.stages.registry import STAGES\n"
         "config = load_config('smoke').config\n"
-        "for entry in STAGES:\n"
+        "for entry in STAGES.values():\n"
         "    entry.parameters(config)\n"
         f"print([name for name in {heavy!r} if name in sys.modules])\n"
     )
@@ -71,12 +71,12 @@ class TestPlugIn:
         monkeypatch.setitem(sys.modules, "plugged_in_stage", module)
         point = importlib.metadata.EntryPoint("shout", value, "minidual.stages")
         monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [point] if group == point.group else [])
-        return StageTable(list(STAGES))
+        return StageTable(list(STAGES.values()))
 
     def test_a_row_of_another_distribution_comes_last(self, monkeypatch):
         table = self.point(monkeypatch, "plugged_in_stage:ENTRY")
         table.plug_in("minidual.stages")
-        assert table.names == (*ORDER, "shout")
+        assert tuple(table) == (*ORDER, "shout")
         assert table.upstream("shout") == ORDER
 
     @pytest.mark.parametrize("value", ["plugged_in_stage:WRONG", "plugged_in_stage:NONE", "no_such_module_here:X"])

@@ -61,7 +61,7 @@ def test_changed_parameter_is_stale_with_its_name(finished):
 
 def test_stale_goes_all_the_way_down(finished):
     gate = finished.gate(f"{KNOB}=3")
-    assert [gate.state(name).state for name in finished.table.names] == ["stale"] * 3
+    assert [gate.state(name).state for name in finished.table] == ["stale"] * 3
     assert gate.state("third").reasons == ("upstream stage second is stale",)
 
 

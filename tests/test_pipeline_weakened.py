@@ -19,7 +19,7 @@ PROFILES = ("standard", "gpu")
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_shipped_profile_asks_for_itself(profile):
     loaded = load_config(profile)
-    assert [entry.weaker(loaded.config, loaded.reference()) for entry in STAGES] == [()] * len(STAGES.names)
+    assert [entry.weaker(loaded.config, loaded.reference()) for entry in STAGES.values()] == [()] * len(STAGES)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_less_is_said(stage, override, line):
 )
 def test_more_is_no_less(override):
     loaded = load_config("standard", [override])
-    assert not any(entry.weaker(loaded.config, loaded.reference()) for entry in STAGES)
+    assert not any(entry.weaker(loaded.config, loaded.reference()) for entry in STAGES.values())
 
 
 def test_a_profile_of_ones_own_is_held_to_the_one_it_extends(tmp_path):
@@ -84,7 +84,9 @@ def test_a_profile_of_ones_own_is_held_to_the_one_it_extends(tmp_path):
 
 def test_every_limit_is_read_by_a_stage():
     for path, _, _ in limits(load_config().config):
-        assert any(path == read or path.startswith(f"{read}.") for entry in STAGES for read in entry.reads), path
+        assert any(path == read or path.startswith(f"{read}.") for entry in STAGES.values() for read in entry.reads), (
+            path
+        )
 
 
 @pytest.mark.parametrize("path", ["carry.limits.success_rate_min", "plan.success_rate_min", "deploy.success_rate_min"])

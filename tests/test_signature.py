@@ -52,7 +52,7 @@ def made(tmp_path_factory):
     root = tmp_path_factory.mktemp("made")
     bench = Bench(root / "runs")
     bench.run_all()
-    sign(bench.gate(), bench.table.names, make_key(root / "key"))
+    sign(bench.gate(), tuple(bench.table), make_key(root / "key"))
     return root
 
 

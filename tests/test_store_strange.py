@@ -299,7 +299,7 @@ def test_a_damaged_verdict_is_named_and_kept(finished):
         path.write_bytes(good)
         damage(path)
         gate = finished.bench.gate()
-        assert [gate.state(name).state for name in finished.bench.table.names] == ["error", "stale", "stale"]
+        assert [gate.state(name).state for name in finished.bench.table] == ["error", "stale", "stale"]
         assert str(path) in gate.state("first").reasons[0]
         assert os.path.lexists(path)
         with pytest.raises(GateClosedError, match=str(path)):

@@ -24,7 +24,7 @@ def _table(toy: Toy, *, watchable: bool = True) -> StageTable:
 
 
 def test_every_stage_that_moves_the_arms_can_be_watched_and_no_other() -> None:
-    assert {entry.name for entry in STAGES if entry.watchable} == MOVES_ARMS
+    assert {entry.name for entry in STAGES.values() if entry.watchable} == MOVES_ARMS
     assert next(t for t in TOOLS if t.name == "view").view_default == "web"
 
 

@@ -73,7 +73,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     ) -> None:
         del version
 
-    for entry in table:
+    for entry in table.values():
         commands = (*entry.asides, entry)
         own = [option for command in commands for option in command.options]
         own += [*(watching if any(command.watchable for command in commands) else ()), *running]

@@ -162,7 +162,7 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
         "folder": store.folder,
         "profile": session.loaded.profile,
         "writer": writer,
-        "stages": [_state_json(gate.state(name)) for name in session.table.names],
+        "stages": [_state_json(gate.state(name)) for name in session.table],
         "lowest": lowest and lowest.name,
         "because": lowest.because() if lowest else (),
         "next": following,

@@ -139,7 +139,7 @@ class Session:
                 f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'"
             )
             kept = {up for name in names for up in (*self.table.upstream(name), name)} - {*gate.rerun(names, force)}
-            for name in self.table.names:
+            for name in self.table:
                 if name in kept and gate.state(name).state == "pass":
                     self.store.link(name, base)
 

@@ -91,7 +91,7 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
     table.add_column("checks", justify="right")
     table.add_column("took", justify="right")
     table.add_column("remarks", overflow="fold")
-    for state in map(gate.state, gate.table.names):
+    for state in map(gate.state, gate.table):
         verdict = state.verdict
         checks = took = ""
         remarks = [state.why()]

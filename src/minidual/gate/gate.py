@@ -81,7 +81,7 @@ class Gate:
 
     def lowest(self) -> StageState | None:
         """Return the first stage that does not pass, or None."""
-        return next((state for state in map(self.state, self.table.names) if state.state != "pass"), None)
+        return next((state for state in map(self.state, self.table) if state.state != "pass"), None)
 
     def rerun(self, names: Sequence[str], force: bool) -> list[str]:
         """Return those of `names` (in table order) that would run: not passing and fresh, or downstream of one that runs."""

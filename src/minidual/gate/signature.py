@@ -82,8 +82,8 @@ def unverified(gate: Gate, key: Path) -> list[str]:
         signed = TypeAdapter(dict[str, str]).validate_json(content)
     except (DataError, OSError, ValueError) as error:
         return [f"no signature: {error}"]
-    found = [f"{name}: no such stage" for name in signed if name not in gate.table.names]
-    for state in map(gate.state, gate.table.names):
+    found = [f"{name}: no such stage" for name in signed if name not in gate.table]
+    for state in map(gate.state, gate.table):
         then, now = signed.get(state.name), state.verdict_sha256
         if then != now:
             differs = "was changed after it was signed" if now else "is gone or corrupt"

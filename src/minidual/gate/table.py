@@ -3,7 +3,7 @@
 import contextlib
 import importlib.metadata
 import keyword
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -194,7 +194,7 @@ def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
         ) from error
 
 
-class StageTable:
+class StageTable(Registry[StageEntry]):
     """Stages in run order.
 
     Args:
@@ -203,17 +203,17 @@ class StageTable:
     """
 
     def __init__(self, entries: Sequence[StageEntry], libraries: Sequence[str] = ()) -> None:
-        self._entries: Registry[StageEntry] = Registry("stage")
+        super().__init__("stage")
         self.libraries = tuple(libraries)
         for entry in entries:
-            self.add(entry)
+            self.append(entry)
 
-    def add(self, entry: StageEntry) -> None:
+    def append(self, entry: StageEntry) -> None:
         """Append a row."""
         for name in entry.requires:
-            if name not in self._entries:
+            if name not in self:
                 raise ValueError(f"stage '{entry.name}' requires '{name}', which does not stand above it")
-        self._entries.add(entry.name, entry)
+        self.add(entry.name, entry)
 
     def plug_in(self, group: str) -> None:
         """Add rows from entry points.
@@ -226,27 +226,16 @@ class StageTable:
                 entry = point.load()
                 if not isinstance(entry, StageEntry):
                     raise TypeError(f"{point.value} is a {type(entry).__name__}, not a StageEntry")
-                self.add(entry)
+                self.append(entry)
             except (ImportError, AttributeError, TypeError, ValueError) as error:
                 raise UsageError(
                     f"stage '{point.name}' of another distribution cannot be used: {error}",
                     remedy="mend or uninstall that distribution",
                 ) from error
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names in order."""
-        return tuple(self._entries)
-
-    def __iter__(self) -> Iterator[StageEntry]:
-        return iter(self._entries.values())
-
-    def __getitem__(self, name: str) -> StageEntry:
-        return self._entries[name]
-
     def until(self, last: str | None) -> tuple[str, ...]:
         """Return `last` and its upstream stages, or all, in order."""
-        return self.names if last is None else (*self.upstream(last), last)
+        return tuple(self) if last is None else (*self.upstream(last), last)
 
     def upstream(self, name: str) -> tuple[str, ...]:
         """Return the stages that `name` requires, directly or not, in order."""
@@ -255,4 +244,4 @@ class StageTable:
         while wanted:
             needed.add(stage := wanted.pop())
             wanted += self[stage].requires
-        return tuple(stage for stage in self._entries if stage in needed)
+        return tuple(stage for stage in self if stage in needed)
