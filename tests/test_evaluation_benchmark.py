@@ -146,7 +146,7 @@ def test_good_cells_pass_and_success_under_a_disturbance_is_reported(asked: list
     assert failing(cells) == set()
     checks = {c.name: c for c in condition_checks(list(cells), METHODS, tuple(ASKED))}
     push = checks["act.push_+x.success_rate"]
-    assert (push.observed, push.limited) == (0.75, False)
+    assert (push.observed, push.op) == (0.75, None)
     assert "3 of 4 trials, 95 % Wilson interval 0.301 to 0.954" in push.why
     assert len(checks) == 2 + 3 * 4 - len(BLANK)
 
@@ -191,7 +191,7 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     bad = dataclasses.replace(summary, numbers={**summary.numbers, name: math.nan})
     broken = {**cells, key: dataclasses.replace(cells[key], summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
-    (check,) = [c for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED)) if not c.passed and c.limited]
+    (check,) = [c for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED)) if not c.passed and c.op]
     assert f"impedance under push +x: {name}" in check.why
 
 
@@ -211,7 +211,7 @@ def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
     clean = [c.summary for c in table().values() if c.condition == CLEAN and c.summary is not None]
     assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
     checks = benchmark_checks(clean, BenchmarkConfig().success_rate_min, 6)
-    assert {c.name for c in checks if c.limited} == {*(f"{m}.success_rate" for m in METHODS), "trials_per_method"}
+    assert {c.name for c in checks if c.op} == {*(f"{m}.success_rate" for m in METHODS), "trials_per_method"}
 
 
 def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:

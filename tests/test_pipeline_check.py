@@ -37,7 +37,7 @@ def test_non_finite_observation_is_written_as_text(value, text):
 
 def test_check_without_limit_neither_passes_nor_fails():
     check = Check("x", 1.0)
-    assert (check.limited, check.passed, check.margin) == (False, None, None)
+    assert (check.op, check.passed, check.margin) == (None, None, None)
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def carry(rows: list[TrialMetrics]) -> list[Check]:
 def test_good_carries_pass_every_check() -> None:
     checks = carry(trials())
     assert failing(checks) == set()
-    assert all(check.limited for check in checks)
+    assert all(check.op for check in checks)
 
 
 @pytest.mark.parametrize(
@@ -134,10 +134,10 @@ def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[s
     summary = summarise(missed(missed_n), np.random.default_rng(0))
     assert failing(set_checks("room", summary, [0.9], settings)) == names
     (rate,) = set_checks("table colour", summary, [0.9], settings)
-    assert (rate.name, rate.limited) == ("table_colour_success_rate", False)
+    assert (rate.name, rate.op) == ("table_colour_success_rate", None)
     unjudged = settings.model_copy(update={"judge_success": False})
     (rate,) = set_checks("room", summary, [0.9], unjudged)
-    assert not rate.limited
+    assert rate.op is None
 
 
 def test_a_limit_of_deploy_needs_its_condition() -> None:

@@ -129,9 +129,9 @@ class TestStage:
 
     def test_every_check_with_a_limit_says_why_and_what_to_do(self, passed):
         for check in passed[1].checks:
-            assert check.why or not check.limited, check.name
+            assert check.why or not check.op, check.name
         checks = all_failing_checks()
-        assert {check.name for check in checks} == {c.name for c in passed[1].checks if c.limited}
+        assert {check.name for check in checks} == {c.name for c in passed[1].checks if c.op}
         for check in checks:
             assert check.passed is False, check.name
             assert check.remedy, check.name
@@ -232,7 +232,7 @@ def all_failing_checks():
         frames=0,
     )
     installed = judge.installation_checks([Library("mujoco", ">=4", None)], DOF - 1, DUAL_PANDA)
-    return [check for check in (*installed, *checks.values()) if check.limited]
+    return [check for check in (*installed, *checks.values()) if check.op]
 
 
 def test_measurements_in_which_all_is_well_pass():

@@ -96,8 +96,8 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
         checks = took = ""
         remarks = [state.why()]
         if verdict is not None:
-            limited = [check for check in verdict.checks if check.limited]
-            checks = f"{sum(check.passed is True for check in limited)}/{len(limited)}"
+            results = [check.passed for check in verdict.checks if check.passed is not None]
+            checks = f"{sum(results)}/{len(results)}"
             took = f"{verdict.duration_s:.1f} s"
             remarks += [label(verdict), *state.warnings]
         text = Text("\n".join(filter(None, remarks)))

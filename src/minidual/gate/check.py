@@ -65,11 +65,6 @@ class Check:
         object.__setattr__(self, "limit", limit)
 
     @property
-    def limited(self) -> bool:
-        """Whether the check has a limit."""
-        return self.op is not None
-
-    @property
     def passed(self) -> bool | None:
         """Whether the limit holds; None without one."""
         if self.op is None:

@@ -8,7 +8,6 @@ from typing import Any, Literal
 from minidual.config.loader import LoadedConfig
 from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
-from minidual.gate.code import Code
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
 from minidual.gate.manifest import CONFIG_FILE, manifest_changes, strays
 from minidual.gate.store import RunStore
@@ -75,6 +74,11 @@ class Gate:
             self._known[name] = self._judge(name)
         return self._known[name]
 
+    def verdicts(self, name: str) -> dict[str, Verdict]:
+        """Return {upstream stage: its verdict} of those that have one."""
+        upstream = {up: self.state(up).verdict for up in self.table.upstream(name)}
+        return {up: verdict for up, verdict in upstream.items() if verdict is not None}
+
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that do not pass."""
         return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
@@ -131,10 +135,9 @@ class Gate:
     def code_changes(self, name: str) -> dict[str, list[str]]:
         """Return {upstream stage: modules changed since its verdict}."""
         found: dict[str, list[str]] = {}
-        for upstream in self.table.upstream(name):
-            verdict = self.state(upstream).verdict
-            made_by = verdict.fingerprint.code if verdict else Code()
-            if verdict and (changed := made_by.changes(self.table[upstream].code(made_by))):
+        for upstream, verdict in self.verdicts(name).items():
+            made_by = verdict.fingerprint.code
+            if changed := made_by.changes(self.table[upstream].code(made_by)):
                 found[upstream] = changed
         return found
 

@@ -17,7 +17,7 @@ from minidual.gate.progress import Progress
 from minidual.gate.stage import Folders, StageContext, closing_checks
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
-from minidual.gate.verdict import Verdict, Waiver
+from minidual.gate.verdict import Verdict, Waiver, derive_status
 
 EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "error": ExitCode.NOTHING_EVALUATED}
 
@@ -117,9 +117,8 @@ class Runner:
 
     def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
         waivers: list[Waiver] = []
-        for upstream in self.table.upstream(name):
-            verdict = gate.state(upstream).verdict
-            waivers += [item for item in (verdict.waivers if verdict else ()) if item not in waivers]
+        for verdict in gate.verdicts(name).values():
+            waivers += [item for item in verdict.waivers if item not in waivers]
         if closed and reason is not None:
             waivers.append(Waiver(name, reason, {item.name: item.state for item in closed}, now_text()))
         elif reason is not None:
@@ -130,24 +129,24 @@ class Runner:
         if not loaded.config.acceptance:
             return ()
         own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]
-        above = [gate.state(name).verdict for name in self.table.upstream(entry.name)]
-        return tuple(dict.fromkeys([*(line for verdict in above if verdict for line in verdict.weakened), *own]))
+        above = [line for verdict in gate.verdicts(entry.name).values() for line in verdict.weakened]
+        return tuple(dict.fromkeys([*above, *own]))
 
     def _execute(self, gate: Gate, name: str, waivers: tuple[Waiver, ...]) -> None:
         entry = self.table[name]
         run = entry.load()
         options, loaded = gate.effective(name, None)
         fingerprint = gate.fingerprint(name)
-        upstream = {up: gate.state(up) for up in self.table.upstream(name)}
+        verdicts = gate.verdicts(name)
         folder = self.store.begin(name, loaded.to_yaml(), entry.keeps)
         context = StageContext(
             folder=folder,
             config=entry.resolved(loaded.config),
             seed=loaded.config.seed,
             profile=loaded.profile,
-            upstream=Folders({up: state.folder for up, state in upstream.items() if state.folder and state.verdict}),
-            verdicts={up: state.verdict for up, state in upstream.items() if state.verdict},
-            summaries={up: self.table[up].summary for up in upstream},
+            upstream=Folders({up: self.store.stage_folder(up) for up in verdicts}),
+            verdicts=verdicts,
+            summaries={up: self.table[up].summary for up in self.table.upstream(name)},
             code_changes=gate.code_changes(name) if entry.closing else {},
             waivers=waivers,
             progress=self.progress,
@@ -160,7 +159,7 @@ class Runner:
             with disk_errors(self.store.folder):
                 result = run(context)
                 emergency.check()
-                judged = entry.closing and any(check.limited for check in result.checks)
+                judged = entry.closing and derive_status(result.checks) != "error"
                 closing = closing_checks(waivers, context.code_changes) if judged else ()
                 verdict = Verdict(
                     stage=name,

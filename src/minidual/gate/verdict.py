@@ -36,10 +36,10 @@ class Waiver:
 
 def derive_status(checks: Sequence[Check]) -> Status:
     """Return "pass", "fail", or "error" if no check has a limit."""
-    limited = [check for check in checks if check.limited]
-    if not limited:
+    results = [check.passed for check in checks if check.passed is not None]
+    if not results:
         return "error"
-    return "pass" if all(check.passed for check in limited) else "fail"
+    return "pass" if all(results) else "fail"
 
 
 @dataclass(frozen=True)
