@@ -1,22 +1,22 @@
 """`minidual train-act`: train a policy and check its checkpoint."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from minidual.config.learning import TrainConfig
 from minidual.config.seeds import subseed
 from minidual.demos.schema import GRIPPERS_N
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
+from minidual.policies import records
+from minidual.policies.acceptance import EmittedActions, exercise_checkpoint
+from minidual.policies.demonstrations import load_demonstrations
+from minidual.policies.kinds import POLICIES, Training
+from minidual.policies.records import TrainResult
+from minidual.robot.arms import robot_from
+from minidual.robot.pair import Robot
 from minidual.stages.words import worded
-
-if TYPE_CHECKING:
-    from minidual.config.learning import TrainConfig
-    from minidual.policies.acceptance import EmittedActions
-    from minidual.policies.records import TrainResult
-    from minidual.robot.pair import Robot
 
 
 def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConfig, robot: Robot) -> list[Check]:
@@ -38,12 +38,6 @@ def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConf
 
 def run(context: StageContext) -> StageResult:
     """Train with every seed, reload each checkpoint as deployment does, and write records."""
-    from minidual.policies import records
-    from minidual.policies.acceptance import exercise_checkpoint
-    from minidual.policies.demonstrations import load_demonstrations
-    from minidual.policies.kinds import POLICIES, Training
-    from minidual.robot.arms import robot_from
-
     config, robot = context.config.train, robot_from(context.config.robot)
     kind = POLICIES[config.policy]
     kind.require(config.device)  # before the dataset is read: this is quick to mend
