@@ -19,7 +19,8 @@ from websockets.typing import Origin, Subprotocol
 
 from minidual.config.view import ViewConfig
 from minidual.errors import EnvironmentMissingError, ExitCode
-from minidual.show.view import Slider, guard, make_view, web
+from minidual.show.view import guard, make_view, web
+from minidual.show.view.overlay import Slider
 from minidual.show.view.web import WebView
 
 AWAY = "127.0.0.3"

@@ -1,6 +1,7 @@
 """Parts of the live view that need neither a browser : pace, address, shapes, words, choice."""
 
 import socket
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,11 +11,13 @@ from panda import FINGER_JOINT_NAMES, JOINT_NAMES
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
-from minidual.show.view import NAMES, Overlay, make_view
+from minidual.show import watch
+from minidual.show.view import NAMES, make_view
+from minidual.show.view.overlay import Overlay
 from minidual.show.view.panel import table_html
 from minidual.show.view.shapes import HIDDEN_GROUP, body_meshes, moving_bodies
 from minidual.show.view.web import free_port, is_loopback, tunnel_command, url
-from minidual.show.watch import Brake, visual_model
+from minidual.show.watch import visual_model
 
 
 class Clock:
@@ -30,9 +33,10 @@ class Clock:
         self.now += seconds
 
 
-def test_the_brake_holds_simulated_time_to_the_clock_and_forgives_lost_time() -> None:
+def test_the_brake_holds_simulated_time_to_the_clock_and_forgives_lost_time(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
-    brake = Brake(2.0, clock, clock.sleep)
+    monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=clock, sleep=clock.sleep))
+    brake = watch.Brake(2.0)
     brake.hold(5.0)  # of the run before: simulated time starts anew
     for k in range(101):
         brake.hold(0.01 * k)

@@ -18,7 +18,8 @@ from websockets.sync.client import connect
 from minidual.config.root import Config
 from minidual.config.view import ViewConfig
 from minidual.plant.world import World
-from minidual.show.view import Arrow, Overlay, PathLine, Preview, Slider, make_view
+from minidual.show.view import make_view
+from minidual.show.view.overlay import Arrow, Overlay, PathLine, Preview, Slider
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.tasks.task import task_config

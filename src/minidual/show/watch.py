@@ -23,8 +23,7 @@ from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.show.view import NO_PREVIEW, Arrow, Overlay, PathLine, Preview
-from minidual.show.view.overlay import ARM_RGB
+from minidual.show.view.overlay import ARM_RGB, NO_PREVIEW, Arrow, Overlay, PathLine, Preview
 from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
@@ -64,20 +63,17 @@ def overlay(world: World, words: Overlay) -> Overlay:
 class Brake:
     """Limits simulated time to `speed` times wall time."""
 
-    def __init__(
-        self, speed: float, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
-    ) -> None:
-        self._speed, self._clock, self._sleep = speed, clock, sleep
-        self._start, self._last_s = (0.0, 0.0), math.inf
+    def __init__(self, speed: float) -> None:
+        self._speed, self._start, self._last_s = speed, (0.0, 0.0), math.inf
 
     def hold(self, time_s: float) -> None:
         """Sleep until simulated time `time_s` is due; lags over 0.1 s are not caught up."""
-        now = self._clock()
+        now = time.monotonic()
         ahead = (time_s - self._start[1]) / self._speed - (now - self._start[0])
         if time_s < self._last_s or ahead < -_LOST_S:
             self._start = (now, time_s)
         elif ahead > 0.0:
-            self._sleep(ahead)
+            time.sleep(ahead)
         self._last_s = time_s
 
 

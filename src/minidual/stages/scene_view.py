@@ -18,7 +18,7 @@ from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
-from minidual.show.view import Slider
+from minidual.show.view.overlay import Slider
 from minidual.show.watch import Brake, StackNarrator, watched
 from minidual.tasks.task import task_config
 

@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING
 
 from minidual.config.view import ViewConfig
 from minidual.errors import unknown_name
-from minidual.show.view.overlay import NO_PREVIEW, Arrow, Overlay, PathLine, Preview, Slider
 
 if TYPE_CHECKING:
     from minidual.show.view.web import WebView as View
-
-__all__ = ["NAMES", "NO_PREVIEW", "Arrow", "Overlay", "PathLine", "Preview", "Slider", "View", "make_view"]
 
 NAMES = ("none", "web")
 """Values of `--view`."""

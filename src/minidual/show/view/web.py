@@ -3,9 +3,10 @@
 import contextlib
 import errno
 import getpass
+import io
 import socket
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -174,14 +175,6 @@ def tunnel_command(host: str, port: int) -> str:
     return f"ssh -L {port}:{_shown(host)}:{port} {user}@{socket.gethostname()}"
 
 
-@contextlib.contextmanager
-def _quiet() -> Generator[None]:
+def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
     """Keep viser off stdout, which carries data."""
-    import rich
-
-    console = rich.get_console()
-    before, console.quiet = console.quiet, True
-    try:
-        yield
-    finally:
-        console.quiet = before
+    return contextlib.redirect_stdout(io.StringIO())
