@@ -53,7 +53,7 @@ def failing(result: dict[str, Any] | None = None, emitted: dict[str, Any] | None
 
 def test_a_sound_training_passes_every_limit() -> None:
     assert failing() == set()
-    limited = {c.name for c in train_checks(RESULT, EMITTED, TrainConfig(), DUAL_PANDA) if c.limited}
+    limited = {c.name for c in train_checks(RESULT, EMITTED, TrainConfig(), DUAL_PANDA) if c.op}
     assert limited == {"loss_ratio", "actions_in_limits", "targets_n", "train_s", "steps_done"}
 
 
