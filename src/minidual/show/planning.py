@@ -23,7 +23,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
-from minidual.show.view import Overlay
+from minidual.show.view.overlay import Overlay
 from minidual.show.watch import tcp_preview
 from minidual.trials.planning.evaluate import Outcome
 
@@ -159,8 +159,6 @@ def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alp
 def _add_line(shown: Any, points: Array, rgb: Sequence[int]) -> None:
     colour = np.array([*(v / 255.0 for v in rgb), 1.0], dtype=np.float32)
     for a, b in itertools.pairwise(points):
-        if shown.ngeom >= shown.maxgeom:
-            return
         geom = shown.geoms[shown.ngeom]
         mujoco.mjv_initGeom(geom, int(mujoco.mjtGeom.mjGEOM_CAPSULE), np.zeros(3), np.zeros(3), np.zeros(9), colour)
         mujoco.mjv_connector(geom, int(mujoco.mjtGeom.mjGEOM_CAPSULE), 0.006, a, b)

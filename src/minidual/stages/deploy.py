@@ -80,12 +80,12 @@ def run(context: StageContext) -> StageResult:
     for name in config.deploy.conditions:
         task, widen = make_task(config), CONDITIONS[name].widen
         sets[name] = name, [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]]
+    inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
     results: dict[str, list[TrialResult]] = {name: [] for name in sets}
     with context.progress.task("policy trials", len(checkpoints) * sum(len(t) for _, t in sets.values())) as bar:
-        for k, checkpoint in enumerate(checkpoints):
-            inputs = MethodInputs(config, context.seed, checkpoint)
+        for k, given in enumerate(inputs):
             for name, (under, trials) in sets.items():
-                for result in run_trials(METHOD, inputs, trials, workers=context.workers, condition=under, watch=watch):
+                for result in run_trials(METHOD, given, trials, workers=context.workers, condition=under, watch=watch):
                     # The tables list the undisturbed sets as conditions, too, and count on from policy to policy.
                     index = k * len(trials) + result.metrics.index
                     labelled = replace(result.metrics, condition=name, index=index)
@@ -94,13 +94,7 @@ def run(context: StageContext) -> StageResult:
     write_csv(context.folder / "trials.csv", [r.metrics.to_row() for rows in results.values() for r in rows])
     rng = stream(context.seed, "bootstrap/deploy")
     summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
-    film_outcomes(
-        context,
-        [MethodInputs(config, context.seed, path) for path in checkpoints],
-        starts["held_out"],
-        results["held_out"],
-    )
-
+    film_outcomes(context, inputs, starts["held_out"], results["held_out"])
     inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
     checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
     data: dict[str, Any] = {}

@@ -14,8 +14,8 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
-from minidual.show.planning import play_queries, write_paths, write_times
-from minidual.show.view import Overlay
+from minidual.show.planning import Outcomes, play_queries, write_paths, write_times
+from minidual.show.view.overlay import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute
 from minidual.stages.words import worded
@@ -27,7 +27,6 @@ _GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.015}
 _CARRIES_N = 5
 _JSON_EVERY = 10
 
-Outcomes = Mapping[str, Sequence[Outcome]]
 Moves = Mapping[str, Sequence[MoveOutcome]]
 
 
@@ -144,13 +143,10 @@ def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
                 executions.append(execute(trajectory, world))
             task.advance(note="driven")
     write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
-    failed = [
-        f"held move {o.move.index} of the {name} seed failed: {o.message}"
-        for name, done in outcomes.items()
-        for o in done
-        if not o.ok
-    ]
-    return outcomes, executions, [*failed, *undriven]
+    lines = list[str]()
+    for name, done in outcomes.items():
+        lines += [f"held move {o.move.index} of the {name} seed failed: {o.message}" for o in done if not o.ok]
+    return outcomes, executions, [*lines, *undriven]
 
 
 def held_checks(outcomes: Moves, driven: Sequence[Execution], config: PlanConfig) -> list[Check]:

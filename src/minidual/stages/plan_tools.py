@@ -32,6 +32,7 @@ _MEANINGS = {
     "model": "ruled out by the model of the arm or its hand",
     "always": "touch at home and in at least 95 % of the samples",
     "never": "touched in none of the samples",
+    "user": "allowed by the scene file",
 }
 
 
@@ -167,17 +168,9 @@ def plan_acm(context: ToolContext) -> ToolResult:
     table = sorted(scene.allowed)
     lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
     kinds = Counter(_kind(reason) for _, _, reason in table)
-    notes += [
-        f"{count:4d} {kind:9s} {_MEANINGS.get(kind, 'allowed by the scene file')}"
-        for kind, count in sorted(kinds.items())
-    ]
-    notes += [
-        (
-            f"{len(table)} pairs may touch, {len(scene.checked_pairs)} of this scene are checked; pairs of different arms "
-            "always are"
-        ),
-        *report.lines(),
-    ]
+    notes += [f"{count:4d} {kind:9s} {_MEANINGS[kind]}" for kind, count in sorted(kinds.items())]
+    checked = f"{len(scene.checked_pairs)} of this scene are checked"
+    notes += [f"{len(table)} pairs may touch, {checked}; pairs of different arms always are", *report.lines()]
     data = {
         "allowed": [{"first": a, "second": b, "reason": r} for a, b, r in table],
         "checked": [list(pair) for pair in scene.checked_pairs],

@@ -70,12 +70,6 @@ def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any,
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
 
 
-def _limit_line(axes: Any, at: float, label: str) -> None:
-    axes.axvline(at, color=_LIMIT, linewidth=1.1, linestyle=(0, (4, 3)))
-    place = axes.get_xaxis_transform()  # data across, a share of the axes up
-    axes.text(at, 1.01, label, transform=place, ha="center", va="bottom", fontsize=8, color=_LIMIT)
-
-
 def success_figure(rows: Sequence[Row]) -> Figure | None:
     """Plot success rates with intervals by condition, if any."""
     if not any(cell.success for row in rows for cell in row.cells):
@@ -131,22 +125,22 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
                 look = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
                 if not success:
                     look = {"markersize": 5.5, "markeredgewidth": 1.4}
-                y, mark = i + 0.36 * (_spread(k) - 0.5), "o" if success else "x"
+                spread = (0.5 + k * 0.618033988749895) % 1.0
+                y, mark = i + 0.36 * (spread - 0.5), "o" if success else "x"
                 axes.plot(value, y, mark, color=COLOURS[i % len(COLOURS)], **look)
             won = [value for success, value in mine if success]
             if won:
                 axes.plot([statistics.median(won)] * 2, [i - 0.32, i + 0.32], color=INK, linewidth=2.2)
         if largest > 0.15 * limit:
-            _limit_line(axes, limit, f"excellent {indicator.excellent_text}")
+            label = f"excellent {indicator.excellent_text}"
+            axes.axvline(limit, color=_LIMIT, linewidth=1.1, linestyle=(0, (4, 3)))
+            place = axes.get_xaxis_transform()  # data across, a share of the axes up
+            axes.text(limit, 1.01, label, transform=place, ha="center", va="bottom", fontsize=8, color=_LIMIT)
             largest = max(largest, limit)
         axes.set_xlim(0, largest * 1.08 or 1.0)
         axes.locator_params(axis="x", nbins=6)
         axes.set_xlabel(f"{indicator.title}, {indicator.unit}")
     return Figure(indicator.key, indicator.title, indicator.meaning, svg.getvalue())
-
-
-def _spread(k: int) -> float:
-    return (0.5 + k * 0.618033988749895) % 1.0
 
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:

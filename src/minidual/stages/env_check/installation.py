@@ -40,12 +40,9 @@ def required_libraries(distribution: str = "minidual") -> list[Library]:
     Raises:
         importlib.metadata.PackageNotFoundError: The distribution is not installed.
     """
-    wanted = [
-        requirement
-        for requirement in map(Requirement, importlib.metadata.requires(distribution) or [])
-        if "extra" not in str(requirement.marker or "")
-    ]
-    libraries = [Library(r.name, str(r.specifier), installed_version(r.name)) for r in wanted]
+    wanted = map(Requirement, importlib.metadata.requires(distribution) or [])
+    always = (r for r in wanted if "extra" not in str(r.marker or ""))
+    libraries = [Library(r.name, str(r.specifier), installed_version(r.name)) for r in always]
     return sorted(libraries, key=lambda library: library.name)
 
 
