@@ -85,7 +85,7 @@ def _connect(address: str, **words: object) -> ClientConnection:
 
 def _move(view: WebView, client: ClientConnection, value: object, **more: object) -> None:
     """Send what the page sends when its slider moves."""
-    message = {"type": "GuiUpdateMessage", "uuid": view._panel._sliders[0]._impl.uuid, "updates": {"value": value}}
+    message = {"type": "GuiUpdateMessage", "uuid": view._panel._sliders[0][0]._impl.uuid, "updates": {"value": value}}
     client.send(msgspec.msgpack.encode(message | more))
 
 
@@ -178,7 +178,7 @@ def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
     for _ in range(10):
         with socket.create_connection(("127.0.0.1", view.port), timeout=30) as wire:
             wire.sendall(rng.bytes(300))
-    uuid = view._panel._sliders[0]._impl.uuid
+    uuid = view._panel._sliders[0][0]._impl.uuid
     change = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": 0.9}}
     wrong = [
         change | {"updates": {"value": "<script>"}},
@@ -211,7 +211,7 @@ def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
     with _connect(str(view.url)) as client:
         _move(view, client, 0.5)
         assert _soon(lambda: view.slider_values()[0] == 0.5)
-    assert view._panel._sliders[0]._impl.removed is False
+    assert view._panel._sliders[0][0]._impl.removed is False
     shown_text = capfd.readouterr()
     assert (shown_text.out, shown_text.err) == ("", "")
     assert {record.name for record in caplog.records if record.levelname != "DEBUG"} <= {guard._LOGGER.name}

@@ -4,12 +4,14 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 
+_EVERY_S = 10.0
+
 
 class Task(AbstractContextManager["Task"]):
-    """Counted work, a context manager. Prints a line at most every `every_s` seconds, and one at the end."""
+    """Counted work, a context manager. Prints a line at most every 10 s, and one at the end."""
 
-    def __init__(self, description: str, total: float | None, say: Callable[[str], None], every_s: float) -> None:
-        self._description, self._total, self._say, self._every_s = description, total, say, every_s
+    def __init__(self, description: str, total: float | None, say: Callable[[str], None]) -> None:
+        self._description, self._total, self._say = description, total, say
         self._done, self._note = 0.0, ""
         self._first: tuple[float, float] | None = None  # time and count of the first call, of earlier work perhaps
         self._started = self._last = time.monotonic()
@@ -20,7 +22,7 @@ class Task(AbstractContextManager["Task"]):
         self._note = note or self._note
         now = time.monotonic()
         self._first = self._first or (now, self._done)
-        if now - self._last >= self._every_s:
+        if now - self._last >= _EVERY_S:
             self._last = now
             self._say(self._line(now))
 
@@ -40,11 +42,10 @@ class Task(AbstractContextManager["Task"]):
 class Progress:
     """Plain lines through `say`; silent by default."""
 
-    def __init__(self, say: Callable[[str], None] = lambda line: None, every_s: float = 10.0) -> None:
+    def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
         self.note = say
         """Shows one line."""
-        self._every_s = every_s
 
     def task(self, description: str, total: float | None = None) -> Task:
         """Begin a task: `with progress.task("trials", 20) as task: ... task.advance()`."""
-        return Task(description, total, self.note, self._every_s)
+        return Task(description, total, self.note)

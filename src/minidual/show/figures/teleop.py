@@ -13,7 +13,7 @@ from minidual.tasks.task import Trial
 
 
 def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limit_rad_s3: float, path: Path) -> None:
-    """Draw starts of attempts and tests, RMS jerk, and targets of one demonstration."""
+    """Draw starts of attempts and tests, RMS jerk, and targets of the first demonstration."""
     figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
     for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
         chosen = [_start(a.trial) for a in attempts if a.kept is kept]
@@ -31,19 +31,15 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
     jerks.hist([a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None], bins=20, color=BLUE)
     jerks.set(title=f"RMS jerk (limit {jerk_limit_rad_s3:.0f} rad/s³)", xlabel="rad/s³", ylabel="episodes")
 
-    shown = next((a for a in attempts if a.kept and a.path is not None), None)
-    if shown is None or shown.path is None:
-        motion.set_axis_off()
-    else:
-        episode = read_episode(shown.path, cameras=())
-        t = episode.timestamps - episode.timestamps[0]
-        per_arm = episode.qpos.shape[1] // 2
-        for k, joint in enumerate(dict.fromkeys((0, 1, per_arm // 2, per_arm - 1))):
-            motion.plot(t, episode.action[:, joint], color=f"C{k}", lw=0.9, ls="--")
-            motion.plot(t, episode.qpos[:, joint], color=f"C{k}", lw=1.2, label=f"left joint {joint + 1}")
-        motion.set(title=f"Trial {shown.trial.index}: measured (full), commanded (dashed)")
-        motion.set(xlabel="t [s]", ylabel="rad")
-        motion.legend(fontsize=7)
+    index, path = next((a.trial.index, a.path) for a in attempts if a.kept and a.path is not None)
+    episode = read_episode(path, cameras=())
+    t = episode.timestamps - episode.timestamps[0]
+    per_arm = episode.qpos.shape[1] // 2
+    for k, joint in enumerate(dict.fromkeys((0, 1, per_arm // 2, per_arm - 1))):
+        motion.plot(t, episode.action[:, joint], color=f"C{k}", lw=0.9, ls="--")
+        motion.plot(t, episode.qpos[:, joint], color=f"C{k}", lw=1.2, label=f"left joint {joint + 1}")
+    motion.set(title=f"Trial {index}: measured (full), commanded (dashed)", xlabel="t [s]", ylabel="rad")
+    motion.legend(fontsize=7)
     figure.savefig(path)
 
 

@@ -22,7 +22,7 @@ class Banner:
 
     kind: str
     title: str
-    lines: Sequence[str] = ()
+    lines: Sequence[str]
 
 
 def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
@@ -134,33 +134,27 @@ class Report:
     @property
     def banners(self) -> list[Banner]:
         """The warnings, gravest first."""
-        given, found = self.given, list[Banner]()
-        verdicts, waivers = given.verdicts.values(), self.waivers
-        if waivers:
-            lines = [
-                f"gate of {waiver.stage}, {moment(waiver.at)}: “{waiver.reason}” ("
-                + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
-                + ")"
-                for waiver in waivers
-            ]
-            gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
-            found.append(Banner("tainted", f"Tainted: {gates} opened by hand. This report cannot pass.", lines))
+        given, waivers = self.given, self.waivers
+        verdicts = given.verdicts.values()
+        gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
+        opened = [
+            f"gate of {waiver.stage}, {moment(waiver.at)}: “{waiver.reason}” ("
+            + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
+            + ")"
+            for waiver in waivers
+        ]
         failed = [f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False]
-        if failed:
-            found.append(Banner("fail", "This report does not pass", failed))
-        if given.code_changes:
-            lines = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
-            found.append(Banner("fail", "Results of other code: this report cannot pass", lines))
-        if not self.accepts:
-            meaning = "Few trials and little training show that the parts fit together. The rates prove nothing else."
-            found.append(Banner("smoke", f"{given.profile}: wiring only, not acceptance", [meaning]))
-        if self.weakened:
-            title = f"Less was asked than the {given.profile} profile asks: not acceptance"
-            found.append(Banner("smoke", title, self.weakened))
+        changed = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
+        wiring = "Few trials and little training show that the parts fit together. The rates prove nothing else."
         overrides = sorted({text for verdict in verdicts for text in verdict.overrides})
-        if overrides:
-            found.append(Banner("note", f"Values of the {given.profile} profile were overridden", overrides))
         commits = sorted({commit(verdict.fingerprint.commit) for verdict in verdicts})
-        if len(commits) > 1:
-            found.append(Banner("note", f"The stages were run at {len(commits)} commits", commits))
-        return found
+        every = (
+            Banner("tainted", f"Tainted: {gates} opened by hand. This report cannot pass.", opened),
+            Banner("fail", "This report does not pass", failed),
+            Banner("fail", "Results of other code: this report cannot pass", changed),
+            Banner("smoke", f"{given.profile}: wiring only, not acceptance", () if self.accepts else (wiring,)),
+            Banner("smoke", f"Less was asked than the {given.profile} profile asks: not acceptance", self.weakened),
+            Banner("note", f"Values of the {given.profile} profile were overridden", overrides),
+            Banner("note", f"The stages were run at {len(commits)} commits", commits if len(commits) > 1 else ()),
+        )
+        return [banner for banner in every if banner.lines]

@@ -53,8 +53,7 @@ class Panel:
         self._stop = self._gui.add_button("Emergency stop", color="red")
         self._stop.on_click(lambda _: emergency.press("button of the view"))
         self._seen = (0.0, math.inf)
-        self._sliders: list[Any] = []
-        self._offered: list[Slider] = []
+        self._sliders: list[tuple[Any, Slider]] = []
         self._values: list[float] = []
 
     def show(self, overlay: Overlay) -> None:
@@ -70,18 +69,18 @@ class Panel:
 
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders, a folder per group."""
-        self._offered += sliders
         self._values += [slider.value for slider in sliders]
         groups = dict.fromkeys(slider.group for slider in sliders)
         folders = {group: self._gui.add_folder(group, expand_by_default=False) for group in groups}
         for s in sliders:
             step = round((s.upper - s.lower) / 500, 4)
             with folders[s.group]:
-                self._sliders.append(self._gui.add_slider(s.label, s.lower, s.upper, step, initial_value=s.value))
+                handle = self._gui.add_slider(s.label, s.lower, s.upper, step, initial_value=s.value)
+            self._sliders.append((handle, s))
 
     def values(self) -> Array:
         """Return the values (n,), clipped; NaN and infinities are ignored."""
-        for k, (handle, slider) in enumerate(zip(self._sliders, self._offered, strict=True)):
+        for k, (handle, slider) in enumerate(self._sliders):
             value = float(handle.value)
             if math.isfinite(value):
                 self._values[k] = min(slider.upper, max(slider.lower, value))

@@ -1,6 +1,5 @@
 """Visible geoms as coloured triangle meshes."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -34,7 +33,13 @@ def moving_bodies(model: mujoco.MjModel) -> list[int]:
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """Return visible meshes, merged by body and colour for speed."""
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
-    for geom, mesh in _visible(model):
+    for geom in range(model.ngeom):
+        if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
+            continue
+        mesh = _mesh(model, geom)
+        if mesh is None:
+            continue
+        mesh.apply_transform(pose(rotation_from_quat(model.geom_quat[geom]), model.geom_pos[geom]))
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
         parts.setdefault((int(model.geom_bodyid[geom]), rgba), []).append(mesh)
     result = []
@@ -45,25 +50,14 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     return result
 
 
-def _visible(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
-    for geom in range(model.ngeom):
-        if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
-            continue
-        mesh = _mesh(model, geom)
-        if mesh is None:
-            continue
-        mesh.apply_transform(pose(rotation_from_quat(model.geom_quat[geom]), model.geom_pos[geom]))
-        yield geom, mesh
-
-
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.mesh(int(model.geom_dataid[geom]))
-        vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
-        faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
-        return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
     match kind:
+        case mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.mesh(int(model.geom_dataid[geom]))
+            vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
+            faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
+            return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
         case mujoco.mjtGeom.mjGEOM_BOX:
             return trimesh.creation.box(extents=2.0 * size)
         case mujoco.mjtGeom.mjGEOM_CYLINDER:

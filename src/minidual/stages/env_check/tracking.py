@@ -182,12 +182,9 @@ def outward_step(robot: Robot, step_rad: float) -> Array:
 
 def single_joint_steps(rig: Rig, step_rad: float, duration_s: float) -> list[Tracking]:
     """Step each joint alone from home, towards its farther limit; return one entry per joint."""
-    robot, responses = rig.world.robot, []
-    for j in range(robot.dof):
-        target = robot.home.copy()
-        target[j] += step_rad if robot.q_upper[j] - target[j] > target[j] - robot.q_lower[j] else -step_rad
-        responses.append(step_response(rig, target, duration_s))
-    return responses
+    robot = rig.world.robot
+    away = np.where(robot.q_upper - robot.home > robot.home - robot.q_lower, step_rad, -step_rad)
+    return [step_response(rig, robot.home + alone, duration_s) for alone in np.diag(away)]
 
 
 def sine_reference(
