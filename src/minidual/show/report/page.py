@@ -72,11 +72,6 @@ def render_page(report: Report) -> str:
         environment.filters[name] = getattr(wording, name)
     return environment.get_template("report.html.j2").render(
         report=report,
-        given=report.given,
-        facts=report.facts,
-        state=report.state,
-        not_passing=len(report.not_passing),
-        style=environment.get_template("report.css").render(),
         indicators=INDICATORS,
         certain=CERTAIN,
         summaries={name: METHODS[name].summary for name in report.given.config.benchmark.methods if name in METHODS},
