@@ -40,11 +40,9 @@ class Scene:
         drawn = {mesh.body for mesh in self._meshes}
         rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
-        self._frames = {body: self._add_frame(f"/scene/{_name(model, body)}", rest, body) for body in sorted(drawn)}
+        self._frames = self._add_bodies("/scene", rest, drawn)
         self._moving = [body for body in moving_bodies(model) if body in drawn]
         self._sent: dict[int, Array] = {body: np.full(7, np.inf) for body in self._moving}
-        for index, mesh in enumerate(self._meshes):
-            self._add_mesh(f"/scene/{_name(model, mesh.body)}/mesh{index}", mesh)
 
     def _light(self) -> None:
         scene, camera = self._server.scene, self._server.initial_camera
@@ -59,9 +57,17 @@ class Scene:
         camera.position, camera.look_at, camera.up, camera.fov = _CAMERA, _TARGET, (0.0, 0.0, 1.0), _FOV_RAD
         camera.near, camera.far = 0.05, 60.0
 
-    def _add_frame(self, name: str, data: mujoco.MjData, body: int) -> Any:
-        position, wxyz = data.xpos[body].copy(), data.xquat[body].copy()
-        return self._server.scene.add_frame(name, show_axes=False, position=position, wxyz=wxyz)
+    def _add_bodies(self, root: str, data: mujoco.MjData, bodies: set[int], *, ghost: bool = False) -> dict[int, Any]:
+        """Add bodies as they are in `data`; return their frames."""
+        frames: dict[int, Any] = {}
+        names = {body: f"{root}/{body}_{self._model.body(body).name.replace('/', '_')}" for body in sorted(bodies)}
+        for body, name in names.items():
+            pose = {"position": data.xpos[body].copy(), "wxyz": data.xquat[body].copy()}
+            frames[body] = self._server.scene.add_frame(name, show_axes=False, **pose)
+        for index, mesh in enumerate(self._meshes):
+            if mesh.body in bodies:
+                self._add_mesh(f"{names[mesh.body]}/mesh{index}", mesh, ghost=ghost)
+        return frames
 
     def _add_mesh(self, name: str, mesh: BodyMesh, *, ghost: bool = False) -> None:
         opacity = 0.28 if ghost else (mesh.rgba[3] if mesh.rgba[3] < 1.0 else None)
@@ -132,12 +138,4 @@ class Scene:
         self._preview_nodes.append(self._server.scene.add_frame(root, show_axes=False))
         poses = {body: np.concatenate([data.xpos[body], data.xquat[body]]) for body in self._moving}
         elsewhere = {body for body, pose in poses.items() if np.abs(pose - self._sent[body]).max() > _GHOST_MOVED}
-        for body in elsewhere:
-            self._add_frame(f"{root}/{_name(self._model, body)}", data, body)
-        for number, mesh in enumerate(self._meshes):
-            if mesh.body in elsewhere:
-                self._add_mesh(f"{root}/{_name(self._model, mesh.body)}/mesh{number}", mesh, ghost=True)
-
-
-def _name(model: mujoco.MjModel, body: int) -> str:
-    return f"{body}_{model.body(body).name.replace('/', '_')}"
+        self._add_bodies(root, data, elsewhere, ghost=True)
