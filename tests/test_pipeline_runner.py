@@ -165,7 +165,7 @@ def test_stage_sees_all_that_is_above_it(bench):
 def test_smoke_never_counts_as_acceptance(tmp_path):
     bench = Bench(tmp_path, profile="smoke")
     verdict = bench.runner().run("first").verdict
-    assert (verdict.status, verdict.profile, verdict.acceptance) == ("pass", "smoke", False)
+    assert (verdict.status, verdict.fingerprint.profile, verdict.acceptance) == ("pass", "smoke", False)
     assert verdict.to_json()["acceptance"] is False
 
 

@@ -560,7 +560,7 @@ class TestBill:
 
     def test_it_marks_what_is_unfit_and_what_failed(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr(installation, "required_libraries", lambda: [Library("mujoco", ">=4", "3.9")])
-        verdict = SimpleNamespace(status="fail", finished_at="now", profile="standard")
+        verdict = SimpleNamespace(status="fail", finished_at="now", fingerprint=SimpleNamespace(profile="standard"))
         verdict.failed_checks = all_failing_checks
         monkeypatch.setattr(installation, "read_verdict", lambda _path: (verdict, ""))
         assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
 from minidual.cli.console import ConsoleProgress, console
 from minidual.cli.process import interrupt
@@ -63,21 +62,15 @@ class Typed:
 
 
 class Session:
-    """Lazily made objects of a command."""
+    """Objects of a command.
+
+    Attributes:
+        people, data: Consoles on stderr, and on stdout for `status` and `explain`.
+    """
 
     def __init__(self, typed: Typed, table: StageTable) -> None:
-        self.typed = typed
-        self.table = table
-
-    @cached_property
-    def people(self) -> Console:
-        """Console on stderr."""
-        return console(stderr=True)
-
-    @cached_property
-    def data(self) -> Console:
-        """Console on stdout, for `status` and `explain`."""
-        return console(stderr=False)
+        self.typed, self.table = typed, table
+        self.people, self.data = console(stderr=True), console(stderr=False)
 
     @cached_property
     def loaded(self) -> LoadedConfig:

@@ -40,7 +40,8 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
 
 def label(verdict: Verdict) -> str:
     """Return why a verdict is no acceptance; empty if it is."""
-    words = [] if verdict.acceptance_profile else [f"profile '{verdict.profile}': wiring only, never acceptance"]
+    profile = verdict.fingerprint.profile
+    words = [] if verdict.acceptance_profile else [f"profile '{profile}': wiring only, never acceptance"]
     if verdict.weakened:
         words.append(f"NO ACCEPTANCE, it asks for less than the profile: {'; '.join(verdict.weakened)}")
     words += [f"GATE WAIVED at {waiver.stage}: {waiver.reason}" for waiver in verdict.waivers]
@@ -65,8 +66,8 @@ def print_explanation(console: Console, entry: StageEntry, state: StageState, up
     _lines(console, [f"  {reason}" for reason in state.reasons], "yellow")
     if state.verdict is not None:
         verdict = state.verdict
-        made = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{verdict.profile}'"
-        title = f"{made}, seed {verdict.fingerprint.seed}"
+        made = verdict.fingerprint
+        title = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{made.profile}', seed {made.seed}"
         _print_verdict(console, state, verdict, title, explained=True)
         _lines(console, [f"made with {text}" for text in verdict.overrides])
 
@@ -115,6 +116,5 @@ def print_lowest(console: Console, lowest: StageState | None, following: str) ->
 
 
 def _lines(console: Console, lines: Sequence[str], style: str = "") -> None:
-    for line in lines:
-        if line:
-            console.print(Text(line, style=style), soft_wrap=True)
+    for line in filter(None, lines):
+        console.print(Text(line, style=style), soft_wrap=True)

@@ -50,11 +50,8 @@ class Fingerprint:
         typed = {"parameter": self.parameters, "option": self.options}
         current = {"parameter": canonical(now.parameters), "option": canonical(now.options)}
         reasons = [f"{n.replace('.', ' ', 1)} was {_short(a)}, is {_short(b)}" for n, a, b in changes(typed, current)]
-        if self.seed != now.seed:
-            reasons.append(f"the seed was {self.seed}, is {now.seed}")
-        if self.profile != now.profile:
-            reasons.append(f"the profile was '{self.profile}', is '{now.profile}'")
-        return reasons
+        both = (("seed", self.seed, now.seed), ("profile", self.profile, now.profile))
+        return reasons + [f"the {name} was {a!r}, is {b!r}" for name, a, b in both if a != b]
 
     def differences(self, now: Fingerprint) -> list[str]:
         """Return why a verdict with this fingerprint is stale."""

@@ -107,7 +107,7 @@ class Gate:
             verdict = self.state(name).verdict
             if verdict is None:
                 continue
-            made, typed = ({f"--profile {verdict.profile}", *verdict.overrides}, gate.typed(name))
+            made, typed = {f"--profile {verdict.fingerprint.profile}", *verdict.overrides}, gate.typed(name)
             if made != {*typed} and verdict.fingerprint.choices(gate.fingerprint(name, verdict)):
                 found[name] = f"made with {' '.join(sorted(made))}, typed was {' '.join(typed)}"
         return found
@@ -143,10 +143,8 @@ class Gate:
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
-        entry = self.table[name]
-        typed = self.options.get(name)
-        options = dict(typed if typed is not None else verdict.options if verdict is not None else {})
-        return options, self.loaded.with_overrides(overrides(entry.options, options))
+        options = dict(self.options.get(name, verdict.options if verdict else {}))
+        return options, self.loaded.with_overrides(overrides(self.table[name].options, options))
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
         """Return the fingerprint of a new verdict."""

@@ -82,11 +82,6 @@ class Verdict:
         """Whether it counts as acceptance: by its profile, and nothing weakened or waived here or upstream."""
         return self.acceptance_profile and not self.waivers and not self.weakened
 
-    @property
-    def profile(self) -> str:
-        """Name of the profile."""
-        return self.fingerprint.profile
-
     def failed_checks(self) -> list[Check]:
         """Return the checks that failed."""
         return [check for check in self.checks if check.passed is False]
@@ -95,7 +90,7 @@ class Verdict:
         """Return JSON types, with derived values and a digest."""
         derived = {
             "schema": SCHEMA,
-            "profile": self.profile,
+            "profile": self.fingerprint.profile,
             "seed": self.fingerprint.seed,
             "status": self.status,
             "acceptance": self.acceptance,

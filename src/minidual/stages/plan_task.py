@@ -10,7 +10,7 @@ from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
-from minidual.show.watch import watch_trials
+from minidual.show.watch import trial_hook
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.stages.plan_tools import target_file
 from minidual.tasks.task import TASKS
@@ -26,8 +26,7 @@ def plan_task(context: ToolContext) -> ToolResult:
     bench = Bench("moveit", MethodInputs(config, context.seed))
     trial = bench.task.trial(context.seed, "plan", 0)
     postures, used = Postures(1.0 / FILM_FPS), list[PlannedCarry]()
-    watch = watch_trials(context.view)
-    show = None if watch is None else watch(bench, f"plan, task {name}")
+    show = None if context.view is None else trial_hook(context.view, bench, f"plan, task {name}")
 
     def on_step(world: World, method: Method) -> None:
         if not used:

@@ -64,7 +64,7 @@ def print_bill(context: ToolContext) -> ToolResult:
     lines += markdown([{**asdict(library), "state": "fits" if library.fits else "**unfit**"} for library in libraries])
     try:
         verdict, _ = read_verdict(context.run_folder / "env-check" / "verdict.json")
-        status = f"env-check: **{verdict.status}** on {verdict.finished_at}, profile {verdict.profile}"
+        status = f"env-check: **{verdict.status}** on {verdict.finished_at}, profile {verdict.fingerprint.profile}"
         lines += ["", status, *(f"- {check.sentence()}" for check in verdict.failed_checks())]
     except DataError:
         lines += ["", "env-check has not run here."]

@@ -1,5 +1,6 @@
 """Tracking, latency and emergency stop of arms under the whole control stack."""
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -48,7 +49,7 @@ class Rig:
         arbiter = config.arbiter.model_copy(update={"switch_step_max_rad": _STEP_MAX_RAD})
         self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
         self.period = self.stack.every
-        self._sequence = 0
+        self._sequence = itertools.count(1)
         self.reset()
 
     def reset(self, q: Array | None = None) -> None:
@@ -70,14 +71,12 @@ class Rig:
 
     def propose(self) -> None:
         """Propose the target, stamped now."""
-        self._sequence += 1
-        self.stack.propose(_SOURCE, JointCommand(self.target.copy(), _OPEN, self.world.time, self._sequence))
+        self.stack.propose(_SOURCE, JointCommand(self.target.copy(), _OPEN, self.world.time, next(self._sequence)))
 
     def swing(self, motion: Trajectory) -> None:
         """Start a trajectory from the current posture."""
-        self._sequence += 1
         self._swinging = True
-        self.stack.propose(_SOURCE, TrajectoryCommand(motion, _OPEN, self.world.time, self._sequence))
+        self.stack.propose(_SOURCE, TrajectoryCommand(motion, _OPEN, self.world.time, next(self._sequence)))
 
     def step(self) -> None:
         """Run one control step; keep the source alive."""
