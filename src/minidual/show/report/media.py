@@ -2,11 +2,11 @@
 
 import base64
 import shutil
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from minidual.errors import DataError
+from minidual.gate.verdict import Verdict
 from minidual.show.report.wording import WORDS
 
 _KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".mp4": "video/mp4"}
@@ -28,16 +28,15 @@ class Medium:
     film: bool = False
 
 
-def collect_media(
-    stage: str, folder: Path, names: Iterable[str], captions: Mapping[str, str], page_folder: Path
-) -> list[Medium]:
-    """Return a stage's pictures and films, without subfolders; large ones are copied into `page_folder`/media.
+def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Medium]:
+    """Return the pictures and films in a stage's folder, without subfolders; copy large ones into `page_folder`/media.
 
     Raises:
         DataError: A file is missing.
     """
     media: list[Medium] = []
-    for name in sorted(name for name in names if Path(name).suffix in _KINDS and "/" not in name):
+    stage, captions = verdict.stage, WORDS["captions"].get(verdict.stage, {}) | verdict.data.get("captions", {})
+    for name in sorted(name for name in verdict.artefacts if Path(name).suffix in _KINDS and "/" not in name):
         path = folder / name
         if not path.is_file():
             raise DataError(f"artefact {name} of stage {stage} is gone: {path}")
@@ -48,6 +47,6 @@ def collect_media(
             source = f"media/{stage}-{name}"
             (page_folder / "media").mkdir(exist_ok=True)
             shutil.copyfile(path, page_folder / source)
-        own = WORDS["captions"].get(stage, {}).get(name) or path.stem.replace("_", " ").capitalize()
-        media.append(Medium(stage, name, captions.get(name) or own, source, path.suffix == ".mp4"))
+        caption = captions.get(name) or path.stem.replace("_", " ").capitalize()
+        media.append(Medium(stage, name, caption, source, path.suffix == ".mp4"))
     return media

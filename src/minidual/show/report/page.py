@@ -33,8 +33,7 @@ def build_report(given: StageContext, folder: Path) -> Report:
     media: list[Medium] = []
     try:
         for stage, verdict in given.verdicts.items():
-            captions = verdict.data.get("captions", {})
-            media += collect_media(stage, given.upstream[stage], verdict.artefacts, captions, folder)
+            media += collect_media(verdict, given.upstream[stage], folder)
         data = benchmark.data["tasks"] if benchmark else {}
         asked = trials_asked(given.config).items()
         tables = {task: tabulate(wanted.methods, tuple(under), data.get(task, {})) for task, under in asked}

@@ -1,6 +1,7 @@
 """Stage `env-check`: test all joints and cameras."""
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
+from minidual.show.figures.canvas import BLUE, INK, ORANGE, limit_line, new_figure
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import StackNarrator, watched
 from minidual.stages.env_check import model as measure
@@ -94,6 +96,34 @@ def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[C
     return worded("env-check", rows, **names)
 
 
+def save_tracking(path: Path, m: Measured, limits: EnvCheckConfig, robot: Robot) -> None:
+    """Save a figure of the steps, the swing, their errors and the rise times."""
+    figure, ((norm, alone), (swing, rise)) = new_figure(2, 2, 11.0, 7.2)
+    step, sine, rows = m.step, m.sine, m.responses
+    n, x, every = robot.dof_per_arm, np.arange(robot.dof), max(1, len(sine.t) // 2000)
+    colours = np.repeat([BLUE, ORANGE], n)
+    for j in range(robot.dof):
+        label = f"{robot.sides[j // n]} arm" if j % n == 0 else None
+        style: dict[str, Any] = {"color": colours[j], "lw": 1.0, "label": label}
+        alone.plot(m.steps[j].t, m.steps[j].share(j), ls=("-", (0, (4, 4)))[j // n], **style)  # the arms answer alike
+        swing.plot(sine.t[::every], 1e3 * (sine.measured - sine.reference)[::every, j], alpha=0.55, **style)
+    norm.semilogy(step.t, np.maximum(step.error_norm, 1e-16), color=INK)
+    limit_line(norm, limits.step_error_max_rad, f"limit {limits.step_error_max_rad:g} rad")
+    rise.bar(x, [1e3 * row["rise_s"] for row in rows], width=0.7, color=colours, alpha=0.85)
+    limit_line(rise, 1e3 * limits.rise_max_s, f"limit {1e3 * limits.rise_max_s:g} ms")
+    rise.set_xticks(x, [f"{'LR'[j // n]}{j % n + 1}" for j in x], fontsize=8)
+    texts = {
+        norm: (f"Step of joint 1 of both arms leaves {step.settled:.1e} rad", "time [s]", "error of all joints [rad]"),
+        alone: (f"A step of {abs(rows[0]['step_rad']):g} rad, each joint alone", "time [s]", "share of the step"),
+        swing: (f"All {robot.dof} joints swinging: RMS {1e3 * sine.rms:.2g} mrad", "time [s]", "error [mrad]"),
+        rise: ("Rise time of each joint's own step, 10 % to 90 %", "joint", "time [ms]"),
+    }
+    for axes, (title, across, up) in texts.items():
+        axes.set(title=title, xlabel=across, ylabel=up)
+        axes.legend(frameon=False, fontsize=8)
+    figure.savefig(path, metadata={"Software": None})  # no date inside: the same run writes the same bytes
+
+
 def run(context: StageContext) -> StageResult:
     """Measure; write joints.csv, sine.mp4, cameras.png and tracking.png."""
     config, folder = context.config.env_check, context.folder
@@ -128,10 +158,10 @@ def run(context: StageContext) -> StageResult:
         frames = film_postures(model, postures.qpos, folder / "sine.mp4", shadows=False)
         responses = tracking.joint_responses(robot, steps, sine)
         write_csv(folder / "joints.csv", responses)
-        pictures.save_tracking(folder / "tracking.png", robot, config, step, steps, sine, responses)
+        measured = Measured(moved, contacts, steps, responses, step, sine, agreement, latency, stop, cameras, frames)
+        save_tracking(folder / "tracking.png", measured, config, robot)
         task.advance(note="film")
 
-    measured = Measured(moved, contacts, steps, responses, step, sine, agreement, latency, stop, cameras, frames)
     versions = {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries}
     data: dict[str, Any] = {"arm": robot.arm.name, "libraries": versions}
     data |= {"latency": asdict(latency), "emergency_stop": asdict(stop)}
