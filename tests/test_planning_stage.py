@@ -22,7 +22,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import pose
 from minidual.stages import plan
 from minidual.stages.config_checks import check_plan
-from minidual.stages.plan import audit_checks, common_checks, group_checks, run
+from minidual.stages.plan import common_checks, group_checks, run
 from minidual.stages.registry import STAGES
 from minidual.trials.planning import queries
 from minidual.trials.planning.evaluate import engine_agreement, plan_query, repeats, run_queries
@@ -123,21 +123,25 @@ def test_group_checks_can_fail(outcomes):
     assert failed.row().keys() < outcomes[0].row().keys()
 
 
+AUDIT = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0, clearance_m=0.01)
+
+
+def common(outcomes, agreement=1.0, repeatable=True, failed_n=0):
+    return failing(common_checks(outcomes, agreement, repeatable, failed_n, PlanConfig()))
+
+
 def test_audit_checks_can_fail(outcomes):
     def names(**change):
-        found = {"samples_n": 900, "step_max_rad": 0.002, "collisions_n": 0, "disagreements_n": 0, "clearance_m": 0.01}
-        found |= change
-        return failing(audit_checks([dataclasses.replace(outcomes[0], audit=Audit(**found))]))
+        return common([dataclasses.replace(outcomes[0], audit=dataclasses.replace(AUDIT, **change))])
 
     assert names() == set()
     assert names(collisions_n=1) == {"proof.audit_collisions"}
     assert names(disagreements_n=1) == {"proof.audit_disagreements"}
-    assert failing(audit_checks([outcomes[0]])) == {"proof.audited_n", "proof.audit_states"}  # nothing was audited
-    audit = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0, clearance_m=0.01)
-    one = dataclasses.replace(outcomes[0], audit=audit)
-    assert failing(audit_checks([one, outcomes[1]])) == {"proof.audited_n"}
+    assert common([outcomes[0]]) == {"proof.audited_n", "proof.audit_states"}  # nothing was audited
+    one = dataclasses.replace(outcomes[0], audit=AUDIT)
+    assert common([one, outcomes[1]]) == {"proof.audited_n"}
     failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
-    assert failing(audit_checks([one, failed])) == set()
+    assert common([one, failed]) == set()
 
 
 def test_a_second_set_that_is_the_first_is_refused():
@@ -164,15 +168,13 @@ def test_a_warm_up_that_is_not_solved_does_not_end_the_set():
     assert [o.reason for done in outcomes.values() for o in done] == ["no_path_in_time"] * 3
 
 
-def test_common_checks_can_fail():
-    def names(agreement=1.0, repeatable=True, failed_n=0):
-        return failing(common_checks(agreement, repeatable, failed_n, PlanConfig()))
-
-    assert names() == set()
-    assert names(agreement=0.99) == {"engines.agreement"}
-    assert names(agreement=float("nan")) == {"engines.agreement"}
-    assert names(repeatable=False) == {"repeatable"}
-    assert names(failed_n=1) == {"closed_chain.carries_rate"}
+def test_common_checks_can_fail(outcomes):
+    audited = [dataclasses.replace(outcomes[0], audit=AUDIT)]
+    assert common(audited) == set()
+    assert common(audited, agreement=0.99) == {"engines.agreement"}
+    assert common(audited, agreement=float("nan")) == {"engines.agreement"}
+    assert common(audited, repeatable=False) == {"repeatable"}
+    assert common(audited, failed_n=1) == {"closed_chain.carries_rate"}
 
 
 def test_failed_query_keeps_its_reason(outcomes):

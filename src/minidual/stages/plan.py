@@ -62,8 +62,7 @@ def run(context: StageContext) -> StageResult:
             trajectory.write_json(folder / f"trajectory_{group}.json", robot.joint_names, _JSON_EVERY)
     write_paths(folder / "paths.png", context.config.scene, outcomes)
     write_times(outcomes, folder / "times.png", config.time_median_max_s.model_dump())
-    checks += audit_checks(every)
-    checks += common_checks(agreement, repeatable, len(carries), config)
+    checks += common_checks(every, agreement, repeatable, len(carries), config)
     checks += held_checks(moves, executions, config)
     data = {"held_moves": {"executions": [dataclasses.asdict(e) for e in executions]}}
     return StageResult(checks=checks, data=data, notes=[*notes(first=outcomes, second=second), *carries, *undriven])
@@ -90,21 +89,16 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, pr
     return worded("plan", rows, f"{prefix}{group}.", reached=reached, **names)
 
 
-def audit_checks(outcomes: Sequence[Outcome]) -> list[Check]:
-    """Return the audit's checks: dense samples of solved queries must be free."""
+def common_checks(
+    outcomes: Sequence[Outcome], agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig
+) -> list[Check]:
+    """Return the checks common to all groups. Of the audit: dense samples of solved queries must be free."""
     audits = [o.audit for o in outcomes if o.audit is not None]
     rows: Rows = {
         "proof.audited_n": (len(audits), "==", sum(o.ok for o in outcomes)),
         "proof.audit_states": (sum(a.samples_n for a in audits), ">", 0),
         "proof.audit_collisions": (sum(a.collisions_n for a in audits), "==", 0),
         "proof.audit_disagreements": (sum(a.disagreements_n for a in audits), "==", 0),
-    }
-    return worded("plan", rows)
-
-
-def common_checks(agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig) -> list[Check]:
-    """Return the checks common to all groups."""
-    rows: Rows = {
         "engines.agreement": (agreement, ">=", config.agreement_min),
         "repeatable": (repeatable, "==", True),
         "closed_chain.carries_rate": (1.0 - carries_failed_n / _CARRIES_N, ">=", config.success_rate_min),
