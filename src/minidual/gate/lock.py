@@ -10,7 +10,7 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import TextIO
 
 from minidual.durable import make_folder, read_json, require
 from minidual.errors import DataError, UsageError
@@ -58,13 +58,8 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
 
 def lock_holder(folder: Path) -> str | None:
     """Return the holder, "process 12 (minidual carry, since ...)", or None."""
-    record = _record(folder / LOCK_FILE)
-    if record is None:
-        return None
-    try:
-        return f"process {record['pid']} ({record['command']}, since {record['since']})"
-    except (KeyError, TypeError):
-        return "another process"
+    found = _holder(folder / LOCK_FILE)
+    return None if found is None else found[1]
 
 
 def lock_holders(folder: Path) -> dict[int, str]:
@@ -76,16 +71,15 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
     found: dict[int, str] = {}
     for path in sorted(folder.glob(".*lock")):
-        record = _record(path) or {}
-        with suppress(psutil.Error, KeyError, TypeError):
-            process = psutil.Process(record["pid"])
-            if str(path.resolve()) in {opened.path for opened in process.open_files()}:
-                found[process.pid] = f"process {process.pid} ({record['command']}, since {record['since']})"
+        pid, text = _holder(path) or (0, "")
+        with suppress(psutil.Error, TypeError):
+            if str(path.resolve()) in {opened.path for opened in psutil.Process(pid).open_files()}:
+                found[pid] = text
     return found
 
 
-def _record(path: Path) -> dict[str, Any] | None:
-    """Return what the holder of a lock wrote, {} if that cannot be read, None if nobody holds it."""
+def _holder(path: Path) -> tuple[int, str] | None:
+    """Return the process id of a lock's holder, 0 if it cannot be read, and its name; None if nobody holds it."""
     require(path, "file")
     try:
         with path.open(encoding="utf-8") as stream:
@@ -93,11 +87,10 @@ def _record(path: Path) -> dict[str, Any] | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except BlockingIOError:
-        try:
+        with suppress(DataError, KeyError, TypeError):
             record = read_json(path, 10_000)
-            return cast(dict[str, Any], record) if isinstance(record, dict) else {}
-        except DataError:
-            return {}
+            return record["pid"], f"process {record['pid']} ({record['command']}, since {record['since']})"
+        return 0, "another process"
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}", remedy="change its permissions") from error
     return None

@@ -101,9 +101,9 @@ class Scene:
     def draw_forces(self, arrows: Sequence[Arrow]) -> None:
         """Replace the force arrows."""
         shown = [a for a in arrows if float(np.linalg.norm(a.force)) >= _ARROW_MIN_N]
+        if self._arrows is not None:
+            self._arrows.visible = bool(shown)
         if not shown:
-            if self._arrows is not None:
-                self._arrows.visible = False
             return
         points = np.array([[a.start, a.start + _ARROW_M_PER_N * a.force] for a in shown], dtype=np.float32)
         colours = np.array([a.rgb for a in shown], dtype=np.uint8)
@@ -113,7 +113,6 @@ class Scene:
             )
         else:
             self._arrows.points, self._arrows.colors = points, colours
-        self._arrows.visible = True
 
     def draw_preview(self, preview: Preview) -> None:
         """Draw the plan unless it is the same object."""
