@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from minidual.gate.check import Check, format_number
+from minidual.gate.check import Check, with_unit
 
 OPERATORS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
 finite = st.floats(allow_nan=False, allow_infinity=False, width=32)
@@ -97,4 +97,4 @@ def test_limit_is_required_with_an_operator():
 
 def test_sentence_names_value_limit_and_unit():
     assert Check("tilt", 0.12345, "<=", 0.0873, "rad").sentence() == "tilt is 0.1235 rad, limit <= 0.0873 rad"
-    assert format_number(True) == "yes"
+    assert with_unit(True, "") == "yes"

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from minidual.gate.check import Check, format_number
+from minidual.gate.check import Check, with_unit
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.runner import Outcome
 from minidual.gate.table import StageEntry
@@ -30,10 +30,10 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
         table.add_column("why, and what to do", overflow="fold", ratio=1)
     result = {True: Text("pass", "green"), False: Text("FAIL", "bold red"), None: Text("reported", "dim")}
     for check in checks:
-        unit = f" {check.unit}" if check.unit else ""
-        limit = f"{check.op} {format_number(check.limit)}{unit}" if check.op else ""
+        limit = f"{check.op} {with_unit(check.limit, check.unit)}" if check.op else ""
         why = check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")
-        row = [check.name, f"{format_number(check.observed)}{unit}", limit, check.margin_text(), result[check.passed]]
+        observed = with_unit(check.observed, check.unit)
+        row = [check.name, observed, limit, check.margin_text(), result[check.passed]]
         table.add_row(*row, *([why] if explained else []))
     return table
 

@@ -99,24 +99,21 @@ class Check:
 
     def sentence(self) -> str:
         """Return, for example, "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad"."""
-        unit = f" {self.unit}" if self.unit else ""
-        text = f"{self.name} is {format_number(self.observed)}{unit}"
-        if self.op is not None and self.limit is not None:
-            text += f", limit {self.op} {format_number(self.limit)}{unit}"
-        return text
+        limit = f", limit {self.op} {with_unit(self.limit, self.unit)}" if self.op else ""
+        return f"{self.name} is {with_unit(self.observed, self.unit)}{limit}"
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON types, with result and margin."""
         return canonical({**asdict(self), "passed": self.passed, "margin": self.margin})
 
 
-def format_number(value: Number | None) -> str:
-    """Return four significant digits; yes or no for bools."""
-    if value is None:
-        return ""
+def with_unit(value: Number | None, unit: str) -> str:
+    """Return four significant digits and the unit; yes or no for bools."""
     if isinstance(value, bool):
-        return "yes" if value else "no"
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+        text = "yes" if value else "no"
+    else:
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{text} {unit}".rstrip()
 
 
 Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]

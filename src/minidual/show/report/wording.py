@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from minidual.gate.check import Number, format_number
+from minidual.gate.check import Number, with_unit
 from minidual.registry import rows_beside
 
 WORDS: dict[str, Any] = rows_beside(__file__, "templates/words.yaml")
@@ -61,7 +61,7 @@ def points(difference: float) -> str:
 
 def quantity(value: Number | None, unit: str) -> str:
     """Return a value with its unit, angles in degrees too."""
-    text = f"{format_number(value)} {unit}".rstrip()
+    text = with_unit(value, unit)
     if unit == "rad" and isinstance(value, float) and math.isfinite(value) and abs(math.degrees(value)) >= 0.01:
         text += f" ({math.degrees(value):.3g}°)"
     return text
