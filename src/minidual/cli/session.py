@@ -62,11 +62,7 @@ class Typed:
 
 
 class Session:
-    """Objects of a command.
-
-    Attributes:
-        people, data: Consoles on stderr, and on stdout for `status` and `explain`.
-    """
+    """Objects of a command; console `people` is on stderr, `data` on stdout (`status`, `explain`)."""
 
     def __init__(self, typed: Typed, table: StageTable) -> None:
         self.typed, self.table = typed, table

@@ -75,7 +75,7 @@ class Gate:
         return self._known[name]
 
     def verdicts(self, name: str) -> dict[str, Verdict]:
-        """Return {upstream stage: its verdict} of those that have one."""
+        """Return {upstream stage: verdict}, without missing ones."""
         upstream = {up: self.state(up).verdict for up in self.table.upstream(name)}
         return {up: verdict for up, verdict in upstream.items() if verdict is not None}
 

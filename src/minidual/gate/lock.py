@@ -79,7 +79,7 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
 
 def _holder(path: Path) -> tuple[int, str] | None:
-    """Return the process id of a lock's holder, 0 if it cannot be read, and its name; None if nobody holds it."""
+    """Return a lock's holder as process id (0 if unreadable) and name; None if nobody holds it."""
     require(path, "file")
     try:
         with path.open(encoding="utf-8") as stream:

@@ -58,7 +58,6 @@ class Scene:
         camera.near, camera.far = 0.05, 60.0
 
     def _add_bodies(self, root: str, data: mujoco.MjData, bodies: set[int], *, ghost: bool = False) -> dict[int, Any]:
-        """Add bodies as they are in `data`; return their frames."""
         frames: dict[int, Any] = {}
         names = {body: f"{root}/{body}_{self._model.body(body).name.replace('/', '_')}" for body in sorted(bodies)}
         for body, name in names.items():
