@@ -31,8 +31,8 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
     jerks.hist([a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None], bins=20, color=BLUE)
     jerks.set(title=f"RMS jerk (limit {jerk_limit_rad_s3:.0f} rad/s³)", xlabel="rad/s³", ylabel="episodes")
 
-    index, path = next((a.trial.index, a.path) for a in attempts if a.kept and a.path is not None)
-    episode = read_episode(path, cameras=())
+    index, recorded = next((a.trial.index, a.path) for a in attempts if a.kept and a.path is not None)
+    episode = read_episode(recorded, cameras=())
     t = episode.timestamps - episode.timestamps[0]
     per_arm = episode.qpos.shape[1] // 2
     for k, joint in enumerate(dict.fromkeys((0, 1, per_arm // 2, per_arm - 1))):
