@@ -144,7 +144,8 @@ def tasks_of(config: Config) -> dict[str, Task]:
     Raises:
         UsageError: Unknown or repeated name.
     """
-    names = TASKS.names(config.benchmark.tasks or dict.fromkeys((config.task, *config.benchmark.further_tasks)))
+    own = tuple(dict.fromkeys((config.task, *config.benchmark.further_tasks)))
+    names = TASKS.names(config.benchmark.tasks or own)
     return {name: make_task(config if name == config.task else changed(config, {"task": name})) for name in names}
 
 
