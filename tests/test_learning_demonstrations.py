@@ -10,7 +10,7 @@ from learning_world import APPROACH, demonstrations
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError
-from minidual.policies.demonstrations import Demonstrations, WeightedRows, gripper_switches, split_episodes
+from minidual.policies.demonstrations import Demonstrations, draw_weighted, gripper_switches, split_episodes
 
 torch, batches = late("torch"), late("minidual.policies.batches")
 pytestmark = pytest.mark.torch
@@ -66,8 +66,7 @@ def test_split_is_by_episode_disjoint_and_repeatable() -> None:
 
 
 def test_rows_are_drawn_in_proportion_to_their_weight() -> None:
-    rows = WeightedRows(np.array([4, 5, 9]), np.array([1.0, 3.0, 0.0]))
-    drawn = rows.draw(40_000, np.random.default_rng(0))
+    drawn = draw_weighted(np.array([4, 5, 9]), np.cumsum([1.0, 3.0, 0.0]), 40_000, np.random.default_rng(0))
     assert set(drawn.tolist()) == {4, 5}
     assert (drawn == 5).mean() == pytest.approx(0.75, abs=0.01)
 

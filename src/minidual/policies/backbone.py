@@ -39,6 +39,10 @@ def _pixel_centres(height: int, width: int, device: torch.device) -> Tensor:
     return torch.stack([x, y, x.square(), y.square()], dim=1)
 
 
+def _rectified(*layers: nn.Module) -> nn.Sequential:
+    return nn.Sequential(*(part for layer in layers for part in (layer, nn.ReLU(inplace=True))))
+
+
 class KeypointEncoder(nn.Module):
     """Convolutions of total stride 4, then spatial softmax.
 
@@ -47,32 +51,18 @@ class KeypointEncoder(nn.Module):
     `bf16`: convolve in bfloat16, which where native doubles the training rate.
     """
 
-    def __init__(
-        self,
-        keypoints: int,
-        widths: tuple[int, int, int] = (32, 32, 64),
-        *,
-        context_layers: int = 0,
-        standardised: bool = False,
-    ) -> None:
+    def __init__(self, keypoints: int, *, context_layers: int = 0, standardised: bool = False) -> None:
         super().__init__()
-        first, second, third = widths
         self.standardised = standardised
-        self.features = nn.Sequential(
-            nn.Conv2d(3, first, 5, stride=2, padding=2),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(first, second, 3, padding=1),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(second, third, 3, stride=2, padding=1),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(third, third, 3, padding=1),
-            nn.ReLU(inplace=True),
+        self.features = _rectified(
+            nn.Conv2d(3, 32, 5, stride=2, padding=2),
+            nn.Conv2d(32, 32, 3, padding=1),
+            nn.Conv2d(32, 64, 3, stride=2, padding=1),
+            nn.Conv2d(64, 64, 3, padding=1),
         )
-        around: list[nn.Module] = []
-        for k in range(context_layers):
-            around += [nn.Conv2d(third, third, 3, padding=2**k, dilation=2**k), nn.ReLU(inplace=True)]
-        self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *around) if around else None
-        self.heads = nn.Conv2d(third, keypoints, 1)
+        around = [nn.Conv2d(64, 64, 3, padding=2**k, dilation=2**k) for k in range(context_layers)]
+        self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around)) if around else None
+        self.heads = nn.Conv2d(64, keypoints, 1)
         self.pool = SpatialSoftmax(keypoints)
         self.bf16 = False
         for module in self.modules():

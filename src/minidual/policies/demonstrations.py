@@ -126,17 +126,12 @@ def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generato
     return training, [e for i, e in enumerate(episodes) if i in chosen]
 
 
-class WeightedRows:
-    """Weighted draws with replacement."""
-
-    def __init__(self, rows: NDArray[np.int64], weights: NDArray[np.float64]) -> None:
-        self._rows = rows
-        self._cumulative = np.cumsum(weights)
-
-    def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Return rows."""
-        positions = np.searchsorted(self._cumulative, rng.random(count) * self._cumulative[-1], side="right")
-        return self._rows[np.minimum(positions, len(self._rows) - 1)]
+def draw_weighted(
+    rows: NDArray[np.int64], cumulative: NDArray[np.float64], count: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Draw `count` rows with replacement; `cumulative` holds the sums of their weights."""
+    positions = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
+    return rows[np.minimum(positions, len(rows) - 1)]
 
 
 def _check(demos: Demonstrations) -> None:

@@ -24,7 +24,7 @@ from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
 from minidual.errors import DataError, UsageError
 from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
-from minidual.policies.demonstrations import Demonstrations, WeightedRows, split_episodes
+from minidual.policies.demonstrations import Demonstrations, draw_weighted, split_episodes
 from minidual.policies.kinds import Advance, Training
 from minidual.policies.records import LossRow, TrainResult
 from minidual.policies.shares import Shares
@@ -104,7 +104,8 @@ class _Loop:
         self.beside = ThreadPoolExecutor(1)
         self.ahead: Future[tuple[int, dict[str, torch.Tensor]]] | None = None
         self.batches = BatchMaker(demos, config, stats)
-        self.sampler = WeightedRows(rows, np.where(demos.phase[rows] == 0, config.approach_weight, 1.0))
+        self.rows, weights = rows, np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
+        self.cumulative_weights = np.cumsum(weights)
         count = min(VALIDATION_ROWS, len(validation_rows))
         self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
@@ -183,7 +184,8 @@ class _Loop:
     def _batch(self, step: int) -> tuple[int, dict[str, torch.Tensor]]:
         rng = stream(self.seed, "train.batch", step)
         seed = int(rng.integers(2**63))
-        return seed, self.batches.training(self.sampler.draw(self.config.batch_size, rng), rng)
+        rows = draw_weighted(self.rows, self.cumulative_weights, self.config.batch_size, rng)
+        return seed, self.batches.training(rows, rng)
 
     def _log(self) -> None:
         state, config = self.state, self.config
