@@ -27,9 +27,7 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
     zeros = np.zeros((50, robot.dof))
     tau = np.tile(0.5 * robot.tau_max, (50, 1))
     tau[:, -1] = 0.9 * robot.tau_max[-1]
-    log = TrialLog(
-        t, zeros, tau, np.zeros((50, 2, 3)), np.zeros((50, 3)), 0.0 * t, np.ones((50, 2)), 0.0 * t, ["x"] * 50
-    )
+    log = TrialLog(t, zeros, tau, np.zeros((50, 2, 3)), np.zeros((50, 3)), 0.0 * t, np.ones((50, 2)), 0.0 * t)
     drawn: list[Any] = []
     make = canvas.new_figure
     monkeypatch.setattr(

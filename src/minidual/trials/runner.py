@@ -66,7 +66,6 @@ class TrialLog:
     tilt: Array
     pinch: Array
     internal_force: Array
-    phase: list[str]
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ class Bench:
                 mujoco.mj_forward(model, data)
                 broken = Failure(_BROKEN[type(error)], world.time, error.message)
                 judge.truth.refresh(world)
-                rows = rows or [self._sample(seen, method.phase)]
+                rows = rows or [self._sample(seen)]
                 break
             mujoco.mj_getState(model, data, last, _STATE)
             judge.observe(world)
@@ -161,7 +160,7 @@ class Bench:
             if ratio >= SATURATED:
                 longest = max(longest, float(saturated.max()))
             if step % every == 0:
-                rows.append(self._sample(seen, method.phase))
+                rows.append(self._sample(seen))
             if disturb is not None:
                 disturb(world)
             if on_step is not None:
@@ -169,8 +168,7 @@ class Bench:
             finished_s = finished_s + world.dt if judge.finished else 0.0
             if method.done or finished_s > SETTLED_S:
                 break
-        *numbers, phases = zip(*rows, strict=True)
-        log = TrialLog(*map(np.array, numbers), phase=list(phases))
+        log = TrialLog(*map(np.array, zip(*rows, strict=True)))
         outcome = judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
@@ -180,11 +178,11 @@ class Bench:
         )
         return TrialResult(metrics, longest * world.dt, outcome.measured), log
 
-    def _sample(self, seen: ObjectTruth, phase: str) -> tuple[Any, ...]:
+    def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
         self.hands.update(q)
         thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n
-        return (world.time, q, world.tau, np.array(self.hands.p), *thing, phase)
+        return (world.time, q, world.tau, np.array(self.hands.p), *thing)
 
 
 _BENCHES: dict[str, Bench] = {}

@@ -202,13 +202,9 @@ def _bracket(
 
     Tries `ladder` in order, then bisects to `tolerance`.
     """
-    low: float | None = None
-    high: float | None = None
-    for value in ladder:
-        if stops(value):
-            high = value
-            break
-        low = value
+    first = next((k for k, value in enumerate(ladder) if stops(value)), len(ladder))
+    low = ladder[first - 1] if first else None
+    high = ladder[first] if first < len(ladder) else None
     while low is not None and high is not None and high - low > tolerance:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if stops(middle) else (middle, high)
