@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -57,19 +57,8 @@ class _Said(StrictModel):
     path: str | None = Field(pattern=rf"^({KEPT}|{REJECTED})/episode_\d{{6}}\.hdf5$")
 
 
-class Room(Protocol):
-    """Changes what the cameras see in an episode, as a row of minidual.trials.conditions does."""
-
-    @property
-    def name(self) -> str:
-        """Name."""
-        ...
-
-    def applied(
-        self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator
-    ) -> AbstractContextManager[None]:
-        """Change a compiled model, then restore it."""
-        ...
+type Room = tuple[str, Callable[[mujoco.MjModel, Task, Trial, np.random.Generator], AbstractContextManager[None]]]
+"""Name, and a context that changes what the cameras see of a compiled model, then restores it."""
 
 
 @dataclass(frozen=True)
@@ -175,8 +164,9 @@ class Rig:
         job, room = self.job, self.job.room(trial, turn)
         if room is None:
             return nullcontext()
-        rng = stream(job.seed, f"room/{trial.purpose}/{room.name}" + (f"/{turn}" if turn else ""), trial.index)
-        return room.applied(self.world.model, job.task, trial, rng)
+        name, applied = room
+        rng = stream(job.seed, f"room/{trial.purpose}/{name}" + (f"/{turn}" if turn else ""), trial.index)
+        return applied(self.world.model, job.task, trial, rng)
 
     def record(self, index: int) -> Attempt:
         """Return trial `index` as an interrupted recording left it, else run it.
@@ -263,7 +253,7 @@ class Rig:
             "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
         }
         if (room := self.job.room(trial)) is not None:
-            extra |= {"condition": room.name, "room_change_s": teleop.room_change_s}
+            extra |= {"condition": room[0], "room_change_s": teleop.room_change_s}
         return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
 
     def _reason(self, result: SessionResult) -> str:

@@ -28,6 +28,7 @@ from minidual.trials.methods import METHODS, SENSES
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     import mujoco
 
+    from minidual.demos.rig import Room
     from minidual.plant.world import World
 
 CLEAN = "clean"
@@ -303,10 +304,11 @@ class Push:
 
 
 class Move:
-    """Shifts the carried object once along the table."""
+    """Shifts the carried object once along the table, in a random direction."""
 
-    def __init__(self, by_m: Array, name: str) -> None:
-        self._by, self._name = by_m, name
+    def __init__(self, task: Task, rng: np.random.Generator, *, distance_m: float) -> None:
+        direction = float(rng.uniform(0.0, 2.0 * np.pi))
+        self._by, self._name = distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried
         self.took_place = False
 
     def __call__(self, world: World) -> None:
@@ -321,13 +323,7 @@ def push(task: Task, rng: np.random.Generator, *, force_n: Sequence[float]) -> D
     return Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
 
 
-def move(task: Task, rng: np.random.Generator, *, distance_m: float) -> Disturbance:
-    """Return a move in a random direction."""
-    direction = float(rng.uniform(0.0, 2.0 * np.pi))
-    return Move(distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried)
-
-
-_MADE = {f.__name__: f for f in (push, move)}
+_MADE: dict[str, Callable[..., Disturbance]] = {"push": push, "move": Move}
 _CHANGED = (mass, size, friction, slip, joint_friction, light, camera_moved, object_colour, table_colour, object_hidden)
 _CHANGES: dict[str, Callable[..., None]] = {f.__name__: f for f in (*_CHANGED, distractors)}
 
@@ -349,7 +345,7 @@ def condition(name: str) -> Condition:
     return CONDITIONS[known]
 
 
-def rooms(names: Sequence[str]) -> tuple[Condition, ...]:
+def rooms(names: Sequence[str]) -> tuple[Room, ...]:
     """Return conditions under which demonstrations can be recorded.
 
     Raises:
@@ -360,7 +356,7 @@ def rooms(names: Sequence[str]) -> tuple[Condition, ...]:
         if row.name != CLEAN and row.change is None:
             known = ", ".join(n for n, other in CONDITIONS.items() if n == CLEAN or other.change)
             raise UsageError(f"demonstrations cannot be recorded under '{row.name}'; there are {known}")
-    return chosen
+    return tuple((row.name, row.applied) for row in chosen)
 
 
 def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:

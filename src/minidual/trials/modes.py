@@ -129,15 +129,13 @@ class ModesDemo:
             self._step()
             yield turn
         switch.confirmed_s, switch.controllers = world.time, stack.manager.active
-        driving = turn.drive()
-        while True:
-            try:
-                next(driving)
-            except StopIteration as end:
-                self.outcomes.append({"mode": turn.mode, **end.value})
-                return
+        for _ in self._driven(turn):
             self._step()
             yield turn
+
+    def _driven(self, turn: Turn) -> Iterator[None]:
+        result = yield from turn.drive()
+        self.outcomes.append({"mode": turn.mode, **result})
 
     def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
         """Return the exceeded bounds of all switches."""

@@ -154,12 +154,10 @@ class QueryGenerator:
 
     def _reach(self, rng: np.random.Generator, arm: str, T_world_tcp: Array) -> Array | None:
         solver = solvers(self.robot)[arm]
-        for k in range(_IK_STARTS_N):
-            start = self.robot.home[solver.joints] if k == 0 else rng.uniform(solver.lower, solver.upper)
-            solution = solver.solve(T_world_tcp, start)
-            if solution.reached:
-                return solution.q
-        return None
+        home = self.robot.home[solver.joints]
+        starts = (home if k == 0 else rng.uniform(solver.lower, solver.upper) for k in range(_IK_STARTS_N))
+        solutions = (solver.solve(T_world_tcp, start) for start in starts)
+        return next((solution.q for solution in solutions if solution.reached), None)
 
 
 def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
