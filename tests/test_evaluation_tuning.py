@@ -10,12 +10,12 @@ from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import tune
 from minidual.trials import tuning
 from minidual.trials.metrics import TrialMetrics
+from minidual.trials.runner import TrialResult
 from minidual.trials.tuning import (
     FORCE_FACTOR,
     FORCES_N,
     OSCILLATION_MAX_M,
     STIFFNESSES_N_PER_M,
-    Carried,
     Tuner,
     TuningError,
     gains,
@@ -54,7 +54,7 @@ def plant(monkeypatch):
             pinch_force_min_n=60.0,
             goal_error_m=0.001,
         )
-        return Carried(metrics, law["tracking_m"], oscillation)
+        return TrialResult(metrics, measured={"tracking_max_m": law["tracking_m"], "oscillation_m": oscillation})
 
     monkeypatch.setattr(tuning, "carry_once", carry_once)
     law["starts"] = starts

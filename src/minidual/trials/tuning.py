@@ -5,7 +5,7 @@ The steps are safe, force, stiffness (docs/carry.md). Each is five carries; the 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
-from minidual.trials.metrics import TrialMetrics
-from minidual.trials.runner import LOG_RATE_HZ, Bench
+from minidual.trials.runner import LOG_RATE_HZ, Bench, TrialResult
 from minidual.workers import in_workers
 
 PURPOSE = "tuning"
@@ -36,6 +35,11 @@ _FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
 _SAFE_TORQUE = 0.95
 # The condition of success that the softest step may fail.
 _SQUEEZED = "squeezed"
+_WORST: dict[str, Callable[[Sequence[float]], Any]] = {
+    **dict.fromkeys(("tracking_max_m", "oscillation_m", "torque_ratio_max", "tilt_max_rad"), np.max),
+    "internal_force_min_n": np.min,
+}
+"""What the worst of several carries is."""
 
 
 class TuningError(MinidualError):
@@ -43,32 +47,18 @@ class TuningError(MinidualError):
 
 
 @dataclass(frozen=True)
-class Carried:
-    """One carry of a step.
-
-    Attributes:
-        tracking_max_m: Largest position error of the object.
-        oscillation_m: RMS of that error above 5 Hz.
-    """
-
-    metrics: TrialMetrics
-    tracking_max_m: float
-    oscillation_m: float
-
-
-@dataclass(frozen=True)
 class TuningStep:
-    """Carries with one force and stiffness."""
+    """Carries with one force and stiffness; their numbers in `_WORST` are attributes, NaN propagates."""
 
     phase: str
     force_n: float
     stiffness_n_per_m: float
-    carries: Sequence[Carried]
+    carries: Sequence[TrialResult]
 
     @property
     def holds(self) -> bool:
         """Whether all succeeded."""
-        return all(c.metrics.success for c in self.carries)
+        return all(c.success for c in self.carries)
 
     @property
     def steady(self) -> bool:
@@ -76,17 +66,13 @@ class TuningStep:
         return self.holds and self.oscillation_m <= OSCILLATION_MAX_M
 
     def __getattr__(self, name: str) -> float:
-        """Return the worst of a number of the carries; NaN propagates."""
-        if name in ("tracking_max_m", "oscillation_m"):
-            return float(np.max([getattr(c, name) for c in self.carries]))
-        if name not in ("torque_ratio_max", "tilt_max_rad", "internal_force_min_n"):
+        if name not in _WORST:
             raise AttributeError(name)
-        worst = np.min if name == "internal_force_min_n" else np.max
-        return float(worst([getattr(c.metrics, name) for c in self.carries]))
+        return float(_WORST[name]([{**vars(c.metrics), **c.measured}[name] for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
         """Return the tuning.csv row."""
-        failed = [c.metrics.text for c in self.carries if not c.metrics.success]
+        failed = [c.text for c in self.carries if not c.success]
         return {
             "phase": self.phase,
             "internal_force_n": round(self.force_n, 2),
@@ -179,7 +165,7 @@ class Tuner:
         if not step.torque_ratio_max < _SAFE_TORQUE:
             share = f"{100 * step.torque_ratio_max:.0f} %"
             raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
-        failed = [c.metrics for c in step.carries if not c.metrics.success and c.metrics.failure != _SQUEEZED]
+        failed = [c.metrics for c in step.carries if not c.success and c.metrics.failure != _SQUEEZED]
         if failed:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
 
@@ -211,8 +197,8 @@ def _bracket(
     return low, high
 
 
-def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
-    """Carry once and measure."""
+def carry_once(inputs: MethodInputs, trial: Trial) -> TrialResult:
+    """Carry once; measure `tracking_max_m`, the largest position error of the object, and `oscillation_m` of it too."""
     bench = Bench("impedance", inputs)
     every = round(1.0 / (LOG_RATE_HZ * bench.world.dt))
     errors: list[Array] = []
@@ -228,7 +214,8 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> Carried:
     result, _ = bench.run(trial, on_step=watch)
     log = np.array(errors).reshape(-1, 3)
     tracking_max_m = float(np.linalg.norm(log, axis=1).max()) if errors else math.nan
-    return Carried(result.metrics, tracking_max_m, oscillation_m(log))
+    found = {"tracking_max_m": tracking_max_m, "oscillation_m": oscillation_m(log)}
+    return replace(result, measured={**result.measured, **found})
 
 
 def oscillation_m(errors: Array, rate_hz: float = LOG_RATE_HZ) -> float:

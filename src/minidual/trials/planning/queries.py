@@ -82,7 +82,6 @@ class QueryGenerator:
 
     def kind(self, group: str, index: int) -> str:
         """Return the required kind of a query."""
-        GROUP_ARMS[group]
         if int((index + 1) * self.blocked_fraction) == int(index * self.blocked_fraction):
             return "any"
         return self.kind_of(group, index)
