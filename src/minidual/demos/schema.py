@@ -30,6 +30,7 @@ TICKS = "num_timesteps"
 """Attribute: number of ticks."""
 MAX_SYNC_S = 0.020
 """Largest time between joints and images."""
+_PLAIN = {"success": bool, "sim": bool, "fps": float, "task": str, "seed": int}  # attributes that are not JSON
 
 
 @dataclass(frozen=True)
@@ -106,17 +107,9 @@ class EpisodeMeta:
 
     def to_attrs(self, ticks: int) -> dict[str, Any]:
         """Return the attributes of a file."""
-        return {
-            TICKS: int(ticks),
-            "success": bool(self.success),
-            "sim": bool(self.sim),
-            "fps": float(self.fps),
-            "task": self.task,
-            "seed": int(self.seed),
-            "cameras": json.dumps(list(self.cameras)),
-            "schema_version": SCHEMA_VERSION,
-            "extra": json.dumps(dict(self.extra), sort_keys=True, allow_nan=False),
-        }
+        plain = {name: kind(getattr(self, name)) for name, kind in _PLAIN.items()}
+        cameras, extra = json.dumps(list(self.cameras)), json.dumps(dict(self.extra), sort_keys=True, allow_nan=False)
+        return {TICKS: int(ticks), **plain, "cameras": cameras, "schema_version": SCHEMA_VERSION, "extra": extra}
 
     @staticmethod
     def from_attrs(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:
@@ -127,8 +120,7 @@ class EpisodeMeta:
         try:
             if (version := int(attrs["schema_version"])) != SCHEMA_VERSION:
                 raise DataError(f"schema version {version}; this program reads version {SCHEMA_VERSION}")
-            kinds = {"fps": float, "task": str, "seed": int, "sim": bool, "success": bool}
-            plain: dict[str, Any] = {name: kind(attrs[name]) for name, kind in kinds.items()}
+            plain: dict[str, Any] = {name: kind(attrs[name]) for name, kind in _PLAIN.items()}
             cameras = tuple(map(str, json.loads(attrs["cameras"])))
             meta = EpisodeMeta(cameras=cameras, extra=json.loads(attrs.get("extra", "{}")), **plain)
             if (ticks := int(attrs[TICKS])) < 0:

@@ -104,11 +104,9 @@ class ActKind(PolicyKind):
             policy.load_state_dict(read_tensors(folder / "model.safetensors"))
             policy.to(device)
             policy.eval()
-            overrides = {"device_processor": {"device": device}}
-            return Trained(
-                policy,
-                *make_pre_post_processors(policy.config, pretrained_path=str(folder), preprocessor_overrides=overrides),
-            )
+            on_device = {"device_processor": {"device": device}}
+            stored: dict[str, Any] = {"pretrained_path": str(folder), "preprocessor_overrides": on_device}
+            return Trained(policy, *make_pre_post_processors(policy.config, **stored))
 
     def _read_config(self, folder: Path, device: str) -> PreTrainedConfig:
         record = read_json(folder / "config.json")
@@ -161,10 +159,8 @@ def check_processor(path: Path) -> None:
 def check_sizes(config: PreTrainedConfig) -> None:
     """Raise ValueError if the network would not fit a common memory."""
     sizes = {name: [value] for name, value in vars(config).items() if isinstance(value, int)}
-    sizes |= {
-        name: feature.shape
-        for name, feature in {**(config.input_features or {}), **(config.output_features or {})}.items()
-    }
+    features = {**(config.input_features or {}), **(config.output_features or {})}
+    sizes |= {name: feature.shape for name, feature in features.items()}
     for name, values in sizes.items():
         limit = LAYERS_MAX if name.endswith("_layers") else SIZE_MAX
         if not all(0 <= value <= limit for value in values):

@@ -73,9 +73,7 @@ class PolicyPilot:
         runtime.reset()
         self.stack.request(SOURCE)
         self._step = 0
-        self._sequence = 0
         self.stack.arbitrate()
-        self.refusals = 0
 
     @property
     def phase(self) -> str:
@@ -100,12 +98,10 @@ class PolicyPilot:
     def _tick(self) -> None:
         if self.stack.state is not ArbiterState.SETTLING and self.aborted is None:
             try:
-                command = next_command(self._runtime, self.world, self._picture, self._sequence + 1)
+                command = next_command(self._runtime, self.world, self._picture, self._step + 1)
             except DataError as error:
                 self.aborted = error.message
                 self.stack.halt(SOURCE)
             else:
-                self._sequence += 1
-                if self.stack.propose(SOURCE, command) is not None:
-                    self.refusals += 1
+                self.stack.propose(SOURCE, command)
         self.stack.arbitrate()

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from minidual.errors import DataError
 from minidual.registry import rows_beside
-
-Floats = NDArray[np.float64]
+from minidual.robot.pair import Array
 
 _STOPS: dict[str, dict[str, str]] = rows_beside(__file__)
 OVERSHOOT_RAD = 0.3  # networks regress to targets at a limit with some error
@@ -37,19 +36,19 @@ class Plausible:
     Every method raises PolicyStoppedError.
     """
 
-    def __init__(self, lower: Floats, upper: Floats) -> None:
+    def __init__(self, lower: Array, upper: Array) -> None:
         self._lower, self._upper, self._n = lower - OVERSHOOT_RAD, upper + OVERSHOOT_RAD, len(lower)
         self.reset()
 
     def reset(self) -> None:
         """Forget what was seen and emitted."""
-        self._pictures: dict[str, tuple[int, Floats]] = {}
-        self._extreme: Floats | None = None
+        self._pictures: dict[str, tuple[int, Array]] = {}
+        self._extreme: Array | None = None
         self._sign = np.zeros(self._n)
         self._turned: deque[NDArray[np.bool_]] = deque([np.zeros(self._n, dtype=bool)] * _WINDOW_TICKS)
         self._turns = np.zeros(self._n, dtype=int)
 
-    def pictures(self, images: Mapping[str, NDArray[np.uint8]], q: Floats) -> None:
+    def pictures(self, images: Mapping[str, NDArray[np.uint8]], q: Array) -> None:
         """Check images (H, W, 3) taken at joints q (n,) [rad]."""
         for camera, image in images.items():
             content = zlib.crc32(np.ascontiguousarray(image))
@@ -59,7 +58,7 @@ class Plausible:
             elif (moved := float(np.abs(q - q_before).max())) > MOVED_RAD:
                 raise PolicyStoppedError("frozen_picture", camera=camera, moved_rad=moved, bound_rad=MOVED_RAD)
 
-    def chunk(self, chunk: Floats) -> None:
+    def chunk(self, chunk: Array) -> None:
         """Check the joint targets (k, n) that will run."""
         zero = np.abs(chunk).max(axis=1) < _ZERO_RAD
         if zero.any():
@@ -70,7 +69,7 @@ class Plausible:
             named = {"asked_rad": chunk[row, joint], "lower_rad": self._lower[joint], "upper_rad": self._upper[joint]}
             raise PolicyStoppedError("out_of_bounds", joint=joint + 1, joints_n=self._n, **named)
 
-    def action(self, q: Floats) -> None:
+    def action(self, q: Array) -> None:
         """Check that the joint targets q (n,) do not swing to and fro."""
         if self._extreme is None:
             self._extreme = q.copy()

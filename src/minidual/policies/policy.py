@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError, UsageError
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
-from minidual.policies.plausible import Floats, Plausible
-
-Limits = tuple[Floats, Floats]
-"""Lower and upper (n,) [rad]."""
+from minidual.policies.plausible import Plausible
+from minidual.robot.pair import Array
 
 
 class PolicyRuntime:
@@ -32,7 +30,12 @@ class PolicyRuntime:
     """
 
     def __init__(
-        self, policy: ChunkPolicy, *, n_action_steps: int = 25, blend_ticks: int = 8, limits: Limits | None = None
+        self,
+        policy: ChunkPolicy,
+        *,
+        n_action_steps: int = 25,
+        blend_ticks: int = 8,
+        limits: tuple[Array, Array] | None = None,
     ) -> None:
         self.policy, self.joints_n = policy, policy.dim - GRIPPERS_N
         if not 1 <= n_action_steps <= policy.chunk_size:
@@ -71,12 +74,12 @@ class PolicyRuntime:
 
     def reset(self) -> None:
         """Drop the queue (new episode or mode)."""
-        self._chunk: Floats | None = None
-        self._old: Floats | None = None
+        self._chunk: Array | None = None
+        self._old: Array | None = None
         self._cursor = 0
         self._plausible.reset()
 
-    def act(self, images: Mapping[str, Image | Callable[[], Image]], state: Floats) -> Floats:
+    def act(self, images: Mapping[str, Image | Callable[[], Image]], state: Array) -> Array:
         """Return this tick's action (dim,): joint targets [rad], then openings.
 
         `images` are (H, W, 3) uint8, or functions that render them when needed; `state` is (dim,).
@@ -103,7 +106,7 @@ class PolicyRuntime:
         self._plausible.action(action[:n])
         return np.clip(action, self._lower, self._upper)
 
-    def predict_chunk(self, images: Mapping[str, Image], state: Floats) -> Floats:
+    def predict_chunk(self, images: Mapping[str, Image], state: Array) -> Array:
         """Return one raw chunk (chunk_size, dim)."""
         started = time.perf_counter()
         seen = {camera: self._checked_image(images, camera) for camera in self.cameras}
@@ -113,7 +116,7 @@ class PolicyRuntime:
             raise DataError("the policy emitted an action that is not finite", remedy="minidual train-act --force")
         return chunk
 
-    def _checked_state(self, state: Floats) -> NDArray[np.float32]:
+    def _checked_state(self, state: Array) -> NDArray[np.float32]:
         array, dim = np.asarray(state, dtype=np.float32), self.policy.dim
         if array.shape != (dim,):
             raise DataError(
