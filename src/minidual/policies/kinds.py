@@ -50,7 +50,7 @@ class Training:
     config: TrainConfig
     seed: int
     resume_dir: Path | None = None
-    advance: Advance | None = None
+    advance: Advance = lambda steps, loss: None
 
 
 class PolicyKind(ABC):

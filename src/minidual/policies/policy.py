@@ -17,6 +17,9 @@ from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import Plausible
 from minidual.robot.pair import Array
 
+Limits = tuple[Array, Array]
+"""Lower and upper (n,) [rad]."""
+
 
 class PolicyRuntime:
     """Maps images and state to actions.
@@ -30,12 +33,7 @@ class PolicyRuntime:
     """
 
     def __init__(
-        self,
-        policy: ChunkPolicy,
-        *,
-        n_action_steps: int = 25,
-        blend_ticks: int = 8,
-        limits: tuple[Array, Array] | None = None,
+        self, policy: ChunkPolicy, *, n_action_steps: int = 25, blend_ticks: int = 8, limits: Limits | None = None
     ) -> None:
         self.policy, self.joints_n = policy, policy.dim - GRIPPERS_N
         if not 1 <= n_action_steps <= policy.chunk_size:

@@ -131,11 +131,11 @@ class _Loop:
         done = (step - warmup) / max(1, config.steps - warmup)
         return config.learning_rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * done)))
 
-    def run(self, advance: Advance | None) -> str:
+    def run(self, advance: Advance) -> str:
         """Train; return "steps" or "time limit"."""
         config, state = self.config, self.state
         self.policy.train()
-        if advance is not None and state.step:
+        if state.step:
             advance(state.step, state.recent[-1][0] if state.recent else state.curve[-1].loss)
         last = time.perf_counter()
         while state.step < config.steps:
@@ -147,8 +147,7 @@ class _Loop:
             state.spent_s, last = state.spent_s + now - last, now
             if state.step % config.checkpoint_every_steps == 0 or state.step == config.steps:
                 self.save()  # the last one too: the next seed may be interrupted
-            if advance is not None:
-                advance(1, loss)
+            advance(1, loss)
             if state.spent_s > config.time_limit_s and state.step < config.steps:
                 self._log()
                 return "time limit"

@@ -160,11 +160,9 @@ def trial_metrics(
         duration_s=outcome.duration_s if outcome.success else math.nan,
         torque_ratio_max=torque_ratio_max,
         jerk_rms=math.nan if (len(q) - 1) / rate_hz < MIN_DURATION_S else rms_jerk(q, rate_hz),
-        tilt_max_rad=outcome.tilt_max_rad,
         path_length_m=float(path_length_m(tcp_positions).mean()),
-        internal_force_min_n=outcome.internal_force_min_n,
         pinch_force_min_n=outcome.pinch_min_n,
-        goal_error_m=outcome.goal_error_m,
+        **{name: getattr(outcome, name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},
         aborted=aborted,
     )
 
