@@ -42,7 +42,7 @@ def test_a_smoother_object_is_squeezed_less_and_not_lost(bench):
     assert result.success, result.text
     # 2 mu F_pinch = 36 N cannot carry 40 N of squeeze
     assert wanted[-1] < 2.0 * 0.3 * bench.world.scene.physics.finger_force_max_n
-    assert result.metrics.internal_force_min_n > bench.world.scene.task.internal_force_min_n
+    assert result.internal_force_min_n > bench.world.scene.task.internal_force_min_n
 
 
 def test_an_object_as_expected_is_squeezed_as_told(bench):
@@ -56,7 +56,7 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
     weak = Bench("impedance", MethodInputs(config, 11))
     result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0), condition="friction 0.3")
     assert not result.success
-    assert "slip" in result.metrics.aborted
+    assert "slip" in result.aborted
 
 
 def test_a_camera_is_trusted_as_far_as_it_scatters():
@@ -76,7 +76,7 @@ def test_worse_sensing_raises_no_false_alarm(bench):
     result, _ = carry(Bench("impedance", MethodInputs(config, 11)), noise.name)
     assert result.success, result.text
     plain, _ = carry(bench, "clean")
-    assert result.metrics.to_row() != {**plain.metrics.to_row(), "condition": noise.name}, "the noise was not sensed"
+    assert result.to_row() != {**plain.to_row(), "condition": noise.name}, "the noise was not sensed"
 
 
 def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():

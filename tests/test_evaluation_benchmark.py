@@ -28,7 +28,7 @@ from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_tria
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.runner import Bench, TrialResult, run_trials
+from minidual.trials.runner import Bench, run_trials
 
 SEED, METHODS = 7, ("moveit", "impedance", "act")
 ASKED = {CLEAN: 6, "push +x": 4, "pose noise x3": 4, "delay 20 ms": 4, "light -30 %": 4}
@@ -41,10 +41,10 @@ BLANK = {
 }
 
 
-def outcome(method: str, index: int, condition: str, *, success: bool = True) -> TrialResult:
+def outcome(method: str, index: int, condition: str, *, success: bool = True) -> TrialMetrics:
     """Return a trial whose numbers depend on its name alone."""
     number = np.random.default_rng([index, *method.encode(), *condition.encode()]).uniform()
-    metrics = TrialMetrics(
+    return TrialMetrics(
         method,
         index,
         condition,
@@ -63,7 +63,6 @@ def outcome(method: str, index: int, condition: str, *, success: bool = True) ->
         "" if success else "it slipped",
         disturbed=True if CONDITIONS[condition].act else None,
     )
-    return TrialResult(metrics)
 
 
 @pytest.fixture
@@ -73,7 +72,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
 
     def run_trials(
         method: str, inputs: MethodInputs, trials: list[Any], *, workers: int, condition: str, watch: Any = None
-    ) -> Iterator[TrialResult]:
+    ) -> Iterator[TrialMetrics]:
         calls.append((method, condition, [t.start for t in trials], inputs.config))
         for trial in trials:
             yield outcome(method, trial.index, condition, success=(trial.index, method) != (1, "act"))
@@ -167,10 +166,10 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
 ) -> None:
     run = benchmark.run_trials
 
-    def missed(*given: Any, condition: str, **other: Any) -> Iterator[TrialResult]:
+    def missed(*given: Any, condition: str, **other: Any) -> Iterator[TrialMetrics]:
         for result in run(*given, condition=condition, **other):
-            if condition == "push +x" and result.metrics.index == 2:
-                result = dataclasses.replace(result, metrics=dataclasses.replace(result.metrics, disturbed=disturbed))
+            if condition == "push +x" and result.index == 2:
+                result = dataclasses.replace(result, disturbed=disturbed)
             yield result
 
     assert failing(table().values()) == set()
@@ -350,9 +349,9 @@ def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
     bench = Bench("impedance", MethodInputs(Config(), SEED))
     result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0), condition="moved 20 mm")
     assert not result.success
-    assert "knocked_away" in result.metrics.aborted
-    assert result.metrics.disturbed is True
-    assert result.metrics.to_row()["disturbed"] is True
+    assert "knocked_away" in result.aborted
+    assert result.disturbed is True
+    assert result.to_row()["disturbed"] is True
 
 
 @pytest.mark.parametrize(
@@ -376,9 +375,9 @@ def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
     draw = runner.stream
     monkeypatch.setattr(runner, "stream", lambda seed, name, index: streams.append(name) or draw(seed, name, index))
     result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0), condition=typed)
-    assert result.metrics.disturbed is disturbed
-    assert result.metrics.condition == CONDITIONS[typed.replace("_", " ")].name
-    assert f"disturbance/benchmark/{result.metrics.condition}" in streams
+    assert result.disturbed is disturbed
+    assert result.condition == CONDITIONS[typed.replace("_", " ")].name
+    assert f"disturbance/benchmark/{result.condition}" in streams
 
 
 def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
@@ -387,7 +386,7 @@ def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
     used, fresh = (Bench("impedance", MethodInputs(Config(), SEED)) for _ in range(2))
     for name in ("mass +50 %", "moved 20 mm"):
         used.run(first, condition=name)
-    rows = [bench.run(second, condition="moved 20 mm")[0].metrics.to_row() for bench in (used, fresh)]
+    rows = [bench.run(second, condition="moved 20 mm")[0].to_row() for bench in (used, fresh)]
     assert rows[0] == rows[1]
 
 
@@ -397,7 +396,7 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
     inputs = MethodInputs(config, SEED)
     one, two = (
-        [r.metrics.to_row() for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
+        [r.to_row() for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
         for n in (1, 2)
     )
     assert one == two
@@ -424,7 +423,7 @@ def test_the_floor_rests_or_drives_one_plan_wherever_the_object_is() -> None:
     result, log = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0))
     assert not result.success
     assert np.abs(log.q - log.q[0]).max() < 0.01
-    assert np.isfinite(result.metrics.jerk_rms)
+    assert np.isfinite(result.jerk_rms)
     replay = Bench("replay", MethodInputs(Config(), SEED))
     plans = []
     for index in range(2):

@@ -14,12 +14,11 @@ from minidual.trials.conditions import CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.perturbation import PURPOSE, Robustness, promised, robustness
-from minidual.trials.runner import TrialResult
 
 
-def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
+def trial_result(index: int, condition: str, *, success: bool) -> TrialMetrics:
     nan = float("nan")
-    metrics = TrialMetrics(
+    return TrialMetrics(
         "impedance",
         index,
         condition,
@@ -37,7 +36,6 @@ def trial_result(index: int, condition: str, *, success: bool) -> TrialResult:
         0.001,
         disturbed=True if CONDITIONS[condition].act else None,
     )
-    return TrialResult(metrics)
 
 
 @pytest.fixture
@@ -161,8 +159,7 @@ def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkey
 
     def missed(*given, condition, **other):
         for result in run(*given, condition=condition, **other):
-            metrics = dataclasses.replace(result.metrics, disturbed=False)
-            yield dataclasses.replace(result, metrics=metrics) if condition == "push -y" else result
+            yield dataclasses.replace(result, disturbed=False) if condition == "push -y" else result
 
     monkeypatch.setattr(benchmark, "run_trials", missed)
     rows = found()

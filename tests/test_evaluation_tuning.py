@@ -10,7 +10,6 @@ from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import tune
 from minidual.trials import tuning
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.runner import TrialResult
 from minidual.trials.tuning import (
     FORCE_FACTOR,
     FORCES_N,
@@ -37,7 +36,7 @@ def plant(monkeypatch):
         least = impedance.internal_force_n - law["loss_n"]
         holds = least > NEEDED_N and impedance.internal_force_n < law["slips_n"]
         oscillation = OSCILLATION_MAX_M * impedance.stiffness_n_per_m / law["oscillates"]
-        metrics = TrialMetrics(
+        return TrialMetrics(
             method="impedance",
             index=trial.index,
             condition="clean",
@@ -53,8 +52,8 @@ def plant(monkeypatch):
             internal_force_min_n=least,
             pinch_force_min_n=60.0,
             goal_error_m=0.001,
+            measured={"tracking_max_m": law["tracking_m"], "oscillation_m": oscillation},
         )
-        return TrialResult(metrics, measured={"tracking_max_m": law["tracking_m"], "oscillation_m": oscillation})
 
     monkeypatch.setattr(tuning, "carry_once", carry_once)
     law["starts"] = starts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,7 +27,6 @@ from minidual.stages.deploy import deploy_checks, deploy_starts, seed_rates, set
 from minidual.stages.train_act import training_seeds
 from minidual.tasks.task import make_task
 from minidual.trials.metrics import TrialMetrics, summarise
-from minidual.trials.runner import TrialResult
 
 TASK = Config().scene.task
 
@@ -62,7 +62,7 @@ def failing(checks: list[Check]) -> set[str]:
 
 
 def carry(rows: list[TrialMetrics]) -> list[Check]:
-    return carry_checks([TrialResult(row) for row in rows], CarryLimits(), TASK)
+    return carry_checks(rows, CarryLimits(), TASK)
 
 
 def test_good_carries_pass_every_check() -> None:
@@ -96,7 +96,7 @@ def test_two_lost_rods_of_two_hundred_are_allowed_and_three_are_not() -> None:
 
 def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
     def saturated(seconds: float) -> set[str]:
-        results = [TrialResult(row, saturated_max_s=seconds if row.index == 3 else 0.0) for row in trials()]
+        results = [replace(row, saturated_max_s=seconds if row.index == 3 else 0.0) for row in trials()]
         return failing(carry_checks(results, CarryLimits(), TASK))
 
     assert saturated(0.02) == set()
@@ -205,9 +205,7 @@ def test_deploy_refuses_conditions_that_the_policy_does_not_feel() -> None:
 
 
 def test_rates_of_seeds_are_told_apart_and_each_training_has_its_own_seed() -> None:
-    results = [
-        TrialResult(TrialMetrics(**{**GOOD, **won, "index": i})) for i, won in enumerate([{}, {}, BAD, {}, BAD, BAD])
-    ]
+    results = [TrialMetrics(**{**GOOD, **won, "index": i}) for i, won in enumerate([{}, {}, BAD, {}, BAD, BAD])]
     assert seed_rates(results, 3) == [1.0, 0.5, 0.0]
     with pytest.raises(ValueError, match="reshape"):
         seed_rates(results[:5], 3)

@@ -128,8 +128,8 @@ def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world:
     trial = sample_trial(config.scene, SEED, "benchmark", 0)
     result, _ = bench.run(trial, on_step=lambda _, method: phases.add(method.phase))
     assert not result.success
-    assert "reflex" in result.metrics.aborted
-    assert "joint_velocity" in result.metrics.aborted
+    assert "reflex" in result.aborted
+    assert "joint_velocity" in result.aborted
     assert "stop" in phases
     assert bench.world.gripper.min() > 0.9, "a hand that had nothing to do with it closed"
     assert np.abs(bench.world.v).max() < 0.01

@@ -24,7 +24,8 @@ from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.tasks.task import task_config
 from minidual.trials.methods import MethodInputs
-from minidual.trials.runner import Bench, TrialLog, TrialResult, run_trials
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.runner import Bench, TrialLog, run_trials
 
 CONFIG = Config()
 SUBPROTOCOL = "viser-v1.1.1"
@@ -207,7 +208,7 @@ def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:
 
 
 def _keeping(run: Any, logs: list[TrialLog]) -> Any:
-    def kept(*given: Any, **how: Any) -> tuple[TrialResult, TrialLog]:
+    def kept(*given: Any, **how: Any) -> tuple[TrialMetrics, TrialLog]:
         result, log = run(*given, **how)
         logs.append(log)
         return result, log
@@ -237,7 +238,7 @@ def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(
     assert np.array_equal(log.tau, logs[0].tau)
     slower = sample_trial(scene, 5, "view-test", 1)  # another start is another trial: the comparison can fail
     (other,) = run_trials("impedance", inputs, [slower], workers=1)
-    assert other.metrics != plain.metrics
+    assert other != plain
 
 
 def test_between_pictures_a_step_pays_for_a_look_at_the_clock_only(view: WebView) -> None:

@@ -13,8 +13,7 @@ from minidual.tasks.task import tasks_of
 from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trials, run_benchmark, trials_asked
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs
-from minidual.trials.metrics import MethodSummary
-from minidual.trials.runner import TrialResult
+from minidual.trials.metrics import MethodSummary, TrialMetrics
 
 _REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
 
@@ -77,8 +76,8 @@ def run(context: StageContext) -> StageResult:
     with context.progress.task("benchmark trials", count) as progress:
         for task, given in inputs.items():
 
-            def tell(result: TrialResult, task: str = task) -> None:
-                progress.advance(note=f"{task}, {result.metrics.method}, {result.metrics.condition}")
+            def tell(result: TrialMetrics, task: str = task) -> None:
+                progress.advance(note=f"{task}, {result.method}, {result.condition}")
 
             trials_n = asked[task]
             cells, trials = run_benchmark(methods, trials_n, given, workers=context.workers, on_trial=tell, watch=watch)

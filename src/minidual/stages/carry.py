@@ -19,17 +19,16 @@ from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import MethodInputs
-from minidual.trials.metrics import summarise
-from minidual.trials.runner import Bench, TrialLog, TrialResult, run_trials
+from minidual.trials.metrics import TrialMetrics, summarise
+from minidual.trials.runner import Bench, TrialLog, run_trials
 
 METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20
 """Failures recorded at most; trials.csv has all."""
 
 
-def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: TaskConfig) -> list[Check]:
+def carry_checks(trials: Sequence[TrialMetrics], limits: CarryLimits, task: TaskConfig) -> list[Check]:
     """Return the stage's checks of at least one trial; extremes include failed trials, NaN propagates."""
-    trials = [r.metrics for r in results]
     least_n = float(np.min([t.internal_force_min_n for t in trials]))
     durations = [t.duration_s if t.success else task.time_limit_s for t in trials]
     rows: Rows = {
@@ -38,7 +37,7 @@ def carry_checks(results: Sequence[TrialResult], limits: CarryLimits, task: Task
         "internal_force_min_n": (least_n, ">", task.internal_force_min_n),
         "duration_max_s": (float(np.max(durations)), "<", limits.duration_max_s),
         "torque_ratio_max": (float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0),
-        "saturated_max_s": (float(np.max([r.saturated_max_s for r in results])), "<=", limits.saturation_max_s),
+        "saturated_max_s": (float(np.max([t.saturated_max_s for t in trials])), "<=", limits.saturation_max_s),
     }
     return worded("carry", rows)
 
@@ -48,16 +47,15 @@ def run(context: StageContext) -> StageResult:
     config, task = context.config, make_task(context.config)
     inputs, watch = MethodInputs(config, context.seed), watch_trials(context.view)
     trials = [task.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
-    results: list[TrialResult] = []
+    results: list[TrialMetrics] = []
     with context.progress.task("carries", len(trials)) as bar:
         for result in run_trials(METHOD, inputs, trials, workers=context.workers, watch=watch):
             results.append(result)
-            bar.advance(note="" if result.success else f"trial {result.metrics.index}: {result.text}")
-    metrics = [r.metrics for r in results]
-    summary = summarise(metrics, stream(context.seed, "bootstrap/carry"))
-    write_csv(context.folder / "trials.csv", [m.to_row() for m in metrics])
+            bar.advance(note="" if result.success else f"trial {result.index}: {result.text}")
+    summary = summarise(results, stream(context.seed, "bootstrap/carry"))
+    write_csv(context.folder / "trials.csv", [m.to_row() for m in results])
 
-    order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in metrics], kind="stable")
+    order = np.argsort([-m.tilt_max_rad if m.success else -np.inf for m in results], kind="stable")
     shown = {"median": int(order[len(order) // 2]), "worst": int(order[0])}
     logs = _record(context, Bench(METHOD, inputs), trials, results, shown)
     with context.progress.task("films", len(shown)) as bar:
@@ -69,8 +67,8 @@ def run(context: StageContext) -> StageResult:
 
     reported: Rows = {
         "success_low": summary["success_low"],
-        "goal_error_max_m": float(np.max([m.goal_error_m for m in metrics])),
-        "pinch_force_min_n": float(np.min([m.pinch_force_min_n for m in metrics])),
+        "goal_error_max_m": float(np.max([m.goal_error_m for m in results])),
+        "pinch_force_min_n": float(np.min([m.pinch_force_min_n for m in results])),
         "duration_median_s": summary["duration_median_s"],
         "jerk_rms_median": summary["jerk_rms_median"],
     }
@@ -80,7 +78,7 @@ def run(context: StageContext) -> StageResult:
 
 
 def _record(
-    context: StageContext, bench: Bench, trials: list[Trial], results: list[TrialResult], shown: dict[str, int]
+    context: StageContext, bench: Bench, trials: list[Trial], results: list[TrialMetrics], shown: dict[str, int]
 ) -> dict[str, TrialLog]:
     logs: dict[str, TrialLog] = {}
     failed = [i for i, result in enumerate(results) if not result.success]

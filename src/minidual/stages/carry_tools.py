@@ -12,8 +12,8 @@ from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
 from minidual.trials.benchmark import count_trials, run_benchmark
 from minidual.trials.methods import MethodInputs
+from minidual.trials.metrics import TrialMetrics
 from minidual.trials.perturbation import DROP_MAX, PURPOSE, promised, robustness
-from minidual.trials.runner import TrialResult
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
 
 PERTURB_TRIALS_N = 20
@@ -26,8 +26,8 @@ def perturb(context: ToolContext) -> ToolResult:
     asked, watch = (["impedance"], promised(trials_n), inputs), watch_trials(context.view)
     with context.progress.task("disturbed carries", count_trials(*asked)) as task:
 
-        def tell(result: TrialResult) -> None:
-            task.advance(note=result.metrics.condition)
+        def tell(result: TrialMetrics) -> None:
+            task.advance(note=result.condition)
 
         cells, trials = run_benchmark(*asked, workers=context.workers, purpose=PURPOSE, on_trial=tell, watch=watch)
     found = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)

@@ -27,8 +27,8 @@ from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
-from minidual.trials.metrics import MethodSummary, summarise
-from minidual.trials.runner import Bench, TrialResult, run_trials
+from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
+from minidual.trials.runner import Bench, run_trials
 
 METHOD = "act"
 HELD_OUT = "deploy"
@@ -81,19 +81,18 @@ def run(context: StageContext) -> StageResult:
         task, widen = make_task(config), CONDITIONS[name].widen
         sets[name] = name, [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]]
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
-    results: dict[str, list[TrialResult]] = {name: [] for name in sets}
+    results: dict[str, list[TrialMetrics]] = {name: [] for name in sets}
     with context.progress.task("policy trials", len(checkpoints) * sum(len(t) for _, t in sets.values())) as bar:
         for k, given in enumerate(inputs):
             for name, (under, trials) in sets.items():
                 for result in run_trials(METHOD, given, trials, workers=context.workers, condition=under, watch=watch):
                     # The tables list the undisturbed sets as conditions, too, and count on from policy to policy.
-                    index = k * len(trials) + result.metrics.index
-                    labelled = replace(result.metrics, condition=name, index=index)
-                    results[name].append(replace(result, metrics=labelled))
+                    index = k * len(trials) + result.index
+                    results[name].append(replace(result, condition=name, index=index))
                     bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")
-    write_csv(context.folder / "trials.csv", [r.metrics.to_row() for rows in results.values() for r in rows])
+    write_csv(context.folder / "trials.csv", [r.to_row() for rows in results.values() for r in rows])
     rng = stream(context.seed, "bootstrap/deploy")
-    summaries = {name: summarise([r.metrics for r in rows], rng) for name, rows in results.items() if rows}
+    summaries = {name: summarise(rows, rng) for name, rows in results.items() if rows}
     film_outcomes(context, inputs, starts["held_out"], results["held_out"])
     inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
     checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
@@ -107,7 +106,7 @@ def run(context: StageContext) -> StageResult:
     checks += _looks(context, checkpoints[0], starts["held_out"][0])
     clear_m = make_task(config).scene.task.clear_height_m
     undisturbed = [r for name in starts for r in results[name]]
-    errors = [r.metrics.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
+    errors = [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
     if errors:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
@@ -124,13 +123,13 @@ def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settin
     return worded("deploy-set", rows, f"{name.replace(' ', '_')}_", set=name, interval=summary.interval)
 
 
-def seed_rates(results: Sequence[TrialResult], seeds_n: int) -> list[float]:
+def seed_rates(results: Sequence[TrialMetrics], seeds_n: int) -> list[float]:
     """Return the success rate of each training seed, from equally many results in order."""
     return np.reshape([result.success for result in results], (seeds_n, -1)).mean(axis=1).tolist()
 
 
 def film_outcomes(
-    context: StageContext, inputs: Sequence[MethodInputs], trials: Sequence[Trial], results: Sequence[TrialResult]
+    context: StageContext, inputs: Sequence[MethodInputs], trials: Sequence[Trial], results: Sequence[TrialMetrics]
 ) -> None:
     """Film a success and a failure; `results` of each of `inputs` in turn."""
     for label, wanted in (("success", True), ("failure", False)):

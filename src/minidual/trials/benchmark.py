@@ -11,7 +11,7 @@ from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.conditions import CLEAN, condition, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
-from minidual.trials.runner import TrialResult, Watch, run_trials
+from minidual.trials.runner import Watch, run_trials
 
 PURPOSE = "benchmark"
 """Random stream of the starts, used by no earlier stage."""
@@ -80,7 +80,7 @@ def run_benchmark(
     *,
     workers: int,
     purpose: str = PURPOSE,
-    on_trial: Callable[[TrialResult], None] = lambda result: None,
+    on_trial: Callable[[TrialMetrics], None] = lambda result: None,
     watch: Watch | None = None,
 ) -> tuple[list[BenchmarkCell], list[TrialMetrics]]:
     """Run every method under every condition, {condition: trials} each.
@@ -104,7 +104,7 @@ def run_benchmark(
             given, task = replace(inputs, config=configs[name]), make_task(configs[name])
             trials = [task.trial(inputs.seed, purpose, i, widen=under.widen) for i in range(n)]
             for result in run_trials(method, given, trials, workers=workers, condition=name, watch=watch):
-                rows.append(result.metrics)
+                rows.append(result)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")
             # Without its push or move, a success is an undisturbed trial.

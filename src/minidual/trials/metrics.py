@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,8 @@ class TrialMetrics:
         internal_force_min_n, pinch_force_min_n: Off the table.
         aborted: Why the method stopped itself.
         disturbed: Whether the push or move took place; None without.
+        saturated_max_s: Longest time of one motor at its limit.
+        measured: The conditions' numbers; neither is in tables.
     """
 
     method: str
@@ -56,6 +58,8 @@ class TrialMetrics:
     goal_error_m: float
     aborted: str = ""
     disturbed: bool | None = None
+    saturated_max_s: float = 0.0
+    measured: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -68,7 +72,8 @@ class TrialMetrics:
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON."""
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
-        row = {name: _said(value, words.get(name, NOT_MEASURED)) for name, value in asdict(self).items()}
+        told = {name: value for name, value in vars(self).items() if name not in ("saturated_max_s", "measured")}
+        row = {name: _said(value, words.get(name, NOT_MEASURED)) for name, value in told.items()}
         return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
 
 
@@ -138,10 +143,11 @@ def trial_metrics(
     q: NDArray[np.floating],
     tcp_positions: NDArray[np.floating],
     rate_hz: float,
-    torque_ratio_max: float,
-    aborted: str = "",
+    **known: Any,
 ) -> TrialMetrics:
     """Return the metrics of one undisturbed trial; `q` is (T, n) [rad], `tcp_positions` (T, 2, 3) [m], both measured.
+
+    `known` are further fields.
 
     Raises:
         DataError: `q` is not finite.
@@ -158,12 +164,12 @@ def trial_metrics(
         reason=cause.detail,
         failed_at_s=cause.at_s,
         duration_s=outcome.duration_s if outcome.success else math.nan,
-        torque_ratio_max=torque_ratio_max,
         jerk_rms=math.nan if (len(q) - 1) / rate_hz < MIN_DURATION_S else rms_jerk(q, rate_hz),
         path_length_m=float(path_length_m(tcp_positions).mean()),
         pinch_force_min_n=outcome.pinch_min_n,
+        measured=outcome.measured,
         **{name: getattr(outcome, name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},
-        aborted=aborted,
+        **known,
     )
 
 

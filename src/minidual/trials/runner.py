@@ -1,7 +1,7 @@
 """Run, judge and log trials."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,30 +68,7 @@ class TrialLog:
     internal_force: Array
 
 
-@dataclass(frozen=True)
-class TrialResult:
-    """Result of one trial.
-
-    Attributes:
-        saturated_max_s: Longest time of one motor at its limit.
-    """
-
-    metrics: TrialMetrics
-    saturated_max_s: float = 0.0
-    measured: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def success(self) -> bool:
-        """Whether all conditions hold."""
-        return self.metrics.success
-
-    @property
-    def text(self) -> str:
-        """The outcome as one line."""
-        return self.metrics.text
-
-
-type Judged = tuple[TrialResult, TrialLog]
+type Judged = tuple[TrialMetrics, TrialLog]
 
 
 class Bench:
@@ -117,7 +94,7 @@ class Bench:
         with spec.applied(self.world.model, self.task, trial, rng):
             result, log = self._run(trial, disturb, on_step)
         took_place = None if disturb is None else disturb.took_place
-        return replace(result, metrics=replace(result.metrics, condition=spec.name, disturbed=took_place)), log
+        return replace(result, condition=spec.name, disturbed=took_place), log
 
     def record(self, trial: Trial, path: Path) -> Judged:
         """Run a trial and write it to `path` (.npz) for replay."""
@@ -173,10 +150,8 @@ class Bench:
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
         logged: dict[str, Any] = {"q": log.q, "tcp_positions": log.tcp, "rate_hz": LOG_RATE_HZ}
-        metrics = trial_metrics(
-            self.method, trial.index, outcome, **logged, torque_ratio_max=peak, aborted=method.aborted or ""
-        )
-        return TrialResult(metrics, longest * world.dt, outcome.measured), log
+        logged |= {"torque_ratio_max": peak, "saturated_max_s": longest * world.dt, "aborted": method.aborted or ""}
+        return trial_metrics(self.method, trial.index, outcome, **logged), log
 
     def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
@@ -204,7 +179,7 @@ def run_trials(
     workers: int,
     condition: str = CLEAN,
     watch: Watch | None = None,
-) -> Iterator[TrialResult]:
+) -> Iterator[TrialMetrics]:
     """Run trials in parallel, or watched in this process; yield results in order."""
     if watch is not None:
         bench = Bench(method, inputs)

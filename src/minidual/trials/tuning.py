@@ -18,7 +18,8 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
-from minidual.trials.runner import LOG_RATE_HZ, Bench, TrialResult
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.runner import LOG_RATE_HZ, Bench
 from minidual.workers import in_workers
 
 PURPOSE = "tuning"
@@ -53,7 +54,7 @@ class TuningStep:
     phase: str
     force_n: float
     stiffness_n_per_m: float
-    carries: Sequence[TrialResult]
+    carries: Sequence[TrialMetrics]
 
     @property
     def holds(self) -> bool:
@@ -68,7 +69,7 @@ class TuningStep:
     def __getattr__(self, name: str) -> float:
         if name not in _WORST:
             raise AttributeError(name)
-        return float(_WORST[name]([{**vars(c.metrics), **c.measured}[name] for c in self.carries]))
+        return float(_WORST[name]([{**vars(c), **c.measured}[name] for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
         """Return the tuning.csv row."""
@@ -165,7 +166,7 @@ class Tuner:
         if not step.torque_ratio_max < _SAFE_TORQUE:
             share = f"{100 * step.torque_ratio_max:.0f} %"
             raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
-        failed = [c.metrics for c in step.carries if not c.success and c.metrics.failure != _SQUEEZED]
+        failed = [c for c in step.carries if not c.success and c.failure != _SQUEEZED]
         if failed:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
 
@@ -197,7 +198,7 @@ def _bracket(
     return low, high
 
 
-def carry_once(inputs: MethodInputs, trial: Trial) -> TrialResult:
+def carry_once(inputs: MethodInputs, trial: Trial) -> TrialMetrics:
     """Carry once; measure `tracking_max_m`, the largest position error of the object, and `oscillation_m` of it too."""
     bench = Bench("impedance", inputs)
     every = round(1.0 / (LOG_RATE_HZ * bench.world.dt))

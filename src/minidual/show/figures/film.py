@@ -13,14 +13,15 @@ from minidual.robot.pair import Array
 from minidual.show.figures.canvas import sheet
 from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
-from minidual.trials.runner import Bench, TrialResult
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.runner import Bench
 
 FILM_FPS = 25
 FILM_SIZE = (640, 480)
 CAMERAS = ("overview", "high", "left", "right")
 
 
-def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialResult:
+def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialMetrics:
     """Film a new run of `trial`; return that run's result."""
     bench, postures = Bench(method, inputs, visuals=True), Postures(1.0 / FILM_FPS)
     result, _ = bench.run(trial, on_step=lambda world, _method: postures(world))
