@@ -118,11 +118,19 @@ def test_a_push_of_the_table_is_twenty_newton_along_its_axis(axis):
     assert pusher.length_s == pytest.approx(0.24)
 
 
+class ShortPush(Push):
+    duration_s, ramp_s, delays_s = 0.02, 0.005, (0.01, 0.01)
+
+
+class AtOnce(Push):
+    delays_s = (0.0, 0.0)
+
+
 def test_a_push_gives_the_object_its_impulse(model):
     """A free object pushed by F for dt, and by half of it during two ramps, gains F (dt + ramp) / m."""
     world = World(Config().scene, model=model)
     world.reset()
-    pusher = Push((20.0, 0.0, 0.0), "rod", 0.01, duration_s=0.02, ramp_s=0.005)
+    pusher = ShortPush(TASK, np.random.default_rng(0), force_n=(20.0, 0.0, 0.0))
     pusher(world)  # sees it at rest
     world.truth().qpos[2] += 0.3  # somebody lifted it
     gained = []
@@ -138,7 +146,7 @@ def test_a_push_gives_the_object_its_impulse(model):
 def test_an_object_on_the_table_is_not_pushed(model):
     world = World(Config().scene, model=model)
     world.reset()
-    pusher = Push((20.0, 0.0, 0.0), "rod", 0.0)
+    pusher = AtOnce(TASK, np.random.default_rng(0), force_n=(20.0, 0.0, 0.0))
     for _ in range(20):
         world.step()
         pusher(world)
@@ -149,7 +157,7 @@ def test_an_object_on_the_table_is_not_pushed(model):
 def test_a_push_on_an_object_that_was_put_down_again_did_not_take_place(model):
     world = World(Config().scene, model=model)
     world.reset()
-    pusher = Push((20.0, 0.0, 0.0), "rod", 0.01, duration_s=0.02, ramp_s=0.005)
+    pusher = ShortPush(TASK, np.random.default_rng(0), force_n=(20.0, 0.0, 0.0))
     pusher(world)
     for lifted in (0.3, -0.3):
         world.truth().qpos[2] += lifted

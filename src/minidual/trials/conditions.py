@@ -270,14 +270,15 @@ def _in_turn(
 
 
 class Push:
-    """One ramped force on the carried object's centre of mass, after it has risen."""
+    """One ramped force on the carried object's centre of mass, at a random time after it has risen."""
 
-    def __init__(
-        self, force_n: Sequence[float], name: str, delay_s: float, *, duration_s: float = 0.2, ramp_s: float = 0.02
-    ) -> None:
-        self._force, self._name, self._delay_s = np.array(force_n, dtype=float), name, delay_s
+    duration_s, ramp_s, delays_s = 0.2, 0.02, _DELAY_S
+
+    def __init__(self, task: Task, rng: np.random.Generator, *, force_n: Sequence[float]) -> None:
+        self._force, self._name = np.array(force_n, dtype=float), task.carried
+        self._delay_s = float(rng.uniform(*self.delays_s))
         # without a ramp 20 N on 0.2 kg throws a rigid object off the pads
-        self.length_s, self._ramp_s = duration_s + 2.0 * ramp_s, ramp_s
+        self.length_s = self.duration_s + 2.0 * self.ramp_s
         self._rest_m: float | None = None
         self._risen_s = np.inf
         self._aloft = True
@@ -285,7 +286,7 @@ class Push:
 
     def at(self, t_s: float) -> Array:
         """Return the force (3,) [N] at a time since its start."""
-        return np.clip(min(t_s, self.length_s - t_s) / self._ramp_s, 0.0, 1.0) * self._force
+        return np.clip(min(t_s, self.length_s - t_s) / self.ramp_s, 0.0, 1.0) * self._force
 
     def __call__(self, world: World) -> None:
         """Act or wait."""
@@ -318,12 +319,7 @@ class Move:
             self.took_place = True
 
 
-def push(task: Task, rng: np.random.Generator, *, force_n: Sequence[float]) -> Disturbance:
-    """Return a push at a random time in the air."""
-    return Push(force_n, task.carried, float(rng.uniform(*_DELAY_S)))
-
-
-_MADE: dict[str, Callable[..., Disturbance]] = {"push": push, "move": Move}
+_MADE: dict[str, Callable[..., Disturbance]] = {"push": Push, "move": Move}
 _CHANGED = (mass, size, friction, slip, joint_friction, light, camera_moved, object_colour, table_colour, object_hidden)
 _CHANGES: dict[str, Callable[..., None]] = {f.__name__: f for f in (*_CHANGED, distractors)}
 

@@ -170,8 +170,7 @@ def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
 
 
 def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
-    count = int(np.ceil(np.abs(goal - start).max() / _STEP_RAD))
-    between = (start + x * (goal - start) for x in np.linspace(0.0, 1.0, count + 1)[1:-1])
+    between = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
     return set[frozenset[str]]().union(*map(engine.touching_pairs, between))
 
 
