@@ -145,7 +145,5 @@ def record(
             if on_attempt is not None:
                 on_attempt(attempt)
     references = camera_references([a.views for a in attempts if a.kept])
-    for k, a in enumerate(attempts):
-        swapped = tuple(map(str, check_swapped(a.views, references)))
-        attempts[k] = replace(a, faults=a.faults + swapped)
-    return Recording(tuple(attempts), min(used, wanted))
+    judged = (replace(a, faults=(*a.faults, *map(str, check_swapped(a.views, references)))) for a in attempts)
+    return Recording(tuple(judged), min(used, wanted))

@@ -38,13 +38,10 @@ def warps(n: int, height: int, width: int, config: AugmentConfig, rng: np.random
     shift = config.shift * rng.uniform(-1.0, 1.0, (n, 2)) * (width, height)
     straight = rng.random(n) < config.straight_share
     turn[straight], scale[straight], shift[straight] = 0.0, 1.0, 0.0
-    maps = np.empty((n, 2, 3))
-    maps[:, 0, 0] = maps[:, 1, 1] = scale * np.cos(turn)
-    maps[:, 1, 0] = scale * np.sin(turn)
-    maps[:, 0, 1] = -maps[:, 1, 0]
+    along, across = scale * np.cos(turn), scale * np.sin(turn)
+    turned = np.stack([along, -across, across, along], axis=1).reshape(n, 2, 2)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    maps[:, :, 2] = middle + shift - maps[:, :, :2] @ middle
-    return maps
+    return np.dstack([turned, middle + shift - turned @ middle])
 
 
 def add_things(picture: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> None:

@@ -35,7 +35,7 @@ class PolicyRuntime:
     def __init__(
         self, policy: ChunkPolicy, *, n_action_steps: int = 25, blend_ticks: int = 8, limits: Limits | None = None
     ) -> None:
-        self.policy, self.joints_n = policy, policy.dim - GRIPPERS_N
+        self.policy, self.joints_n, self.cameras = policy, policy.dim - GRIPPERS_N, policy.cameras
         if not 1 <= n_action_steps <= policy.chunk_size:
             raise UsageError(
                 f"n_action_steps {n_action_steps} is outside 1..{policy.chunk_size}, the chunk of this checkpoint"
@@ -58,11 +58,6 @@ class PolicyRuntime:
     def load(cls, checkpoint: Path, device: str = "cpu", *, threads: int | None = 1, **options: Any) -> Self:
         """Load any checkpoint; raises as `load_policy`."""
         return cls(load_policy(checkpoint, device, threads), **options)
-
-    @property
-    def cameras(self) -> Mapping[str, tuple[int, int]]:
-        """Image size (H, W) by camera."""
-        return self.policy.cameras
 
     @property
     def inference_hz(self) -> float:
