@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from minidual.demos import schema
 from minidual.registry import rows_beside
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Array, Robot
 
-Array = NDArray[np.floating]
 Images = Mapping[str, NDArray[np.uint8]]
 Thumbnails = Mapping[str, NDArray[np.float64]]
 

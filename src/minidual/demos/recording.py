@@ -68,9 +68,8 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
 def _record_in_worker(job: Job, index: int, observe: Observe | None) -> Attempt:
     key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.config}/{job.arbiter}"
     if key not in _rigs:
-        for rig in _rigs.values():
-            rig.close()
-        _rigs.clear()
+        while _rigs:
+            _rigs.popitem()[1].close()
         _rigs[key] = Rig(job, job.teleop.cameras)
     rig = _rigs[key]
     with nullcontext() if observe is None else observe(rig, index):

@@ -1,7 +1,6 @@
 """ACT policies through LeRobot."""
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +84,8 @@ class ActKind(PolicyKind):
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
         """See `PolicyKind.load`."""
         self.require(device)
-        with _reading(folder):
+        damaged = SafetensorError, DecodingError, ParsingError
+        with durable.reading(f"checkpoint {folder}", f"{REMEDY} --force", *damaged):
             policy = TorchChunkPolicy(self.read(folder, device), threads)
             seen = {camera: np.zeros((*size, 3), np.uint8) for camera, size in policy.cameras.items()}
             chunk = policy.predict(seen, np.zeros(policy.dim, np.float32))  # statistics may not fit the network
@@ -97,16 +97,15 @@ class ActKind(PolicyKind):
         """Read policy (in evaluation mode) and processors."""
         if missing := [name for name in REQUIRED if not (folder / name).is_file()]:
             raise DataError(f"checkpoint {folder} lacks {', '.join(missing)}", remedy=f"{REMEDY} --force")
-        with _reading(folder):
-            for name in REQUIRED[2:]:
-                check_processor(folder / name)
-            policy = self.policy_class(self._read_config(folder, device))
-            policy.load_state_dict(read_tensors(folder / "model.safetensors"))
-            policy.to(device)
-            policy.eval()
-            on_device = {"device_processor": {"device": device}}
-            stored: dict[str, Any] = {"pretrained_path": str(folder), "preprocessor_overrides": on_device}
-            return Trained(policy, *make_pre_post_processors(policy.config, **stored))
+        for name in REQUIRED[2:]:
+            check_processor(folder / name)
+        policy = self.policy_class(self._read_config(folder, device))
+        policy.load_state_dict(read_tensors(folder / "model.safetensors"))
+        policy.to(device)
+        policy.eval()
+        on_device = {"device_processor": {"device": device}}
+        stored: dict[str, Any] = {"pretrained_path": str(folder), "preprocessor_overrides": on_device}
+        return Trained(policy, *make_pre_post_processors(policy.config, **stored))
 
     def _read_config(self, folder: Path, device: str) -> PreTrainedConfig:
         record = read_json(folder / "config.json")
@@ -133,10 +132,6 @@ class SpatialActKind(ActKind):
         for encoder in encoders:
             encoder.bf16 = use_bf16(config)
         return policy
-
-
-def _reading(folder: Path) -> AbstractContextManager[None]:
-    return durable.reading(f"checkpoint {folder}", f"{REMEDY} --force", SafetensorError, DecodingError, ParsingError)
 
 
 ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()

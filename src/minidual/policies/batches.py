@@ -6,9 +6,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from minidual.config.learning import TrainConfig
-from minidual.demos.lerobot_reader import ACTION, STATE, camera_key
+from minidual.demos.lerobot_reader import ACTION, STATE, Image, Rows, camera_key
 from minidual.policies.augment import augment
 from minidual.policies.demonstrations import Demonstrations
+from minidual.robot.pair import Array
 
 LEROBOT_EPS = 1e-8
 """Added to std by LeRobot's processors."""
@@ -17,7 +18,7 @@ IMAGE_SAMPLE = 512
 Stats = dict[str, dict[str, Tensor]]
 
 
-def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor: float) -> Stats:
+def dataset_statistics(demos: Demonstrations, rows: Rows, std_floor: float) -> Stats:
     """Return mean and std over `rows`.
 
     State and action: (dim,). Images: (3, 1, 1) in [0, 1], from 512 frames. `std_floor` is the least std.
@@ -35,7 +36,7 @@ def dataset_statistics(demos: Demonstrations, rows: NDArray[np.int64], std_floor
     return stats
 
 
-def _mean_std(mean: NDArray[np.float64], std: NDArray[np.float64], floor: float) -> dict[str, Tensor]:
+def _mean_std(mean: Array, std: Array, floor: float) -> dict[str, Tensor]:
     return {
         "mean": torch.from_numpy(mean.astype(np.float32)),
         "std": torch.from_numpy(np.maximum(std, floor).astype(np.float32)),
@@ -65,7 +66,7 @@ class BatchMaker:
         self._config = config
         self._stats = {key: {n: t.to(config.device) for n, t in s.items()} for key, s in stats.items()}
 
-    def training(self, rows: NDArray[np.int64], rng: np.random.Generator) -> dict[str, Tensor]:
+    def training(self, rows: Rows, rng: np.random.Generator) -> dict[str, Tensor]:
         """Return an augmented batch."""
         config = self._config
         state = self._demos.state[rows].copy()
@@ -75,14 +76,12 @@ class BatchMaker:
         pictures = {c: augment(self._demos.images[c][rows], config.augment, rng) for c in self._demos.cameras}
         return self._assemble(rows, state, pictures)
 
-    def clean(self, rows: NDArray[np.int64]) -> dict[str, Tensor]:
+    def clean(self, rows: Rows) -> dict[str, Tensor]:
         """Return an unaugmented batch."""
         demos = self._demos
         return self._assemble(rows, demos.state[rows], {c: demos.images[c][rows] for c in demos.cameras})
 
-    def _assemble(
-        self, rows: NDArray[np.int64], state: NDArray[np.float32], pictures: dict[str, NDArray[np.uint8]]
-    ) -> dict[str, Tensor]:
+    def _assemble(self, rows: Rows, state: NDArray[np.float32], pictures: dict[str, Image]) -> dict[str, Tensor]:
         demos, device = self._demos, self._config.device
         ahead = rows[:, None] + np.arange(self._config.chunk_size)
         chunk = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])]

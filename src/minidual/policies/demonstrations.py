@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.demos.lerobot_reader import read_dataset
+from minidual.demos.lerobot_reader import Image, Rows, read_dataset
 from minidual.demos.quality import grip_changes
 from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError
+from minidual.robot.pair import Array
 
 
 @dataclass
@@ -27,14 +28,14 @@ class Demonstrations:
         last_tick: (N,) the episode's last row.
     """
 
-    images: dict[str, NDArray[np.uint8]]
+    images: dict[str, Image]
     state: NDArray[np.float32]
     action: NDArray[np.float32]
-    episode_index: NDArray[np.int64]
+    episode_index: Rows
     keyframes_n: int = 2
-    phase: NDArray[np.int64] = field(init=False)
-    keyframe_ticks: NDArray[np.int64] = field(init=False)
-    last_tick: NDArray[np.int64] = field(init=False)
+    phase: Rows = field(init=False)
+    keyframe_ticks: Rows = field(init=False)
+    last_tick: Rows = field(init=False)
 
     def __post_init__(self) -> None:
         """Derive phases; DataError for invalid data."""
@@ -77,7 +78,7 @@ class Demonstrations:
         stops = [*first[1:].tolist(), len(self)]
         return {int(e): (int(a), int(b)) for e, a, b in zip(episodes, first, stops, strict=True)}
 
-    def rows_of(self, episodes: list[int]) -> NDArray[np.int64]:
+    def rows_of(self, episodes: list[int]) -> Rows:
         """Return their rows."""
         bounds = self.episode_bounds()
         return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
@@ -126,9 +127,7 @@ def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generato
     return training, [e for i, e in enumerate(episodes) if i in chosen]
 
 
-def draw_weighted(
-    rows: NDArray[np.int64], cumulative: NDArray[np.float64], count: int, rng: np.random.Generator
-) -> NDArray[np.int64]:
+def draw_weighted(rows: Rows, cumulative: Array, count: int, rng: np.random.Generator) -> Rows:
     """Draw `count` rows with replacement; `cumulative` holds the sums of their weights."""
     positions = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
     return rows[np.minimum(positions, len(rows) - 1)]

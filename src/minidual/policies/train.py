@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from minidual import durable
 from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
+from minidual.demos.lerobot_reader import Rows
 from minidual.errors import DataError, UsageError
 from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
 from minidual.policies.demonstrations import Demonstrations, draw_weighted, split_episodes
@@ -94,9 +94,7 @@ def threads(count: int | None) -> Iterator[None]:
 
 
 class _Loop:
-    def __init__(
-        self, job: Training, policy: Any, rows: NDArray[np.int64], validation_rows: NDArray[np.int64], stats: Stats
-    ) -> None:
+    def __init__(self, job: Training, policy: Any, rows: Rows, validation_rows: Rows, stats: Stats) -> None:
         demos, config, seed = job.demos, job.config, job.seed
         self.config, self.seed, self.policy, self.stats = config, seed, policy, stats
         self.joints_n, self.ticks = demos.joints_n, len(rows)

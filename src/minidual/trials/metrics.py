@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minidual.demos.quality import path_length_m
 from minidual.demos.smoothness import MIN_DURATION_S, rms_jerk
 from minidual.errors import NothingEvaluatedError, UsageError
+from minidual.robot.pair import Array
 from minidual.tasks.judge import Failure, Outcome
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
@@ -136,14 +136,7 @@ class MethodSummary:
 
 
 def trial_metrics(
-    method: str,
-    index: int,
-    outcome: Outcome,
-    *,
-    q: NDArray[np.floating],
-    tcp_positions: NDArray[np.floating],
-    rate_hz: float,
-    **known: Any,
+    method: str, index: int, outcome: Outcome, *, q: Array, tcp_positions: Array, rate_hz: float, **known: Any
 ) -> TrialMetrics:
     """Return the metrics of one undisturbed trial; `q` is (T, n) [rad], `tcp_positions` (T, 2, 3) [m], both measured.
 
