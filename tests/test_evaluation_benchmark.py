@@ -403,14 +403,15 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     assert one[0]["condition"] == "moved 20 mm"
 
 
-def test_counterfactuals_of_force_change_one_setting_and_need_one_object_in_both_hands() -> None:
+def test_counterfactuals_of_force_change_one_setting_and_need_one_object_in_both_hands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     settings = {"impedance_open": ("force_gain", 0.0), "impedance_world": ("squeeze_axes", "world")}
+    given: list[Config] = []
+    monkeypatch.setattr(methods, "load_target", lambda _: lambda inputs: given.append(inputs.config))
     for method, (name, value) in settings.items():
-        given: list[Config] = []
-        spec = dataclasses.replace(
-            methods.METHODS[method], target=lambda inputs, given=given: given.append(inputs.config)
-        )
-        spec.factory(MethodInputs(Config(), SEED))
+        given.clear()
+        methods.METHODS[method].factory(MethodInputs(Config(), SEED))
         (config,) = given
         usual = Config().carry.impedance
         assert config.carry.impedance == usual.model_copy(update={name: value}) != usual

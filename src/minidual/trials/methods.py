@@ -76,7 +76,7 @@ class MethodSpec:
     """One row of the table.
 
     Attributes:
-        target: Function or `module:function` that returns a `Factory`.
+        target: `module:function` that returns a `Factory`.
         needs_images: Whether to compile visual meshes.
         demands: Optional conditions of success that it must meet.
         senses: Rows of SENSES that it reads.
@@ -85,7 +85,7 @@ class MethodSpec:
         settings: {dotted path: value} of the configuration that it changes.
     """
 
-    target: str | Callable[[MethodInputs], Factory]
+    target: str
     summary: str
     needs_images: bool = False
     demands: frozenset[str] = frozenset()
@@ -100,8 +100,7 @@ class MethodSpec:
 
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
-        make: Any = load_target(self.target) if isinstance(self.target, str) else self.target
-        return make(replace(inputs, config=changed(inputs.config, self.settings)))
+        return load_target(self.target)(replace(inputs, config=changed(inputs.config, self.settings)))
 
 
 def _another_task(task: Task, trained: str) -> str:
