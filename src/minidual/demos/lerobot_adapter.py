@@ -31,7 +31,6 @@ SOURCES_FILE = "meta/minidual_sources.json"
 """Lists the recordings of a dataset."""
 IMAGE_DIFFERENCE_MAX = 6.0
 """Limit of an image's mean difference to the recorded one, of 255."""
-_VIDEO = {"vcodec": "h264", "preset": "veryfast", "pix_fmt": "yuv444p", "crf": 12}
 
 
 def state_names(robot: Robot) -> tuple[str, ...]:
@@ -95,7 +94,7 @@ def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, p
             robot_type=f"dual_{robot.arm.name}",
             use_videos=True,
             video_backend="pyav",
-            rgb_encoder=RGBEncoderConfig(**_VIDEO),
+            rgb_encoder=RGBEncoderConfig(vcodec="h264", preset="veryfast", pix_fmt="yuv444p", crf=12),
             streaming_encoding=False,  # streaming drops frames under load with only a warning
         )
         stack.callback(dataset.finalize)

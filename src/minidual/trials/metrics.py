@@ -15,10 +15,7 @@ from minidual.robot.pair import Array
 from minidual.tasks.judge import Failure, Outcome
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
-#: Words for missing values in tables.
-NO_SUCCESS = "no successful trial"
 NOT_MEASURED = "not measured"
-NO_EVENT = "no push or move"
 
 Cell = float | int | str | bool
 
@@ -74,7 +71,7 @@ class TrialMetrics:
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
         told = {name: value for name, value in vars(self).items() if name not in ("saturated_max_s", "measured")}
         row = {name: _said(value, words.get(name, NOT_MEASURED)) for name, value in told.items()}
-        return {**row, "disturbed": NO_EVENT if self.disturbed is None else self.disturbed}
+        return {**row, "disturbed": "no push or move" if self.disturbed is None else self.disturbed}
 
 
 _OF_SOME_TASKS = ("internal_", "pinch_")
@@ -106,7 +103,7 @@ class MethodSummary:
 
     def to_row(self) -> dict[str, Cell]:
         """Return the summary for CSV."""
-        missing = NOT_MEASURED if self.successes_n else NO_SUCCESS
+        missing = NOT_MEASURED if self.successes_n else "no successful trial"
         numbers = {
             name: _said(value, missing if name.startswith(_OVER_SUCCESSES) else NOT_MEASURED)
             for name, value in self.numbers.items()

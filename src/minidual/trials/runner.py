@@ -86,7 +86,7 @@ class Bench:
         self.hands = Hands(self.kinematics)
         self.factory = self.spec.factory(inputs)
 
-    def run(self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook | None = None) -> Judged:
+    def run(self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook = lambda world, method: None) -> Judged:
         """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
         spec = named_condition(condition)
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
@@ -108,7 +108,7 @@ class Bench:
         write_recording(path, recorder.recording(reason, details=details))
         return result, log
 
-    def _run(self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook | None) -> Judged:
+    def _run(self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook) -> Judged:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
         method = self.factory(world, self.kinematics, trial)
@@ -140,8 +140,7 @@ class Bench:
                 rows.append(self._sample(seen))
             if disturb is not None:
                 disturb(world)
-            if on_step is not None:
-                on_step(world, method)
+            on_step(world, method)
             finished_s = finished_s + world.dt if judge.finished else 0.0
             if method.done or finished_s > SETTLED_S:
                 break
