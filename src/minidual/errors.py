@@ -36,14 +36,8 @@ class MinidualError(Exception):
         return self.message if self.remedy is None else f"{self.message}\n  remedy: {self.remedy}"
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Worker pools pickle errors; keyword-only arguments need help.
-        return (_rebuild, (type(self), self.message, self.remedy))
-
-
-def _rebuild(cls: type[MinidualError], message: str, remedy: str | None) -> MinidualError:
-    error = cls.__new__(cls)
-    MinidualError.__init__(error, message, remedy=remedy)
-    return error
+        # Worker pools pickle errors; pickle would call the class with `args`, which subclasses extend.
+        return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class UsageError(MinidualError):

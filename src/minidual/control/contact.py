@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numba.core import types
 
 from minidual.config.supervisor import SupervisorConfig
@@ -140,7 +139,7 @@ class ContactSense:
                 joints = self._kinematics.robot.joints_of(arm)
                 self.limits[joints], reference[joints] = math.inf, self._mean[0, joints]
         return observe(
-            pin.rnea(self._kinematics.model, self._kinematics.data, *self._mean),
+            self._kinematics.rnea(*self._mean),
             *(self._mean, applied, newest, round(step_s / self._dt)),
             self._nothing if torque is None else torque,
             self._mean[0] if reference is None else reference,

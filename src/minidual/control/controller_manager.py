@@ -95,10 +95,7 @@ class ControllerManager:
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
-        if len(self._active) == 1:
-            tau = self._active[0].update(q, v)
-        else:
-            tau = self._joined(lambda controller: controller.update(q, v))
+        tau = self._joined(lambda controller: controller.update(q, v))
         if self._fade_left:
             tau = self._faded(tau)
         self.tau = tau

@@ -10,7 +10,6 @@ w is the bandwidth. Recording and deployment must use the same numbers. Motor to
 """
 
 import numpy as np
-import pinocchio as pin
 
 from minidual.control.gripper import Grippers
 from minidual.control.kernels import add_loads, follow_target, servo
@@ -69,7 +68,7 @@ class Motors:
     def torque(self, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:
         """Return torques (n,) [Nm] for accelerations a (n,) and load (n,), clipped to the limits; NaN stays NaN."""
         # rnea(q, v, a) = M a + h in O(n), with rotor inertia from model.armature.
-        tau = pin.rnea(self._kinematics.model, self._kinematics.data, q, v, a)
+        tau = self._kinematics.rnea(q, v, a)
         add_loads(tau, self._no_load if load is None else load, v, *self._limits)
         return tau
 

@@ -77,9 +77,6 @@ class ReflexError(MinidualError):
         self.dump = dump
         self.no_dump = no_dump
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self.reflex, self.tau, self.dump, self.no_dump))
-
 
 QUANTITIES: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
 """Quantities compared each tick, per joint; a step is a difference between ticks."""
