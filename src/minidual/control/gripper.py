@@ -77,6 +77,10 @@ class Grippers:
         """Expect no grip until hands close on something anew."""
         self._held_m, self._lost, self.fault = [math.nan] * 2, [0, 0], ""
 
+    def close(self, targets_m: Array) -> None:
+        """Start closed on an object, at finger targets (2,) [m]."""
+        self.is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
+
     @property
     def wide(self) -> bool:
         """Whether both hands are fully open."""
