@@ -65,6 +65,14 @@ def apply(A: Array, x: Elements) -> Vector:
 
 
 @njit
+def add_product(y: Array, sign: float, A: Array, x: Array) -> None:
+    """Add sign A x to y, term by term."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            y[i] += sign * A[i, j] * x[j]
+
+
+@njit
 def turn(wanted: Array, actual: Array) -> Vector:
     """Return log(wanted actual^T) [rad], below half a turn."""
     X, Y, Z = apply(actual, wanted[0]), apply(actual, wanted[1]), apply(actual, wanted[2])  # rows
@@ -114,23 +122,21 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
     return True
 
 
-@kernel(types.void(_HANDS, VECTOR, VECTOR, ROWS))
-def hand_look(hands: Placed, v: Array, torque: Array, out: Array) -> None:
-    """Fill `out` (4, 3): the hands' velocities [m/s], then forces (J J^T + 1e-3)^-1 J torque [N]."""
+@kernel(types.void(_HANDS, VECTOR, VECTOR, _REAL, ROWS))
+def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array) -> None:
+    """Fill `out` (2, 5): each hand's force |(J J^T + 1e-3)^-1 J torque| [N], speed [m/s], and place [m] in `ahead_s`."""
     J, p_left, p_right, _, _ = hands
     n = len(v) // 2
-    J_hand, y = np.empty((6, n)), np.empty(6)
+    J_hand, y, velocity = np.empty((6, n)), np.empty(6), np.empty(3)
     for i, p in enumerate((three(p_left, 0), three(p_right, 0))):
-        hand_motion(J[:, n * i : n * i + n], p, v[n * i : n * i + n], J_hand)
-        for k in range(6):
-            y[k] = 0.0
-            for j in range(n):
-                y[k] += J_hand[k, j] * torque[n * i + j]
+        own = slice(n * i, n * i + n)
+        hand_motion(J[:, own], p, v[own], J_hand)
+        y[:], velocity[:] = 0.0, 0.0
+        add_product(y, 1.0, J_hand, torque[own])
         solve_gram(J_hand, y, 1e-3)
-        for k in range(3):
-            out[i, k], out[2 + i, k] = 0.0, y[k]
-            for j in range(n):
-                out[i, k] += J_hand[k, j] * v[n * i + j]
+        add_product(velocity, 1.0, J_hand[:3], v[own])
+        out[i, 0], out[i, 1] = math.sqrt(inner(y, y)), math.sqrt(inner(velocity, velocity))
+        out[i, 2:] = plus(p, times(ahead_s, velocity))
 
 
 @kernel(
@@ -176,32 +182,28 @@ def impedance(
     squeeze_n = within(wanted_n + correction, 0.0, s.force_max)
     f = hand_wrenches(three(force, 0), moment, r[0], r[1], times(squeeze_n, apply(T, s.axis)))
     n = len(v) // 2
-    J_hand, R, lacking, wrench = np.empty((6, n)), np.empty((3, 3)), np.empty(6), np.empty(6)
+    J_hand, R, lacking, wrench, slow = np.empty((6, n)), np.empty((3, 3)), np.empty(6), np.empty(6), np.empty(3)
     for i, R_hand in enumerate((R_left, R_right)):
-        drift = hand_motion(J[:, n * i : n * i + n], p_hands[i], v[n * i : n * i + n], J_hand)
+        own = slice(n * i, n * i + n)
+        drift = hand_motion(J[:, own], p_hands[i], v[own], J_hand)
         # Half the rotational stiffness, on the object's orientation as this hand's grasp implies it.
         for k in range(3):
             R[k] = apply(s.R_tcps_object[i].T, R_hand[k])
         error = turn(T_d, R)
         wrench[:3], wrench[3:] = f[i]
+        slow[:] = omega
+        add_product(slow, -1.0, J_hand[3:], v[own])
         for k in range(3):
-            slow = omega[k]
-            for j in range(n):
-                slow -= J_hand[3 + k, j] * v[n * i + j]
-            wrench[3 + k] += 0.5 * (K[3 + k] * error[k] + D[3 + k] * slow)
-        for j in range(n):
-            push[n * i + j] = 0.0
-            for k in range(6):
-                push[n * i + j] += J_hand[k, j] * wrench[k]
+            wrench[3 + k] += 0.5 * (K[3 + k] * error[k] + D[3 + k] * slow[k])
+        push[own] = 0.0
+        add_product(push[own], 1.0, J_hand.T, wrench)
         # qdd_posture + J^+ (a_hand - J qdd_posture - Jdot v): only the null space keeps the posture.
         a_hand = plus(a, plus(cross(alpha, r[i]), cross(omega, cross(omega, r[i]))))
         lacking[:3], lacking[3:] = minus(a_hand, drift[0]), minus(alpha, drift[1])
         for j in range(n * i, n * i + n):
             qdd[j] = s.posture_stiffness * (posture[j] - q[j]) - s.posture_damping * v[j]
-        for k in range(6):
-            for j in range(n):
-                lacking[k] -= J_hand[k, j] * qdd[n * i + j]
-        if not least_norm(J_hand, lacking, qdd[n * i : n * i + n]):
+        add_product(lacking, -1.0, J_hand, qdd[own])
+        if not least_norm(J_hand, lacking, qdd[own]):
             return False
     return True
 

@@ -4,7 +4,7 @@ A reflex raises `ReflexError` once; then `guard` returns soft-stop torques until
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn, Protocol
 
@@ -81,7 +81,7 @@ class Supervisor:
         self._reach = reflexes.Reach(self._kinematics)
         self._sense = JointSense(self._kinematics, self.config, dt_s)
         self._contact, self._hands = ContactSense(self._kinematics, self.config, dt_s), Hands(self._kinematics)
-        self._looked = np.zeros((4, 3))
+        self._looked = np.zeros((2, 5))
         self._expected = Expected()
         self.expected: Callable[[], Expected] = Expected
         """What controllers expect of this tick."""
@@ -298,28 +298,22 @@ class Supervisor:
         if not np.abs((rest - self.bounds.centre[0]) * self.bounds.scale[0]).max() <= 1.0:
             self._trip_position(rest)
         self._hands.update(q)
-        hand_look(self._hands.views, v, self._contact.torque, self._looked)
-        ahead, force_max = self._slow_every * self.dt_s, float(self._contact.bounds[self._expected.mode][-1])
+        # Two periods ahead: one until the next check, one for the speed gained meanwhile.
+        later, force_max = 2.0 * self._slow_every * self.dt_s, float(self._contact.bounds[self._expected.mode][-1])
+        hand_look(self._hands.views, v, self._contact.torque, later, self._looked)
         (x0, x1), (y0, y1), (z0, z1) = self.config.workspace_m
-        for arm, place in enumerate(self._hands.p):
-            # plain floats are faster than arrays for six numbers
-            x, y, z = place.tolist()
-            vx, vy, vz = self._looked[arm].tolist()
-            fx, fy, fz = self._looked[2 + arm].tolist()
-            force = math.sqrt(fx * fx + fy * fy + fz * fz)
+        for arm, (force, speed, x, y, z) in enumerate(self._looked.tolist()):
             if not (force <= force_max or arm in self._expected.off):
                 self._trip("cartesian_contact", f"the {SIDES[arm]} hand, {self._expected.mode}", force, force_max)
-            speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             if not speed <= self.config.tcp_speed_max_m_per_s:
                 self._trip("tcp_speed", self._robot.tcp_names[arm], speed, self.config.tcp_speed_max_m_per_s)
-            # Two periods ahead: one until the next check, one for the speed gained meanwhile.
-            x, y, z = x + 2.0 * ahead * vx, y + 2.0 * ahead * vy, z + 2.0 * ahead * vz
             if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
-                self._trip_workspace(arm, (x, y, z))
+                axes = [f"{axis} of the {SIDES[arm]} hand" for axis in "xyz"]
+                self._trip_outside("workspace", axes, np.array([x, y, z]), *np.transpose(self.config.workspace_m))
         if self._clearance is not None and self._tick >= self._next_ahead:
             self._next_ahead = self._next_slow
+            a_ref = self._rows[4]
             # Two periods ahead, as for the hands. From one look to the next it moves by less than a link is wide.
-            later, a_ref = 2.0 * ahead, self._rows[4]
             rest = self._stop.rest(q + later * (v + 0.5 * later * a_ref), v + later * a_ref)
             pair, distance, bound = self._monitored(self._clearance, rest)
             if not distance >= bound:
@@ -353,18 +347,12 @@ class Supervisor:
             self._trip(name, where, float(values[longest]), float(bounds[longest]))
 
     def _trip_position(self, q: Array) -> None:
-        bounds = self.bounds
-        joint = int(np.argmax(np.maximum(bounds.q_lower - q, q - bounds.q_upper)))
-        bound = bounds.q_lower if q[joint] < bounds.q_lower[joint] else bounds.q_upper
-        self._trip("joint_position", self._robot.joint_names[joint], float(q[joint]), float(bound[joint]))
+        self._trip_outside("joint_position", self._robot.joint_names, q, self.bounds.q_lower, self.bounds.q_upper)
 
-    def _trip_workspace(self, arm: int, there: tuple[float, float, float]) -> None:
-        excess = [
-            (max(low - value, value - high), axis, value, low if value < low else high)
-            for axis, value, (low, high) in zip("xyz", there, self.config.workspace_m, strict=True)
-        ]
-        _, axis, value, bound = max(excess)
-        self._trip("workspace", f"{axis} of the {SIDES[arm]} hand", value, bound)
+    def _trip_outside(self, name: str, where: Sequence[str], values: Array, lower: Array, upper: Array) -> None:
+        worst = int(np.argmax(np.maximum(lower - values, values - upper)))
+        bound = lower if values[worst] < lower[worst] else upper
+        self._trip(name, where[worst], float(values[worst]), float(bound[worst]))
 
     def _trip(self, name: str, where: str, value: float, bound: float | None) -> NoReturn:
         details = {
