@@ -4,6 +4,7 @@ A switch or a silent source brakes timed commands along their paths; a halt drop
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ class CommandArbiter:
         """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
         """Called with the mode at a switch, "hold" at a halt."""
-        self._mailboxes = {source: Mailbox(source, robot) for source in SOURCES}
+        self._mailboxes = {source: Mailbox(robot, partial(self._refuse, source)) for source in SOURCES}
         self._requested: str | None = None
         self._halt: tuple[str, Array | None] | None = None
         self._refusals: list[Refusal] = []
@@ -73,10 +74,8 @@ class CommandArbiter:
         Raises:
             UsageError: Unknown source.
         """
-        refusal = self._mailbox(source).put(command)
-        if refusal is not None:
-            self._refusals.append(refusal)
-        return refusal
+        reason = self._mailbox(source).put(command)
+        return None if reason is None else self._refuse(source, *reason)
 
     def affirm(self, source: str) -> None:
         """Report a source as alive; after silence for `stale_s` its timed commands brake."""
@@ -174,7 +173,7 @@ class CommandArbiter:
             return posture
         if self._target is None:
             raise UsageError(f"the first measured posture is not {self._robot.dof} finite angles: {q_measured}")
-        self._refusals.append(Refusal("measurement", "not_finite", f"measured joints {q_measured}"))
+        self._refuse("measurement", "not_finite", f"measured joints {q_measured}")
         return self._target
 
     def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
@@ -237,13 +236,12 @@ class CommandArbiter:
             self._refuse(mode, "not_still", detail)
         return None
 
-    def _refuse(self, source: str, name: str, detail: str) -> None:
+    def _refuse(self, source: str, name: str, detail: str) -> Refusal:
         self._refusals.append(Refusal(source, name, detail))
+        return self._refusals[-1]
 
     def _begin_timed(self, source: str, now_s: float, posture: Array) -> None:
-        taken, refused = self._mailboxes[source].take_timed(now_s, self.config.stale_s)
-        self._refusals.extend(refused)
-        for command in taken:
+        for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
             reason = self.underway.begin(command, posture, self.config.switch_step_max_rad)
             if reason is not None:
                 self._refuse(source, *reason)
@@ -254,8 +252,7 @@ class CommandArbiter:
 
     def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
         mailbox = self._mailboxes[source]
-        fresh, refused = mailbox.fresh(now_s, self.config.stale_s)
-        self._refusals.extend(refused)
+        fresh = mailbox.fresh(now_s, self.config.stale_s)
         for arm, command in list(fresh.items()):
             reason = self.underway.busy((arm,)) or self.underway.admit(command)
             if reason is not None:

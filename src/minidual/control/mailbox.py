@@ -2,19 +2,12 @@
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from minidual.control.commands import (
-    Command,
-    JointCommand,
-    ObjectCommand,
-    Reason,
-    Refusal,
-    TimedCommand,
-    TrajectoryCommand,
-)
+from minidual.control.commands import Command, JointCommand, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.object_impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import rotation_log
@@ -152,17 +145,17 @@ def _jump(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float
 
 
 class Mailbox:
-    """Keeps the newest command per arm."""
+    """Keeps the newest command per arm; calls `refuse` with the reason for those that came too late or too early."""
 
-    def __init__(self, source: str, robot: Robot) -> None:
-        self.source, self._robot = source, robot
+    def __init__(self, robot: Robot, refuse: Callable[[str, str], object]) -> None:
+        self._robot, self._refuse = robot, refuse
         self._latest: dict[int, JointCommand] = {}
         self._timed: list[TimedCommand] = []
         self._sequence: int | None = None
         self._not_before_s = float("-inf")
 
-    def put(self, command: Command) -> Refusal | None:
-        """Accept a command, or return its refusal."""
+    def put(self, command: Command) -> Reason | None:
+        """Accept a command, or return why not."""
         reason = check(command, self._robot)
         if reason is None and command.stamp_s < self._not_before_s:
             before = f"before the switch at {self._not_before_s:.4f} s"
@@ -170,7 +163,7 @@ class Mailbox:
         if reason is None and self._sequence is not None and command.sequence <= self._sequence:
             reason = "out_of_order", f"sequence {command.sequence} after {self._sequence}"
         if reason is not None:
-            return Refusal(self.source, *reason)
+            return reason
         self._sequence, command = command.sequence, _own(command)
         arms = set(command.arms)
         self._timed = [c for c in self._timed if not arms & set(c.arms)]
@@ -194,37 +187,30 @@ class Mailbox:
         """Forget an arm's streamed command."""
         self._latest.pop(arm, None)
 
-    def fresh(self, now_s: float, stale_s: float) -> tuple[dict[int, JointCommand], list[Refusal]]:
-        """Return each arm's command at most `stale_s` old, and refusals.
+    def fresh(self, now_s: float, stale_s: float) -> dict[int, JointCommand]:
+        """Return each arm's command at most `stale_s` old; stamps over `stale_s` ahead are dropped."""
+        due = {arm: c for arm, c in self._latest.items() if self._is_due(c, now_s, stale_s)}
+        self._latest = dict(sorted(due.items()))
+        return {arm: c for arm, c in self._latest.items() if now_s - c.stamp_s <= stale_s + 1e-9}
 
-        Stamps over `stale_s` ahead are dropped.
-        """
-        refusals = [r for c in self._latest.values() if (r := self._from_future(c, now_s, stale_s)) is not None]
-        self._latest = {arm: c for arm, c in sorted(self._latest.items()) if c.stamp_s - now_s <= stale_s}
-        return {arm: c for arm, c in self._latest.items() if now_s - c.stamp_s <= stale_s + 1e-9}, refusals
-
-    def take_timed(self, now_s: float, stale_s: float) -> tuple[list[TimedCommand], list[Refusal]]:
-        """Remove and return the waiting timed commands, and refusals."""
+    def take_timed(self, now_s: float, stale_s: float) -> list[TimedCommand]:
+        """Remove and return the waiting timed commands."""
         waiting, self._timed = self._timed, []
         taken: list[TimedCommand] = []
-        refusals: list[Refusal] = []
         for command in waiting:
-            age_s, refusal = now_s - command.stamp_s, self._from_future(command, now_s, stale_s)
+            age_s = now_s - command.stamp_s
             if age_s > stale_s + 1e-9:
-                detail = f"{type(command).__name__} is {age_s:.3f} s old; limit {stale_s} s"
-                refusal = Refusal(self.source, "stale", detail)
-            if refusal is None:
+                self._refuse("stale", f"{type(command).__name__} is {age_s:.3f} s old; limit {stale_s} s")
+            elif self._is_due(command, now_s, stale_s):
                 taken.append(command)
-            else:
-                refusals.append(refusal)
-        return taken, refusals
+        return taken
 
-    def _from_future(self, command: Command, now_s: float, stale_s: float) -> Refusal | None:
+    def _is_due(self, command: Command, now_s: float, stale_s: float) -> bool:
         ahead_s = command.stamp_s - now_s
-        if ahead_s <= stale_s:
-            return None
-        stamped = f"stamped {command.stamp_s:.4f} s, {ahead_s:.4f} s ahead of the clock"
-        return Refusal(self.source, "from_future", f"{type(command).__name__}: {stamped}")
+        if ahead_s > stale_s:
+            stamped = f"stamped {command.stamp_s:.4f} s, {ahead_s:.4f} s ahead of the clock"
+            self._refuse("from_future", f"{type(command).__name__}: {stamped}")
+        return ahead_s <= stale_s
 
 
 def _own(command: Command) -> Command:
