@@ -73,12 +73,8 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str 
 
 def publish(partial: Path, path: Path) -> None:
     """Sync a file or folder and rename it to `path`, which must be free for a folder."""
-    for folder, _, files in os.walk(partial):
-        for name in files:
-            sync(Path(folder) / name)
-        sync(Path(folder))
-    if partial.is_file():
-        sync(partial)
+    for part in (*partial.rglob("*"), partial):
+        sync(part)
     partial.replace(path)
     sync(path.parent)
 

@@ -51,7 +51,10 @@ class Registry[T](Mapping[str, T]):
             raise unknown_name(self.kind, name, rows)
         value = rows[name]
         if isinstance(value, str):
-            value = rows[name] = self._load(name, value)
+            try:
+                value = rows[name] = load_target(value)
+            except (ImportError, AttributeError) as error:
+                raise UsageError(f"{self.kind} '{name}' cannot be loaded from {value}: {error}") from error
         return value
 
     def __iter__(self) -> Iterator[str]:
@@ -91,12 +94,6 @@ class Registry[T](Mapping[str, T]):
             if names.count(name) > 1:
                 raise UsageError(f"{self.kind} '{name}' is named twice in {', '.join(names)}")
         return tuple(names)
-
-    def _load(self, name: str, target: str) -> T:
-        try:
-            return cast(T, load_target(target))
-        except (ImportError, AttributeError) as error:
-            raise UsageError(f"{self.kind} '{name}' cannot be loaded from {target}: {error}") from error
 
 
 def load_target(target: str) -> Any:

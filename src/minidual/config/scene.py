@@ -106,13 +106,11 @@ class ObjectConfig(StrictModel):
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
         """Principal moments about x, y, z; uniform density."""
-        m, length = self.mass_kg, self.length_m
+        m, (x, y, z) = self.mass_kg, self.solids[0].size_m
         if self.shape == "cylinder":
-            across, along = m * (3 * self.radius_m**2 + length**2) / 12.0, 0.5 * m * self.radius_m**2
+            across, along = m * (3 * self.radius_m**2 + self.length_m**2) / 12.0, 0.5 * m * self.radius_m**2
             return (across, across, along) if self.upright else (across, along, across)
-        w, h = self.width_m, self.height_m
-        x, long, other = m * (length**2 + h**2) / 12.0, m * (w**2 + h**2) / 12.0, m * (w**2 + length**2) / 12.0
-        return (x, other, long) if self.upright else (x, long, other)
+        return m * (y**2 + z**2) / 12.0, m * (x**2 + z**2) / 12.0, m * (x**2 + y**2) / 12.0
 
     @model_validator(mode="after")
     def _hands_on_it(self) -> ObjectConfig:

@@ -1,5 +1,6 @@
 """Compile the MuJoCo model, and find its joints: ids and names are unreliable, `actuator_trnid` is not."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -82,7 +83,9 @@ def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool =
     spec = mujoco.MjSpec.from_string(mujoco_urdf(robot))
     spec.modelname = "minidual"
     spec.compiler.discardvisual = False  # keep the non-colliding geoms added here
-    _set_options(spec, scene)
+    spec.option.timestep, spec.option.impratio = scene.physics.timestep_s, scene.physics.impratio
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     _dress_arms(spec, scene, robot, visuals=visuals)
     add_surroundings(spec, scene, robot)
     add_objects(spec, scene)
@@ -95,14 +98,6 @@ def build_spec(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool =
 def build_model(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool = True) -> mujoco.MjModel:
     """Compile the scene; see `build_spec`."""
     return build_spec(scene, robot, visuals=visuals).compile()
-
-
-def _set_options(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    option = spec.option
-    option.timestep = scene.physics.timestep_s
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = scene.physics.impratio
 
 
 def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visuals: bool) -> None:
@@ -191,17 +186,8 @@ def _add_cameras(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
 
 def _add_contact_sensors(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     """Add each finger's net force (3,) on each object, world axes."""
-    data = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
-    netforce = 3
-    for name in scene.objects:
-        for side in robot.sides:
-            for finger in robot.hand.finger_links:
-                spec.add_sensor(
-                    name=contact_sensor(name, side, finger),
-                    type=mujoco.mjtSensor.mjSENS_CONTACT,
-                    objtype=mujoco.mjtObj.mjOBJ_BODY,
-                    objname=f"{side}_{finger}",
-                    reftype=mujoco.mjtObj.mjOBJ_BODY,
-                    refname=name,
-                    intprm=[data, netforce, 1],
-                )
+    data, netforce = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3
+    body = mujoco.mjtObj.mjOBJ_BODY
+    kind = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": body, "reftype": body, "intprm": [data, netforce, 1]}
+    for name, side, finger in itertools.product(scene.objects, robot.sides, robot.hand.finger_links):
+        spec.add_sensor(name=contact_sensor(name, side, finger), objname=f"{side}_{finger}", refname=name, **kind)

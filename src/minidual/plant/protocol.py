@@ -122,7 +122,7 @@ class DelayedPlant:
     """
 
     stamp_s, q, v, tau, fingers, grip = map(_late, _MEASURED)
-    robot, time, grip_max_n, health = map(_now, ("robot", "time", "grip_max_n", "health"))
+    robot, time, grip_max_n, health, command = map(_now, ("robot", "time", "grip_max_n", "health", "command"))
 
     def __init__(self, plant: Plant, delay_s: float) -> None:
         if not delay_s >= 0.0:
@@ -138,10 +138,6 @@ class DelayedPlant:
 
     def _note(self) -> None:
         self._states.append({name: getattr(self._plant, name) for name in _MEASURED})
-
-    def command(self, tau: Array, fingers: Array) -> None:
-        """See `Plant`."""
-        self._plant.command(tau, fingers)
 
     def step(self) -> None:
         """See `Plant`."""

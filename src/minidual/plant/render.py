@@ -7,17 +7,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Self
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from minidual.config.scene import CameraConfig
 from minidual.durable import replacing
 from minidual.errors import EnvironmentMissingError, unknown_name
-
-os.environ.setdefault("MUJOCO_GL", "egl")  # before mujoco loads its GL backend
-
-import mujoco
-
 from minidual.plant.model import GROUP_COLLISION
 
 Image = npt.NDArray[np.uint8]

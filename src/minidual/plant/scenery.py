@@ -1,5 +1,6 @@
 """Table, marks, obstacle and objects in the MuJoCo model."""
 
+import itertools
 from typing import Any
 
 import mujoco
@@ -37,10 +38,9 @@ def add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> N
     table = world.add_body(name="table", pos=[_TABLE_CENTRE_X_M, 0.0, -_TABLE_HALF_M[2]])
     top = table.add_geom(name="table_top", type=_BOX, size=list(_TABLE_HALF_M), rgba=[0.42, 0.47, 0.50, 1])
     top.friction, top.solref, top.solimp = [scene.object.friction, 0.005, 0.0001], SOLREF, SOLIMP
-    for x in (-1, 1):
-        for y in (-1, 1):
-            pos = [x * (_TABLE_HALF_M[0] - 0.06), y * (_TABLE_HALF_M[1] - 0.06), -0.375]
-            table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
+    for x, y in itertools.product((-1, 1), repeat=2):
+        pos = [x * (_TABLE_HALF_M[0] - 0.06), y * (_TABLE_HALF_M[1] - 0.06), -0.375]
+        table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
     for arm in robot.sides:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
     for layer, mark in enumerate(marks(scene)):

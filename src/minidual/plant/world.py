@@ -177,9 +177,8 @@ class World:
     def on_table(self, name: str | None = None) -> bool:
         """Return whether an object touches the table."""
         pair = {int(self.model.body("table").id), self.truth(name).body}
-        body = self.model.geom_bodyid
-        contacts = self.data.contact[: self.data.ncon]
-        return any({int(body[c.geom1]), int(body[c.geom2])} == pair for c in contacts)
+        touching = self.model.geom_bodyid[self.data.contact.geom[: self.data.ncon]]
+        return any(set(bodies) == pair for bodies in touching.tolist())
 
     def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
         """Put the arms at q (n,) (default: home), hands open, objects at `poses` (default: start).

@@ -24,11 +24,7 @@ PANDA, PANDA_HAND = ARM_MODELS["panda"], HANDS["panda_hand"]
 DUAL_PANDA = Robot(PANDA)
 
 
+@functools.cache
 def robot_from(config: RobotConfig) -> Robot:
     """Return the configured robot; UsageError for unknown arms."""
-    return _robot(config.arm)
-
-
-@functools.cache
-def _robot(arm: str) -> Robot:
-    return DUAL_PANDA if arm == "panda" else Robot(ARM_MODELS[arm])
+    return Robot(ARM_MODELS[config.arm])
