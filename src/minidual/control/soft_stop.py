@@ -110,9 +110,8 @@ class SupervisedStop:
     """Torques of the stop; `kinematics` must not be the controllers'."""
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
-        self._robot = kinematics.robot
+        self._robot = robot = kinematics.robot
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=config.stop_frequency_rad_s)
-        robot = self._robot
         self._brake = config.stop_deceleration_scale * robot.a_max
         self._v_max, self._tau_max = robot.v_max, _TORQUE_SHARE * robot.tau_max
         self._dt = dt_s

@@ -259,11 +259,7 @@ def _check_steps(recording: Recording) -> None:
     if not (count and len(steps) and steps[0] == 0 and recording.keyframes.size):
         raise ValueError("it lacks controls, or the state before the first")
     for name, numbers, rows in (("keyframe", steps, recording.keyframes), ("push", pushed, recording.pushes)):
-        if (
-            len(numbers) != len(rows)
-            or not ((numbers >= 0) & (numbers <= count)).all()
-            or (np.diff(numbers) <= 0).any()
-        ):
+        if len(numbers) != len(rows) or not (np.diff([-1, *numbers, count + 1]) > 0).all():
             raise ValueError(f"its {name} steps do not grow from 0 to {count}, one for each of {len(rows)} rows")
     times_s = recording.start_s + steps * recording.dt_s
     if not np.abs(recording.keyframes[:, 0] - times_s).max() <= 1e-6:

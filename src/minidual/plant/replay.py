@@ -184,14 +184,8 @@ def replay(
 
 def _state_names(model: mujoco.MjModel) -> list[str]:
     names = [model.joint(i).name for i in range(model.njnt)]
-    positions, velocities = (
-        np.diff([*places, n]) for places, n in ((model.jnt_qposadr, model.nq), (model.jnt_dofadr, model.nv))
-    )
-    return [
-        "time",
-        *(f"position of {name}" for name in np.repeat(names, positions)),
-        *(f"velocity of {name}" for name in np.repeat(names, velocities)),
-    ]
+    kinds = ("position", [*model.jnt_qposadr, model.nq]), ("velocity", [*model.jnt_dofadr, model.nv])
+    return ["time", *(f"{kind} of {name}" for kind, first in kinds for name in np.repeat(names, np.diff(first)))]
 
 
 def _watch(world: World, what: str, values: Array, low: Array, high: Array, unit: str, signs: dict[str, Sign]) -> None:

@@ -1,6 +1,5 @@
 """The table of arms, from arms.yaml."""
 
-import functools
 from typing import Any
 
 from minidual.config.robot import RobotConfig
@@ -24,7 +23,6 @@ PANDA, PANDA_HAND = ARM_MODELS["panda"], HANDS["panda_hand"]
 DUAL_PANDA = Robot(PANDA)
 
 
-@functools.cache
 def robot_from(config: RobotConfig) -> Robot:
     """Return the configured robot; UsageError for unknown arms."""
     return Robot(ARM_MODELS[config.arm])
