@@ -17,9 +17,11 @@ from minidual.config.seeds import stream
 from minidual.errors import EnvironmentMissingError
 from minidual.motion.api import Planner
 from minidual.motion.blend import blended_path
+from minidual.motion.ik import solvers
 from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import time_path
 from minidual.registry import Registry
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES
 from minidual.robot.trajectory import Trajectory
 from scripts.bench import __main__ as bench
@@ -122,11 +124,11 @@ class TestInfeasible:
             for _ in range(20):
                 q = np.array(HOME)
                 solutions = [
-                    planner.goals.solvers[arm].solve(T, rng.uniform(Q_LOWER[:7], Q_UPPER[:7]))
+                    solvers(DUAL_PANDA)[arm].solve(T, rng.uniform(Q_LOWER[:7], Q_UPPER[:7]))
                     for arm, T in targets.items()
                 ]
                 for arm, solution in zip(SIDES, solutions, strict=True):
-                    q[planner.goals.solvers[arm].joints] = solution.q
+                    q[solvers(DUAL_PANDA)[arm].joints] = solution.q
                 if all(solution.reached for solution in solutions):
                     asked_n += 1
                     assert engine.collisions(q[None])[0], query.infeasible
@@ -155,7 +157,7 @@ class TestInfeasible:
         moved[0, 3] = T[0, 3] + 0.48  # nearly at the bound
         assert out_of_reach({"left": moved}, planner.kinematics) == ""
         assert not any(
-            planner.goals.solvers["left"].solve(moved, start).reached
+            solvers(DUAL_PANDA)["left"].solve(moved, start).reached
             for start in np.random.default_rng(1).uniform(Q_LOWER[:7], Q_UPPER[:7], (20, 7))
         )
 

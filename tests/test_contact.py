@@ -18,8 +18,9 @@ from minidual.control.commands import JointCommand
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.motion.ik import PostureIK
+from minidual.motion.ik import posture_at
 from minidual.plant.world import World
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.reach import grasp_posture
@@ -66,11 +67,11 @@ def test_a_target_under_the_table_does_not_press_for_ever(world: World, supervis
     """5 mm under: 76 N for ever before; now the arm stops 3 ms after the touch and keeps off."""
     kinematics = Kinematics()
     left, right = kinematics.tcp_poses(HOME)
-    ik, q, heights = PostureIK(kinematics, posture=HOME), HOME, []
+    q, heights = HOME, []
     left[:2, 3] += 0.1, 0.0
     for height in np.r_[np.linspace(left[2, 3], 0.02, 20), np.linspace(0.02, -0.005, 16)]:
         left[2, 3] = height
-        q = ik.solve(left, right, q)
+        q = posture_at(DUAL_PANDA, (left, right), q, HOME)
         heights.append(q)
     world.reset(heights[19])
     supervisor = Supervisor(dt_s=world.dt) if supervised else None

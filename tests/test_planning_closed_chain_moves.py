@@ -30,6 +30,7 @@ from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, _Effo
 from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
@@ -56,7 +57,7 @@ def planner():
 def q_start(planner):
     targets = {arm: START @ grasp for arm, grasp in HELD.items()}
     q = planner.planner.plan_to_poses("both_arms", HOME, targets).q_goal
-    return HandsIK(GRASPS, Kinematics()).solve(START, q)
+    return HandsIK(GRASPS, DUAL_PANDA).solve(START, q)
 
 
 def query(q_start, goal=GOAL, obstacles=(), **change):
@@ -141,7 +142,7 @@ def test_same_query_same_bytes(planner, over_the_wall, q_start):
 
 
 def test_continuation_and_projection_agree_with_the_grasps(q_start):
-    hands = HandsIK(GRASPS, Kinematics())
+    hands = HandsIK(GRASPS, DUAL_PANDA)
     path = ObjectPath.through([START, pose(rot_z(0.5) @ rot_x(0.3), (0.45, 0.0, 0.35))])
     Ts = path.poses(np.linspace(0.0, path.length, 40))
     followed, ended = hands.follow(Ts, q_start)
@@ -156,7 +157,7 @@ def test_continuation_and_projection_agree_with_the_grasps(q_start):
 
 
 def test_rounding_beyond_a_limit_is_cut_off_and_more_is_refused(monkeypatch, q_start):
-    hands, q = HandsIK(GRASPS, Kinematics()), q_start.copy()
+    hands, q = HandsIK(GRASPS, DUAL_PANDA), q_start.copy()
     monkeypatch.setattr(hands, "_nearest", lambda *_: q)
     q[10] = Q_UPPER[10] + 5e-7
     assert hands.solve(START, q_start)[10] == Q_UPPER[10]
@@ -166,7 +167,7 @@ def test_rounding_beyond_a_limit_is_cut_off_and_more_is_refused(monkeypatch, q_s
 
 
 def test_joints_are_pushed_off_their_limits_only_near_them():
-    off_limits = HandsIK(GRASPS, Kinematics()).off_limits
+    off_limits = HandsIK(GRASPS, DUAL_PANDA).off_limits
     assert not off_limits(HOME).any()
     near = HOME.copy()
     near[0], near[5] = Q_LOWER[0] + 0.05, Q_UPPER[5] - 0.05
@@ -177,7 +178,7 @@ def test_joints_are_pushed_off_their_limits_only_near_them():
 
 def test_search_and_shortening_stay_free(planner, q_start):
     problem = query(q_start, obstacles=(WALL,))
-    hands = HandsIK(GRASPS, Kinematics())
+    hands = HandsIK(GRASPS, DUAL_PANDA)
     q_goal = planner.plan(problem).q[-1]
     checker = EdgeChecker(planner.engines(problem.scene), 0.005, (q_start, q_goal), 0.03)
     space = HeldSpace(hands, ObjectChart(START[:3, :3]), checker)
@@ -245,7 +246,7 @@ def test_moves_are_what_they_say(outcomes):
         assert move.with_obstacles == (move.index % 2 == 1)
         assert len(move.query.scene.obstacles) == (4 if move.with_obstacles else 1)
         assert move.blocked or not move.with_obstacles
-        hands = HandsIK(GRASPS, Kinematics())
+        hands = HandsIK(GRASPS, DUAL_PANDA)
         assert max(hands.strays(move.query.q_start[None], move.T_world_start[None])) < 1e-6
         assert np.abs(move.witness[0, Q] - move.query.q_start).max() < 1e-9
         assert outcome.ok
@@ -254,7 +255,7 @@ def test_moves_are_what_they_say(outcomes):
 
 def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     """Negative control of the rule that a move counts only with a proven witness."""
-    hands = HandsIK(GRASPS, Kinematics())
+    hands = HandsIK(GRASPS, DUAL_PANDA)
     path = ObjectPath.through([START, GOAL])
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
@@ -370,7 +371,7 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
     assert work.search(method, [end + 0.3], replace(effort, checks_n=50), 1) is None
     points = work.search(method, [end + 0.3, end], effort, 1)
     assert np.abs(points[-1, Q] - end).max() < 1e-3
-    hands, chart = HandsIK(GRASPS, Kinematics()), ObjectChart(START[:3, :3])
+    hands, chart = HandsIK(GRASPS, DUAL_PANDA), ObjectChart(START[:3, :3])
     assert max(hands.strays(points[:, Q], chart.poses(points[:, X]))) < 1e-6
 
 

@@ -18,6 +18,7 @@ from minidual.motion.held.path import ObjectPath
 from minidual.motion.held.planner import scene_holding
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, rot_z
 from minidual.skills.cycle import thing_of
@@ -38,7 +39,7 @@ def constraint():
 def q_held():
     left = (0.0253, -0.6431, -0.2768, -2.3208, -0.2559, 1.7128, 0.2325)
     q, kinematics = np.array([*left, 0.3514, -0.9444, 0.5062, -2.3693, 0.3329, 1.4401, 1.0883]), Kinematics()
-    return HandsIK(GRASPS, kinematics).solve(kinematics.tcp_poses(q)[0] @ inverse(GRASPS[0]), q)
+    return HandsIK(GRASPS, DUAL_PANDA).solve(kinematics.tcp_poses(q)[0] @ inverse(GRASPS[0]), q)
 
 
 def value(constraint, q):
@@ -128,7 +129,7 @@ def move(q_held):
     T_goal[:3, 3] += (0.05, -0.25, -0.05)
     path = ObjectPath.through([T_start, T_goal])
     Ts = path.poses(np.linspace(0.0, path.length, 60))
-    Q, ended = HandsIK(GRASPS, kinematics).follow(Ts, q_held)
+    Q, ended = HandsIK(GRASPS, DUAL_PANDA).follow(Ts, q_held)
     assert ended is None
     return Q[-1], T_start, T_goal
 

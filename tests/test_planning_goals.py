@@ -26,7 +26,7 @@ from minidual.motion.goal_plan import (
     goal_of,
     load_goal,
 )
-from minidual.motion.goals import PoseGoals
+from minidual.motion.goals import pose_goals
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -332,7 +332,7 @@ def test_poses_as_a_start(planner):
 class _NeverProvenFree:
     """Engines for which nothing is free, although no pair touches."""
 
-    min_distance_m = 0.0
+    scene = PlanningScene()
 
     def __init__(self):
         self.solids = self
@@ -345,8 +345,7 @@ class _NeverProvenFree:
 
 
 def test_a_goal_that_no_plane_separates_is_refused_and_not_searched_for_ever():
-    poses = PoseGoals(Kinematics(), 2)
     home = DUAL_PANDA.home
     target = Kinematics(DUAL_PANDA).tcp_poses(home)[0]
     with pytest.raises(GoalInCollisionError, match="too close to contact"):
-        poses.candidates("left_arm", home, {"left": target}, _NeverProvenFree(), np.random.default_rng(0))
+        pose_goals("left_arm", home, {"left": target}, _NeverProvenFree(), np.random.default_rng(0), 2)

@@ -227,7 +227,7 @@ def test_an_arm_of_another_build_is_refused(monkeypatch, third, tip, error):
 def test_arms_of_other_models_are_solved_too(name):
     """Limits of two turns, six joints, hinges about y: forward kinematics by Pinocchio, round trip, projection."""
     kinematics = Kinematics(Robot(ARM_MODELS[name]))
-    arm = ArmIK("right", kinematics)
+    arm = ArmIK("right", kinematics.robot)
     rng = np.random.default_rng(12)
     full, n = kinematics.robot.home.copy(), kinematics.robot.dof_per_arm
     for _ in range(20):

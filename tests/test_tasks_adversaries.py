@@ -17,7 +17,7 @@ from minidual.config.change import replaced
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
-from minidual.motion.ik import ArmIK
+from minidual.motion.ik import solvers
 from minidual.plant.bodies import NamedObject
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -303,7 +303,7 @@ class Hands:
         self.task, self.world = TASKS[name](), real_world(name)
         self.judge = begin(self.world, self.task, trial)
         kinematics = Kinematics()
-        self.solvers = [ArmIK(side, kinematics) for side in kinematics.robot.sides]
+        self.solvers = [*solvers(kinematics.robot).values()]
         self.loop = JointLoop(self.world, kinematics)
         self.q = self.world.q
         x, y, _ = placement(trial.start[self.task.carried])

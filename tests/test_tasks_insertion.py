@@ -14,6 +14,7 @@ from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig
 from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
+from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
@@ -23,7 +24,6 @@ from minidual.skills.cycle import pose_of, solve, thing_of
 from minidual.skills.pipeline import hands
 from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
-from minidual.skills.reach import solvers
 from minidual.skills.supervised import SceneClearance
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET
 from minidual.tasks.judge import Judge, Outcome, begin

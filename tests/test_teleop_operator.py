@@ -11,7 +11,8 @@ from minidual.config.scene import SceneConfig
 from minidual.config.teleop import OperatorConfig
 from minidual.control.kernels import minimum_jerk
 from minidual.errors import UsageError
-from minidual.motion.ik import PostureIK
+from minidual.motion.ik import posture_at
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
 from minidual.tasks.rod_carry import grasp_offsets, level_pose
@@ -141,15 +142,14 @@ def test_a_trial_is_demonstrated_alike_whatever_came_before(operator: ScriptedOp
 
 def test_the_posture_depends_on_the_hands_alone() -> None:
     kinematics = Kinematics()
-    ik = PostureIK(kinematics, posture=HOME)
     left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
     for T in (left, right):
         T[:3, 3] += (0.12, 0.05, -0.25)
     rng = np.random.default_rng(1)
-    reference = ik.solve(left, right, HOME)
+    reference = posture_at(DUAL_PANDA, (left, right), HOME, HOME)
     for _ in range(5):
         start = HOME + rng.uniform(-0.3, 0.3, 14)
-        np.testing.assert_allclose(ik.solve(left, right, start), reference, atol=1e-4)
+        np.testing.assert_allclose(posture_at(DUAL_PANDA, (left, right), start, HOME), reference, atol=1e-4)
     reached = kinematics.tcp_poses(reference)
     np.testing.assert_allclose(reached[0], left, atol=1e-6)
     np.testing.assert_allclose(reached[1], right, atol=1e-6)
@@ -161,7 +161,7 @@ def test_no_posture_that_reaches_the_hands_is_closer_to_the_reference() -> None:
     left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
     left[:3, 3] += (0.15, 0.1, -0.3)
     weights = np.array([1.0, 2.0, 1.0, 1.0, 3.0, 1.0, 0.5])
-    q = PostureIK(kinematics, posture=HOME, weights=weights).solve(left, right, HOME)
+    q = posture_at(DUAL_PANDA, (left, right), HOME, HOME, weights)
     for arm, J in enumerate(kinematics.tcp_jacobians(q)):
         part = slice(7 * arm, 7 * arm + 7)
         null = np.linalg.svd(J[:, part])[2][-1]
@@ -173,4 +173,4 @@ def test_a_pose_out_of_reach_is_refused_with_the_hand_and_the_place() -> None:
     left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
     right[0, 3] += 1.0
     with pytest.raises(UsageError, match=r"the right hand cannot reach position \[1\.3"):
-        PostureIK(kinematics, posture=HOME).solve(left, right, HOME)
+        posture_at(DUAL_PANDA, (left, right), HOME, HOME)

@@ -11,7 +11,7 @@ import numpy as np
 from minidual import emergency
 from minidual.demos.leader import Leader, LeaderSetup
 from minidual.errors import EnvironmentMissingError, UsageError
-from minidual.motion.ik import PostureIK
+from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_z
@@ -53,8 +53,8 @@ class KeyboardLeader(Leader):
         self._fd = descriptor
         self._saved = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)
-        self._q = kinematics.robot.home.copy()
-        self._ik = PostureIK(kinematics, posture=self._q)
+        self._robot = kinematics.robot
+        self._q = self._robot.home.copy()
         self._start = [T.copy() for T in kinematics.tcp_poses(self._q)]
         self._goal = np.zeros((2, 4))  # x, y, z [m] and yaw [rad] of each hand from its start
         self._offset = np.zeros((2, 4))
@@ -81,7 +81,7 @@ class KeyboardLeader(Leader):
         moves = zip(self._start, wanted, strict=True)
         try:
             left, right = (pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in moves)
-            self._q = self._ik.solve(left, right, self._q)
+            self._q = posture_at(self._robot, (left, right), self._q, self._robot.home)
             self._offset = wanted
         except UsageError:  # out of reach: stay, and reset the goal to the present position
             self._goal = self._offset.copy()

@@ -15,7 +15,7 @@ from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
 from minidual.motion.blend import blended_path, shortcut
-from minidual.motion.goals import GROUP_ARMS, PoseGoals, check_joints, goal_joints, require_free
+from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints, pose_goals, require_free
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import DT_S, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification, certify
@@ -120,7 +120,6 @@ class Planner:
         self.scene = scene or PlanningScene(robot=robot)
         self.robot = self.scene.robot
         self.kinematics = Kinematics(self.robot)
-        self.goals = PoseGoals(self.kinematics, self.config.ik_restarts_n)
         self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
@@ -175,10 +174,10 @@ class Planner:
             IKUnreachableError: A pose is out of reach.
             And what `plan_to_joints` raises.
         """
-        work = _Work(self, group, q_start, **options)
+        work, config = _Work(self, group, q_start, **options), self.config
         with work.phase("ik"):
-            rng, most_n = stream(work.seed, "motion/goals"), self.config.goal_candidates_n
-            goals = self.goals.candidates(group, work.q_start, targets, work.engines, rng, most_n)
+            rng, counts = stream(work.seed, "motion/goals"), (config.ik_restarts_n, config.goal_candidates_n)
+            goals = pose_goals(group, work.q_start, targets, work.engines, rng, *counts)
         return work.run(goals)
 
 

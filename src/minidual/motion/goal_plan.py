@@ -25,7 +25,7 @@ from minidual.config.seeds import stream
 from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, unknown_name
 from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
-from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints
+from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
@@ -260,7 +260,7 @@ class GoalPlanner:
         if not isinstance(resolved, dict):
             return resolved
         engines, rng = self.planner.engines(scene), stream(seed, "motion/start")
-        return self.planner.goals.candidates(group, q_near, resolved, engines, rng)[0]
+        return pose_goals(group, q_near, resolved, engines, rng, self.planner.config.ik_restarts_n)[0]
 
     def plan(self, group: str, q_start: Array, goal: Goal, **options: Unpack[QueryOptions]) -> PlanResult:
         """Plan to a goal; see `Planner.plan_to_joints`. Straight moves ignore `seed` and `budget_s`.

@@ -7,10 +7,9 @@ import numpy as np
 
 from minidual.collision.errors import GoalInCollisionError, OutOfLimitsError, StartInCollisionError
 from minidual.errors import UsageError
-from minidual.motion.ik import ArmIK, check_pose
+from minidual.motion.ik import check_pose, solvers
 from minidual.proof.scene_engines import SceneEngines
 from minidual.registry import Registry
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 
 GROUP_ARMS: Registry[tuple[str, ...]] = Registry(
@@ -93,52 +92,44 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
     return {arm: check_pose(targets[arm], f"the target of the {arm} hand") for arm in arms}
 
 
-class PoseGoals:
-    """Finds joint configurations for tcp poses."""
+def pose_goals(
+    group: str,
+    q_start: Array,
+    targets: Mapping[str, Array],
+    engine: SceneEngines,
+    rng: np.random.Generator,
+    restarts_n: int,
+    goals_n: int = 1,
+) -> list[Array]:
+    """Return free configurations (n,) at tcp poses, nearest to the start first.
 
-    def __init__(self, kinematics: Kinematics, restarts_n: int) -> None:
-        self.solvers = {side: ArmIK(side, kinematics) for side in SIDES}
-        self._restarts_n = restarts_n
-
-    def candidates(
-        self,
-        group: str,
-        q_start: Array,
-        targets: Mapping[str, Array],
-        engine: SceneEngines,
-        rng: np.random.Generator,
-        candidates_n: int = 1,
-        restarts_scale: int = 1,
-    ) -> list[Array]:
-        """Return free configurations (n,), nearest to the start first.
-
-        Raises:
-            IKUnreachableError, GoalInCollisionError: None exists.
-            UsageError: Wrong arms or invalid pose.
-        """
-        restarts_n = restarts_scale * self._restarts_n
-        solutions = {
-            arm: self.solvers[arm].solutions(T, q_start[self.solvers[arm].joints], rng, restarts_n)
-            for arm, T in check_targets(group, targets).items()
-        }
-        found: dict[str, list[Array]] = {arm: [] for arm in solutions}
-        while True:
-            new = {arm: list(itertools.islice(more, candidates_n)) for arm, more in solutions.items()}
-            for arm in found:
-                found[arm] += new[arm]
-            combined = []
-            for parts in itertools.product(*found.values()):
-                q = np.array(q_start)
-                for arm, part in zip(found, parts, strict=True):
-                    q[self.solvers[arm].joints] = part
-                combined.append(q)
-            combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
-            free = list(itertools.islice(filter(engine.solids.free, combined), candidates_n))
-            if free:
-                return free
-            if not any(new.values()):
-                require_free(engine, combined[0], "goal")
-                raise GoalInCollisionError(
-                    "the goal is too close to contact: no plane separates all pairs at any of its solutions",
-                    remedy="move it a little, or allow the pair in the scene",
-                )
+    Raises:
+        IKUnreachableError, GoalInCollisionError: None exists.
+        UsageError: Wrong arms or invalid pose.
+    """
+    arms = solvers(engine.scene.robot)
+    solutions = {
+        side: arms[side].solutions(T, q_start[arms[side].joints], rng, restarts_n)
+        for side, T in check_targets(group, targets).items()
+    }
+    found: dict[str, list[Array]] = {side: [] for side in solutions}
+    while True:
+        new = {side: list(itertools.islice(more, goals_n)) for side, more in solutions.items()}
+        for side in found:
+            found[side] += new[side]
+        combined = []
+        for parts in itertools.product(*found.values()):
+            q = np.array(q_start)
+            for side, part in zip(found, parts, strict=True):
+                q[arms[side].joints] = part
+            combined.append(q)
+        combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
+        free = list(itertools.islice(filter(engine.solids.free, combined), goals_n))
+        if free:
+            return free
+        if not any(new.values()):
+            require_free(engine, combined[0], "goal")
+            raise GoalInCollisionError(
+                "the goal is too close to contact: no plane separates all pairs at any of its solutions",
+                remedy="move it a little, or allow the pair in the scene",
+            )

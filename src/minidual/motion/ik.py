@@ -1,5 +1,6 @@
 """Inverse kinematics."""
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -8,9 +9,10 @@ import numpy as np
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.ik_descent import descend, measure, project, tcp_pose
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics, hinges
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, Robot
 
 TOLERANCE = 1e-7
 """Error norm (m and rad combined) that counts as reached."""
@@ -59,15 +61,13 @@ def check_pose(T: Array, what: str) -> Array:
 class ArmIK:
     """IK of the "left" or "right" tcp in the world frame."""
 
-    def __init__(self, arm: str, kinematics: Kinematics | None = None) -> None:
-        kinematics = kinematics or Kinematics()
-        robot = kinematics.robot
+    def __init__(self, arm: str, robot: Robot = DUAL_PANDA) -> None:
         if arm not in robot.sides:
             raise unknown_name("arm", arm, robot.sides)
         self.arm = arm
         self.joints = robot.groups[f"{arm}_arm"]
         self._n = robot.dof_per_arm
-        placements, turns = hinges(robot)
+        kinematics, (placements, turns) = Kinematics(robot), hinges(robot)
         tip = kinematics.model.frames[kinematics.tcp_ids[robot.sides.index(arm)]]
         fixed = *placements[self.joints], turns[tip.parentJoint] * tip.placement
         self._frames = np.array([T.homogeneous for T in fixed])
@@ -152,27 +152,27 @@ class ArmIK:
             )
 
 
-class PostureIK:
-    """IK of both hands near a reference posture (n,) [rad]; independent of history."""
+@functools.cache
+def solvers(robot: Robot) -> dict[str, ArmIK]:
+    """Return the inverse kinematics of both arms."""
+    return {side: ArmIK(side, robot) for side in robot.sides}
 
-    def __init__(self, kinematics: Kinematics, *, posture: Array, weights: Array | None = None) -> None:
-        self._arms = tuple(ArmIK(side, kinematics) for side in kinematics.robot.sides)
-        self._posture = posture
-        self._mobility = 1.0 / (np.ones(kinematics.robot.dof_per_arm) if weights is None else np.asarray(weights))
 
-    def solve(self, T_world_left: Array, T_world_right: Array, q_start: Array) -> Array:
-        """Return q (n,) at both tcp poses (4, 4).
+def posture_at(
+    robot: Robot, Ts_world_tcp: tuple[Array, Array], q_start: Array, posture: Array, weights: Array | None = None
+) -> Array:
+    """Return q (n,) at both tcp poses (4, 4), near a reference posture (n,) [rad]; independent of history.
 
-        Raises:
-            UsageError: A pose is out of reach.
-        """
-        q = np.array(q_start, dtype=float)
-        for arm, T in zip(self._arms, (T_world_left, T_world_right), strict=True):
-            found = arm.resting(T, q[arm.joints], self._posture[arm.joints], self._mobility)
-            if not found.reached:
-                raise UsageError(
-                    f"the {arm.arm} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain",
-                    remedy="keep the object within reach: a smaller start range, or a start nearer to the arms",
-                )
-            q[arm.joints] = found.q
-        return q
+    Raises:
+        UsageError: A pose is out of reach.
+    """
+    q, mobility = np.array(q_start, dtype=float), 1.0 / (np.ones(robot.dof_per_arm) if weights is None else weights)
+    for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
+        found = arm.resting(T, q[arm.joints], posture[arm.joints], mobility)
+        if not found.reached:
+            raise UsageError(
+                f"the {side} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain",
+                remedy="keep the object within reach: a smaller start range, or a start nearer to the arms",
+            )
+        q[arm.joints] = found.q
+    return q

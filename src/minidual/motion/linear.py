@@ -11,7 +11,7 @@ from minidual.collision.errors import LinearMoveError
 from minidual.config.planning import MotionLimits
 from minidual.motion.goals import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
-from minidual.motion.ik import ArmIK
+from minidual.motion.ik import solvers
 from minidual.motion.timing import DT_S, PathLimits, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
@@ -84,7 +84,7 @@ class LinearPlanner:
     def __init__(self, limits: MotionLimits | None = None, kinematics: Kinematics | None = None) -> None:
         self._kinematics = kinematics or Kinematics()
         self._robot = self._kinematics.robot
-        self._ik = {side: ArmIK(side, self._kinematics) for side in SIDES}
+        self._ik = solvers(self._robot)
         self._limits = limits or MotionLimits()
 
     def plan(

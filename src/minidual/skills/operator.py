@@ -13,7 +13,7 @@ from minidual.config.seeds import stream, subseed
 from minidual.config.teleop import OperatorConfig
 from minidual.control.kernels import minimum_jerk
 from minidual.motion.api import Planner
-from minidual.motion.ik import PostureIK
+from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
@@ -86,8 +86,7 @@ class ScriptedOperator:
         self.scene, self.config = scene, config
         kinematics = kinematics or Kinematics()
         self._robot = robot = kinematics.robot
-        cost = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
-        self._ik = PostureIK(kinematics, posture=robot.home, weights=cost)
+        self._costs = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
         self._home_poses = kinematics.tcp_poses(robot.home)
         self._grasps = grasp_offsets(scene)
 
@@ -132,9 +131,8 @@ class ScriptedOperator:
         q = np.empty((ticks, self._robot.dof))
         current = self._robot.home.copy()
         for k, t in enumerate(times):
-            left, right = self._hand_poses(float(t), trial, error, phases, grasps)
-            current = self._ik.solve(left, right, current)
-            q[k] = current
+            hands = self._hand_poses(float(t), trial, error, phases, grasps)
+            q[k] = current = posture_at(self._robot, hands, current, self._robot.home, self._costs)
         closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
         gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
         return Demonstration(rate_hz, q, gripper)

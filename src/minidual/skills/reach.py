@@ -1,13 +1,11 @@
 """Postures that grasp the object at its ends."""
 
-import functools
-
 import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.control.object_controller import SLOW_AT
 from minidual.errors import MinidualError, UsageError
-from minidual.motion.ik import ArmIK, PostureIK
+from minidual.motion.ik import posture_at, solvers
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.skills.pipeline.state import raised
@@ -31,15 +29,9 @@ def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m
         pass
     left, right = (raised(T_world_level @ T, above_m) for T in grasp_offsets(scene))
     try:
-        return PostureIK(kinematics, posture=robot.home).solve(left, right, robot.home)
+        return posture_at(robot, (left, right), robot.home, robot.home)
     except UsageError as error:
         raise GraspUnreachableError(error.message, remedy=error.remedy) from error
-
-
-@functools.cache
-def solvers(robot: Robot) -> dict[str, ArmIK]:
-    """Return the inverse kinematics of both arms."""
-    return {side: ArmIK(side, Kinematics(robot)) for side in robot.sides}
 
 
 def grasp_posture(

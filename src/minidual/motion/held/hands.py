@@ -4,9 +4,8 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError
-from minidual.motion.ik import ArmIK, check_pose
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.motion.ik import check_pose, solvers
+from minidual.robot.pair import Array, Robot
 from minidual.robot.poses import inverse
 
 _LIMIT_BAND_RAD = 0.35
@@ -30,11 +29,10 @@ class HandsIK:
         UsageError: A grasp is no rigid pose.
     """
 
-    def __init__(self, grasps: tuple[Array, Array], kinematics: Kinematics) -> None:
+    def __init__(self, grasps: tuple[Array, Array], robot: Robot) -> None:
         left, right = grasps
         self.grasps = check_pose(left, "the left grasp"), check_pose(right, "the right grasp")
-        self.robot = kinematics.robot
-        self.arms = tuple(ArmIK(side, kinematics) for side in self.robot.sides)
+        self.robot, self.arms = robot, tuple(solvers(robot).values())
 
     def _nearest(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array:
         """Return q (n,) at the grasps; failed arms are NaN."""

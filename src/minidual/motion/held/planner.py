@@ -17,7 +17,7 @@ from minidual.config.planning import MotionLimits
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
-from minidual.motion.goals import check_joints, require_free
+from minidual.motion.goals import check_joints, pose_goals, require_free
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory, HeldCurve, ObjectPath, fine_curve
@@ -129,7 +129,7 @@ class HeldPlanner:
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
-        hands = HandsIK(grasps, self.kinematics)
+        hands = HandsIK(grasps, self.planner.robot)
         path = ObjectPath.through(Ts_world_object)
         hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
@@ -178,7 +178,7 @@ class HeldWork:
         budget_s = tools.planner.budget(budget_s)
         self._tools, self._config, self._query = tools, tools.planner.config, query
         self._q_start = check_joints(query.q_start, "start", tools.planner.robot)
-        self._hands = HandsIK(query.grasps, tools.kinematics)
+        self._hands = HandsIK(query.grasps, tools.planner.robot)
         T_goal = check_pose(query.T_world_goal, "the goal of the object")
         self._engines = tools.engines(query.scene)
         self._deadline = time.perf_counter() + budget_s
@@ -257,8 +257,8 @@ class HeldWork:
             try:
                 targets = {arm: T_goal @ grasp for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)}
                 rng, most_n = stream(self._query.seed, "held/goals"), 1 if wanted_n == 1 else _CANDIDATES_N
-                search = self._tools.planner.goals.candidates
-                goals += search("both_arms", self._q_start, targets, engines, rng, most_n, restarts_scale)
+                restarts_n = restarts_scale * config.ik_restarts_n
+                goals += pose_goals("both_arms", self._q_start, targets, engines, rng, restarts_n, most_n)
             except PlanningError:
                 if not goals:
                     raise

@@ -7,6 +7,7 @@ import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
+from minidual.motion.goals import pose_goals
 from minidual.motion.held.planner import HeldQuery
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
@@ -68,7 +69,7 @@ class Carry(Stage):
         group, hands = group_of(start.held_by), _hands_at(place.objects, start)
         engines = tools.planner.engines(tools.scene(start, resting=place.rests))
         rng = stream(tools.seed, "pipeline/place", index)
-        tools.planner.goals.candidates(group, start.q, hands, engines, rng)
+        pose_goals(group, start.q, hands, engines, rng, tools.planner.config.ik_restarts_n)
 
     def _at_once(self, place: Place, start: State, tools: Tools) -> Offer:
         height = self._heights[0]

@@ -191,7 +191,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
     At the samples (1 kHz): each hand relative to its grasp and to the other; between samples: relative to the other.
     """
-    hands = HandsIK(query.grasps, kinematics)
+    hands = HandsIK(query.grasps, kinematics.robot)
     at_samples = hands.strays(plan.q, plan.Ts_world_object)
     between, _, _ = plan.sample_many(plan.times[:-1] + 0.5 * plan.dt_s)
     T_tcp_object = inverse(query.grasps[0])

@@ -93,7 +93,7 @@ class HeldMoveGenerator:
         self._shape = thing_of(scene.object).shape
         self._prover = HeldPlanner(Planner(robot=robot))
         self._robot = robot
-        self._hands = HandsIK(self._grasps, self._prover.kinematics)
+        self._hands = HandsIK(self._grasps, robot)
 
     def move(self, index: int) -> HeldMove:
         """Return move `index`; odd ones have obstacles.

@@ -20,11 +20,11 @@ from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream
 from minidual.errors import DataError
 from minidual.motion.goals import GROUP_ARMS
+from minidual.motion.ik import solvers
 from minidual.proof.scene_engines import STEP_RAD
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
-from minidual.skills.reach import solvers
 
 OBSTACLES_N = 5
 ROBOT = DUAL_PANDA
