@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from minidual.robot.poses import inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.hands import Close, Descend, Grip, Home, Open, Reach, Retreat, off
+from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, Failure, Gap, Stage, Tools
 from minidual.skills.pipeline.state import CLOSED, OPEN, State
@@ -54,13 +55,13 @@ def carry(places, grips=(BOTH,), arms=SIDES):
     return Pipeline(
         "carry the rod",
         [
-            Reach("approach", arms, grips),
-            Descend("descend", arms),
-            Close("close", arms),
-            Carry("carry", places, 0.12),
-            Open("open", arms),
-            Retreat("retreat", arms),
-            Home("home", arms),
+            Stage("approach", partial(reach, arms, grips, {})),
+            Stage("descend", partial(descend, arms)),
+            Stage("close", partial(close, arms)),
+            Stage("carry", Carry(places, 0.12).offers),
+            Stage("open", partial(open_hands, arms)),
+            Stage("retreat", partial(retreat, arms)),
+            Stage("home", partial(home, arms)),
         ],
     )
 
@@ -114,11 +115,11 @@ class Idle:
     gap = None
 
 
-class Numbers(Stage):
+class Numbers:
     """Offers states whose first joint counts up."""
 
     def __init__(self, name, count):
-        super().__init__(name)
+        self.name = name
         self.count, self.asked = count, 0
 
     def offers(self, start, tools):
@@ -127,11 +128,11 @@ class Numbers(Stage):
             yield Candidate(str(k), float(k), replace(start, q=start.q + k))
 
 
-class Only(Stage):
+class Only:
     """Lets one number pass."""
 
     def __init__(self, name, number):
-        super().__init__(name)
+        self.name = name
         self.number, self.asked = number, 0
 
     def offers(self, start, tools):
@@ -160,20 +161,18 @@ def test_preferred_candidates_are_followed_first_over_all_stages():
     """Best first by the sum of preferences over the stages, not stage by stage."""
     followed = []
 
-    class Second(Stage):
-        def offers(self, start, tools):
-            for cost in (0.0, 0.4, 2.5):
-                q = start.q.copy()
-                q[1] = cost
-                yield Candidate("", cost, replace(start, q=q))
+    def second(start, tools):
+        for cost in (0.0, 0.4, 2.5):
+            q = start.q.copy()
+            q[1] = cost
+            yield Candidate("", cost, replace(start, q=q))
 
-    class Never(Stage):
-        def offers(self, start, tools):
-            followed.append(round(start.q[0] + start.q[1], 3))
-            yield Failure("no", "never")
+    def never(start, tools):
+        followed.append(round(start.q[0] + start.q[1], 3))
+        yield Failure("no", "never")
 
     with pytest.raises(TaskFailedError, match="'never' stops it") as caught:
-        Pipeline("t", [Numbers("make", 3), Second("second"), Never("never")]).solve(NOTHING, Idle())
+        Pipeline("t", [Numbers("make", 3), Stage("second", second), Stage("never", never)]).solve(NOTHING, Idle())
     assert followed == sorted(followed)
     assert followed == [0.0, 0.4, 1.0, 1.4, 2.0, 2.4, 2.5, 3.5, 4.5]
     assert caught.value.summary == "'never' stops it: never"
@@ -317,7 +316,7 @@ def test_grips_out_of_reach_stop_it_at_the_approach(planner):
 
 def test_a_grip_that_cannot_be_reached_gives_way_to_the_next(planner):
     beyond = Grip("1 m beside it", {arm: pose(np.eye(3), (1.0, 0.0, 0.0)) @ T for arm, T in GRASPS.items()})
-    fetch = Pipeline("fetch", [Reach("approach", SIDES, [beyond, replace(BOTH, cost=1.0)])])
+    fetch = Pipeline("fetch", [Stage("approach", partial(reach, SIDES, [beyond, replace(BOTH, cost=1.0)], {}))])
     solution = fetch.solve(START, tools(planner))
     assert solution.record.stages[0].chosen == "both ends"
     assert "1 m beside it" in solution.record.stages[0].failures["ik_unreachable"][0]
@@ -334,20 +333,20 @@ def test_arms_that_come_too_close_are_a_failure_with_the_pair_and_the_gap(planne
 
 def test_what_hands_cannot_do_is_refused(planner):
     held = replace(START, held_by=GRASPS, rests=False)
-    for stage, state, says in (
-        (Home("home", SIDES), held, "tear"),
-        (Reach("approach", SIDES, [BOTH]), held, "tear"),
-        (Open("o", ("left",)), START, "the left hand holds nothing to let go"),
-        (Open("o", SIDES), held, "the object is in the air"),
-        (Carry("c", [GOAL], 0.1), START, "no hand holds the object"),
+    for offers, state, says in (
+        (partial(home, SIDES), held, "tear"),
+        (partial(reach, SIDES, [BOTH], {}), held, "tear"),
+        (partial(open_hands, ("left",)), START, "the left hand holds nothing to let go"),
+        (partial(open_hands, SIDES), held, "the object is in the air"),
+        (Carry([GOAL], 0.1).offers, START, "no hand holds the object"),
     ):
         with pytest.raises(Failure, match=says):
-            next(stage.offers(state, tools(planner)))
+            next(offers(state, tools(planner)))
 
 
 def test_hands_may_reach_their_grasps_one_after_the_other(planner):
     """A hand over its grasp keeps it while the other hand reaches its own."""
-    one, other = (Reach(f"approach {arm}", (arm,), [BOTH]) for arm in SIDES)
+    one, other = (Stage(f"approach {arm}", partial(reach, (arm,), [BOTH], {})) for arm in SIDES)
     solution = Pipeline("t", [one, other]).solve(START, tools(planner))
     assert set(solution.states[1].reached) == {"left"}
     assert set(solution.states[2].reached) == set(SIDES)
@@ -363,7 +362,7 @@ def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     place = Place("turned", {"rod": turned}, rests=False)
     given = Tools(PlanningScene(), [bottle], planner, seed=1)
     held = replace(state, objects={"rod": T_start})
-    stages = {limit: Carry("carry", [place], 0.1, limit) for limit in (np.pi, 0.05)}
+    stages = {limit: Carry([place], 0.1, limit) for limit in (np.pi, 0.05)}
     assert any(o.label.endswith("round") for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure))
     found = [o for o in stages[0.05].offers(held, given) if isinstance(o, Failure)]
     assert "tilted" in {o.reason for o in found}

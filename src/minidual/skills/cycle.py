@@ -5,6 +5,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
-from minidual.skills.pipeline.hands import Close, Descend, Grip, Home, Insert, Open, Reach, Retreat
+from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, open_hands, reach, retreat
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
 from minidual.skills.pipeline.state import State, Thing
@@ -33,7 +34,7 @@ _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
 _CLEAR_M = 0.005  # over the height that the task asks for
 _PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
-_OF_HANDS = {"descend": Descend, "close": Close, "open": Open, "retreat": Retreat, "home": Home}
+_OF_HANDS = {"descend": descend, "close": close, "open": open_hands, "retreat": retreat, "home": home}
 
 
 def thing_of(body: ObjectConfig) -> Thing:
@@ -111,15 +112,16 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
                 places = [Place("the goal", goals)]
             tilt_rad = _PLANNED_TILT * asked.tilt_max_rad
             least_m = asked.clear_height_m + _CLEAR_M
-            stages.append(Carry(label("carry", hands, names), places, asked.lift_height_m, tilt_rad, least_m))
+            carry = Carry(places, asked.lift_height_m, tilt_rad, least_m)
+            stages.append(Stage(label("carry", hands, names), carry.offers))
             continue
         for step in run:
             if step.phase == "insert":
                 way = [np.asarray(T) for T in step.places]
-                stages.append(Insert(label("insert", hands, names), hands, way, *handled))
+                stages.append(Stage(label("insert", hands, names), partial(insert, hands, way, *handled)))
                 continue
             if step.phase != "approach":
-                stages.append(_OF_HANDS[step.phase](label(step.phase, hands, names), hands))
+                stages.append(Stage(label(step.phase, hands, names), partial(_OF_HANDS[step.phase], hands)))
                 continue
             ways = [{hands[0]: T} for T in step.grasps]
             for hand, name in about.items() if not ways else ():
@@ -127,7 +129,7 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
                     raise UsageError(f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}")
             ways = ways or [{hand: task.objects[name].grasps[hand] for hand, name in about.items()}]
             grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
-            stages.append(Reach(label("approach", hands, names), hands, grips, about))
+            stages.append(Stage(label("approach", hands, names), partial(reach, hands, grips, about)))
     return Pipeline(task.name, stages, _KEENNESS if any(step.grasps for step in steps) else 0.0)
 
 

@@ -13,7 +13,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.hands import free, straight
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
+from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure, group_of
 from minidual.skills.pipeline.state import Segment, State, raised
 
 _OTHER_HEIGHTS_M = (0.06, 0.2)
@@ -31,7 +31,7 @@ class Place:
     rests: bool = True
 
 
-class Carry(Stage):
+class Carry:
     """Bring the held objects to one of several places.
 
     Two hands on one object first try one motion without a stop. Then: straight up, across freely (else straight first), straight
@@ -39,9 +39,8 @@ class Carry(Stage):
     """
 
     def __init__(
-        self, name: str, places: Sequence[Place], lift_m: float, tilt_max_rad: float = np.pi, least_m: float = 0.0
+        self, places: Sequence[Place], lift_m: float, tilt_max_rad: float = np.pi, least_m: float = 0.0
     ) -> None:
-        super().__init__(name)
         self._tilt_max_rad = tilt_max_rad
         self._places = sorted(places, key=lambda place: place.cost)
         # as low as the task allows, where the arms reach no higher

@@ -1,4 +1,4 @@
-"""Stages of the hands: reach, descend, close, open, retreat, home."""
+"""Offers of the hands' stages (see `Stage`): reach, descend, close, insert, open, retreat, home."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import PHASES
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools, failure, group_of
+from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure, group_of
 from minidual.skills.pipeline.state import CLOSED, OPEN, Segment, State, moved, still
 
 _ATTEMPTS = 5  # postures tried per grip
@@ -32,80 +32,62 @@ class Grip:
     cost: float = 0.0
 
 
-class Reach(Stage):
-    """Free motion of open hands to the approach height."""
-
-    def __init__(
-        self, name: str, arms: Sequence[str], grips: Sequence[Grip], about: Mapping[str, str] | None = None
-    ) -> None:
-        super().__init__(name, arms)
-        self._grips, self._about = sorted(grips, key=lambda grip: grip.cost), about or {}
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield motions to every grip."""
-        _require_open_chain(start)
-        start = replace(start, about={**start.about, **self._about})
-        scene = tools.scene(start)
-        for grip in self._grips:
-            grasps = {arm: grip.grasps[arm] for arm in self.arms}
-            at = {arm: start.objects[start.object_of(arm)] @ T for arm, T in grasps.items()}
-            shift = off(at, PHASES["approach"].rise_m)
-            over = {arm: moved(T, shift) for arm, T in at.items()}
-            for attempt in range(_ATTEMPTS):
-                seed = subseed(tools.seed, "pipeline/approach", attempt)
-                try:
-                    plan = tools.planner.plan_to_poses(group_of(self.arms), start.q, over, scene=scene, seed=seed)
-                except PlanningError as error:
-                    yield failure(error, grip.label)
-                    break  # further postures would fail too
-                opened = start.opened(self.arms, OPEN)
-                end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
-                segment = free(tools, "approach", end.openings, plan, scene)
-                label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
-                yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
+def reach(
+    arms: tuple[str, ...], grips: Sequence[Grip], about: Mapping[str, str], start: State, tools: Tools
+) -> Iterator[Offer]:
+    """Yield free motions of open hands to the approach height over every grip, of the objects in `about`, by arm."""
+    _require_open_chain(start)
+    start = replace(start, about={**start.about, **about})
+    scene = tools.scene(start)
+    for grip in sorted(grips, key=lambda grip: grip.cost):
+        grasps = {arm: grip.grasps[arm] for arm in arms}
+        at = {arm: start.objects[start.object_of(arm)] @ T for arm, T in grasps.items()}
+        shift = off(at, PHASES["approach"].rise_m)
+        over = {arm: moved(T, shift) for arm, T in at.items()}
+        for attempt in range(_ATTEMPTS):
+            seed = subseed(tools.seed, "pipeline/approach", attempt)
+            try:
+                plan = tools.planner.plan_to_poses(group_of(arms), start.q, over, scene=scene, seed=seed)
+            except PlanningError as error:
+                yield failure(error, grip.label)
+                break  # further postures would fail too
+            opened = start.opened(arms, OPEN)
+            end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
+            segment = free(tools, "approach", end.openings, plan, scene)
+            label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
+            yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
 
 
-class Descend(Stage):
-    """Straight motion to the grasps."""
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the motion."""
-        targets = {arm: start.objects[start.object_of(arm)] @ start.reached[arm] for arm in self.arms}
-        segment = straight(tools, "descend", start, targets, tools.scene(start, touching=self.arms))
-        yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
+def descend(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+    """Yield the straight motion to the grasps."""
+    targets = {arm: start.objects[start.object_of(arm)] @ start.reached[arm] for arm in arms}
+    segment = straight(tools, "descend", start, targets, tools.scene(start, touching=arms))
+    yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
-class Close(Stage):
+def close(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Close the hands; from then on they hold the object."""
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """See `Stage`."""
-        held = {**start.held_by, **{arm: start.reached[arm] for arm in self.arms}}
-        left = {arm: T for arm, T in start.reached.items() if arm not in self.arms}
-        end = replace(start.opened(self.arms, CLOSED), held_by=held, reached=left)
-        soft = self.arms if end.closed_chain and start.held_by else ()
-        yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings, soft=soft),))
+    held = {**start.held_by, **{arm: start.reached[arm] for arm in arms}}
+    left = {arm: T for arm, T in start.reached.items() if arm not in arms}
+    end = replace(start.opened(arms, CLOSED), held_by=held, reached=left)
+    soft = arms if end.closed_chain and start.held_by else ()
+    yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings, soft=soft),))
 
 
-class Insert(Stage):
+def insert(
+    arms: tuple[str, ...], way: Sequence[Array], what: str, into: str, start: State, tools: Tools
+) -> Iterator[Offer]:
     """A held object touches another one, searches across its y axis, and goes in; `by_force` without search."""
-
-    def __init__(self, name: str, arms: Sequence[str], way: Sequence[Array], what: str, into: str) -> None:
-        super().__init__(name, arms)
-        (self._touch, self._end), self._what, self._into = way, what, into
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """See `Stage`."""
-        scene = tools.scene(start).allowing(self._what, self._into, "one goes into the other")
-        state, segments, touch, end = start, list[Segment](), self._touch, self._end
-        way = (end @ pose(np.eye(3), (0.0, _DRIVEN_M, 0.0)),) if tools.by_force else (*_spiral(touch), touch, end)
-        for T in way:
-            targets = {arm: T @ start.held_by[arm] for arm in self.arms}
-            segments.append(replace(straight(tools, "insert", state, targets, scene), soft=self.arms))
-            state = replace(state, q=segments[-1].trajectory.q[-1], objects={**start.objects, self._what: T})
-        hold_s = PHASES["insert"].force_s if tools.by_force else PHASES["insert"].hold_s
-        wait = still("settle", state.q, hold_s, state.openings, soft=self.arms)
-        yield Candidate("", 0.0, state, (*segments, wait))
+    scene = tools.scene(start).allowing(what, into, "one goes into the other")
+    state, segments, (touch, end) = start, list[Segment](), way
+    parts = (end @ pose(np.eye(3), (0.0, _DRIVEN_M, 0.0)),) if tools.by_force else (*_spiral(touch), touch, end)
+    for T in parts:
+        targets = {arm: T @ start.held_by[arm] for arm in arms}
+        segments.append(replace(straight(tools, "insert", state, targets, scene), soft=arms))
+        state = replace(state, q=segments[-1].trajectory.q[-1], objects={**start.objects, what: T})
+    hold_s = PHASES["insert"].force_s if tools.by_force else PHASES["insert"].hold_s
+    wait = still("settle", state.q, hold_s, state.openings, soft=arms)
+    yield Candidate("", 0.0, state, (*segments, wait))
 
 
 def _spiral(T: Array) -> Iterator[Array]:
@@ -114,66 +96,57 @@ def _spiral(T: Array) -> Iterator[Array]:
         yield T @ pose(np.eye(3), (radius_m * np.cos(angle), 0.0, radius_m * np.sin(angle)))
 
 
-class Open(Stage):
+def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Open hands; the object stays in place or with the other hand. `by_force` lowers it first."""
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """See `Stage`."""
-        missing = [arm for arm in self.arms if arm not in start.held_by]
-        if missing:
-            raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
-        held = {arm: T for arm, T in start.held_by.items() if arm not in self.arms}
-        kept = {start.object_of(arm) for arm in held}
-        if not start.rests and any(start.object_of(arm) not in kept for arm in self.arms):
-            raise Failure("would_fall", "the object is in the air and no other hand holds it")
-        kept_by, soft, q, down = () if start.rests else tuple(held), (), start.q, ()
-        if tools.by_force and start.rests and not start.closed_chain:
-            poses, soft = tools.planner.kinematics.tcp_poses(start.q), tuple(self.arms)
-            deeper = {arm: moved(poses[SIDES.index(arm)], np.array([0.0, 0.0, -_RESTED_M])) for arm in self.arms}
-            down = (replace(straight(tools, "lower", start, deeper, tools.scene(start, resting=True)), soft=soft),)
-            q = down[-1].trajectory.q[-1]
-        end = replace(start.opened(self.arms, OPEN), held_by=held, q=q)
-        settle = still("settle", q, PHASES["settle"].hold_s, start.openings, soft=kept_by or soft)
-        opens = still("open", q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by or soft)
-        if down:  # the hand sinks to q as soon as it holds nothing
-            opens = replace(opens, scene=tools.scene(end, touching=self.arms))
-        yield Candidate("", 0.0, end, (*down, settle, opens))
+    missing = [arm for arm in arms if arm not in start.held_by]
+    if missing:
+        raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
+    held = {arm: T for arm, T in start.held_by.items() if arm not in arms}
+    kept = {start.object_of(arm) for arm in held}
+    if not start.rests and any(start.object_of(arm) not in kept for arm in arms):
+        raise Failure("would_fall", "the object is in the air and no other hand holds it")
+    kept_by, soft, q, down = () if start.rests else tuple(held), (), start.q, ()
+    if tools.by_force and start.rests and not start.closed_chain:
+        poses, soft = tools.planner.kinematics.tcp_poses(start.q), arms
+        deeper = {arm: moved(poses[SIDES.index(arm)], np.array([0.0, 0.0, -_RESTED_M])) for arm in arms}
+        down = (replace(straight(tools, "lower", start, deeper, tools.scene(start, resting=True)), soft=soft),)
+        q = down[-1].trajectory.q[-1]
+    end = replace(start.opened(arms, OPEN), held_by=held, q=q)
+    settle = still("settle", q, PHASES["settle"].hold_s, start.openings, soft=kept_by or soft)
+    opens = still("open", q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by or soft)
+    if down:  # the hand sinks to q as soon as it holds nothing
+        opens = replace(opens, scene=tools.scene(end, touching=arms))
+    yield Candidate("", 0.0, end, (*down, settle, opens))
 
 
-class Retreat(Stage):
-    """Straight motion away from the released object."""
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield straight retreats."""
-        scene = tools.scene(start, touching=self.arms)
-        poses = zip(SIDES, tools.planner.kinematics.tcp_poses(start.q), strict=True)
-        tips = {arm: T for arm, T in poses if arm in self.arms}
-        for share in _SHORTER:
-            height = share * PHASES["retreat"].rise_m
-            label = f"by {100 * height:.0f} cm"
-            targets = {arm: moved(T, off(tips, height)) for arm, T in tips.items()}
-            try:
-                segment = straight(tools, "retreat", start, targets, scene)
-            except PlanningError as error:
-                yield failure(error, label)
-                continue
-            yield Candidate(label, 1.0 - share, replace(start, q=segment.trajectory.q[-1]), (segment,))
+def retreat(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+    """Yield straight motions away from the released object."""
+    scene = tools.scene(start, touching=arms)
+    poses = zip(SIDES, tools.planner.kinematics.tcp_poses(start.q), strict=True)
+    tips = {arm: T for arm, T in poses if arm in arms}
+    for share in _SHORTER:
+        height = share * PHASES["retreat"].rise_m
+        label = f"by {100 * height:.0f} cm"
+        targets = {arm: moved(T, off(tips, height)) for arm, T in tips.items()}
+        try:
+            segment = straight(tools, "retreat", start, targets, scene)
+        except PlanningError as error:
+            yield failure(error, label)
+            continue
+        yield Candidate(label, 1.0 - share, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
-class Home(Stage):
-    """Free motion of some arms, and what they hold, home."""
-
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield the planned motion."""
-        _require_open_chain(start)
-        q = start.q.copy()
-        for arm in self.arms:
-            joints = tools.robot.groups[f"{arm}_arm"]
-            q[joints] = tools.robot.home[joints]
-        scene = tools.scene(start)
-        plan = tools.planner.plan_to_joints(group_of(self.arms), start.q, q, scene=scene, seed=tools.seed)
-        segment = free(tools, "home", start.openings, plan, scene)
-        yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
+def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+    """Yield the free motion of some arms, and what they hold, home."""
+    _require_open_chain(start)
+    q = start.q.copy()
+    for arm in arms:
+        joints = tools.robot.groups[f"{arm}_arm"]
+        q[joints] = tools.robot.home[joints]
+    scene = tools.scene(start)
+    plan = tools.planner.plan_to_joints(group_of(arms), start.q, q, scene=scene, seed=tools.seed)
+    segment = free(tools, "home", start.openings, plan, scene)
+    yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
 
 
 def _require_open_chain(start: State) -> None:

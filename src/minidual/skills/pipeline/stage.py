@@ -1,6 +1,5 @@
 """Stages, their offers, and the planners of a search."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -100,19 +99,17 @@ class Tools:
         return scene
 
 
-class Stage(ABC):
-    """One step of a task by some arms; `name` is unique in a pipeline."""
+@dataclass(frozen=True)
+class Stage:
+    """One step of a task; `name` is unique in a pipeline.
 
-    def __init__(self, name: str, arms: Sequence[str] = SIDES) -> None:
-        self.name, self.arms = name, tuple(arms)
+    Attributes:
+        offers: Yields candidates from a state, preferred first, and failures. A PlanningError is a failure, after which
+            nothing more is offered.
+    """
 
-    @abstractmethod
-    def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
-        """Yield candidates from `start`, preferred first, and failures.
-
-        Raises:
-            PlanningError: A failure, after which nothing more is offered.
-        """
+    name: str
+    offers: Callable[[State, Tools], Iterator[Offer]]
 
 
 def failure(error: PlanningError, label: str) -> Failure:
