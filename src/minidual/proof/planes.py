@@ -358,6 +358,28 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
             off[c] = np.inf
 
 
+@inlined
+def _blocked(geometry: Geometry, chosen: Rows, i: int, j: int, need: float, moved: Array, work: Work) -> bool:
+    """Return whether a pair is not proven apart at states i and j, whose parts deviate by `moved` (see `_deviate`).
+
+    That pair comes first in `chosen`: it is likely to fail next, too.
+    """
+    for at in range(len(chosen)):
+        row = chosen[at]
+        pair = geometry[4][row]
+        deviation = moved[pair.moves_a] + moved[pair.moves_b]
+        if _between_balls(geometry, pair, i, j, work) - deviation > need:
+            continue
+        if _beside(geometry, pair, i, j, work) - deviation > need:
+            continue
+        if not _apart(geometry, pair, i, j, need + deviation, False, work) - deviation > need:
+            for k in range(at, 0, -1):
+                chosen[k] = chosen[k - 1]
+            chosen[0] = row
+            return True
+    return False
+
+
 @kernel()
 def bends(q: Array, v: Array, dt: float) -> Array:
     """Return the cubics' departures (n - 1, dof) [rad] from their chords."""
@@ -386,7 +408,6 @@ def prove(
     Returns:
         Ends of stretches (n,) bool; the unproven step's first sample and pair, or -1, -1.
     """
-    pairs = geometry[4]
     n, dof = q.shape
     asked = np.zeros(n, dtype=np.bool_)
     step, off = np.empty(dof), np.empty(dof)
@@ -406,37 +427,15 @@ def prove(
                 asked[k] = True
         _off_chord(q, bend, i, j, step, off)
         _deviate(geometry, step, off, table)
-        open_at = -1
-        for at in range(len(order)):
-            pair = pairs[order[at]]
-            deviation = moved[pair.moves_a] + moved[pair.moves_b]
-            if _between_balls(geometry, pair, i, j, work) - deviation > need:
-                continue
-            if _beside(geometry, pair, i, j, work) - deviation > need:
-                continue
-            if not _apart(geometry, pair, i, j, need + deviation, False, work) - deviation > need:
-                open_at = at
-                break
-        if open_at < 0:
+        if not _blocked(geometry, order, i, j, need, moved, work):
             continue
-        # The pair that failed is likely to fail in the halves too: check it first.
-        row = _to_front(order, open_at)
         if j - i < 2:
-            return asked, i, row
+            return asked, i, order[0]
         middle = (i + j) // 2
         stack[top, 0], stack[top, 1] = middle, j
         stack[top + 1, 0], stack[top + 1, 1] = i, middle
         top += 2
     return asked, -1, -1
-
-
-@inlined
-def _to_front(order: Rows, at: int) -> int:
-    row = order[at]
-    for k in range(at, 0, -1):
-        order[k] = order[k - 1]
-    order[0] = row
-    return row
 
 
 @kernel()
@@ -447,7 +446,7 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
     `chosen` is reordered, blocking pairs first.
     """
     padding, tight, clearances, relax = keep
-    pairs = geometry[4]
+    still = np.zeros((len(geometry[3]) + 1) * (geometry[5].shape[1] + 1))
     for k in range(len(Q)):
         need = padding
         for t in range(len(tight)):
@@ -456,13 +455,8 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
                 away = max(away, abs(Q[k, c] - tight[t, c]))
             need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
         _place(geometry, Q[k], 0, work)
-        for at in range(len(chosen)):
-            pair = pairs[chosen[at]]
-            if _between_balls(geometry, pair, 0, 0, work) > need or _beside(geometry, pair, 0, 0, work) > need:
-                continue
-            if not _apart(geometry, pair, 0, 0, need, False, work) > need:
-                _to_front(chosen, at)
-                return k
+        if _blocked(geometry, chosen, 0, 0, need, still, work):
+            return k
     return len(Q)
 
 
