@@ -9,9 +9,9 @@ from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.poses import pose, rot_z
 from minidual.tasks import success
-from minidual.tasks.rod_carry import draw_on_table, placement, transported
+from minidual.tasks.rod_carry import DOWN, draw_on_table, placement, transported
 from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
 _VALUES = rows_beside(__file__)
@@ -24,7 +24,6 @@ _MEETINGS = tuple(
 )
 # Places on the table for another grasp.
 _ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
-_DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
 # Hand pointing along the bottle's x axis, closing along y: across the giver's fingers, which else give way.
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 _HEIGHTS_M = (0.0, -0.04)  # of the taker's grasps
@@ -74,7 +73,7 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
     def sided(Ts: tuple[Array, ...]) -> tuple[Array, ...]:
         return Ts if to_the_right else tuple(_ACROSS @ T @ _ACROSS for T in Ts)
 
-    above = tuple(pose(rot_z(turn) @ _DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (0.0, np.pi))
+    above = tuple(pose(rot_z(turn) @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (0.0, np.pi))
     beside = tuple(pose(_FROM_THE_SIDE, (0.0, 0.0, z)) for z in _HEIGHTS_M)
     x, y, yaw = placement(trial.goal[name])
     goal = tuple(pose(rot_z(yaw + turn), (x, y, body.rest_height_m)) for turn in _TURNS)

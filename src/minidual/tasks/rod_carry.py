@@ -14,6 +14,8 @@ from minidual.tasks import success
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.task import ObjectPose, Poses, Step, Task, TaskObject, Trial
 
+DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
+"""Orientation (3, 3) of a hand over an object that lies along y."""
 _DRAWS_MAX, _ROOM_M = 1000, 0.02
 _PHASES = ("approach", "descend", "close", "squeeze", "lift", "carry", "lower", "open", "retreat")
 
@@ -123,8 +125,8 @@ def level_part(T_world_object: Array) -> Array:
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
     """Return left and right T_object_tcp, pointing down; left is the +y end."""
-    rotation, y, z = rot_z(np.pi / 2.0) @ rot_x(np.pi), scene.object.grasp_offset_m, scene.object.grasp_height_m
-    return pose(rotation, (0.0, y, z)), pose(rotation, (0.0, -y, z))
+    y, z = scene.object.grasp_offset_m, scene.object.grasp_height_m
+    return pose(DOWN, (0.0, y, z)), pose(DOWN, (0.0, -y, z))
 
 
 def tilt_rad(T_world_object: Array, body: ObjectConfig) -> float:

@@ -13,9 +13,9 @@ from minidual.config.scene import MarkConfig, ObjectConfig
 from minidual.errors import UsageError
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.poses import pose
 from minidual.tasks import success
-from minidual.tasks.rod_carry import level_pose, placement
+from minidual.tasks.rod_carry import DOWN, level_pose, placement
 from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
 _ROWS = rows_beside(__file__)
@@ -45,7 +45,7 @@ def sort(config: Config) -> Task:
     marks = tuple(mark for colour in COLOURS for mark in _bin(colour))
     bodies = {"scene.object": cubes[0], "scene.more": tuple(cubes[1:]), "scene.marks": marks}
     config = preset(config, {**bodies, **_ROWS["values"]})
-    down = pose(rot_z(np.pi / 2.0) @ rot_x(np.pi), (0.0, 0.0, config.scene.object.grasp_height_m))
+    down = pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m))
     grasps = dict.fromkeys(SIDES, down)
     return Task(
         name="sort",

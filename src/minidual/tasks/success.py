@@ -154,6 +154,13 @@ class OfObject(SuccessCondition):
     object: str
 
 
+class AtEnd(OfObject):
+    """A condition of the final state: met unless `end` says what is wrong."""
+
+    def holds(self, truth: Truth) -> bool:
+        return not self.end(truth)
+
+
 @dataclass
 class Level(OfObject):
     """Tilt limit."""
@@ -164,8 +171,7 @@ class Level(OfObject):
 
     def observe(self, truth: Truth) -> str:
         tilt = truth[self.object].tilt_rad
-        if tilt > self._largest:
-            self._largest = tilt
+        self._largest = max(self._largest, tilt)
         if tilt > self.limit_rad:
             return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
         return ""
@@ -287,7 +293,7 @@ class Stood(OfObject):
 
 
 @dataclass
-class Exchanged(OfObject):
+class Exchanged(AtEnd):
     """Both hands pinch the object off the table."""
 
     name = "exchanged"
@@ -299,9 +305,6 @@ class Exchanged(OfObject):
         item = truth[self.object]
         self._seen = self._seen or (item.airborne and min(item.pinch) > self.limit_n)
         return ""
-
-    def holds(self, truth: Truth) -> bool:
-        return self._seen
 
     def end(self, truth: Truth) -> str:
         return "" if self._seen else f"both hands never pinched it in the air with more than {self.limit_n:.0f} N"
@@ -355,7 +358,7 @@ class Rose(OfObject):
 
 
 @dataclass
-class Arrived(OfObject):
+class Arrived(AtEnd):
     """The object is near its goal (x, y) [m]."""
 
     name = "arrived"
@@ -363,18 +366,12 @@ class Arrived(OfObject):
     goal: tuple[float, float]
     limit_m: float
 
-    def _error(self, truth: Truth) -> float:
-        return truth[self.object].distance_m(self.goal)
-
-    def holds(self, truth: Truth) -> bool:
-        return self._error(truth) < self.limit_m
-
     def end(self, truth: Truth) -> str:
-        error = self._error(truth)
+        error = truth[self.object].distance_m(self.goal)
         return "" if error < self.limit_m else f"{1e3 * error:.1f} mm from the goal, limit {1e3 * self.limit_m:.0f}"
 
     def measured(self, truth: Truth) -> dict[str, float]:
-        return {"goal_error_m": self._error(truth)}
+        return {"goal_error_m": truth[self.object].distance_m(self.goal)}
 
 
 @dataclass
@@ -401,34 +398,29 @@ class Turned(OfObject):
 
 
 @dataclass
-class Released(OfObject):
+class Released(AtEnd):
     """No hand touches it."""
 
     name = "released"
     stage = True
 
-    def holds(self, truth: Truth) -> bool:
-        item = truth[self.object]
-        return max(item.pinch) < TOUCH_N and all(abs(f) <= TOUCH_N for hand in item.hand_forces for f in hand)
-
     def end(self, truth: Truth) -> str:
-        return "" if self.holds(truth) else f"a hand still touches the {self.object}"
+        item = truth[self.object]
+        free = max(item.pinch) < TOUCH_N and all(abs(f) <= TOUCH_N for hand in item.hand_forces for f in hand)
+        return "" if free else f"a hand still touches the {self.object}"
 
 
 @dataclass
-class AtRest(OfObject):
+class AtRest(AtEnd):
     """It rests on the table."""
 
     name = "at_rest"
     limit_m_per_s: float
 
-    def holds(self, truth: Truth) -> bool:
-        item = truth[self.object]
-        return item.speed_m_per_s < self.limit_m_per_s and item.on_table
-
     def end(self, truth: Truth) -> str:
         item = truth[self.object]
-        return "" if self.holds(truth) else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+        rests = item.speed_m_per_s < self.limit_m_per_s and item.on_table
+        return "" if rests else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
 
 
 class Each(SuccessCondition):
