@@ -23,6 +23,7 @@ from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
+from minidual.motion.goals import pose_goals
 from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
@@ -102,20 +103,19 @@ def test_a_wall_is_passed_and_the_proof_covers_the_rod(planner, over_the_wall):
 
 
 def test_goal_postures_are_searched_longer_before_a_goal_is_refused(planner, q_start, monkeypatch):
-    goals = planner.planner.goals
-    found, tried = goals.candidates, []
+    usual, tried = planner.planner.config.ik_restarts_n, []
 
     def rare(*args):
-        tried.append(args[-1])
-        if tried[-1] <= most:
+        tried.append(args[-2])
+        if tried[-1] <= most * usual:
             raise GoalInCollisionError("all postures found collide")
-        return found(*args)
+        return pose_goals(*args)
 
-    monkeypatch.setattr(goals, "candidates", rare)
+    monkeypatch.setattr("minidual.motion.held.planner.pose_goals", rare)
     monkeypatch.setattr(HeldWork, "_straight", lambda work: work.notes.append("blocked"))
     most = 1
     assert planner.plan(query(q_start)).verification.ok
-    assert tried[0] == 1 < tried[1]
+    assert tried[0] == usual < tried[1]
     most = 1_000
     with pytest.raises(GoalInCollisionError, match="all postures found collide"):
         planner.plan(query(q_start))
@@ -376,23 +376,23 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
 
 
 def test_a_search_that_fails_keeps_the_known_goals(planner, q_start, monkeypatch):
-    asked = query(q_start)
-    end = planner.plan(asked).q[-1]
+    end = planner.plan(query(q_start)).q[-1]
+    work, searched = HeldWork(planner, query(q_start, obstacles=(WALL,)), 2.0), []
 
-    def nothing(*_):
+    def postures(straight, wanted_n, *_):
+        if wanted_n == 1:
+            return [end]
         raise GoalInCollisionError("none of them is free")
 
-    work = HeldWork(planner, asked, 1.0)
-    monkeypatch.setattr(work, "goal_postures", nothing)
-    assert work.more_goals([end], None, 1)[0] is end
-    assert "none of them is free" in work.notes[-1]
-    monkeypatch.undo()
-    work = HeldWork(planner, query(q_start, obstacles=(WALL,)), 2.0)
-
-    def off(*_):
+    def off(method, goals, *_):
+        searched.append(goals[0])
         time.sleep(0.01)
         raise ClosedChainError("the goal cannot keep the relative pose")
 
+    monkeypatch.setattr(work, "goal_postures", postures)
     monkeypatch.setattr(work, "search", off)
     with pytest.raises(NoPathInTimeError, match=r"the last one: .*cannot keep the relative pose"):
         work.run()
+    assert len(searched) > 3
+    assert all(goal is end for goal in searched)
+    assert sum("none of them is free" in note for note in work.notes) == 2

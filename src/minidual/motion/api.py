@@ -205,7 +205,7 @@ class _Work:
 
     def run(self, goals: Sequence[Array]) -> PlanResult:
         """Return the first proven plan to a goal (n,), or raise NoPathInTimeError."""
-        config = self.config
+        config, joints = self.config, self.planner.robot.groups[self.group]
         effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         notes: list[str] = []
         attempt = 0
@@ -216,13 +216,21 @@ class _Work:
             name = effort.planner(config.planner, config.fallback_planners)
             with self.phase("search"):
                 checker = EdgeChecker(self.engines, effort.padding_m, (self.q_start, goal), effort.step_rad, self.arms)
-                path = self._search(goal, checker, name, effort.checks_n, attempt)
+                path = ends = np.array([self.q_start, goal])
+                if not checker.edge_free(*ends):
+                    checker.allow(effort.checks_n, self.started + self.budget_s)
+                    seed = subseed(self.seed, "motion/search", attempt)
+                    path = search(checker, ends, joints, seed=seed, planner=name, range_rad=config.range_rad)
             if path is None:
                 notes.append(f"{name} found no path in {checker.checks_n} state checks")
                 effort = effort.after_no_path()
                 continue
             try:
-                trajectory, path, proof = self._finish(path, checker, attempt)
+                trajectory, path = self._timed(path, checker, attempt)
+                with self.phase("verify"):
+                    proof = self.engines.verify(trajectory)
+                if not proof.ok:
+                    raise PlanningError(f"proof failed: {proof.reason}")
             except PlanningError as error:
                 notes.append(error.message)
                 effort = effort.after_no_proof()
@@ -234,22 +242,6 @@ class _Work:
             f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}",
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
-
-    def _search(self, goal: Array, checker: EdgeChecker, planner: str, checks_max: int, attempt: int) -> Array | None:
-        ends = np.array([self.q_start, goal])
-        if checker.edge_free(*ends):
-            return ends
-        checker.allow(checks_max, self.started + self.budget_s)
-        joints, seed = self.planner.robot.groups[self.group], subseed(self.seed, "motion/search", attempt)
-        return search(checker, ends, joints, seed=seed, planner=planner, range_rad=self.config.range_rad)
-
-    def _finish(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array, Verification]:
-        trajectory, path = self._timed(path, checker, attempt)
-        with self.phase("verify"):
-            proof = self.engines.verify(trajectory)
-        if not proof.ok:
-            raise PlanningError(f"proof failed: {proof.reason}")
-        return trajectory, path, proof
 
     def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:

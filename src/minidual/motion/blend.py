@@ -47,20 +47,26 @@ def kept_vertices(path: Array, edge_free: Callable[[Array, Array], bool]) -> lis
     return kept
 
 
+def random_stretch(
+    path: Array, lengths: Array, rng: np.random.Generator
+) -> tuple[Array, Array, tuple[int, int], Array]:
+    """Return the marks (n,) along a path (n, d), and of two random places the marks, segments and points (2, d)."""
+    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    s = np.sort(rng.uniform(0.0, marks[-1], 2))
+    i, j = (min(int(np.searchsorted(marks, v, side="right")) - 1, len(lengths) - 1) for v in s)
+    ends = [path[k] + (v - marks[k]) / lengths[k] * (path[k + 1] - path[k]) for k, v in zip((i, j), s, strict=True)]
+    return marks, s, (i, j), np.array(ends)
+
+
 def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, joints: slice) -> Array:
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(lengths)])
-    if marks[-1] == 0.0:
+    if not lengths.any():
         return path[[0, -1]]
-    s0, s1 = np.sort(rng.uniform(0.0, marks[-1], 2))
-    i0, i1 = (int(np.searchsorted(marks, s, side="right")) - 1 for s in (s0, s1))
-    i1 = min(i1, len(lengths) - 1)
+    marks, (s0, s1), (i0, i1), stretch = random_stretch(path, lengths, rng)
     if i0 == i1:
         return path
-    a = path[i0] + (s0 - marks[i0]) / lengths[i0] * (path[i0 + 1] - path[i0])
-    b = path[i1] + (s1 - marks[i1]) / lengths[i1] * (path[i1 + 1] - path[i1])
+    a, b = stretch
     inner = path[i0 + 1 : i1 + 1]
-    stretch = np.array([a, b])
     if joints != checker.robot.groups["both_arms"]:
         # The other arm keeps its motion at the same fractions.
         stretch = np.vstack([a, inner, b])

@@ -39,12 +39,6 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
     return float(np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))))
 
 
-def joint_duration_s(q0: Array, q1: Array, pace: PaceConfig, robot: Robot) -> float:
-    """Return the time [s] between two postures (n,)."""
-    speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
-    return max(_LEAST_S, _time(q1 - q0, speed, acceleration))
-
-
 def object_duration_s(
     scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
 ) -> tuple[float, Array]:
@@ -76,7 +70,10 @@ def joint_move(
     q0: Array, q1: Array, robot: Robot, pace: PaceConfig, dt_s: float, duration_s: float | None = None
 ) -> Trajectory:
     """Return a minimum-jerk motion of both arms, by default as fast as `pace` allows."""
-    steps = int(np.ceil((joint_duration_s(q0, q1, pace, robot) if duration_s is None else duration_s) / dt_s))
+    if duration_s is None:
+        speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
+        duration_s = max(_LEAST_S, _time(q1 - q0, speed, acceleration))
+    steps = int(np.ceil(duration_s / dt_s))
     s, way, whole_s = (np.arange(steps + 1) / steps)[:, None], q1 - q0, steps * dt_s
     q = q0 + s**3 * (10.0 + s * (6.0 * s - 15.0)) * way
     v = 30.0 * s**2 * (1.0 - s) ** 2 / whole_s * way

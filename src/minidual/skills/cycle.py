@@ -25,6 +25,7 @@ from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, o
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
 from minidual.skills.pipeline.state import State, Thing
+from minidual.skills.supervised import arm_distance
 from minidual.tasks.task import Step, Task, Trial
 
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
@@ -139,15 +140,18 @@ def solve(
     start: State,
     planner: Planner,
     seed: int = 0,
-    gap: Gap | None = None,
+    gap_m: float | None = None,
     by_force: bool = False,
 ) -> Solution:
     """Return a plan of the whole task from `start`, by the first arrangement of its steps that has one.
+
+    The arms keep `gap_m` apart.
 
     Raises:
         TaskFailedError: Of the last arrangement.
     """
     things = [thing_of(item.body) for item in task.objects.values()]
+    gap = None if gap_m is None else Gap(arm_distance(planner.robot), gap_m)
     tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)

@@ -19,10 +19,8 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import pose_of, solve
 from minidual.skills.phases import PHASES
-from minidual.skills.pipeline.stage import Gap
 from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import GAP_MARGIN_M
-from minidual.skills.supervised import arm_distance
 from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
 from minidual.tasks.task import Task, Trial
 
@@ -172,9 +170,9 @@ def demonstrate_plan(
     """Return the task's plan as a demonstration; TaskFailedError without one."""
     robot = planner.robot
     start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
-    gap = Gap(arm_distance(robot), task.config.supervisor.self_collision_min_m + GAP_MARGIN_M)
+    gap_m = task.config.supervisor.self_collision_min_m + GAP_MARGIN_M
     own = subseed(seed, f"operator/{trial.purpose}", trial.index)
-    segments = solve(task, trial, start, planner, own, gap).segments
+    segments = solve(task, trial, start, planner, own, gap_m).segments
     q, gripper = list[Array](), list[Array]()
     for segment in segments:
         # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.

@@ -13,9 +13,7 @@ from minidual.robot.poses import inverse, pose, rotation_log
 from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError
-from minidual.skills.pipeline.stage import Gap
 from minidual.skills.pipeline.state import OPEN, Segment, State
-from minidual.skills.supervised import arm_distance
 from minidual.tasks.rod_carry import level_part, placement
 from minidual.tasks.task import Task, Trial
 
@@ -51,13 +49,11 @@ class PlannedCarry(Drive):
             for name, T in self.poses.items()
         }
         start = State(world.q, dict(known))
-        gap = None
-        if supervisor is not None:
-            gap = Gap(arm_distance(world.robot), supervisor.config.self_collision_min_m + GAP_MARGIN_M)
+        gap_m = None if supervisor is None else supervisor.config.self_collision_min_m + GAP_MARGIN_M
         self.solution: Solution | None = None
         why: str | None = None
         try:
-            self.solution = solve(task, trial, start, planner, seed, gap, self.by_force)
+            self.solution = solve(task, trial, start, planner, seed, gap_m, self.by_force)
             self.record = self.solution.record
         except TaskFailedError as error:
             why, self.record = error.summary, error.record

@@ -44,9 +44,6 @@ class HandsIK:
                 q[arm.joints] = solved
         return q
 
-    def _inside(self, q: Array) -> bool:
-        return bool(((q >= self.robot.q_lower) & (q <= self.robot.q_upper)).all())
-
     def solve(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array | None:
         """Return q (n,) at the grasps, projected from q_near (n,); None if unsolved or outside limits.
 
@@ -98,7 +95,8 @@ class HandsIK:
             way = float(np.hypot(np.linalg.norm(T[:3, 3] - before[:3, 3]), _ARM_M * turn))
             Q[k] = self._nearest(T, Q[k - 1], way * self.off_limits(Q[k - 1]))
             step = float(np.abs(Q[k] - Q[k - 1]).max())
-            if not (step <= JUMP_MAX_RAD and self._inside(Q[k])):
+            inside = (Q[k] >= self.robot.q_lower) & (Q[k] <= self.robot.q_upper)
+            if not (step <= JUMP_MAX_RAD and inside.all()):
                 return Q[:k], self._ended(T, Q[k - 1], Q[k])
         return Q, None
 

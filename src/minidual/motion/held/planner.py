@@ -205,7 +205,10 @@ class HeldWork:
             if time.perf_counter() > self._deadline:
                 break
             if attempt in _MORE_GOALS:
-                goals = self.more_goals(goals, straight, _MORE_GOALS[attempt])
+                try:
+                    goals = self.goal_postures(straight, _GOALS_N, _MORE_GOALS[attempt])
+                except PlanningError as error:
+                    self.notes.append(f"no more postures at the goal: {error.message}")
             try:
                 points = self.search(method, goals, effort, attempt)
                 if points is not None:
@@ -281,14 +284,6 @@ class HeldWork:
                 remedy="move the goal nearer to the middle, or choose another grasp",
             )
         return found
-
-    def more_goals(self, known: list[Array], end: Array | None, restarts_scale: int) -> list[Array]:
-        """Return more goal postures, else the known ones."""
-        try:
-            return self.goal_postures(end, _GOALS_N, restarts_scale)
-        except PlanningError as error:
-            self.notes.append(f"no more postures at the goal: {error.message}")
-            return known
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:
         checker = self._checker(goals[0], effort.padding_m)

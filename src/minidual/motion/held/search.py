@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.motion.blend import kept_vertices
+from minidual.motion.blend import kept_vertices, random_stretch
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart
 from minidual.motion.search import EdgeChecker, bisection_order
@@ -207,20 +207,15 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
 
 def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: int) -> Array:
     """Return a shorter path (m, 6 + n)."""
-    points = list(path[kept_vertices(path, space.edge_free)])
+    points = path[kept_vertices(path, space.edge_free)]
     for _ in range(rounds_n):
         if len(points) < 3:
             break
         lengths = np.array([float(space.distance(a, b[None])[0]) for a, b in itertools.pairwise(points)])
-        at = np.concatenate([[0.0], np.cumsum(lengths)])
-        s = np.sort(rng.uniform(0.0, at[-1], 2))
-        i, j = (min(int(np.searchsorted(at, v, side="right")) - 1, len(points) - 2) for v in s)
+        _, _, (i, j), ends = random_stretch(points, lengths, rng)
         if i == j:
             continue
-        a, b = (
-            space.solved_free(points[k] + (v - at[k]) / lengths[k] * (points[k + 1] - points[k]))
-            for k, v in zip((i, j), s, strict=True)
-        )
+        a, b = map(space.solved_free, ends)
         if a is None or b is None:
             continue
         before = float(lengths[i : j + 1].sum())
@@ -229,5 +224,5 @@ def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: i
         if after > 0.99 * before:
             continue
         if all(space.edge_free(p, r) for p, r in ((a, b), (points[i], a), (b, points[j + 1]))):
-            points[i + 1 : j + 1] = [a, b]
-    return np.array(points)
+            points = np.vstack([points[: i + 1], a, b, points[j + 1 :]])
+    return points
