@@ -92,7 +92,7 @@ def test_a_wall_is_passed_and_the_proof_covers_the_rod(planner, over_the_wall):
     assert np.abs(plan.Ts_world_object[-1] - GOAL).max() < 1e-9
     # Oracle: dense samples, both engines, the rod attached.
     scene = scene_holding(PlanningScene().with_obstacles(WALL), ROD, HELD, rests_on=())
-    audit = planner.engines(scene).audit(plan)
+    audit = planner.planner.engines(scene).audit(plan)
     assert audit.collisions_n == 0
     assert audit.samples_n > 300
     # The rod went over the wall or round its end.
@@ -180,7 +180,7 @@ def test_search_and_shortening_stay_free(planner, q_start):
     problem = query(q_start, obstacles=(WALL,))
     hands = HandsIK(GRASPS, DUAL_PANDA)
     q_goal = planner.plan(problem).q[-1]
-    checker = EdgeChecker(planner.engines(problem.scene), 0.005, (q_start, q_goal), 0.03)
+    checker = EdgeChecker(planner.planner.engines(problem.scene), 0.005, (q_start, q_goal), 0.03)
     space = HeldSpace(hands, ObjectChart(START[:3, :3]), checker)
     start, goal = space.point(START, q_start), space.point(GOAL, q_goal)
     assert not space.edge_free(start, goal)
@@ -260,9 +260,9 @@ def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
     points = np.array([np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))])
-    assert HeldWork(planner, query(q_start)).rounded(points, "given").verification.ok
+    assert HeldWork(planner.planner, query(q_start)).rounded(points, "given").verification.ok
     with pytest.raises(ClosedChainError, match=r"not free: .*wall"):
-        HeldWork(planner, query(q_start, obstacles=(WALL,))).rounded(points, "given")
+        HeldWork(planner.planner, query(q_start, obstacles=(WALL,))).rounded(points, "given")
 
 
 @pytest.fixture(scope="module")
@@ -366,7 +366,7 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
     """A goal off the manifold finds nothing; the way to one on it holds the object and joins free edges."""
     asked = query(q_start)
     end = planner.plan(asked).q[-1]
-    work = HeldWork(planner, asked, 60.0)  # its state checks end it, not a busy machine
+    work = HeldWork(planner.planner, asked, 60.0)  # its state checks end it, not a busy machine
     effort = _Effort(0.0, checks_n=1500)
     assert work.search(method, [end + 0.3], replace(effort, checks_n=50), 1) is None
     points = work.search(method, [end + 0.3, end], effort, 1)
@@ -377,7 +377,7 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
 
 def test_a_search_that_fails_keeps_the_known_goals(planner, q_start, monkeypatch):
     end = planner.plan(query(q_start)).q[-1]
-    work, searched = HeldWork(planner, query(q_start, obstacles=(WALL,)), 2.0), []
+    work, searched = HeldWork(planner.planner, query(q_start, obstacles=(WALL,)), 2.0), []
 
     def postures(straight, wanted_n, *_):
         if wanted_n == 1:

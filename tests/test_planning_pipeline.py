@@ -48,7 +48,7 @@ def planner():
 
 
 def tools(planner, *obstacles, gap=None):
-    return Tools(PlanningScene().with_obstacles(*obstacles), [ROD], planner, seed=1, gap=gap)
+    return Tools(PlanningScene().with_obstacles(*obstacles), {"rod": ROD}, planner, seed=1, gap=gap)
 
 
 def carry(places, grips=(BOTH,), arms=SIDES):
@@ -218,7 +218,7 @@ def test_the_scene_follows_the_object(planner):
 
 
 def test_the_scene_holds_an_object_in_each_hand_and_the_others_as_obstacles(planner):
-    cubes = [thing_of(ObjectConfig(name=name, shape="box", length_m=0.04, grasp_offset_m=0.0)) for name in "abc"]
+    cubes = {n: thing_of(ObjectConfig(name=n, shape="box", length_m=0.04, grasp_offset_m=0.0)) for n in "abc"}
     poses = {name: lying(0.5, y) for name, y in zip("abc", (0.3, 0.0, -0.3), strict=True)}
     held = State(np.array(HOME), poses, {"left": np.eye(4), "right": np.eye(4)}, about={"left": "b", "right": "c"})
     assert not held.closed_chain
@@ -360,7 +360,7 @@ def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     turned = T_start.copy()
     turned[:3, :3] = rot_z(0.3) @ rot_x(0.6) @ T_start[:3, :3]
     place = Place("turned", {"rod": turned}, rests=False)
-    given = Tools(PlanningScene(), [bottle], planner, seed=1)
+    given = Tools(PlanningScene(), {"rod": bottle}, planner, seed=1)
     held = replace(state, objects={"rod": T_start})
     stages = {limit: Carry([place], 0.1, limit) for limit in (np.pi, 0.05)}
     assert any(o.label.endswith("round") for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure))

@@ -49,11 +49,11 @@ def test_what_happens_only_between_two_samples_is_seen(kinematics):
     q, v, a = np.tile(HOME, (3, 1)), np.zeros((3, 14)), np.zeros((3, 14))
     q[2, 7] += 0.002
     use, _ = limit_use(Trajectory(np.arange(3) * H, q, v, a, "both_arms"), kinematics)
-    assert use.velocity_ratio == pytest.approx(3.0 / DUAL_PANDA.v_max[7])
+    assert use["velocity_ratio"] == pytest.approx(3.0 / DUAL_PANDA.v_max[7])
     q, v[0, 5], v[1, 5] = np.tile(HOME, (3, 1)), 1.0, -1.0
     q[:, 5] = Q_UPPER[5]
     use, broken = limit_use(Trajectory(np.arange(3) * H, q, v, a, "both_arms"), kinematics)
-    assert use.limit_margin_rad == pytest.approx(-0.25 * H)
+    assert use["limit_margin_rad"] == pytest.approx(-0.25 * H)
     assert "position limit" in broken
 
 
@@ -79,7 +79,7 @@ def test_a_sample_that_is_no_number_is_refused(kinematics, what, k):
     use, broken = limit_use(motion, kinematics)
     assert "left_panda_joint5" in broken
     assert "nan" in broken
-    assert not all(np.isfinite(x) for x in dataclasses.astuple(use))
+    assert not all(np.isfinite(x) for x in use.values())
 
 
 def curve(seed=4, n=5, d=14):

@@ -32,19 +32,8 @@ _TORQUE_EVERY = 4
 _MISFIT = 0.05  # share of the acceleration limit; plans of 300 stored queries reach 0.016
 
 
-@dataclass(frozen=True)
-class LimitUse:
-    """Largest fraction of each limit, smallest distance to a position limit."""
-
-    velocity_ratio: float
-    acceleration_ratio: float
-    jerk_ratio: float
-    torque_ratio: float
-    limit_margin_rad: float
-
-
-def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse, str]:
-    """Return the use, and the first broken limit ("" if none)."""
+def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[dict[str, float], str]:
+    """Return the numbers of `Verification` but `samples_n`, and the first broken limit ("" if none)."""
     robot, h = kinematics.robot, trajectory.dt_s
     found = np.empty((8, robot.dof))
     _extremes(*(floats(x) for x in (trajectory.q, trajectory.v, trajectory.a)), h, found)
@@ -56,9 +45,7 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[LimitUse,
         "torque": kinematics.torque_use(trajectory.q, trajectory.v, trajectory.a, _TORQUE_EVERY),
     }
     margin = np.minimum(-below - robot.q_lower, robot.q_upper - above)
-    use = LimitUse(
-        **{f"{what}_ratio": float(of.max()) for what, of in worst.items()}, limit_margin_rad=float(margin.min())
-    )
+    use = {f"{what}_ratio": float(of.max()) for what, of in worst.items()} | {"limit_margin_rad": float(margin.min())}
     names = robot.joint_names
     if not margin.min() >= -_ROUNDING:
         joint = int(np.argmin(margin))
@@ -158,14 +145,21 @@ CLEARANCE_MAX_M = 0.04
 
 
 @dataclass(frozen=True)
-class Verification(LimitUse):
+class Verification:
     """Certificate and use of limits.
 
     Attributes:
+        velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of each limit.
+        limit_margin_rad: Smallest distance to a position limit.
         reason: What failed first, or "".
         samples_n: Number of stretch ends of the proof.
     """
 
+    velocity_ratio: float
+    acceleration_ratio: float
+    jerk_ratio: float
+    torque_ratio: float
+    limit_margin_rad: float
     ok: bool
     reason: str
     samples_n: int
@@ -211,7 +205,7 @@ class SceneEngines:
         use, broken = limit_use(trajectory, self._kinematics)
         reason, samples_n = certify(self.solids, trajectory)
         reason = reason or broken
-        return Verification(**vars(use), ok=not reason, reason=reason, samples_n=samples_n)
+        return Verification(**use, ok=not reason, reason=reason, samples_n=samples_n)
 
     def clearance(self, trajectory: Trajectory) -> float:
         """Return the smallest distance [m] at an audit's states, at most `CLEARANCE_MAX_M`.

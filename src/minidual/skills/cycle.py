@@ -111,26 +111,24 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
             if not places:
                 goals = {name: pose_of(task.objects[name].body, trial.goal[name]) for name in handled}
                 places = [Place("the goal", goals)]
-            tilt_rad = _PLANNED_TILT * asked.tilt_max_rad
             least_m = asked.clear_height_m + _CLEAR_M
-            carry = Carry(places, asked.lift_height_m, tilt_rad, least_m)
+            carry = Carry(places, asked.lift_height_m, _PLANNED_TILT * asked.tilt_max_rad, least_m)
             stages.append(Stage(label("carry", hands, names), carry.offers))
             continue
         for step in run:
             if step.phase == "insert":
-                way = [np.asarray(T) for T in step.places]
-                stages.append(Stage(label("insert", hands, names), partial(insert, hands, way, *handled)))
-                continue
-            if step.phase != "approach":
-                stages.append(Stage(label(step.phase, hands, names), partial(_OF_HANDS[step.phase], hands)))
-                continue
-            ways = [{hands[0]: T} for T in step.grasps]
-            for hand, name in about.items() if not ways else ():
-                if hand not in (grasps := task.objects[name].grasps):
-                    raise UsageError(f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}")
-            ways = ways or [{hand: task.objects[name].grasps[hand] for hand, name in about.items()}]
-            grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
-            stages.append(Stage(label("approach", hands, names), partial(reach, hands, grips, about)))
+                offers = partial(insert, hands, [np.asarray(T) for T in step.places], *handled)
+            elif step.phase == "approach":
+                ways = [{hands[0]: T} for T in step.grasps]
+                for hand, name in about.items() if not ways else ():
+                    if hand not in (grasps := task.objects[name].grasps):
+                        raise UsageError(f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}")
+                ways = ways or [{hand: task.objects[name].grasps[hand] for hand, name in about.items()}]
+                grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
+                offers = partial(reach, hands, grips, about)
+            else:
+                offers = partial(_OF_HANDS[step.phase], hands)
+            stages.append(Stage(label(step.phase, hands, names), offers))
     return Pipeline(task.name, stages, _KEENNESS if any(step.grasps for step in steps) else 0.0)
 
 
@@ -150,7 +148,7 @@ def solve(
     Raises:
         TaskFailedError: Of the last arrangement.
     """
-    things = [thing_of(item.body) for item in task.objects.values()]
+    things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
     gap = None if gap_m is None else Gap(arm_distance(planner.robot), gap_m)
     tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)

@@ -274,11 +274,9 @@ class ImpedanceCarry:
             return hands or watch.resting()
         if phase == "close":
             return None if watch.gripped else watch.closing(self.world.time - self._began_s)
-        if phase in ("squeeze", "carry"):
-            return watch.holding(steady=phase == "carry")
-        if phase in ("stop", "done") and self._law_drives:  # the arbiter's stop leaves the object squeezed
-            return watch.holding(steady=False)
-        return None
+        # the arbiter's stop leaves the object squeezed
+        held = phase in ("squeeze", "carry") or (phase in ("stop", "done") and self._law_drives)
+        return watch.holding(steady=phase == "carry") if held else None
 
     def _halt(self, fault: Fault | None) -> None:
         if fault is None or self._halted:

@@ -121,40 +121,34 @@ class ScriptedOperator:
         """
         style = self.style(seed, trial)
         phases = self.phases(style)
-        along = (pose(np.eye(3), (0.0, shift, 0.0)) for shift in style.shifts_m)
-        grasps = [shifted @ T for shifted, T in zip(along, self._grasps, strict=True)]
+        shifts = zip(style.shifts_m, self._grasps, strict=True)
+        grasps = [pose(np.eye(3), (0.0, shift, 0.0)) @ T for shift, T in shifts]
         ticks = round(phases["rest"][1] * rate_hz)
         times = np.arange(ticks) / rate_hz
         error = self.approach_error(seed, trial)
         q = np.empty((ticks, self._robot.dof))
         current = self._robot.home.copy()
-        for k, t in enumerate(times):
-            hands = self._hand_poses(float(t), trial, error, phases, grasps)
+        for k, t in enumerate(times.tolist()):
+            progress = {name: minimum_jerk((t - start) / (end - start))[0] for name, (start, end) in phases.items()}
+            hands = self._hand_poses(trial, error, grasps, progress)
             q[k] = current = posture_at(self._robot, hands, current, self._robot.home, self._costs)
         closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
         gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
         return Demonstration(rate_hz, q, gripper)
 
     def _hand_poses(
-        self, t: float, trial: Trial, error: Array, phases: Mapping[str, tuple[float, float]], grasps: Sequence[Array]
+        self, trial: Trial, error: Array, grasps: Sequence[Array], progress: Mapping[str, float]
     ) -> tuple[Array, Array]:
-        progress = {name: minimum_jerk((t - start) / (end - start))[0] for name, (start, end) in phases.items()}
-        T_world_rod = self._rod_pose(trial, error, progress)
-        grasped = [T_world_rod @ T_rod_tcp for T_rod_tcp in grasps]
-        s = progress["approach"]
-        if s >= 1.0:
-            return grasped[0], grasped[1]
-        left, right = (_between(T_home, T_goal, s) for T_home, T_goal in zip(self._home_poses, grasped, strict=True))
-        return left, right
-
-    def _rod_pose(self, trial: Trial, error: Array, progress: dict[str, float]) -> Array:
-        lift = self.scene.task.lift_height_m
         begin, goal = (np.array(placement(where[self.scene.object.name])) for where in (trial.start, trial.goal))
         start = begin + error * (1.0 - progress["correct"])
         x, y, yaw = start + (goal - start) * progress["carry"]
         above = PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
-        raised = lift * (progress["lift"] - progress["lower"])
-        return level_pose(x, y, self.scene.object.rest_height_m + above + raised, yaw)
+        raised = self.scene.task.lift_height_m * (progress["lift"] - progress["lower"])
+        T_world_rod = level_pose(x, y, self.scene.object.rest_height_m + above + raised, yaw)
+        hands, s = [T_world_rod @ T_rod_tcp for T_rod_tcp in grasps], progress["approach"]
+        if s < 1.0:
+            hands = [_between(T_home, T_goal, s) for T_home, T_goal in zip(self._home_poses, hands, strict=True)]
+        return hands[0], hands[1]
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:

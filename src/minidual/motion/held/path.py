@@ -147,14 +147,8 @@ class HeldCurve:
     ) -> CarriedTrajectory:
         """Return the fastest trajectory within the limits, unproven, or raise TimingError."""
         motion, s = time_path(self, "both_arms", limits, kinematics, along)
-        off_m, off_rad = self.residual
-        return CarriedTrajectory(
-            **vars(motion),
-            Ts_world_object=self.path.poses(s),
-            residual_m=off_m,
-            residual_rad=off_rad,
-            found_by=found_by,
-        )
+        samples = motion.times, motion.q, motion.v, motion.a, motion.group
+        return CarriedTrajectory(*samples, self.path.poses(s), *self.residual, found_by=found_by)
 
 
 def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:

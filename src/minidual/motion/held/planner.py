@@ -99,7 +99,6 @@ class HeldPlanner:
 
     def __init__(self, planner: Planner | None = None) -> None:
         self.planner = planner or Planner()
-        self.engines, self.kinematics = self.planner.engines, self.planner.kinematics
 
     def plan(self, query: HeldQuery, budget_s: float | None = None) -> CarriedTrajectory:
         """Return a proven trajectory to the goal. Equal queries give equal trajectories.
@@ -108,7 +107,7 @@ class HeldPlanner:
             PlanningError: Bad start or goal, or nothing proven within `budget_s` (NoPathInTimeError).
             UsageError: Bad query.
         """
-        return HeldWork(self, query, budget_s).run()
+        return HeldWork(self.planner, query, budget_s).run()
 
     def follow(
         self,
@@ -133,8 +132,8 @@ class HeldPlanner:
         path = ObjectPath.through(Ts_world_object)
         hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
-        motion = curve.timed(along or PathLimits(), _LIMITS, self.kinematics, "continuation")
-        return motion if scene is None else _proven(motion, self.engines(scene))
+        motion = curve.timed(along or PathLimits(), _LIMITS, self.planner.kinematics, "continuation")
+        return motion if scene is None else _proven(motion, self.planner.engines(scene))
 
 
 def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
@@ -174,13 +173,13 @@ class _Effort:
 class HeldWork:
     """One query in progress; raises as `HeldPlanner.plan`."""
 
-    def __init__(self, tools: HeldPlanner, query: HeldQuery, budget_s: float | None = None) -> None:
-        budget_s = tools.planner.budget(budget_s)
-        self._tools, self._config, self._query = tools, tools.planner.config, query
-        self._q_start = check_joints(query.q_start, "start", tools.planner.robot)
-        self._hands = HandsIK(query.grasps, tools.planner.robot)
+    def __init__(self, planner: Planner, query: HeldQuery, budget_s: float | None = None) -> None:
+        budget_s = planner.budget(budget_s)
+        self._kinematics, self._config, self._query = planner.kinematics, planner.config, query
+        self._q_start = check_joints(query.q_start, "start", planner.robot)
+        self._hands = HandsIK(query.grasps, planner.robot)
         T_goal = check_pose(query.T_world_goal, "the goal of the object")
-        self._engines = tools.engines(query.scene)
+        self._engines = planner.engines(query.scene)
         self._deadline = time.perf_counter() + budget_s
         self._T_start = self._object_at(self._q_start)
         self._hands.require_held(self._q_start, self._T_start)
@@ -189,7 +188,7 @@ class HeldWork:
         self.notes: list[str] = []
 
     def _object_at(self, q: Array) -> Array:
-        return self._tools.kinematics.tcp_poses(q)[0] @ inverse(self._hands.grasps[0])
+        return self._kinematics.tcp_poses(q)[0] @ inverse(self._hands.grasps[0])
 
     def run(self) -> CarriedTrajectory:
         """See `HeldPlanner.plan`."""
@@ -299,7 +298,7 @@ class HeldWork:
             rng = stream(query.seed, "held/search", attempt)
             return search_object(space, start, ends, rng)
         left, right = self._hands.grasps
-        constraint = GraspConstraint(inverse(left) @ right, self._tools.kinematics)
+        constraint = GraspConstraint(inverse(left) @ right, self._kinematics)
         start, seed = self._hands.solve(self._T_start, self._q_start), subseed(query.seed, "held/manifold", attempt)
         for goal in goals[:_MANIFOLD_GOALS_N]:
             if start is None or time.perf_counter() > self._deadline:
@@ -341,4 +340,4 @@ class HeldWork:
         return fine_curve(self._hands, ObjectPath(self._path.chart, smooth), solve)
 
     def _finished(self, curve: HeldCurve, method: str) -> CarriedTrajectory:
-        return _proven(curve.timed(PathLimits(), _LIMITS, self._tools.kinematics, method), self._engines)
+        return _proven(curve.timed(PathLimits(), _LIMITS, self._kinematics, method), self._engines)

@@ -8,7 +8,7 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
 from minidual.motion.goals import pose_goals
-from minidual.motion.held.planner import HeldQuery
+from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse
 from minidual.skills.phases import PHASES
@@ -113,14 +113,17 @@ class Carry:
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         scene = tools.scene(state, resting=True)
-        motion = tools.holder.follow(state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene)
+        motion = HeldPlanner(tools.planner).follow(
+            state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene
+        )
         return Segment(phase, motion, state.openings, scene, motion.verification)
 
     def _freely(self, phase: str, goals: Mapping[str, Array], state: State, tools: Tools) -> Segment:
         scene, budget_s = tools.scene(state), _BUDGET_S
         if state.closed_chain:
             goal = goals[state.object_of(SIDES[0])]
-            motion = tools.holder.plan(HeldQuery(state.q, goal, _grasps(state), scene, tools.seed), budget_s)
+            query = HeldQuery(state.q, goal, _grasps(state), scene, tools.seed)
+            motion = HeldPlanner(tools.planner).plan(query, budget_s)
             segment = Segment(phase, motion, state.openings, scene, motion.verification)
             ways = {SIDES[0]: motion.Ts_world_object}
         else:

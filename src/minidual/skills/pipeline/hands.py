@@ -9,6 +9,7 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
 from minidual.motion.api import PlanResult
+from minidual.motion.linear import LinearPlanner
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose
 from minidual.robot.trajectory import Trajectory
@@ -139,12 +140,9 @@ def retreat(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer
 def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Yield the free motion of some arms, and what they hold, home."""
     _require_open_chain(start)
-    q = start.q.copy()
-    for arm in arms:
-        joints = tools.robot.groups[f"{arm}_arm"]
-        q[joints] = tools.robot.home[joints]
-    scene = tools.scene(start)
-    plan = tools.planner.plan_to_joints(group_of(arms), start.q, q, scene=scene, seed=tools.seed)
+    scene, group, robot = tools.scene(start), group_of(arms), tools.planner.robot
+    q = robot.home[robot.groups[group]]
+    plan = tools.planner.plan_to_joints(group, start.q, q, scene=scene, seed=tools.seed)
     segment = free(tools, "home", start.openings, plan, scene)
     yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
 
@@ -168,7 +166,8 @@ def free(tools: Tools, phase: str, openings: tuple[float, float], plan: PlanResu
 def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
     """Return the proven straight motion of hands to {arm: T_world_tcp (4, 4)}, or raise PlanningError."""
     engines, limits = tools.planner.engines(scene), PHASES[phase].limits
-    move = tools.linear.plan(group_of(targets), state.q, targets, engines, limits=limits)
+    linear = LinearPlanner(kinematics=tools.planner.kinematics)
+    move = linear.plan(group_of(targets), state.q, targets, engines, limits=limits)
     return Segment(phase, move.trajectory, state.openings, scene, move.verification)
 
 

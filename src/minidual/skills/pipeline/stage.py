@@ -1,6 +1,6 @@
 """Stages, their offers, and the planners of a search."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +8,7 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.motion.api import Planner
-from minidual.motion.held.planner import HeldPlanner, placed, scene_holding
-from minidual.motion.linear import LinearPlanner
+from minidual.motion.held.planner import placed, scene_holding
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.pipeline.state import Segment, State, Thing
 
@@ -62,23 +61,22 @@ class Gap:
             raise Failure("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; {keep}")
 
 
+@dataclass(frozen=True)
 class Tools:
-    """Planners and scene of a search; `around` holds the other obstacles; `by_force`: for impedance, not position."""
+    """Planner and scene of a search.
 
-    def __init__(
-        self,
-        around: PlanningScene,
-        things: Sequence[Thing],
-        planner: Planner,
-        seed: int = 0,
-        gap: Gap | None = None,
-        by_force: bool = False,
-    ) -> None:
-        self.around, self.planner, self.seed, self.gap, self.by_force = around, planner, seed, gap, by_force
-        self.things = {thing.shape.name: thing for thing in things}
-        self.robot = planner.robot
-        self.linear = LinearPlanner(kinematics=planner.kinematics)
-        self.holder = HeldPlanner(planner)
+    Attributes:
+        around: With the other obstacles.
+        things: By name.
+        by_force: For impedance, not position.
+    """
+
+    around: PlanningScene
+    things: Mapping[str, Thing]
+    planner: Planner
+    seed: int = 0
+    gap: Gap | None = None
+    by_force: bool = False
 
     def scene(self, state: State, *, touching: Collection[str] = (), resting: bool = False) -> PlanningScene:
         """Return the scene: an object is an obstacle, or attached to its first holder.
@@ -94,7 +92,7 @@ class Tools:
                 scene = scene_holding(scene, thing.shape, holders, rests_on=rests_on, touching=near)
                 continue
             scene = scene.with_obstacles(placed(thing.shape, state.objects[name]))
-            for link in (link for arm in near for link in self.robot.hand_links(arm)):
+            for link in (link for arm in near for link in self.around.robot.hand_links(arm)):
                 scene = scene.allowing(name, link, "the hand is at the object to hold it or let it go")
         return scene
 

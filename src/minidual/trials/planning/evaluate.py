@@ -204,12 +204,12 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     """Plan and measure one move; building its scene is not timed."""
-    engines = planner.engines(move.query.scene)
+    engines = planner.planner.engines(move.query.scene)
     attempt = attempted(lambda: planner.plan(move.query))
     outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result
     if plan is None:
         return outcome
-    off_m, off_rad = timed_residual(plan, move.query, planner.kinematics)
+    off_m, off_rad = timed_residual(plan, move.query, planner.planner.kinematics)
     return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=engines.clearance(plan))
 
 

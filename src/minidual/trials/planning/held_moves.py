@@ -176,7 +176,7 @@ class HeldMoveGenerator:
             path = search_object(space, space.point(*goal), [space.point(*start)], rng, any_posture=False)
             with suppress(ClosedChainError, TimingError):
                 if path is not None:
-                    HeldWork(self._prover, query).rounded(path[::-1], "given")
+                    HeldWork(self._prover.planner, query).rounded(path[::-1], "given")
                     return path[::-1]
         return None
 
