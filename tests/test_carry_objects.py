@@ -37,7 +37,7 @@ def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, Imped
     while not carry.done and not judge.finished:
         carry.step()
         judge.observe(world)
-        if until in {fault.name for fault in judge.failures}:
+        if until in judge.failures:
             break
     return judge.outcome(world), carry
 

@@ -105,8 +105,8 @@ def test_trials_of_object_impedance_must_squeeze_and_others_need_not(
     judges: list[Judge] = []
     monkeypatch.setattr(runner, "begin", lambda *given: judges.append(begin(*given)) or judges[-1])
     _run(world, trial, method, steps=2)
-    assert judges[0].failures == ()
+    assert judges[0].failures == {}
     x, y, yaw = trial.start["rod"]
     world.place("rod", pose(rot_z(yaw), (x, y, 0.1)))  # in the air, and no hand squeezes it
     judges[0].observe(world)
-    assert {fault.name for fault in judges[0].failures} == faults
+    assert set(judges[0].failures) == faults

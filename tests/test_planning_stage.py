@@ -123,7 +123,7 @@ def test_group_checks_can_fail(outcomes):
     assert failed.row().keys() < outcomes[0].row().keys()
 
 
-AUDIT = Audit(samples_n=900, step_max_rad=0.002, collisions_n=0, disagreements_n=0, clearance_m=0.01)
+AUDIT = Audit(samples_n=900, collisions_n=0, disagreements_n=0, clearance_m=0.01)
 
 
 def common(outcomes, agreement=1.0, repeatable=True, failed_n=0):

@@ -369,7 +369,7 @@ def test_a_cheat_with_one_cube_is_refused_though_the_others_are_sorted(cheat: Ca
     script = Script()
     script.sort("blue_1", "blue_2", "red_2")
     assert script.judge.stages[-1] == "placed_3"
-    assert script.judge.failures == ()
+    assert script.judge.failures == {}
     cheat(script)
     outcome = script.end()
     assert not outcome.success

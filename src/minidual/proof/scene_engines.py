@@ -176,7 +176,6 @@ class Audit:
     """
 
     samples_n: int
-    step_max_rad: float
     collisions_n: int
     disagreements_n: int
     clearance_m: float
@@ -220,7 +219,6 @@ class SceneEngines:
         seen = np.array([self.engine(name).collisions(Q) for name in ENGINES])
         return Audit(
             samples_n=len(Q),
-            step_max_rad=float(np.abs(np.diff(Q, axis=0)).max(initial=0.0)),
             collisions_n=int(np.sum(seen.any(axis=0))),
             disagreements_n=int(np.sum(seen.any(axis=0) != seen.all(axis=0))),
             clearance_m=self.solids.clearance(Q, CLEARANCE_MAX_M),

@@ -46,6 +46,8 @@ class CarryWatch:
         self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
         self._felt = np.nan_to_num(self._raw)
         self._pinch = self._felt[6:]  # a view
+        rate_hz = config.sensing.pose_rate_hz
+        self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else world.dt  # of poses
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
         self._odd_max_n = round(config.faults.persistence_s / world.dt)
         self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
@@ -117,13 +119,12 @@ class CarryWatch:
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
         world, sensing = self._world, self._config.sensing
-        period = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else world.dt
         self._held = HeldEstimate(
             self._kinematics,
             world.q,
             self._resting.T_world_object,
             delay_ticks=self._sensors.delay_ticks,
-            least_gain=period / max(sensing.grasp_memory_s, period),
+            least_gain=self._period_s / max(sensing.grasp_memory_s, self._period_s),
         )
         self._held.update(world.q, world.v, None)
         self._felt_n = pressed(self._felt, self.T_world_object)
@@ -137,10 +138,9 @@ class CarryWatch:
 
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
-        now_s, dt, monitor, sensing = self._now_s, self._world.dt, self._monitor, self._config.sensing
-        bound_s = self._sensors.delay_ticks * dt + self._config.faults.sensor_age_max_s
-        period_s = 1.0 / sensing.pose_rate_hz if sensing.pose_rate_hz > 0.0 else dt
-        found = monitor.silent("pose", now_s - self._posed_s, bound_s + period_s)
+        now_s, monitor = self._now_s, self._monitor
+        bound_s = self._sensors.delay_ticks * self._world.dt + self._config.faults.sensor_age_max_s
+        found = monitor.silent("pose", now_s - self._posed_s, bound_s + self._period_s)
         found = found or monitor.silent("usable force", now_s - self._forces_s, bound_s)
         pose, held = self._reading.pose, self._held
         if pose is not None:

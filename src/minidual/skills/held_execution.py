@@ -28,16 +28,10 @@ class NotDrivenError(MinidualError):
 
 @dataclass(frozen=True)
 class Execution:
-    """Deviation of the object from the plan.
-
-    Attributes:
-        end_error_m, end_error_rad: At final rest.
-    """
+    """Largest deviation of the object from the plan, and least pinch."""
 
     error_max_m: float
     error_max_rad: float
-    end_error_m: float
-    end_error_rad: float
     pinch_min_n: float
 
 
@@ -80,4 +74,4 @@ def execute(plan: CarriedTrajectory, world: World, *, close_s: float = PHASES["c
     if drive.aborted is not None:
         raise NotDrivenError(drive.aborted)
     most_m, most_rad = np.max(errors, axis=0).tolist()
-    return Execution(most_m, most_rad, *errors[-1], min(pinch))
+    return Execution(most_m, most_rad, min(pinch))

@@ -1,5 +1,7 @@
 """Postures that grasp the object at its ends."""
 
+from contextlib import suppress
+
 import numpy as np
 
 from minidual.config.scene import SceneConfig
@@ -19,14 +21,12 @@ class GraspUnreachableError(MinidualError):
 def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m: float) -> Array:
     """Return `grasp_posture` from home or, near a singularity, the posture nearest to home."""
     kinematics = Kinematics(robot)
-    try:
+    with suppress(GraspUnreachableError):
         over = grasp_posture(scene, robot, T_world_level, robot.home, above_m=above_m)
         postures = over, grasp_posture(scene, robot, T_world_level, over)
         hands = [J[:, robot.joints_of(arm)] for q in postures for arm, J in enumerate(kinematics.tcp_jacobians(q))]
         if np.linalg.cond(hands).max() < SLOW_AT[0]:
             return over
-    except GraspUnreachableError:
-        pass
     left, right = (raised(T_world_level @ T, above_m) for T in grasp_offsets(scene))
     try:
         return posture_at(robot, (left, right), robot.home, robot.home)
@@ -46,15 +46,13 @@ def grasp_posture(
     """
     q = np.array(q_near)
     for solver, T_object_tcp in zip(solvers(robot).values(), grasp_offsets(scene), strict=True):
-        T_world_tcp = T_world_level @ T_object_tcp
-        T_world_tcp[2, 3] += above_m
-        columns = solver.joints
-        solution = solver.solve(T_world_tcp, q_near[columns])
+        T_world_tcp = raised(T_world_level @ T_object_tcp, above_m)
+        solution = solver.solve(T_world_tcp, q_near[solver.joints])
         if not solution.reached:
             x, y, z = T_world_tcp[:3, 3]
             raise GraspUnreachableError(
                 f"the {solver.arm} hand misses its grasp at ({x:.3f}, {y:.3f}, {z:.3f}) m by {solution.off}",
                 remedy="place the object nearer to the bases, or turn it less",
             )
-        q[columns] = solution.q
+        q[solver.joints] = solution.q
     return q

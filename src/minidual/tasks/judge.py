@@ -83,7 +83,8 @@ class Judge:
         self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
         self._stages = [c for c in self._conditions if c.stage]
         self._reached = 0
-        self._failures: dict[str, Failure] = {}
+        self.failures: dict[str, Failure] = {}
+        """Violations so far, by name."""
         self._quiet_since: float | None = None
         self._done_at: float | None = None
 
@@ -97,11 +98,6 @@ class Judge:
         """Stages reached."""
         return tuple(c.name for c in self._stages[: self._reached])
 
-    @property
-    def failures(self) -> tuple[Failure, ...]:
-        """Violations."""
-        return tuple(self._failures.values())
-
     def observe(self, world: World) -> None:
         """Evaluate the state."""
         truth = self.truth
@@ -110,7 +106,7 @@ class Judge:
         for condition in self._observing:
             detail = condition.observe(truth)
             if detail and condition.name not in self._muted:
-                self._failures.setdefault(condition.name, Failure(condition.name, now, detail))
+                self.failures.setdefault(condition.name, Failure(condition.name, now, detail))
         while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
             self._reached += 1
         for condition in self._final:
@@ -124,7 +120,7 @@ class Judge:
 
     def outcome(self, world: World) -> Outcome:
         """Return the verdict."""
-        truth, failures = self.truth, dict(self._failures)
+        truth, failures = self.truth, dict(self.failures)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at
         measured = {"progress": self._reached / max(1, len(self._stages))}

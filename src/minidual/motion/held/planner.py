@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -295,8 +296,7 @@ class HeldWork:
             space.checker.allow(effort.checks_n, self._deadline)
             start = space.point(self._T_start, self._q_start)
             ends = [space.point(query.T_world_goal, q) for q in goals]
-            rng = stream(query.seed, "held/search", attempt)
-            return search_object(space, start, ends, rng)
+            return search_object(space, start, ends, stream(query.seed, "held/search", attempt))
         left, right = self._hands.grasps
         constraint = GraspConstraint(inverse(left) @ right, self._kinematics)
         start, seed = self._hands.solve(self._T_start, self._q_start), subseed(query.seed, "held/manifold", attempt)
@@ -315,10 +315,8 @@ class HeldWork:
     def rounded(self, points: Array, method: str) -> CarriedTrajectory:
         """Return the proven trajectory along points (m, 6 + n), with the largest feasible corners."""
         for corner_m in _CORNERS_M[:-1] if len(points) > 2 else ():
-            try:
+            with suppress(ClosedChainError):
                 return self._finished(self._curve(points, corner_m), method)
-            except ClosedChainError:
-                continue
         return self._finished(self._curve(points, _CORNERS_M[-1]), method)
 
     def _curve(self, points: Array, corner_m: float) -> HeldCurve:

@@ -149,22 +149,17 @@ def search_object(
             arrived = _carry_to(space, here, ends[1], rng)
             if arrived is not None:
                 return np.array(here.branch(arrived))
-        new = _extend(space, here, space.sample(rng, ends, room, _TURN_M), rng)
+        x, swing = space.sample(rng, ends, room, _TURN_M), rng.random() < _ELBOW_SHARE
+        # Growing only the nearest point would not spread the elbows.
+        parent = here.near_object(x, rng, _NEXT_N if swing else 1)
+        new = _step_towards(space, here.points[parent], x, rng if swing else None)
         if new is not None:
-            met = _connect(space, there, here.points[new])
+            met, grown = _connect(space, there, new), here.add(new, parent)
             if met is not None:
-                path = here.branch(new) + there.branch(met)[::-1][1:]
+                path = here.branch(grown) + there.branch(met)[::-1][1:]
                 return np.array(path if forward else path[::-1])
         here, there, forward = there, here, not forward
     return None
-
-
-def _extend(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
-    swing = rng.random() < _ELBOW_SHARE
-    # Growing only the nearest point would not spread the elbows.
-    parent = tree.near_object(x, rng, _NEXT_N if swing else 1)
-    new = _step_towards(space, tree.points[parent], x, rng if swing else None)
-    return None if new is None else tree.add(new, parent)
 
 
 def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:

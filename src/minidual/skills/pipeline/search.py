@@ -99,7 +99,7 @@ class Solution:
     @property
     def duration_s(self) -> float:
         """Execution time [s]."""
-        return sum(segment.duration_s for segment in self.segments)
+        return sum(segment.trajectory.duration_s for segment in self.segments)
 
 
 @dataclass

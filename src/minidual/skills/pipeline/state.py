@@ -71,11 +71,6 @@ class Segment:
     kept_by: tuple[str, ...] = ()
     soft: tuple[str, ...] = ()
 
-    @property
-    def duration_s(self) -> float:
-        """Execution time [s]."""
-        return self.trajectory.duration_s
-
 
 @dataclass(frozen=True)
 class Thing:
