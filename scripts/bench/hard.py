@@ -136,7 +136,7 @@ def look(drawn: DrawnQuery, trajectory: Trajectory, planner: Planner) -> Found:
     off_grasp = False
     if drawn.T_world_rod is not None:
         grasps = rod_grasps()
-        hands = HandsIK((grasps["left"], grasps["right"]), planner.kinematics)
+        hands = HandsIK((grasps["left"], grasps["right"]), planner.robot)
         rods = np.array([tips(q)[0] @ inverse(grasps["left"]) for q in Q])
         off_m, off_rad = hands.strays(Q, rods)
         off_grasp = not (off_m <= RESIDUAL_MAX_M and off_rad <= RESIDUAL_MAX_RAD)

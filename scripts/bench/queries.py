@@ -25,6 +25,7 @@ from minidual.collision.shapes import Box, Shape
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
+from minidual.motion.goals import pose_goals
 from minidual.motion.held.planner import scene_holding
 from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
@@ -196,10 +197,10 @@ def posed(drawn: DrawnQuery, planner: Planner) -> PosedQuery:
         if why:
             return PosedQuery(drawn, f"at the {end} {why}")
     engines, near, found = planner.engines(drawn.scene), planner.robot.home, []
-    rng = stream(drawn.seed, "bench/postures")
+    rng, restarts_n = stream(drawn.seed, "bench/postures"), _RESTARTS_SCALE * planner.config.ik_restarts_n
     for targets in (drawn.start, drawn.goal):
         try:
-            near = planner.goals.candidates(GROUP, near, targets, engines, rng, 1, _RESTARTS_SCALE)[0]
+            near = pose_goals(GROUP, near, targets, engines, rng, restarts_n)[0]
         except PlanningError:
             break
         found.append(near)
