@@ -231,7 +231,7 @@ def test_files_hold_the_trajectory(timed, tmp_path):
     table = np.loadtxt(tmp_path / "t.csv", delimiter=",", skiprows=1)
     assert table.shape == (len(t.times), 43)
     assert np.abs(table[:, 1:15] - t.q).max() < 1e-8
-    t.write_json(tmp_path / "t.json", DUAL_PANDA.joint_names)
+    t.write_json(tmp_path / "t.json", DUAL_PANDA.joint_names, every=10)
     data = json.loads((tmp_path / "t.json").read_text())
     assert data["joint_names"][0] == "left_panda_joint1"
     assert np.abs(np.array(data["q_rad"])[-1] - t.q[-1]).max() < 1e-8

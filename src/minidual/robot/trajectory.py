@@ -95,15 +95,16 @@ class Trajectory:
             h.update(np.ascontiguousarray(x).tobytes())
         return h.hexdigest()
 
-    def write_json(self, path: Path, joint_names: Sequence[str]) -> None:
-        """Write all samples."""
+    def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
+        """Write every `every`-th sample and the last."""
+        rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
         content = {
             "group": self.group,
             "joint_names": list(joint_names),
-            "times_s": self.times.round(6).tolist(),
-            "q_rad": self.q.round(9).tolist(),
-            "v_rad_per_s": self.v.round(9).tolist(),
-            "a_rad_per_s2": self.a.round(9).tolist(),
+            "times_s": self.times[rows].round(6).tolist(),
+            "q_rad": self.q[rows].round(9).tolist(),
+            "v_rad_per_s": self.v[rows].round(9).tolist(),
+            "a_rad_per_s2": self.a[rows].round(9).tolist(),
         }
         path.write_text(json.dumps(content), encoding="utf-8")
 
