@@ -1,8 +1,7 @@
 """The allowed-collision matrix: unchecked pairs of links of one arm, by reason (docs/planning-scenes.md).
 
-Only the left arm is sampled, fingers locked. The number n of uniform samples doubles from 20 000 until no pair changes
-class over two doublings in a row. A `never` pair touches in less than 3/n of all postures (rule of three, 95 %
-confidence).
+Only the left arm is sampled, fingers locked. The number n of samples doubles from 20 000 until no pair changes class over
+two doublings. A `never` pair touches in less than 3/n of all postures (95 % confidence).
 """
 
 import contextlib

@@ -145,7 +145,7 @@ def _jump(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float
 
 
 class Mailbox:
-    """Keeps the newest command per arm; calls `refuse` with the reason for those that came too late or too early."""
+    """Keeps the newest command per arm; passes the reason for one that is too late or early to `refuse`."""
 
     def __init__(self, robot: Robot, refuse: Callable[[str, str], object]) -> None:
         self._robot, self._refuse = robot, refuse

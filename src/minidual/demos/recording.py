@@ -1,7 +1,6 @@
 """Record trials in several processes, or continue an interrupted recording.
 
-Results depend neither on workers nor on interruptions: each trial has its own random draw and simulated time, rounds
-have known size.
+Results depend neither on workers nor on interruptions.
 """
 
 import contextlib

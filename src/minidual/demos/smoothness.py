@@ -26,7 +26,7 @@ JERK_FILTER = (
 def rms_jerk(q: NDArray[np.floating], rate_hz: float) -> float:
     """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3, of q (T, n) [rad].
 
-    Record at 50 Hz or more to avoid aliasing. DataError below 40 Hz, under 0.5 s, or if not finite.
+    DataError below 40 Hz, under 0.5 s, or if not finite.
     """
     from scipy.interpolate import make_interp_spline  # slow import, not needed for JERK_FILTER
     from scipy.signal import butter, sosfiltfilt

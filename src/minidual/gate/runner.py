@@ -81,7 +81,7 @@ class Runner:
     def run_until(
         self, last: str | None = None, *, force: bool = False, waiver: str | None = None
     ) -> Iterator[Outcome]:
-        """Run `last` and all that it requires, or every stage, like `run`; yield each outcome.
+        """Run `last` and all that it requires, or every stage; yield each outcome.
 
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """

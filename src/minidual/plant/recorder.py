@@ -20,8 +20,7 @@ _KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1  # dense in dumps, sparse in whole tr
 class Recorder:
     """Records each step of the world that has it as `recorder`; a reset starts over.
 
-    External forces and model changes before the first step are kept, state writes between steps are not: their replay
-    deviates. `window_s` None keeps a whole trial; without `folder` there are no dumps.
+    State writes between steps are not kept: their replay deviates. `window_s` None keeps a whole trial; without `folder` there are no dumps.
     """
 
     def __init__(

@@ -48,7 +48,7 @@ class KeypointEncoder(nn.Module):
 
     `context_layers` layers on maps of half the size, of dilation 1, 2, ..., add what stands around a place: features alone
     see 21 pixels, with two layers 81. `standardised` maps have mean 0 and deviation 1, whatever the light.
-    `bf16`: convolve in bfloat16, which where native doubles the training rate.
+    `bf16`: convolve in bfloat16.
     """
 
     def __init__(self, keypoints: int, *, context_layers: int = 0, standardised: bool = False) -> None:

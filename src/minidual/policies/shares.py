@@ -1,6 +1,6 @@
 """Gradients of a batch, one share of it on each thread.
 
-Torch's own threads wait for each other in every layer, threads with shares of their own once a step.
+Torch's own threads wait for each other in every layer, those with shares of their own once a step.
 """
 
 import copy

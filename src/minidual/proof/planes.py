@@ -360,10 +360,7 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
 
 @inlined
 def _blocked(geometry: Geometry, chosen: Rows, i: int, j: int, need: float, moved: Array, work: Work) -> bool:
-    """Return whether a pair is not proven apart at states i and j, whose parts deviate by `moved` (see `_deviate`).
-
-    That pair comes first in `chosen`: it is likely to fail next, too.
-    """
+    """Return whether a pair is not proven apart at states i and j, whose parts deviate by `moved` (see `_deviate`); put it first in `chosen`."""
     for at in range(len(chosen)):
         row = chosen[at]
         pair = geometry[4][row]
@@ -375,7 +372,7 @@ def _blocked(geometry: Geometry, chosen: Rows, i: int, j: int, need: float, move
         if not _apart(geometry, pair, i, j, need + deviation, False, work) - deviation > need:
             for k in range(at, 0, -1):
                 chosen[k] = chosen[k - 1]
-            chosen[0] = row
+            chosen[0] = row  # likely to fail next, too
             return True
     return False
 

@@ -1,9 +1,8 @@
 """Geometry and engines of one scene; a plan succeeds only if `verify` passes it.
 
 The certificate proves from few samples that a trajectory touches nothing. On each stretch every moving pair needs a
-separating plane (`minidual.proof.planes`). Unproven stretches are halved, down to two neighbouring samples.
-The audit tests the certificate by dense sampling with all collision engines, too slow for every plan: a collision on a
-verified trajectory is an error of the certificate.
+separating plane (`minidual.proof.planes`). Unproven stretches are halved.
+The audit tests the certificate by dense sampling with all collision engines, too slow for every plan.
 
 Limits are checked midway between samples too, torque at every fourth sample.
 """

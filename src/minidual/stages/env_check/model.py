@@ -30,8 +30,7 @@ def torque_pulse_mapping(
 ) -> tuple[int, ...]:
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
-    One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint itself. The supervisor
-    limits the torque rate.
+    One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint.
     """
     robot, n = world.robot, world.robot.dof
     world.reset()
