@@ -55,7 +55,7 @@ format: $(READY) ## let ruff mend what it can
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-typecheck: $(READY) ## types of src, strict in gate, config and cli
+typecheck: $(READY) ## types of src and scripts, strict in gate, config and cli
 	@$(BIN)/basedpyright
 
 wheel: $(READY) ## build dist/minidual-*.whl

@@ -11,6 +11,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def _solve(job: tuple[int, str, int]) -> tuple[Query, Array, int]:
         attempt = query.attempt + 1
 
 
-def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Array]:
+def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Any]:
     """Return the arrays of a new set.
 
     They are `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
@@ -96,7 +97,7 @@ def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Array]:
         for done, (job, result) in enumerate(zip(jobs, pool.map(_solve, jobs), strict=True)):
             found[job[1]].append(result)
             print(f"{done + 1} of {len(jobs)}: {job[1]} {job[2]}, attempt {result[0].attempt}", file=sys.stderr)
-    arrays: dict[str, Array] = {"seed": np.array(seed)}
+    arrays: dict[str, Any] = {"seed": np.array(seed)}
     for group, rows in found.items():
         corners = [path[1:-1] for _, path, _ in rows]
         arrays |= {

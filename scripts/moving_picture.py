@@ -15,7 +15,7 @@ def main(film: str, target: str) -> None:
     """Write every third frame of `film` at its own speed."""
     with av.open(film) as container:
         stream = container.streams.video[0]
-        period_ms = round(1000.0 * EVERY / float(stream.average_rate))
+        period_ms = round(1000.0 * EVERY / float(stream.average_rate or 0))
         frames = [frame.to_image() for k, frame in enumerate(container.decode(stream)) if k % EVERY == 0]
     for frame in frames:
         frame.thumbnail((WIDTH_PX, WIDTH_PX))

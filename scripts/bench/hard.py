@@ -173,6 +173,9 @@ def plan_to_poses(queries: Sequence[PosedQuery], planner: Planner, budget_s: flo
 
 
 def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) -> Run:
+    assert query.q_start is not None
+    assert query.q_goal is not None
+    q_start, q_goal = query.q_start, query.q_goal
     drawn, held = query.drawn, HeldPlanner(planner)
     planner.engines(drawn.scene)
 
@@ -180,11 +183,11 @@ def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) 
         how = {"scene": drawn.scene, "seed": drawn.seed, "budget_s": wall_s}
         if drawn.T_world_rod is not None:
             left, right = rod_grasps().values()
-            asked = HeldQuery(query.q_start, drawn.T_world_rod, (left, right), drawn.scene, drawn.seed)
+            asked = HeldQuery(q_start, drawn.T_world_rod, (left, right), drawn.scene, drawn.seed)
             return held.plan(asked, wall_s)
         if to_poses:
-            return planner.plan_to_poses(GROUP, query.q_start, drawn.goal, **how)
-        return planner.plan_to_joints(GROUP, query.q_start, query.q_goal, **how)
+            return planner.plan_to_poses(GROUP, q_start, drawn.goal, **how)
+        return planner.plan_to_joints(GROUP, q_start, q_goal, **how)
 
     attempt = attempted(plan)
     trajectory = attempt.result.trajectory if isinstance(attempt.result, PlanResult) else attempt.result

@@ -81,6 +81,8 @@ def plan_ompl(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) 
 
 
 def _ompl(query: PosedQuery, planner: Planner, budget_s: float) -> Run:
+    assert query.q_start is not None
+    assert query.q_goal is not None
     robot = planner.robot
     engine = planner.engines(query.drawn.scene).engine("mujoco")
     began = time.process_time()
@@ -131,7 +133,7 @@ def _timed(points: Array, robot: Robot, config: PlannerConfig) -> Trajectory | N
             config.acceleration_scale * np.stack([-robot.a_max, robot.a_max], axis=1)
         ),
     ]
-    motion = algorithm.TOPPRA(limits, toppra.SplineInterpolator(s, points)).compute_trajectory(0.0, 0.0)
+    motion: Any = algorithm.TOPPRA(limits, toppra.SplineInterpolator(s, points)).compute_trajectory(0.0, 0.0)
     if motion is None:
         return None
     times = np.append(np.arange(0.0, motion.duration, DT_S), motion.duration)
@@ -221,6 +223,8 @@ def _job(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> It
 
 
 def _query(query: PosedQuery, kinematics: Kinematics) -> dict[str, Any]:
+    assert query.q_start is not None
+    assert query.q_goal is not None
     drawn, model = query.drawn, kinematics.model
     scene, robot = drawn.scene, kinematics.robot
     shapes = [_shape(shape, "", shape.T_parent_shape) for shape in scene.solid_obstacles]

@@ -186,7 +186,7 @@ def draw(of: QuerySet, seed: int, index: int) -> DrawnQuery:
             ends.append({arm: T_world_rod @ grasp for arm, grasp in rod_grasps().items()})
         else:
             ends.append({arm: regions[rng.integers(len(regions))].draw(rng, mirrored=arm == "right") for arm in SIDES})
-    return DrawnQuery(of, index, subseed(seed, f"bench/{of.name}/plan", index), scene, *ends, T_world_rod)
+    return DrawnQuery(of, index, subseed(seed, f"bench/{of.name}/plan", index), scene, ends[0], ends[1], T_world_rod)
 
 
 def posed(drawn: DrawnQuery, planner: Planner) -> PosedQuery:

@@ -84,7 +84,7 @@ def _load(what: str, profile: str, overrides: list[str], result: Result) -> Load
     signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
     try:
         loaded = load_config(profile, overrides)
-        for entry in STAGES:
+        for entry in STAGES.values():
             entry.parameters(loaded.config)
         result.saw("taken")
         return loaded

@@ -114,7 +114,7 @@ def recording_cases(source: Path) -> Iterator[Case]:
         yield Case(f"file {name}", partial(_recording_file, name), limit_s=25.0)
 
 
-def _arrays(source: Path) -> dict[str, np.ndarray]:
+def _arrays(source: Path) -> dict[str, Any]:
     with np.load(source / "carry" / "worst.npz", allow_pickle=False) as stored:
         return dict(stored)
 
@@ -180,7 +180,7 @@ def _recording_bytes(change: Callable[..., None], place: Place, result: Result) 
 
 def _recording_file(name: str, place: Place, result: Result) -> None:
     path = place.folder / "case.npz"
-    arrays: dict[str, Any] = _arrays(place.source)
+    arrays = _arrays(place.source)
     if name == "pickle":
         arrays["controls"] = np.array([{"a": 1}], dtype=object)
         np.savez(path, **arrays)

@@ -25,7 +25,7 @@ def _default_signals() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
-def start(place: Place, words: Sequence[str], **options: Any) -> subprocess.Popen[bytes]:
+def start(place: Place, words: Sequence[str], **options: Any) -> subprocess.Popen[Any]:
     """Start `minidual` in a session of its own, both streams in files."""
     streams = {name: (place.folder / f".{name}").open("wb") for name in ("stdout", "stderr")}
     return subprocess.Popen(

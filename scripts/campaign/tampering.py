@@ -99,7 +99,7 @@ CHANGES: tuple[Change, ...] = (
 
 def sealed(source: Path) -> list[str]:
     """Return the files of the stages, relative to the run."""
-    stages = [source / name for name in STAGES.names]
+    stages = [source / name for name in STAGES]
     return sorted(p.relative_to(source).as_posix() for stage in stages for p in stage.rglob("*") if p.is_file())
 
 
@@ -108,7 +108,7 @@ def tamper_cases(source: Path) -> Iterator[Case]:
     for name in sealed(source):
         for change in CHANGES:
             yield Case(f"{change.__name__} {name}", partial(_tamper, name, change))
-    for name in STAGES.names:
+    for name in STAGES:
         for stray in ("stray.txt", ".hidden", "out/of/place.csv", "verdict.json.bak", "zz.hdf5"):
             yield Case(f"add {name}/{stray}", partial(_stray, name, stray))
 
@@ -177,12 +177,12 @@ STRANGE: dict[str, Any] = {
 
 def verdict_cases(source: Path) -> Iterator[Case]:
     """Each field of each verdict replaced by each strange value; the digest made right, so that the type is what fails."""
-    for stage in STAGES.names:
+    for stage in STAGES:
         record = json.loads((source / stage / "verdict.json").read_bytes())
         for path in _fields(record):
             for kind in STRANGE:
                 yield Case(f"{stage} {'.'.join(map(str, path))} = {kind}", partial(_strange, stage, path, kind))
-    for stage in STAGES.names:
+    for stage in STAGES:
         for kind, text in HOSTILE_JSON.items():
             yield Case(f"{stage} {kind}", partial(_hostile, stage, text))
 
@@ -245,7 +245,7 @@ def _judged(stage: str, place: Place, result: Result, *, forged: bool = True) ->
     if not judge(result, "status", ran, [ExitCode.PASS]):
         return
     states = {row["name"]: row["state"] for row in ran.document()["stages"]}
-    below = STAGES.names[STAGES.names.index(stage) + 1 :]
+    below = list(STAGES)[list(STAGES).index(stage) + 1 :]
     if states[stage] == "pass" and any(states[name] == "pass" for name in below if stage in STAGES.upstream(name)):
         result.forbidden.append(f"a silent pass: the changed verdict of {stage} is believed downstream")
     if states[stage] == "pass" and not forged:
