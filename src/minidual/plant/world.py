@@ -176,9 +176,9 @@ class World:
 
     def on_table(self, name: str | None = None) -> bool:
         """Return whether an object touches the table."""
-        pair = {int(self.model.body("table").id), self.truth(name).body}
-        touching = self.model.geom_bodyid[self.data.contact.geom[: self.data.ncon]]
-        return any(set(bodies) == pair for bodies in touching.tolist())
+        bodies = self.model.geom_bodyid[self.data.contact.geom[: self.data.ncon]]
+        table, body = self.model.body("table").id, self.truth(name).body
+        return bool(((bodies == table).any(axis=1) & (bodies == body).any(axis=1)).any())
 
     def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
         """Put the arms at q (n,) (default: home), hands open, objects at `poses` (default: start).

@@ -131,7 +131,7 @@ class _Inside(success.OfObject):
 
     def holds(self, truth: success.Truth) -> bool:
         item = truth[self.object]
-        (x, y, _), (a, b, _) = item.xyz, item.body.half_sizes_m
+        (x, y, _), (a, b, _) = item.xyz, item.half_m
         dx, dy = abs(x - self.mark.xy_m[0]), abs(y - self.mark.xy_m[1])
         if max(dx - self.mark.size_m[0] / 2, dy - self.mark.size_m[1] / 2) > -min(a, b):
             return False
