@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
+from minidual.collision.errors import IKUnreachableError
 from minidual.config.root import Config
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
+from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES
-from minidual.robot.poses import pose
+from minidual.robot.pair import DUAL_PANDA, SIDES
+from minidual.robot.poses import pose, rot_z
 from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
@@ -130,6 +134,33 @@ def test_each_end_is_out_of_the_other_hand_s_reach(planner: Planner) -> None:
         alone = (Step("approach", (hand,), grasps=grasps), *(Step(phase, (hand,)) for phase in phases))
         with pytest.raises(TaskFailedError, match="cannot reach"):
             planned(dataclasses.replace(TASK, steps=alone, arrange=None), TO_THE_RIGHT, planner)
+
+
+def test_only_one_arm_reaches_a_corner_of_either_range() -> None:
+    """By inverse kinematics with 25 starts a grasp, for the grasps that the task offers."""
+    scene, robot = TASK.scene, DUAL_PANDA
+    rng, ends = np.random.default_rng(0), {"left": [], "right": []}
+    for dx, dy in itertools.product((-1.0, 1.0), repeat=2):
+        for hand, (x, y), width in (
+            ("left", scene.task.start_xy_m, scene.task.start_range_m),
+            ("right", scene.task.goal_xy_m, scene.task.goal_range_m),
+        ):
+            ends[hand].append((x + width * dx, y + width * dy, scene.object.rest_height_m))
+    trial = TASK.trial(1, "plan", TO_THE_RIGHT)
+    steps = next(iter(TASK.arrange(TASK, trial, {"bottle": pose(np.eye(3), (*scene.task.start_xy_m, 0.1))})))
+    grasps = [grasp for step in steps for grasp in step.grasps]
+
+    def reaches(hand: str, at: tuple[float, float, float]) -> bool:
+        ik = solvers(robot)[hand]
+        for turn, grasp in itertools.product((0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2), grasps):
+            with suppress(IKUnreachableError):
+                next(ik.solutions(pose(rot_z(turn), at) @ grasp, robot.home[ik.joints], rng, 25))
+                return True
+        return False
+
+    for near, far in (("left", "right"), ("right", "left")):
+        assert [reaches(near, at) for at in ends[near]] == [True] * 4
+        assert [reaches(far, at) for at in ends[near]] == [False] * 4
 
 
 def planned(task: Task, index: int, planner: Planner):
