@@ -16,8 +16,9 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.ik import solvers
 from minidual.plant.world import World
+from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, SIDES
+from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_z
 from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
 from minidual.skills.pipeline.drive import Drive
@@ -137,30 +138,29 @@ def test_each_end_is_out_of_the_other_hand_s_reach(planner: Planner) -> None:
 
 
 def test_only_one_arm_reaches_a_corner_of_either_range() -> None:
-    """By inverse kinematics with 25 starts a grasp, for the grasps that the task offers."""
-    scene, robot = TASK.scene, DUAL_PANDA
-    rng, ends = np.random.default_rng(0), {"left": [], "right": []}
-    for dx, dy in itertools.product((-1.0, 1.0), repeat=2):
-        for hand, (x, y), width in (
-            ("left", scene.task.start_xy_m, scene.task.start_range_m),
-            ("right", scene.task.goal_xy_m, scene.task.goal_range_m),
-        ):
-            ends[hand].append((x + width * dx, y + width * dy, scene.object.rest_height_m))
+    """By inverse kinematics with 25 starts a grasp, for the grasps and turns that the task offers."""
+    asked, rng = TASK.scene.task, np.random.default_rng(0)
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
-    steps = next(iter(TASK.arrange(TASK, trial, {"bottle": pose(np.eye(3), (*scene.task.start_xy_m, 0.1))})))
+    steps = list(next(iter(TASK.arrange(TASK, trial, {"bottle": pose(np.eye(3), (0.42, 0.62, 0.1))}))))
     grasps = [grasp for step in steps for grasp in step.grasps]
+    goals = next(step.places for step in reversed(steps) if step.places)
 
-    def reaches(hand: str, at: tuple[float, float, float]) -> bool:
-        ik = solvers(robot)[hand]
-        for turn, grasp in itertools.product((0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2), grasps):
-            with suppress(IKUnreachableError):
-                next(ik.solutions(pose(rot_z(turn), at) @ grasp, robot.home[ik.joints], rng, 25))
-                return True
+    def reaches(hand: str, poses: list[np.ndarray]) -> bool:
+        ik = solvers(DUAL_PANDA)[hand]
+        for T in poses:
+            for grasp in grasps:
+                with suppress(IKUnreachableError):
+                    next(ik.solutions(T @ grasp, DUAL_PANDA.home[ik.joints], rng, 25))
+                    return True
         return False
 
-    for near, far in (("left", "right"), ("right", "left")):
-        assert [reaches(near, at) for at in ends[near]] == [True] * 4
-        assert [reaches(far, at) for at in ends[near]] == [False] * 4
+    for corner in itertools.product((-1.0, 1.0), repeat=2):
+        x, y = np.add(asked.start_xy_m, np.multiply(asked.start_range_m, corner))
+        starts = [pose(rot_z(way * asked.start_range_rad), (x, y, 0.1)) for way in (-1.0, 0.0, 1.0)]
+        x, y = np.add(asked.goal_xy_m, np.multiply(asked.goal_range_m, corner))
+        ends = [pose(T[:3, :3], (x, y, 0.1)) for T in goals]
+        assert [reaches(hand, starts) for hand in SIDES] == [True, False], corner
+        assert [reaches(hand, ends) for hand in SIDES] == [False, True], corner
 
 
 def planned(task: Task, index: int, planner: Planner):
