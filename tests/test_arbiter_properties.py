@@ -130,7 +130,8 @@ class Witness:
         for arm in range(2):
             part = slice(7 * arm, 7 * arm + 7)
             newest = next((c for c in reversed(self.offered[out.active_source]) if arm in c.arms), None)
-            from_source = newest is not None and np.array_equal(out.q_target[part], newest.target_of(arm))
+            offered = newest is not None and (newest.q[part] if newest.group == "both_arms" else newest.q)
+            from_source = newest is not None and np.array_equal(out.q_target[part], offered)
             fresh = newest is not None and self.now - newest.stamp_s <= CONFIG.stale_s + 1e-9
             assert (from_source and fresh) or np.array_equal(out.q_target[part], last[part]), "another source leaked in"
 

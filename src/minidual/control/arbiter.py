@@ -129,14 +129,17 @@ class CommandArbiter:
         halted = self._begin_halt(now_s, posture, v_measured)
         ended, cut = False, self.underway.braking
         if self.underway.executions:
-            self._refusals += [Refusal(self.source or HOLD, *why) for why in self.underway.stopped()]
+            for execution in self.underway.executions:
+                if execution.why is not None:
+                    self._refuse(self.source or HOLD, *execution.why)
+                    execution.why = None
             self._target, ended = self.underway.follow(self._target)
         held = posture if q_held is None else self._posture(q_held)
         self._begin_requested(now_s, held, v_measured)
         switched_to = None
         if self._switch is not None and now_s > self._switch[1]:
             switched_to = self._settle(*self._switch, now_s, speed, held)
-        driven: dict[int, Command] = {}
+        driven = False
         if self.source is not None:
             if ended and not (cut and self._is_gone(now_s)):
                 self.state, self._heard_s = ArbiterState.WAITING, now_s
@@ -198,7 +201,7 @@ class CommandArbiter:
             return False
         (source, gripper), self._halt = self._halt, None
         if gripper is not None and source == self.source:
-            self._gripper = np.array(gripper, dtype=float)
+            self._gripper = gripper
         elif gripper is not None:
             self._refuse(source, "not_driving", "only the source that drives may move the hands")
         if self._switch is not None:
@@ -217,8 +220,8 @@ class CommandArbiter:
             listener(mode)
 
     def _settle(self, mode: str, since_s: float, now_s: float, speed: float, posture: Array) -> str | None:
-        waited = now_s - since_s
-        if speed < self.config.still_speed_rad_s and not self.underway.executions:
+        waited, still_speed = now_s - since_s, self.config.still_speed_rad_s
+        if speed < still_speed and not self.underway.executions:
             self._switch = None
             self._target = posture
             self.source = None if mode == HOLD else mode
@@ -229,11 +232,8 @@ class CommandArbiter:
         if waited >= self.config.settle_timeout_s:
             self._switch = None
             self.state = ArbiterState.STOPPED
-            detail = (
-                f"fastest joint {speed:.3f} rad/s after {waited:.3f} s; still means below "
-                f"{self.config.still_speed_rad_s} rad/s"
-            )
-            self._refuse(mode, "not_still", detail)
+            fastest = f"fastest joint {speed:.3f} rad/s after {waited:.3f} s"
+            self._refuse(mode, "not_still", f"{fastest}; still means below {still_speed} rad/s")
         return None
 
     def _refuse(self, source: str, name: str, detail: str) -> Refusal:
@@ -261,7 +261,7 @@ class CommandArbiter:
                 del fresh[arm]
         return fresh
 
-    def _drive(self, source: str, now_s: float, dt: float) -> dict[int, Command]:
+    def _drive(self, source: str, now_s: float, dt: float) -> bool:
         fresh = self._fresh(source, now_s)
         was_aligning = self.state == ArbiterState.ALIGNING
         if fresh:
@@ -277,7 +277,7 @@ class CommandArbiter:
         for arm, command in fresh.items():
             joints = self._robot.joints_of(arm)
             lower, upper = self._robot.q_lower[joints], self._robot.q_upper[joints]
-            wanted[joints] = np.clip(command.target_of(arm), lower, upper)
+            wanted[joints] = np.clip(command.q[joints] if len(command.arms) > 1 else command.q, lower, upper)
         step = wanted - self._target
         largest = float(np.max(np.abs(step)))
         # A step over the bound starts an alignment, which ends once one tick at its speed reaches the target.
@@ -292,20 +292,19 @@ class CommandArbiter:
                 self._gripper[arm] = command.gripper[arm]
         self._target = wanted
         self.state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
-        return {**driven, **fresh}
+        return True
 
-    def _run_timed(self, now_s: float) -> dict[int, Command]:
-        executions = self.underway.executions
-        if not executions:
-            return {}
+    def _run_timed(self, now_s: float) -> bool:
+        if not self.underway.executions:
+            return False
         if self._is_gone(now_s):
             self.underway.brake()
         if self.underway.braking:
             self.state = ArbiterState.STALE
-            return {}
+            return False
         self._heard_s = now_s
         self.state = ArbiterState.ACTIVE
-        return {arm: e.command for e in executions for arm in e.arms}
+        return True
 
     def _is_gone(self, now_s: float) -> bool:
         return now_s - self._alive_s > self.config.stale_s + 1e-9

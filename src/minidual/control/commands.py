@@ -48,13 +48,6 @@ class JointCommand(_OfGroup):
     sequence: int
     group: str = "both_arms"
 
-    def target_of(self, arm: int) -> Array:
-        """Return an arm's targets [rad]."""
-        if self.group != "both_arms":
-            return self.q
-        half = len(self.q) // 2
-        return self.q[arm * half : (arm + 1) * half]
-
 
 @dataclass(frozen=True)
 class TrajectoryCommand(_OfGroup):

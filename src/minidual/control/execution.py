@@ -54,6 +54,7 @@ class _Execution[C: TimedCommand]:
         self._paced = False
         self._speed = self._speed_now = 1.0
         self.why: Reason | None = None
+        """Why a controller has stopped it, until the arbiter has told."""
 
     @property
     def finished(self) -> bool:
@@ -240,13 +241,6 @@ class Underway:
         ended = len(running) < len(self.executions)
         self.executions = running
         return target, ended
-
-    def stopped(self) -> list[Reason]:
-        """Return, once, why controllers have stopped commands."""
-        reasons = [execution.why for execution in self.executions if execution.why is not None]
-        for execution in self.executions:
-            execution.why = None
-        return reasons
 
     def brake(self) -> None:
         """Brake all along their paths."""

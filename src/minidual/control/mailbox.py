@@ -124,10 +124,8 @@ def _object(command: ObjectCommand) -> Reason | None:
             return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N")
         jump_m, jump_rad = (0.0, 0.0) if before is None else _jump(before, state, duration / (samples - 1))
         if not (jump_m <= _JUMP_M and jump_rad <= _JUMP_RAD):
-            return (
-                "pose_jump",
-                f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s that its twist does not explain",
-            )
+            jump = f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s"
+            return "pose_jump", f"{jump} that its twist does not explain"
         before = state
         speed = float(np.linalg.norm(state.twist[:3]))
         if speed > OBJECT_SPEED_MAX_M_PER_S:
