@@ -18,7 +18,7 @@ from minidual.control.joint_sense import JointSense
 from minidual.control.kernels import hand_look
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.soft_stop import SupervisedStop
-from minidual.plant.world import StepRecorder
+from minidual.plant.recorder import Recorder
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array
 
@@ -42,7 +42,7 @@ OnReflex = Callable[[Reflex], Path | None]
 """Called once per reflex; may return the dump file it wrote."""
 
 
-def dumping(recorder: StepRecorder) -> OnReflex:
+def dumping(recorder: Recorder) -> OnReflex:
     """Return a callback that dumps the recorder's last second."""
     return lambda reflex: recorder.dump(reflex.name, reflex.text, details=reflex.details)
 

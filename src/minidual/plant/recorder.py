@@ -42,7 +42,7 @@ class Recorder:
         return 0.0 < self._data.time - self._last_s < 1.5 * self._world.dt
 
     def before_step(self) -> None:
-        """See `StepRecorder`."""
+        """Keep the next step's controls."""
         if not self._continues():
             self._stretches.clear()
             self._pushes.clear()

@@ -1,8 +1,7 @@
 """The simulated world."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -15,17 +14,8 @@ from minidual.plant.scenery import GOAL_MARK
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import Array, Robot
 
-
-class StepRecorder(Protocol):
-    """Records steps for replay; see `Recorder`."""
-
-    def before_step(self) -> None:
-        """Keep the next step's controls."""
-        ...
-
-    def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
-        """Write what was kept; return its file, or None."""
-        ...
+if TYPE_CHECKING:  # it records worlds
+    from minidual.plant.recorder import Recorder
 
 
 class SimulationDivergedError(MinidualError):
@@ -73,7 +63,7 @@ class World:
         data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._finger_ctrl = tuple(np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T))  # strided is slow
-        self.recorder: StepRecorder | None = None
+        self.recorder: Recorder | None = None
         """For replays."""
         self.observer: Callable[[World], None] | None = None
         """Viewer callback after each step; must only read."""
