@@ -109,8 +109,6 @@ class ControllerManager:
     @property
     def acceleration(self) -> Array | None:
         """Last commanded reference acceleration (n,) [rad/s^2], or None."""
-        if len(self._active) == 1:
-            return self._active[0].acceleration
         if any(controller.acceleration is None for controller in self._active):
             return None
         return self._joined(lambda controller: cast("Array", controller.acceleration))

@@ -115,8 +115,9 @@ class JointTrajectoryController(Controller):
         self._servo, self._filter = ComputedTorque(kinematics), ReferenceFilter(dt_s, kinematics.robot)
         self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
         """Running, with the offset of the start and the steps of its fade, or -1."""
-        self._q, self._v, self._a, self._a_asked, self._target = np.zeros((5, kinematics.robot.dof))
-        self.reference = self._q
+        self._rows, self._target = np.zeros((4, kinematics.robot.dof)), np.zeros(kinematics.robot.dof)
+        """_rows: q, v, a of the reference with the fading offsets, and a without them."""
+        self.reference = self._target
 
     def activate(self, q: Array, v: Array) -> None:
         """Start the reference at the measurement."""
@@ -142,7 +143,7 @@ class JointTrajectoryController(Controller):
         if self._executions:
             braking = any(execution.braking for execution in self._executions)
             q_ref, v_ref, a_ref = self._trajectory_reference()
-            self.acceleration = None if braking else self._a_asked
+            self.acceleration = None if braking else self._rows[3]
         else:
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
@@ -153,18 +154,16 @@ class JointTrajectoryController(Controller):
     def _trajectory_reference(self) -> tuple[Array, Array, Array]:
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
-            self._q[:], self._v[:], self._a[:] = self._filter.step(self._target)
-        self._a_asked[:] = self._a
+            self._rows[:3] = self._filter.step(self._target)
+        self._rows[3] = self._rows[2]
         ended = False
         for execution, (offset, k) in list(self._executions.items()):
             joints = execution.joints
-            self._q[joints], self._v[joints], self._a[joints] = execution.q, execution.v, execution.a
-            self._a_asked[joints] = execution.a
+            self._rows[:, joints] = execution.q, execution.v, execution.a, execution.a
             if k >= 0:
                 s, ds, dds = minimum_jerk(k * self._dt / _BLEND_S)
-                self._q[joints] += offset * (1.0 - s)
-                self._v[joints] -= offset * (ds / _BLEND_S)
-                self._a[joints] -= offset * (dds / _BLEND_S**2)
+                fade = 1.0 - s, -ds / _BLEND_S, -dds / _BLEND_S**2
+                self._rows[:3, joints] += np.outer(fade, offset)
                 self._executions[execution] = (offset, k + 1 if k * self._dt < _BLEND_S else -1)
             if execution.finished:
                 del self._executions[execution]
@@ -172,5 +171,6 @@ class JointTrajectoryController(Controller):
                 self._target[joints] = execution.q
                 ended = True
         if ended:
-            self._filter.reset(self._q, self._v)
-        return self._q.copy(), self._v.copy(), self._a.copy()
+            self._filter.reset(*self._rows[:2])
+        q, v, a = self._rows[:3].copy()
+        return q, v, a

@@ -74,12 +74,11 @@ class ControlStack[P: Plant]:
             )
         self.kinematics, self._robot = kinematics, kinematics.robot
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
-        groups = ("both_arms", "left_arm", "right_arm")
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
         self._payload = Payload(kinematics, plant.dt)
         self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self._payload) for arm in range(len(SIDES))]
         self._controllers: list[Controller] = [
-            *(JointTrajectoryController(group, kinematics, plant.dt, self._payload) for group in groups),
+            *(JointTrajectoryController(group, kinematics, plant.dt, self._payload) for group in self._robot.groups),
             *(self.impedance, *self.hands),
             SoftStopController(kinematics, plant.dt),
         ]
@@ -279,9 +278,7 @@ class ControlStack[P: Plant]:
         """
         if self._countdown == 0 or self._due:
             self.arbitrate()
-        if self._countdown == 0:
-            self._countdown = self.every
-        self._countdown -= 1
+        self._countdown = (self._countdown - 1) % self.every
         self.advance()
 
     def fail(self, error: Exception) -> None:
@@ -351,26 +348,17 @@ class ControlStack[P: Plant]:
         plant = self.plant
         self._stop_ticks -= 1
         self._attempt(self._step_executions, None)
-        measured = self._attempt(self._measure, None)
-        tau, stopped = self._torque(*(self._measure_singly() if measured is None else measured))
+        tau, stopped = self._torque(*self._measured())
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
-        try:
-            fingers_m = self.grippers.step(self.output.gripper)
-        except Exception as error:
-            self.fail(error)
-            fingers_m = self.grippers.targets_m
+        fingers_m = self._attempt(lambda: self.grippers.step(self.output.gripper), self.grippers.targets_m)
         plant.command(tau, fingers_m)
         plant.step()
         if stopped is not None:
             raise stopped
 
-    def _measure(self) -> tuple[float, float | None, Array, Array]:
-        plant = self.plant
-        return plant.time, plant.stamp_s, plant.q, plant.v
-
-    def _measure_singly(self) -> tuple[float, float | None, Array, Array]:
+    def _measured(self) -> tuple[float, float | None, Array, Array]:
         plant, nothing = self.plant, np.full(self._robot.dof, np.nan)
         time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
         return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
@@ -389,10 +377,7 @@ class ControlStack[P: Plant]:
                 return self._fall_back(error, q, v), error
         tau, acceleration = self.applied, None
         if self._failed is None:
-            try:
-                tau, acceleration = self._asked(time_s, stamp_s, q, v)
-            except Exception as error:
-                self.fail(error)
+            tau, acceleration = self._attempt(lambda: self._asked(time_s, stamp_s, q, v), (tau, None))
         failed, self._failed = self._failed, None
         try:
             if failed is None:
@@ -406,7 +391,14 @@ class ControlStack[P: Plant]:
             return error.tau, error
 
     def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
-        self._check_plant(np.nan if stamp_s is None else time_s - stamp_s)
+        if self.plant.health:
+            raise PlantError(f"the plant cannot be driven: {self.plant.health}")
+        age_s, limit_s = np.nan if stamp_s is None else time_s - stamp_s, self._config.stale_s
+        if not abs(age_s) <= limit_s:
+            raise PlantError(
+                f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
+                remedy="see that the plant delivers its state; arbiter.stale_s is how old it may be",
+            )
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.
         return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration
@@ -420,16 +412,6 @@ class ControlStack[P: Plant]:
         if grippers.wide and not soft:  # until then fingers that open still touch what they held
             return Expected("free motion", None, manager.reference, off=off)
         return Expected("closed hands", None, manager.reference, grippers.fault, off)
-
-    def _check_plant(self, age_s: float) -> None:
-        limit_s = self._config.stale_s
-        if self.plant.health:
-            raise PlantError(f"the plant cannot be driven: {self.plant.health}")
-        if not abs(age_s) <= limit_s:
-            raise PlantError(
-                f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
-                remedy="see that the plant delivers its state; arbiter.stale_s is how old it may be",
-            )
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
         if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms
