@@ -11,9 +11,8 @@ from panda import HOME, JOINT_DAMPING
 from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import HeldObject, ObjectState
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.robot.poses import inverse, pose
 
 

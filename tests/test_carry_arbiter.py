@@ -24,9 +24,8 @@ from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import held_motion, joint_move, plan_path

@@ -23,8 +23,7 @@ from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 
 STOPPING = ("soft_stop",)
 CLOSED = np.zeros(2)

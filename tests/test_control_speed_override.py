@@ -15,7 +15,7 @@ from minidual.control.execution import ObjectExecution, TrajectoryExecution
 from minidual.control.object_impedance import ObjectPath, Waypoint
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 SLOW = ArbiterConfig(speed_override=0.1)
 STEP = np.where(np.arange(14) % 7 == 0, 0.1, 0.025)

@@ -28,9 +28,8 @@ from minidual.motion.goal_plan import (
 )
 from minidual.motion.goals import pose_goals
 from minidual.motion.linear import Line, LinearPlanner
-from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
 from minidual.robot.poses import pose, rot_x
 
 HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper

@@ -23,8 +23,8 @@ from minidual.control.reflexes import REFLEXES, Reach, Reflex, ReflexError
 from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.supervised import SceneClearance, arm_distance
 from minidual.stages.env_check.tracking import sine_reference
 

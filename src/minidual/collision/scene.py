@@ -11,9 +11,8 @@ from functools import cached_property
 from minidual.collision.acm import AllowedCollisions, acm_report
 from minidual.collision.shapes import Attached, Box, Shape, grown
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import collision_links, links_of
-from minidual.robot.pair import Robot
+from minidual.robot.pair import DUAL_PANDA, Robot
 
 TABLE = Box("table", position_m=(0.38, 0.0, -0.2), size_m=(1.2, 1.6, 0.4))
 """The simulated table, solid down to -0.4 m: no arm reaches under it."""

@@ -17,8 +17,7 @@ from minidual.config.document import Document, read_document
 from minidual.config.loader import validate_document
 from minidual.durable import regular_file
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Robot
+from minidual.robot.pair import DUAL_PANDA, Robot
 
 Finite3 = tuple[Coordinate, Coordinate, Coordinate]
 _LENGTH_TOLERANCE = 1e-3

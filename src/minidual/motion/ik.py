@@ -9,10 +9,9 @@ import numpy as np
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.ik_descent import descend, measure, project, tcp_pose
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics, hinges
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 TOLERANCE = 1e-7
 """Error norm (m and rad combined) that counts as reached."""

@@ -12,9 +12,8 @@ from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.bodies import contact_sensor
 from minidual.plant.scenery import GROUP_VISUAL, INTANGIBLE, SOLIMP, SOLREF, add_objects, add_surroundings, marks
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import mujoco_urdf, never_touching
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot
 from minidual.robot.visuals import arm_visuals
 
 IntArray = npt.NDArray[np.int64]

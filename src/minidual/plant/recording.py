@@ -28,8 +28,7 @@ from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.durable import kind_of, replacing
 from minidual.errors import DataError
-from minidual.robot.arms import robot_from
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array, Robot, robot_from
 
 FORMAT = "minidual-recording"
 VERSION = 3

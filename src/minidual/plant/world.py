@@ -11,8 +11,7 @@ from minidual.errors import MinidualError, UsageError, unknown_name
 from minidual.plant.bodies import NamedObject, ObjectPose
 from minidual.plant.model import build_model, map_joints
 from minidual.plant.scenery import GOAL_MARK
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 if TYPE_CHECKING:  # it records worlds
     from minidual.plant.recorder import Recorder

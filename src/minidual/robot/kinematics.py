@@ -7,9 +7,8 @@ import numpy as np
 import pinocchio as pin
 from pinocchio import computeJointJacobians, getFrameJacobian, updateFramePlacement
 
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.description import pair_urdf
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot
 from minidual.robot.trajectory import largest
 
 _WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED

@@ -1,4 +1,4 @@
-"""Two arms of one model on a table.
+"""Two arms of one model on a table, and the models, from arms.yaml.
 
 `q` is (n,) [rad], left arm first; grippers are separate, (2,). The arm model fixes n. `T_a_b` is the pose (4, 4) of b
 in a: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; angular] (6,), world-aligned by default.
@@ -7,9 +7,13 @@ Quaternions are wxyz. The world's origin is on the table top between the bases; 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from minidual.config.robot import RobotConfig
+from minidual.registry import Registry, rows_beside
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -151,3 +155,24 @@ class Robot:
         """Return the slice of arm 0 (left) or 1."""
         n = self.dof_per_arm
         return slice(arm * n, (arm + 1) * n)
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _frozen(item) for key, item in value.items()}
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
+_ROWS = _frozen(rows_beside(__file__, "arms.yaml"))
+HANDS = {name: HandModel(name, **row) for name, row in _ROWS["hands"].items()}
+ARM_MODELS: Registry[ArmModel] = Registry("arm", group="minidual.arms")
+for _name, _row in _ROWS["arms"].items():
+    _row["hand"] = HANDS[_row["hand"]]
+    ARM_MODELS.add(_name, ArmModel(name=_name, **_row))
+PANDA, PANDA_HAND = ARM_MODELS["panda"], HANDS["panda_hand"]
+DUAL_PANDA = Robot(PANDA)
+
+
+def robot_from(config: RobotConfig) -> Robot:
+    """Return the configured robot; UsageError for unknown arms."""
+    return Robot(ARM_MODELS[config.arm])

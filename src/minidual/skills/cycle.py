@@ -16,8 +16,7 @@ from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.bodies import ObjectPose
 from minidual.plant.scenery import OBSTACLE
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place

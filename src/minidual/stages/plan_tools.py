@@ -19,8 +19,7 @@ from minidual.motion.api import Planner, PlanResult
 from minidual.motion.goal_plan import GoalPlanner, goal_of
 from minidual.motion.goals import GROUP_ARMS
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
-from minidual.robot.arms import robot_from
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array, Robot, robot_from
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0

@@ -7,8 +7,8 @@ from minidual.errors import UsageError
 from minidual.plant.render import Camera
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot, load_runtime
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import robot_from
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.task import Trial
 from minidual.trials.methods import Factory, MethodInputs

@@ -8,9 +8,8 @@ from minidual.control.supervisor import Supervisor
 from minidual.motion.api import Planner
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, robot_from
 from minidual.skills.cycle import pose_of, thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.pipeline.drive import Drive

@@ -17,9 +17,8 @@ from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder
 from minidual.plant.recording import write_recording
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, robot_from
 from minidual.tasks.judge import Failure, begin
 from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task
