@@ -11,7 +11,6 @@ from minidual import emergency
 from minidual.config.arbiter import SPEED_OVERRIDE_MIN, ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
-from minidual.control.contact import Expected
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ArbiterOutput
@@ -19,6 +18,7 @@ from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.hand_impedance import HandImpedanceController
 from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
 from minidual.control.reflexes import ReflexError
+from minidual.control.senses import Expected
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError

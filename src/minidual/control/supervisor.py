@@ -13,10 +13,9 @@ import numpy as np
 from minidual import emergency
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control import reflexes
-from minidual.control.contact import EVERY, ContactSense, Expected
-from minidual.control.joint_sense import JointSense
 from minidual.control.kernels import hand_look
 from minidual.control.reflexes import Reflex, ReflexError
+from minidual.control.senses import EVERY, ContactSense, Expected, JointSense
 from minidual.control.soft_stop import SupervisedStop
 from minidual.plant.recorder import Recorder
 from minidual.robot.kinematics import Hands, Kinematics
