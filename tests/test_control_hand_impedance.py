@@ -9,7 +9,7 @@ from panda import HOME, TAU_RATE_MAX
 from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
-from minidual.control.hand_impedance import (
+from minidual.control.impedance_controllers import (
     FORCE_MAX_N,
     MOMENT_MAX_NM,
     STIFFNESS_N_PER_M,

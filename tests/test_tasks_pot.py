@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from minidual.collision.shapes import Mesh
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PartConfig
-from minidual.control.object_controller import SLOW_AT
+from minidual.control.impedance_controllers import SLOW_AT
 from minidual.motion.api import Planner
 from minidual.plant.model import build_spec
 from minidual.plant.world import World

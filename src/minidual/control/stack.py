@@ -15,8 +15,7 @@ from minidual.control.controller_manager import ControllerManager, ControllerSwi
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
-from minidual.control.hand_impedance import HandImpedanceController
-from minidual.control.object_controller import ObjectImpedanceController, ObjectSensor
+from minidual.control.impedance_controllers import HandImpedanceController, ObjectImpedanceController, ObjectSensor
 from minidual.control.reflexes import ReflexError
 from minidual.control.senses import Expected
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
