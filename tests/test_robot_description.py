@@ -17,9 +17,9 @@ from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot import description
+from minidual.robot.description import FACES_PER_ARM, arm_visuals
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, PANDA, Robot, robot_from
-from minidual.robot.visuals import FACES_PER_ARM, arm_visuals
 
 ROBOTS = [robot_from(RobotConfig(arm=name)) for name in ("panda", "xarm7", "ur5")]
 each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.arm.name)
@@ -166,18 +166,17 @@ def test_an_empty_description_package_is_named(monkeypatch):
 
 def test_visual_meshes_are_few_whole_and_cover_every_link():
     visuals = arm_visuals(PANDA)
-    assert {v.link for v in visuals} == {
+    assert {link for link, *_ in visuals} == {
         *(f"panda_link{i}" for i in range(8)),
         "panda_hand",
         "panda_leftfinger",
         "panda_rightfinger",
     }
-    faces = sum(len(v.faces) for v in visuals)
-    assert 0.5 * FACES_PER_ARM < faces < 1.3 * FACES_PER_ARM
-    for mesh in visuals:
-        assert mesh.faces.max() < len(mesh.vertices)
-        assert np.isfinite(mesh.vertices).all()
-        assert all(0.0 <= c <= 1.0 for c in mesh.rgba)
+    assert 0.5 * FACES_PER_ARM < sum(len(faces) for _, _, faces, _ in visuals) < 1.3 * FACES_PER_ARM
+    for _, vertices, faces, rgba in visuals:
+        assert faces.max() < len(vertices)
+        assert np.isfinite(vertices).all()
+        assert all(0.0 <= c <= 1.0 for c in rgba)
 
 
 def test_no_link_is_cut_by_the_simplification():
@@ -185,7 +184,7 @@ def test_no_link_is_cut_by_the_simplification():
     import trimesh
 
     arm = ARM_MODELS["xarm7"]
-    sizes = {mesh.link: np.ptp(mesh.vertices, axis=0) for mesh in arm_visuals(arm)}
+    sizes = {link: np.ptp(vertices, axis=0) for link, vertices, _, _ in arm_visuals(arm)}
     folder = description.file_at(arm.urdf).parents[1] / "meshes" / "xarm7" / "visual"
     for joint in range(1, 8):
         whole = np.ptp(trimesh.load_mesh(folder / f"link{joint}.stl").vertices, axis=0)

@@ -12,9 +12,8 @@ from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.bodies import contact_sensor
 from minidual.plant.scenery import GROUP_VISUAL, INTANGIBLE, SOLIMP, SOLREF, add_objects, add_surroundings, marks
-from minidual.robot.description import mujoco_urdf, never_touching
+from minidual.robot.description import arm_visuals, mujoco_urdf, never_touching
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
-from minidual.robot.visuals import arm_visuals
 
 IntArray = npt.NDArray[np.int64]
 
@@ -123,12 +122,12 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
                     geom.solref, geom.solimp = SOLREF, SOLIMP
         for first, second in never_touching(robot.arm):
             spec.add_exclude(bodyname1=f"{arm}_{first}", bodyname2=f"{arm}_{second}")
-    for index, mesh in enumerate(arm_visuals(robot.arm) if visuals else ()):
-        name = f"visual{index}_{mesh.link}"
-        spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
-        looks = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "rgba": mesh.rgba, "group": GROUP_VISUAL}
+    for index, (link, vertices, faces, rgba) in enumerate(arm_visuals(robot.arm) if visuals else ()):
+        name = f"visual{index}_{link}"
+        spec.add_mesh(name=name, uservert=vertices.ravel(), userface=faces.ravel())
+        looks = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "rgba": rgba, "group": GROUP_VISUAL}
         for arm in robot.sides:
-            spec.body(f"{arm}_{mesh.link}").add_geom(**looks, **INTANGIBLE, density=0.0)
+            spec.body(f"{arm}_{link}").add_geom(**looks, **INTANGIBLE, density=0.0)
 
 
 def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
