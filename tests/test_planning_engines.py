@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from planning_oracles import CoalDistances, states
 
-from minidual.collision.coal_engine import CoalEngine
-from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.engines import CoalEngine, MujocoEngine
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
 from minidual.motion.search import EdgeChecker, bisection_order

@@ -7,8 +7,8 @@ import pinocchio as pin
 import pytest
 from pydantic import ValidationError
 
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, LinearMoveError, OutOfLimitsError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits, PlannerConfig

@@ -9,7 +9,7 @@ import pytest
 
 from minidual.collision import acm as acm_module
 from minidual.collision.acm import acm_report, build_acm
-from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Pairs, Sphere
 from minidual.errors import UsageError

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from panda import GROUPS
 
-from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.engines import CoalEngine, MujocoEngine
 from minidual.collision.errors import PlanningError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import GroupTimes, HeldMovesConfig, PlanConfig, PlannerConfig
 from minidual.config.root import Config

@@ -17,7 +17,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.coal_engine import CoalEngine
+from minidual.collision.engines import CoalEngine
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene

@@ -174,6 +174,6 @@ class PairDistance:
 
 ENGINES: Registry[Callable[[Any], Any]] = Registry(
     "collision engine",
-    {"mujoco": "minidual.collision.mujoco_engine:MujocoEngine", "coal": "minidual.collision.coal_engine:CoalEngine"},
+    {"mujoco": "minidual.collision.engines:MujocoEngine", "coal": "minidual.collision.engines:CoalEngine"},
 )
 """Built from a scene; `collisions(Q)` returns contact (n,) bool for Q (n, dof). Audits ask all."""

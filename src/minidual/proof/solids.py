@@ -13,7 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.coal_engine import convex_solids, robot_geometry
+from minidual.collision.engines import convex_solids, robot_geometry
 from minidual.collision.scene import PlanningScene
 from minidual.proof import planes
 from minidual.robot.compiled import floats

@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.errors import PlanningError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream

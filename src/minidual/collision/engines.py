@@ -1,14 +1,95 @@
-"""Collision checks by MuJoCo on convex hulls (about 15 us a state)."""
+"""Collision checks on convex hulls by coal through Pinocchio (about 20 us a state), and by MuJoCo (about 15 us)."""
 
+import functools
 import itertools
 from typing import Any
 
+import coal
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, PairDistance, Shape, Sphere
-from minidual.robot.description import collision_links, mujoco_urdf
-from minidual.robot.pair import Array
+from minidual.robot.description import collision_links, mujoco_urdf, pair_urdf
+from minidual.robot.kinematics import Kinematics, full_model
+from minidual.robot.pair import Array, Robot
+
+# With coal's default of 1e-6, GJK stops early in about one state of 20 000 and misses a contact of 1 mm. With 1e-9 the
+# two engines agreed on 52 000 of 52 000 states.
+_GJK_TOLERANCE = 1e-9
+
+
+class CoalEngine:
+    """Checks a scene or `Pairs`; `items`: geometry objects by part."""
+
+    def __init__(self, scene: Any) -> None:
+        self.model = Kinematics(scene.robot).model
+        self.geometry = robot_geometry(scene.robot).copy()
+        self.items: dict[str, list[int]] = {}
+        for index, item in enumerate(self.geometry.geometryObjects):
+            self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
+        placed = [(shape, 0) for shape in scene.solid_obstacles]
+        placed += [(held.shape, self.model.getFrameId(held.link)) for held in scene.attached]
+        for shape, frame_id in placed:
+            frame = self.model.frames[frame_id]  # 0: the world
+            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(shape.T_parent_shape)
+            self.items[shape.name] = [
+                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, *place, solid))
+                for solid in convex_solids(shape)
+            ]
+        for a, b in scene.checked_pairs:
+            for first in self.items[a]:
+                for second in self.items[b]:
+                    self.geometry.addCollisionPair(pin.CollisionPair(first, second))
+        self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.geometry, 1)
+        for request in self._pool.getGeometryData(0).collisionRequests:
+            request.gjk_tolerance = _GJK_TOLERANCE
+
+    def collisions(self, Q: Array) -> np.ndarray:
+        """See `ENGINES`."""
+        if len(Q) == 0:
+            return np.zeros(0, dtype=bool)
+        columns = np.asfortranarray(np.asarray(Q, dtype=float).T)
+        hits = pin.computeCollisionsInParallel(1, self._pool, columns, True, False)
+        return np.array(hits, dtype=bool).ravel()
+
+
+@functools.cache
+def robot_geometry(robot: Robot) -> pin.GeometryModel:
+    """Return the robot's convex hulls. Cached: do not modify."""
+    full, fingers, q = full_model(robot)
+    full_geometry = pin.buildGeomFromUrdfString(full, pair_urdf(robot), pin.GeometryType.COLLISION)
+    _, geometry = pin.buildReducedModel(full, full_geometry, fingers, q)
+    for item in geometry.geometryObjects:
+        if isinstance(item.geometry, coal.BVHModelBase):
+            item.geometry.buildConvexHull(True, "Qt")
+            item.geometry = item.geometry.convex
+    return geometry
+
+
+def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
+    """Return one solid, or one per mesh piece."""
+    match shape:
+        case Box():
+            return [coal.Box(*shape.size_m)]
+        case Cylinder():
+            return [coal.Cylinder(shape.radius_m, shape.length_m)]
+        case Capsule():
+            return [coal.Capsule(shape.radius_m, shape.length_m)]
+        case Sphere():
+            return [coal.Sphere(shape.radius_m)]
+        case Mesh():
+            return [_hull(vertices) for vertices in shape.vertices()]
+
+
+def _hull(vertices: Array) -> coal.CollisionGeometry:
+    cloud = coal.BVHModelOBBRSS()
+    cloud.beginModel(0, len(vertices))
+    cloud.addVertices(np.ascontiguousarray(vertices))
+    cloud.endModel()
+    cloud.buildConvexHull(True, "Qt")
+    return cloud.convex
+
 
 _CLOSEST_WITHIN_M = 0.1
 _KIND = mujoco.mjtGeom
