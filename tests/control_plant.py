@@ -12,8 +12,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.object_impedance import HeldObject, ObjectState
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, Array
-from minidual.robot.poses import inverse, pose
+from minidual.robot.pair import DUAL_PANDA, Array, inverse, pose
 
 
 class ArmsPlant:

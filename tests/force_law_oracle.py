@@ -18,8 +18,7 @@ from minidual.control.object_impedance import (
     ObjectState,
 )
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import rotation_log
+from minidual.robot.pair import Array, rotation_log
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 

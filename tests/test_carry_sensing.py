@@ -18,7 +18,7 @@ from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
+from minidual.robot.pair import inverse, pose, rot_x, rot_z, rotation_log
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.impedance_carry import ImpedanceCarry
 

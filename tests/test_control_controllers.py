@@ -21,8 +21,7 @@ from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse
+from minidual.robot.pair import Array, inverse
 from minidual.robot.trajectory import Trajectory
 
 OPEN = np.ones(2)

@@ -17,7 +17,7 @@ from minidual.control.kernels import minimum_jerk
 from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.rod_carry import grasp_offsets
 

@@ -22,7 +22,7 @@ from minidual.control.gripper import pinch_force
 from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.poses import inverse, pose, rot_z, rotation_log
+from minidual.robot.pair import inverse, pose, rot_z, rotation_log
 from minidual.robot.vectors import cross, inner, minus, plus, times
 from scripts.bench.scenes import BenchScene, held_scene
 

@@ -22,8 +22,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
+from minidual.robot.pair import Array, inverse, pose, rot_x, rot_z, rotation_log
 
 RIGHT = slice(7, 14)
 SOFT = ("left_arm", "right_hand")

@@ -32,8 +32,7 @@ from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import deviation, execute
 from minidual.stages.plan import held_checks

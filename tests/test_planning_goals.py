@@ -29,8 +29,7 @@ from minidual.motion.goal_plan import (
 from minidual.motion.goals import pose_goals
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
-from minidual.robot.poses import pose, rot_x
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose, rot_x
 
 HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -15,8 +15,7 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, SIDES
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive

@@ -18,7 +18,7 @@ from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
 from minidual.proof.scene_engines import Audit, SceneEngines
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import pose
+from minidual.robot.pair import pose
 from minidual.stages import plan
 from minidual.stages.config_checks import check_plan
 from minidual.stages.plan import common_checks, group_checks, run

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.plant.world import World
-from minidual.robot import poses
+from minidual.robot import pair
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, robot_from
 
@@ -55,7 +55,7 @@ def test_jacobians_are_the_derivative_of_the_poses(kinematics, state):
             minus = kinematics.tcp_poses(q - h * np.eye(DOF)[j])[arm].copy()
             numeric[:3, j] = (plus[:3, 3] - minus[:3, 3]) / (2 * h)
             turn = plus[:3, :3] @ minus[:3, :3].T  # a rotation in world axes
-            numeric[3:, j] = poses.rotation_log(turn) / (2 * h)
+            numeric[3:, j] = pair.rotation_log(turn) / (2 * h)
         assert np.abs(numeric - analytic[arm]).max() < 1e-7
 
 
@@ -121,17 +121,17 @@ class TestPoses:
 
     def test_inverse(self):
         for R in self.rotations:
-            T = poses.pose(R.as_matrix(), (0.3, -0.2, 0.9))
-            assert np.abs(poses.inverse(T) @ T - np.eye(4)).max() < 1e-14
+            T = pair.pose(R.as_matrix(), (0.3, -0.2, 0.9))
+            assert np.abs(pair.inverse(T) @ T - np.eye(4)).max() < 1e-14
 
     @pytest.mark.parametrize("angle", [-3.0, -0.4, 0.0, 1e-9, 2.0, np.pi])
     def test_elementary_rotations(self, angle):
-        assert poses.rot_x(angle) == pytest.approx(Rotation.from_euler("x", angle).as_matrix(), abs=1e-15)
-        assert poses.rot_z(angle) == pytest.approx(Rotation.from_euler("z", angle).as_matrix(), abs=1e-15)
+        assert pair.rot_x(angle) == pytest.approx(Rotation.from_euler("x", angle).as_matrix(), abs=1e-15)
+        assert pair.rot_z(angle) == pytest.approx(Rotation.from_euler("z", angle).as_matrix(), abs=1e-15)
 
     def test_log_matches_scipy(self):
         for R in self.rotations:
-            assert poses.rotation_log(R.as_matrix()) == pytest.approx(R.as_rotvec(), abs=1e-9)
+            assert pair.rotation_log(R.as_matrix()) == pytest.approx(R.as_rotvec(), abs=1e-9)
 
     @pytest.mark.parametrize(
         "angle", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, np.pi - 1e-3, np.pi - 1e-4, np.pi - 1e-5, np.pi - 1e-8]
@@ -140,16 +140,16 @@ class TestPoses:
         for axis in ([1.0, 0, 0], [0, 0, -1.0], [0.6, -0.8, 0], [-0.48, 0.6, 0.64]):
             vector = angle * np.array(axis)
             R = Rotation.from_rotvec(vector).as_matrix()
-            assert poses.rotation_log(R) == pytest.approx(vector, abs=2e-8)
+            assert pair.rotation_log(R) == pytest.approx(vector, abs=2e-8)
 
     def test_log_of_half_a_turn_is_half_a_turn_about_either_way(self):
         for axis in ([1.0, 0, 0], [0.6, -0.8, 0], [-0.48, 0.6, 0.64]):
             R = Rotation.from_rotvec(np.pi * np.array(axis)).as_matrix()
-            found = poses.rotation_log(R)
+            found = pair.rotation_log(R)
             assert np.linalg.norm(found) == pytest.approx(np.pi, abs=1e-7)
             assert Rotation.from_rotvec(found).as_matrix() == pytest.approx(R, abs=1e-7)
 
     def test_rotation_from_quaternion(self):
         for R in self.rotations:
             x, y, z, w = R.as_quat()
-            assert poses.rotation_from_quat(np.array([w, x, y, z])) == pytest.approx(R.as_matrix(), abs=1e-14)
+            assert pair.rotation_from_quat(np.array([w, x, y, z])) == pytest.approx(R.as_matrix(), abs=1e-14)

@@ -17,8 +17,7 @@ from minidual.motion.api import Planner
 from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, SIDES
-from minidual.robot.poses import pose, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
 from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError

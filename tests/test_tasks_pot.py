@@ -16,8 +16,7 @@ from minidual.motion.api import Planner
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.cycle import pose_of, solve, thing_of
 from minidual.skills.pipeline.state import State
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over

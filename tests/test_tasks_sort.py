@@ -16,8 +16,7 @@ from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, SIDES
-from minidual.robot.poses import pose, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
 from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.pipeline.state import State

@@ -38,8 +38,7 @@ from minidual.motion.search import bounded_space, exact_path, seeded
 from minidual.motion.timing import DT_S
 from minidual.robot.description import pair_urdf
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
-from minidual.robot.poses import inverse
+from minidual.robot.pair import Array, Robot, inverse
 from minidual.robot.trajectory import Trajectory
 from scripts.bench.queries import GROUP, PosedQuery, rod_grasps
 

@@ -30,8 +30,7 @@ from minidual.motion.held.planner import scene_holding
 from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import SIDES, Array, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.rod_carry import grasp_offsets
 

@@ -20,8 +20,7 @@ from minidual.control.object_impedance import ObjectImpedance, ObjectPath, Objec
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, pose
+from minidual.robot.pair import Array, inverse, pose
 from minidual.skills.carry_motions import held_object
 from minidual.skills.reach import grasp_posture
 from minidual.stages.env_check.tracking import sine_reference

@@ -14,8 +14,7 @@ import numpy as np
 
 from minidual.errors import UsageError
 from minidual.registry import Registry
-from minidual.robot.pair import Array, Robot
-from minidual.robot.poses import pose, rotation_from_quat
+from minidual.robot.pair import Array, Robot, pose, rotation_from_quat
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]

@@ -22,8 +22,7 @@ from minidual.control.object_impedance import (
 )
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse, rotation_log
+from minidual.robot.pair import SIDES, Array, inverse, rotation_log
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""

@@ -15,8 +15,7 @@ import pinocchio as pin
 from minidual.control.kernels import follow
 from minidual.control.object_impedance import ObjectState
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, pose, rotation_log
+from minidual.robot.pair import Array, inverse, pose, rotation_log
 
 
 class RestingEstimate:

@@ -27,8 +27,7 @@ from minidual.errors import ConfigError, DataError, UsageError, unknown_name
 from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
 from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
-from minidual.robot.poses import pose, rotation_from_quat
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rotation_from_quat
 
 _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
 _BYTES_MAX = 2**26  # a minute of motion

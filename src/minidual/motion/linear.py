@@ -15,8 +15,7 @@ from minidual.motion.ik import solvers
 from minidual.motion.timing import DT_S, PathLimits, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose
+from minidual.robot.pair import SIDES, Array, pose
 from minidual.robot.trajectory import Trajectory
 
 DEVIATION_MAX_M = 2e-4

@@ -16,8 +16,7 @@ from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.bodies import ObjectPose
 from minidual.plant.scenery import OBSTACLE
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
-from minidual.robot.poses import pose, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, open_hands, reach, retreat

@@ -22,8 +22,7 @@ from minidual.plant.protocol import ObjectSensors
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse
+from minidual.robot.pair import Array, inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.cycle import pose_of, thing_of

@@ -8,8 +8,7 @@ from minidual.control.impedance_controllers import InHand
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse, pose, rotation_log
+from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
 from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError

@@ -8,8 +8,7 @@ from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import OBSTACLE, ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.errors import UsageError
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.tasks import success
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.task import ObjectPose, Poses, Step, Task, TaskObject, Trial

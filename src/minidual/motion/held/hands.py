@@ -5,8 +5,7 @@ import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError
 from minidual.motion.ik import check_pose, solvers
-from minidual.robot.pair import Array, Robot
-from minidual.robot.poses import inverse
+from minidual.robot.pair import Array, Robot, inverse
 
 _LIMIT_BAND_RAD = 0.35
 _LIMIT_PUSH_RAD_PER_M = 3.0

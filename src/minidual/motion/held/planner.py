@@ -27,8 +27,7 @@ from minidual.motion.ik import check_pose
 from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import PathLimits
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse
+from minidual.robot.pair import SIDES, Array, inverse
 
 _LIMITS = MotionLimits(smoothing_s=0.1)  # gentler than with empty hands
 METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")

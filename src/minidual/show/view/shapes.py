@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from minidual.robot.poses import pose, rotation_from_quat
+from minidual.robot.pair import pose, rotation_from_quat
 
 HIDDEN_GROUP = 3
 """Collision geoms from here on, also hidden by MuJoCo's viewer."""

@@ -19,8 +19,7 @@ from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.proof.scene_engines import Audit
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import robot_from
-from minidual.robot.poses import inverse
+from minidual.robot.pair import inverse, robot_from
 from minidual.skills.cycle import pose_of, solve
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.pipeline.state import State

@@ -23,8 +23,7 @@ from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene
 from minidual.motion.held.search import HeldSpace, search_object
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.rod_carry import grasp_offsets
 from minidual.trials.planning.queries import random_obstacles

@@ -22,8 +22,7 @@ from minidual.errors import DataError
 from minidual.motion.goals import GROUP_ARMS
 from minidual.motion.ik import solvers
 from minidual.proof.scene_engines import STEP_RAD
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
 
 OBSTACLES_N = 5
 ROBOT = DUAL_PANDA
