@@ -9,8 +9,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.errors import MinidualError, UsageError, unknown_name
 from minidual.plant.bodies import NamedObject, ObjectPose
-from minidual.plant.model import build_model, map_joints
-from minidual.plant.scenery import GOAL_MARK
+from minidual.plant.model import GOAL_MARK, build_model, map_joints
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 if TYPE_CHECKING:  # it records worlds

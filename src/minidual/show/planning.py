@@ -17,8 +17,7 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import PHASES
-from minidual.plant.model import GROUP_COLLISION, build_spec, map_joints
-from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
+from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory

@@ -15,7 +15,7 @@ from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.bodies import ObjectPose
-from minidual.plant.scenery import OBSTACLE
+from minidual.plant.model import OBSTACLE
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place

@@ -21,7 +21,7 @@ SOCKET, PEG = "socket", "peg"
 HAND_OF: dict[str, str] = dict(zip((SOCKET, PEG), SIDES, strict=True))
 CLEARANCE_M, DEPTH_M = 0.0015, 0.03
 """Play of the peg, along x and z; wanted depth of its tip."""
-_FELT_M = 0.0004  # distance at which faces touch: both margins of minidual.plant.scenery
+_FELT_M = 0.0004  # distance at which faces touch: both margins of minidual.plant.model
 _PEG_M, _PEG_LENGTH_M = 0.022, 0.20
 _TIP_M = (0.0, _PEG_LENGTH_M / 2, 0.0)
 _BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.010
