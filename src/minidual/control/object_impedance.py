@@ -1,20 +1,29 @@
 """Object impedance: the held object behaves like a damped spring; the squeeze (internal force) is servoed.
 
 Law and sources: docs/force-control.md. Object paths are straight minimum-jerk segments between level poses.
+
+The object's pose is estimated from delayed, noisy samples and the joint encoders. At rest it is the mean of all samples.
+When held, its pose X in a frame H of the hands is estimated: origin midway between the tool centre points, y from right
+to left, x along the mean finger direction. Samples z correct X:
+
+    X <- X + g (T_H(t - delay)^-1 z - X),  g = max(1 / n, sample period / memory)
 """
 
+import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import Motors
-from minidual.control.kernels import LAW, impedance, on_path
+from minidual.control.kernels import LAW, follow, impedance, on_path
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
 
 SQUEEZE_CEILING_N = 80.0
 """Highest internal force."""
@@ -163,3 +172,85 @@ class ObjectPath:
         T, motion = np.empty((4, 4)), np.zeros((2, 6))
         on_path(self._poses, self._ends_s, t_s, T_level_object, T, motion)
         return ObjectState(T, motion[0], motion[1])
+
+
+class RestingEstimate:
+    """Mean pose of a resting object.
+
+    Attributes:
+        innovation: (distance [m], angle [rad]) of the last sample from the previous mean.
+    """
+
+    def __init__(self, T_world_object: Array) -> None:
+        self.T_world_object = T_world_object.copy()
+        self.samples_n = 1
+        self.innovation = (0.0, 0.0)
+
+    def add(self, T_world_object: Array, least_gain: float = 0.0) -> None:
+        """Add a sample (4, 4) to the mean, which a least gain makes forget."""
+        self.samples_n += 1
+        gain = max(1.0 / self.samples_n, least_gain)
+        self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, gain)
+
+
+class HeldEstimate:
+    """Pose and twist of an object in both hands.
+
+    Args:
+        q: Joints (n,) after closing.
+        T_world_object: Pose (4, 4), weighted as five samples.
+        delay_ticks: Largest sample age.
+        least_gain: Smallest g.
+
+    Attributes:
+        innovation: (distance [m], angle [rad]) of the last sample.
+        spread_m: Distance between the hands.
+        moved_m: Distance that they moved between the last two samples.
+    """
+
+    def __init__(
+        self, kinematics: Kinematics, q: Array, T_world_object: Array, *, delay_ticks: int, least_gain: float
+    ) -> None:
+        self._hands = Hands(kinematics)
+        self._least_gain, self._samples_n = least_gain, 5
+        self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
+        self.innovation = (0.0, 0.0)
+        self.spread_m = self.moved_m = 0.0
+        self._T_hands_object = np.eye(4)
+        T_world_hands = self._follow(q, np.zeros_like(q))[0]
+        self._T_hands_object, self._sampled_m = inverse(T_world_hands) @ T_world_object, T_world_hands[:3, 3]
+        self.state = ObjectState(T_world_object)
+
+    def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
+        """Return the object's state at joints q, v (n,).
+
+        Samples (4, 4) older than `delay_ticks` are ignored.
+        """
+        T_world_hands, T, twist = self._follow(q, v)
+        self._history.append(T_world_hands)
+        if sample is not None and age_ticks < len(self._history):
+            self._samples_n += 1
+            gain = max(1.0 / self._samples_n, self._least_gain)
+            T_then = self._history[-1 - age_ticks]
+            self.moved_m, self._sampled_m = float(np.linalg.norm(T_then[:3, 3] - self._sampled_m)), T_then[:3, 3]
+            seen = inverse(T_then) @ sample
+            self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
+            T, twist = self._follow(q, v)[1:]
+        self.state = ObjectState(T, twist)
+        return self.state
+
+    def _follow(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return T_world_hands (4, 4), and pose (4, 4) and twist (6,) of the object; set `spread_m`."""
+        hands = self._hands
+        hands.update(q)
+        T_hands, T, twist = np.empty((4, 4)), np.empty((4, 4)), np.empty(6)
+        self.spread_m = follow(hands.views, v, self._T_hands_object, T_hands, T, twist)
+        return T_hands, T, twist
+
+
+def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
+    """Return T moved towards the sample, and their innovation."""
+    offset = sample[:3, 3] - T[:3, 3]
+    turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
+    moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)
+    return moved, (math.sqrt(offset @ offset), math.sqrt(turn @ turn))

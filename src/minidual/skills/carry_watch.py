@@ -8,8 +8,7 @@ import numpy as np
 
 from minidual.config.control import CarryConfig
 from minidual.control.kernels import pressed, smooth
-from minidual.control.object_estimate import HeldEstimate, RestingEstimate
-from minidual.control.object_impedance import ObjectState
+from minidual.control.object_impedance import HeldEstimate, ObjectState, RestingEstimate
 from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
