@@ -8,9 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from minidual.collision.acm import acm_report
 from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
-from minidual.collision.scene import PlanningScene
+from minidual.collision.scene import PlanningScene, acm_report
 from minidual.collision.scene_file import load_scene
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
