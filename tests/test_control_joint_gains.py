@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from panda import A_MAX, DOF, HOME, JOINT_ARMATURE, JOINT_DAMPING, JOINT_NAMES
 
-from minidual.control.joint_control import ComputedTorque, JointLoop, Motors
+from minidual.control.joint_control import ComputedTorque, JointLoop, motor_torque
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -112,7 +112,7 @@ class TestFriction:
         with_friction, without = Kinematics(self._knowing(0.5)), Kinematics()
 
         def friction(v):
-            return Motors(with_friction).torque(HOME, v, ZERO) - Motors(without).torque(HOME, v, ZERO)
+            return motor_torque(with_friction, HOME, v, ZERO) - motor_torque(without, HOME, v, ZERO)
 
         v = np.linspace(-1.0, 1.0, DOF)
         assert np.allclose(friction(v), -friction(-v))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from minidual.control import kernels
-from minidual.control.joint_control import Motors
+from minidual.control.joint_control import motor_torque
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import rotation_log
 
@@ -36,5 +36,5 @@ def test_a_nan_reaches_the_torque():
     """A guard downstream can only refuse what it is shown."""
     kinematics, a = Kinematics(), np.zeros(14)
     a[3] = np.nan
-    tau = Motors(kinematics).torque(kinematics.robot.home, np.zeros(14), a)
+    tau = motor_torque(kinematics, kinematics.robot.home, np.zeros(14), a)
     assert np.isnan(tau[3])

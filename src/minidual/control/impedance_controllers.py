@@ -8,7 +8,7 @@ from minidual.config.control import ImpedanceConfig
 from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ArbiterOutput, ObjectExecution
-from minidual.control.joint_control import ComputedTorque
+from minidual.control.joint_control import ComputedTorque, motor_torque
 from minidual.control.kernels import within
 from minidual.control.object_impedance import (
     POSTURE_DAMPING_PER_S,
@@ -188,7 +188,7 @@ class HandImpedance(ComputedTorque):
 
     def __init__(self, kinematics: Kinematics, arm: int, dt_s: float) -> None:
         super().__init__(kinematics)
-        self._kinematics, self._arm, self._joints = kinematics, arm, kinematics.robot.joints_of(arm)
+        self._arm, self._joints = arm, kinematics.robot.joints_of(arm)
         self._learning, self._most = _LEARNING_PER_S * dt_s, np.repeat([FORCE_MAX_N, MOMENT_MAX_NM], 3)
         self.held, self._held = InHand(), InHand()
         self.other: InHand | None = None
@@ -229,7 +229,7 @@ class HandImpedance(ComputedTorque):
         qdd, push = a_ref.copy(), np.zeros_like(q) if load is None else load.copy()
         qdd[own] += within
         push[own] += J.T @ wrench
-        return self._motors.torque(q, v, qdd, push)
+        return motor_torque(self._kinematics, q, v, qdd, push)
 
     def _wanted(self, q: Array, q_ref: Array) -> Array:
         tips = self._kinematics.tcp_poses(q_ref)

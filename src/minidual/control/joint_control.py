@@ -57,33 +57,26 @@ class ReferenceFilter:
         return self.q, self.v, self.a
 
 
-class Motors:
-    """Turns accelerations and loads into motor torques."""
-
-    def __init__(self, kinematics: Kinematics) -> None:
-        self._kinematics, arm = kinematics, kinematics.robot.arm
-        self._limits = arm.damping, arm.friction, np.array(kinematics.robot.tau_max)
-        self._no_load = np.zeros(kinematics.robot.dof)
-
-    def torque(self, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:
-        """Return torques (n,) [Nm] for accelerations a (n,) and load (n,), clipped to the limits; NaN stays NaN."""
-        # rnea(q, v, a) = M a + h in O(n), with rotor inertia from model.armature.
-        tau = self._kinematics.rnea(q, v, a)
-        add_loads(tau, self._no_load if load is None else load, v, *self._limits)
-        return tau
+def motor_torque(kinematics: Kinematics, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:
+    """Return torques (n,) [Nm] for accelerations a (n,) and load (n,), clipped to the limits; NaN stays NaN."""
+    # rnea(q, v, a) = M a + h in O(n), with rotor inertia from model.armature.
+    tau, robot = kinematics.rnea(q, v, a), kinematics.robot
+    load = np.zeros(robot.dof) if load is None else load
+    add_loads(tau, load, v, robot.arm.damping, robot.arm.friction, robot.tau_max)
+    return tau
 
 
 class ComputedTorque:
     """Tracks joint references, critically damped."""
 
     def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0) -> None:
-        self._motors, self._w = Motors(kinematics), natural_frequency_rad_s
+        self._kinematics, self._w = kinematics, natural_frequency_rad_s
         self._a = np.zeros(kinematics.robot.dof)
 
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, load: Array | None = None) -> Array:
-        """Return motor torques (n,) [Nm], clipped to the limits; load (n,) as in `Motors`."""
+        """Return motor torques (n,) [Nm], clipped to the limits; load (n,) as in `motor_torque`."""
         servo(q, v, q_ref, v_ref, a_ref, self._w, self._a)
-        return self._motors.torque(q, v, self._a, load)
+        return motor_torque(self._kinematics, q, v, self._a, load)
 
 
 class JointLoop[P: Plant]:

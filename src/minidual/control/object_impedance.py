@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.config.control import ImpedanceConfig
-from minidual.control.joint_control import Motors
+from minidual.control.joint_control import motor_torque
 from minidual.control.kernels import LAW, follow, impedance, on_path
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
@@ -91,7 +91,7 @@ class ObjectImpedance:
         self._law = np.array([data], LAW)
         self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)
         self._hands = Hands(kinematics)
-        self._motors, self._qdd, self.push = Motors(kinematics), *np.zeros((2, kinematics.robot.dof))
+        self._qdd, self.push = np.zeros((2, kinematics.robot.dof))
         """push: (n,) [Nm], last J^T f."""
 
     def engage(self, q: Array) -> None:
@@ -133,7 +133,7 @@ class ObjectImpedance:
             *(hands.views, self._posture, q, v, self._qdd, self.push),
         ):
             raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
-        return self._motors.torque(q, v, self._qdd, self.push)
+        return motor_torque(self._kinematics, q, v, self._qdd, self.push)
 
 
 _LEVEL = np.eye(4)
