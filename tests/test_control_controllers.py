@@ -20,9 +20,8 @@ from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array, inverse
-from minidual.robot.trajectory import Trajectory
 
 OPEN = np.ones(2)
 PAIR = ("left_arm", "right_arm")

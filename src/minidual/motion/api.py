@@ -19,9 +19,8 @@ from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints, pose_go
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import DT_S, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification, certify
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
-from minidual.robot.trajectory import Trajectory
 
 PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
 

@@ -21,9 +21,8 @@ from minidual.collision.shapes import ENGINES, PairDistance
 from minidual.proof import planes
 from minidual.proof.solids import Solids
 from minidual.robot.compiled import ROWS, floats, inlined, kernel
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import SIDES, Array
-from minidual.robot.trajectory import Trajectory
 
 _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6

@@ -18,9 +18,8 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import PHASES
 from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array
-from minidual.robot.trajectory import Trajectory
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import tcp_preview

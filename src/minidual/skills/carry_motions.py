@@ -18,8 +18,8 @@ from minidual.config.scene import SceneConfig
 from minidual.control.impedance_controllers import SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
 from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
+from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import Array, Robot, inverse
-from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import PHASES
 from minidual.skills.reach import grasp_posture
 from minidual.tasks.rod_carry import level_part, level_pose

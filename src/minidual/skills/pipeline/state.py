@@ -11,8 +11,8 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Shape
 from minidual.motion.timing import resting
 from minidual.proof.scene_engines import Verification
+from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array
-from minidual.robot.trajectory import Trajectory
 
 OPEN, CLOSED = 1.0, 0.0
 
