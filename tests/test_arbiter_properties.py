@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from panda import A_MAX, GROUPS, HOME, Q_LOWER, Q_UPPER
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.control.arbiter import CommandArbiter
+from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand
-from minidual.control.execution import ArbiterOutput
 from minidual.control.mailbox import Mailbox
 from minidual.robot.pair import DUAL_PANDA
 

@@ -9,9 +9,8 @@ import pytest
 from panda import HOME, Q_UPPER
 
 from minidual.config.arbiter import ArbiterConfig
-from minidual.control.arbiter import CommandArbiter
+from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
-from minidual.control.execution import ArbiterOutput
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
 

@@ -4,6 +4,7 @@ A switch or a silent source brakes timed commands along their paths; a halt drop
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from minidual.config.arbiter import ArbiterConfig
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
-from minidual.control.execution import ArbiterOutput, Underway
+from minidual.control.execution import Execution, Underway
 from minidual.control.mailbox import Mailbox, check_openings
 from minidual.errors import UsageError, unknown_name
 from minidual.robot.pair import Array, Robot
@@ -19,6 +20,31 @@ from minidual.robot.pair import Array, Robot
 _STOP_SHARE = 0.5
 """Share of the joints' acceleration limits for stopping at a switch."""
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
+
+
+@dataclass(frozen=True)
+class ArbiterOutput:
+    """The arbiter's output of one tick.
+
+    Attributes:
+        q_target: (n,) [rad], finite and within limits.
+        gripper: (2,), 0 closed to 1 open.
+        active_source: Source whose command passed.
+        switched_to: Mode confirmed now.
+        executions: Running; their arms ignore `q_target`.
+        halted: The arms must stop now.
+        speed: Override of all motion, 0.1 to 1.
+    """
+
+    q_target: Array
+    gripper: Array
+    state: ArbiterState
+    active_source: str | None
+    switched_to: str | None
+    refusals: tuple[Refusal, ...]
+    executions: tuple[Execution, ...] = ()
+    halted: bool = False
+    speed: float = 1.0
 
 
 class CommandArbiter:

@@ -8,9 +8,9 @@ from typing import cast
 
 import numpy as np
 
+from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, Reason
 from minidual.control.controllers import Controller
-from minidual.control.execution import ArbiterOutput
 from minidual.control.soft_stop import TorqueRate
 from minidual.errors import MinidualError, unknown_name
 from minidual.robot.pair import SIDES, Array, Robot

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand, arms_of
-from minidual.control.execution import ArbiterOutput, TrajectoryExecution
+from minidual.control.execution import TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque, ReferenceFilter
 from minidual.control.kernels import minimum_jerk
 from minidual.robot.kinematics import Hands, Kinematics

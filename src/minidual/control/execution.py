@@ -8,19 +8,10 @@ dr/dt is ramped, so torques do not jump.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.control.commands import (
-    ArbiterState,
-    Command,
-    ObjectCommand,
-    Reason,
-    Refusal,
-    TimedCommand,
-    TrajectoryCommand,
-)
+from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.kernels import near, within
 from minidual.control.mailbox import own_columns
 from minidual.control.object_impedance import ObjectState
@@ -168,31 +159,6 @@ class ObjectExecution(_Execution[ObjectCommand]):
 
 
 Execution = TrajectoryExecution | ObjectExecution
-
-
-@dataclass(frozen=True)
-class ArbiterOutput:
-    """The arbiter's output of one tick.
-
-    Attributes:
-        q_target: (n,) [rad], finite and within limits.
-        gripper: (2,), 0 closed to 1 open.
-        active_source: Source whose command passed.
-        switched_to: Mode confirmed now.
-        executions: Running; their arms ignore `q_target`.
-        halted: The arms must stop now.
-        speed: Override of all motion, 0.1 to 1.
-    """
-
-    q_target: Array
-    gripper: Array
-    state: ArbiterState
-    active_source: str | None
-    switched_to: str | None
-    refusals: tuple[Refusal, ...]
-    executions: tuple[Execution, ...] = ()
-    halted: bool = False
-    speed: float = 1.0
 
 
 class Underway:

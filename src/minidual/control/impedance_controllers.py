@@ -5,9 +5,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from minidual.config.control import ImpedanceConfig
+from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
-from minidual.control.execution import ArbiterOutput, ObjectExecution
+from minidual.control.execution import ObjectExecution
 from minidual.control.joint_control import ComputedTorque, motor_torque
 from minidual.control.kernels import within
 from minidual.control.object_impedance import (

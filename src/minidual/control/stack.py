@@ -9,11 +9,10 @@ import numpy as np
 
 from minidual import emergency
 from minidual.config.arbiter import SPEED_OVERRIDE_MIN, ArbiterConfig
-from minidual.control.arbiter import CommandArbiter
+from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
-from minidual.control.execution import ArbiterOutput
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.impedance_controllers import HandImpedanceController, ObjectImpedanceController, ObjectSensor
 from minidual.control.reflexes import ReflexError
