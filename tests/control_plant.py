@@ -9,7 +9,7 @@ import pinocchio as pin
 from panda import HOME, JOINT_DAMPING
 
 from minidual.config.scene import SceneConfig
-from minidual.control.object_impedance import HeldObject, ObjectState
+from minidual.control.impedance import HeldObject, ObjectState
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, inverse, pose

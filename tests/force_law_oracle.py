@@ -1,6 +1,6 @@
 """The object impedance law written out plainly, one line an equation: the oracle for the fast one.
 
-It shares no code with `minidual.control.object_impedance`: the pseudo-inverse is numpy's, the time derivative of the
+It shares no code with `minidual.control.impedance`: the pseudo-inverse is numpy's, the time derivative of the
 Jacobians is a finite difference of Pinocchio's, the dynamics are M qdd + h.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 from panda import DOF, GROUPS, JOINT_DAMPING, TAU_MAX
 
 from minidual.config.control import ImpedanceConfig
-from minidual.control.object_impedance import (
+from minidual.control.impedance import (
     POSTURE_DAMPING_PER_S,
     POSTURE_STIFFNESS_PER_S2,
     SQUEEZE_CEILING_N,

@@ -19,8 +19,8 @@ from minidual.config.control import CarryConfig, PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.impedance import ObjectImpedance, ObjectState
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World

@@ -13,9 +13,9 @@ from panda import A_MAX, HOME, V_MAX
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerSwitchError
+from minidual.control.impedance import HeldObject, ObjectPath, ObjectState, SingularPostureError, Waypoint
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_impedance import HeldObject, ObjectPath, ObjectState, SingularPostureError, Waypoint
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError

@@ -25,8 +25,8 @@ from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.execution import Underway
+from minidual.control.impedance import ObjectPath, Waypoint
 from minidual.control.mailbox import Mailbox
-from minidual.control.object_impedance import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

@@ -12,9 +12,9 @@ from panda import HOME, JOINT_DAMPING
 
 from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
-from minidual.control import object_impedance
+from minidual.control import impedance
+from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z
@@ -50,7 +50,7 @@ def test_at_rest_at_the_goal_the_hands_carry_weight_and_squeeze_alone() -> None:
 
 
 def test_force_feedback_is_bounded_and_the_ceiling_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(object_impedance, "SQUEEZE_CEILING_N", 38.0)  # low enough that no motor saturates
+    monkeypatch.setattr(impedance, "SQUEEZE_CEILING_N", 38.0)  # low enough that no motor saturates
     law, centre, q = _law()
     kinematics = Kinematics()
     J = np.vstack(kinematics.tcp_jacobians(q)).T
@@ -80,7 +80,7 @@ def test_the_spring_pushes_back_towards_the_wanted_pose() -> None:
 
 def test_motion_feedforward_asks_for_the_acceleration_of_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without feedback errors the torques must be those of inverse dynamics for the wanted hand acceleration."""
-    monkeypatch.setattr(object_impedance, "POSTURE_STIFFNESS_PER_S2", 0.0)
+    monkeypatch.setattr(impedance, "POSTURE_STIFFNESS_PER_S2", 0.0)
     law, centre, q = _law()
     acceleration = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.4])
     tau = law.torque(

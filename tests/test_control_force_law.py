@@ -19,7 +19,7 @@ from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import kernels
 from minidual.control.gripper import pinch_force
-from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
+from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import inverse, pose, rot_z, rotation_log

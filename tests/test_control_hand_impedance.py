@@ -9,15 +9,15 @@ from panda import HOME, TAU_RATE_MAX
 from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
-from minidual.control.impedance_controllers import (
+from minidual.control.impedance import (
     FORCE_MAX_N,
     MOMENT_MAX_NM,
     STIFFNESS_N_PER_M,
     STIFFNESS_NM_PER_RAD,
     HandImpedance,
     InHand,
+    SingularPostureError,
 )
-from minidual.control.object_impedance import SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

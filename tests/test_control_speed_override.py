@@ -12,7 +12,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.execution import ObjectExecution, TrajectoryExecution
-from minidual.control.object_impedance import ObjectPath, Waypoint
+from minidual.control.impedance import ObjectPath, Waypoint
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA

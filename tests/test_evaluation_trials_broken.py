@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
 
-from minidual.control.object_impedance import SingularPostureError
+from minidual.control.impedance import SingularPostureError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import pose, rot_z

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar, Protocol
 
-from minidual.control.object_impedance import ObjectState
+from minidual.control.impedance import ObjectState
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
+from minidual.control.impedance import ObjectState
 from minidual.control.kernels import near, within
 from minidual.control.mailbox import own_columns
-from minidual.control.object_impedance import ObjectState
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array, Robot
 

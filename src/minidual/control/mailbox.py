@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from minidual.control.commands import Command, JointCommand, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
-from minidual.control.object_impedance import SQUEEZE_CEILING_N, ObjectState
+from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.robot.pair import Array, Robot, rotation_log
 
 OBJECT_SPEED_MAX_M_PER_S = 1.0  # just below the arms' own limits

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from minidual.config.control import CarryConfig
+from minidual.control.impedance import HeldEstimate, ObjectState, RestingEstimate
 from minidual.control.kernels import pressed, smooth
-from minidual.control.object_impedance import HeldEstimate, ObjectState, RestingEstimate
 from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

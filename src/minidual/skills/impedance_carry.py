@@ -12,7 +12,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import CarryConfig
 from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_impedance import ObjectPath, ObjectState, SingularPostureError
+from minidual.control.impedance import ObjectPath, ObjectState, SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack

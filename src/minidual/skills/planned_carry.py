@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import pinocchio as pin
 
-from minidual.control.impedance_controllers import InHand
+from minidual.control.impedance import InHand
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World

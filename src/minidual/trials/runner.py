@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from minidual.config.seeds import stream
+from minidual.control.impedance import SingularPostureError
 from minidual.control.kernels import strain
-from minidual.control.object_impedance import SingularPostureError
 from minidual.control.reflexes import SATURATED
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
