@@ -26,7 +26,7 @@ from minidual.motion.goal_plan import (
     goal_of,
     load_goal,
 )
-from minidual.motion.goals import pose_goals
+from minidual.motion.ik import pose_goals
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose, rot_x

@@ -25,8 +25,8 @@ from minidual.collision.shapes import Box, Shape
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
-from minidual.motion.goals import pose_goals
 from minidual.motion.held.planner import scene_holding
+from minidual.motion.ik import pose_goals
 from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics

@@ -25,7 +25,7 @@ from minidual.config.seeds import stream
 from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, unknown_name
 from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
-from minidual.motion.goals import GROUP_ARMS, check_joints, goal_joints, pose_goals
+from minidual.motion.ik import GROUP_ARMS, check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rotation_from_quat
 

@@ -9,9 +9,8 @@ from scipy.interpolate import CubicSpline
 
 from minidual.collision.errors import LinearMoveError
 from minidual.config.planning import MotionLimits
-from minidual.motion.goals import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
-from minidual.motion.ik import solvers
+from minidual.motion.ik import check_joints, check_targets, require_free, solvers
 from minidual.motion.timing import DT_S, PathLimits, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics, Trajectory

@@ -16,7 +16,7 @@ from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner, PlanResult
 from minidual.motion.goal_plan import GoalPlanner, goal_of
-from minidual.motion.goals import GROUP_ARMS
+from minidual.motion.ik import GROUP_ARMS
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.pair import Array, Robot, robot_from
 

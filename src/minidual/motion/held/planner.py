@@ -18,12 +18,11 @@ from minidual.config.planning import MotionLimits
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
-from minidual.motion.goals import check_joints, pose_goals, require_free
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory, HeldCurve, ObjectPath, fine_curve
 from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_object, shorten
-from minidual.motion.ik import check_pose
+from minidual.motion.ik import check_joints, check_pose, pose_goals, require_free
 from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import PathLimits
 from minidual.proof.scene_engines import SceneEngines

@@ -7,8 +7,8 @@ import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
-from minidual.motion.goals import pose_goals
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
+from minidual.motion.ik import pose_goals
 from minidual.robot.pair import SIDES, Array, inverse
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.hands import free, straight

@@ -19,8 +19,7 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream
 from minidual.errors import DataError
-from minidual.motion.goals import GROUP_ARMS
-from minidual.motion.ik import solvers
+from minidual.motion.ik import GROUP_ARMS, solvers
 from minidual.proof.scene_engines import STEP_RAD
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
 
