@@ -209,6 +209,14 @@ def test_each_task_has_its_own_tables_and_figures(given: StageContext, data: dic
     assert list(report.tables) == [samples.TASK, "handover"]
     assert text.count("<h2>Comparison of the methods: ") == text.count("<h2>Under disturbances: ") == 2
     assert text.count("Thinnest margins") == 1
+    assert text.count("Success in each task") == 1
+    assert '<th scope="row"><a href="#comparison-handover">handover</a></th>' in text
+    # The excellent limits were set for the run's own task.
+    assert text.count('<th scope="row">excellent</th>') == text.count("Star: better than") == 1
+    first, second = (report.tables[task] for task in (samples.TASK, "handover"))
+    assert (first.own, second.own) == (True, False)
+    handover = json.loads((tmp_path / "report" / "report.json").read_text())["tasks"]["handover"]
+    assert all(cell["excellent"] == [] for cell in handover["comparison"]["methods"].values())
     assert "does not apply</span><small>its policy is trained on &#39;rod_carry&#39;" in text
     assert report.tables["handover"].clean.cells[2].state == "spared"
     assert len(list((tmp_path / "report" / "figures").glob("handover-*.svg"))) == 1

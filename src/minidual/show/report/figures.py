@@ -8,9 +8,9 @@ import io
 import math
 import re
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -112,14 +112,14 @@ def _value(trial: Trial, indicator: Indicator) -> float | None:
         return None
 
 
-def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[Trial]) -> Figure | None:
-    """Plot every trial and the median of successes, if any."""
+def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Sequence[Trial]) -> Figure | None:
+    """Plot every trial and the median of successes, if any; `methods` have their colours."""
     found = [(t["method"], t["success"] == "True", x) for t in trials if (x := _value(t, indicator)) is not None]
     if not found:
         return None
     largest, limit = max(value for *_, value in found), (indicator.excellent or math.inf) * indicator.scale
-    with _rows(methods, indicator.key, len(methods)) as (_figure, axes, svg):
-        for i, method in enumerate(methods):
+    with _rows(tuple(methods), indicator.key, len(methods)) as (_figure, axes, svg):
+        for i, (method, colour) in enumerate(methods.items()):
             mine = [(success, value) for name, success, value in found if name == method]
             for k, (success, value) in enumerate(mine):
                 look = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
@@ -127,7 +127,7 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
                     look = {"markersize": 5.5, "markeredgewidth": 1.4}
                 spread = (0.5 + k * 0.618033988749895) % 1.0
                 y, mark = i + 0.36 * (spread - 0.5), "o" if success else "x"
-                axes.plot(value, y, mark, color=COLOURS[i % len(COLOURS)], **look)
+                axes.plot(value, y, mark, color=colour, **look)
             won = [value for success, value in mine if success]
             if won:
                 axes.plot([statistics.median(won)] * 2, [i - 0.32, i + 0.32], color=INK, linewidth=2.2)
@@ -145,6 +145,9 @@ def strip_figure(indicator: Indicator, methods: Sequence[str], trials: Sequence[
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
     """Return the figures of success under each condition, and of the undisturbed trials."""
-    methods = [cell.method for cell in tables.clean.cells]
-    drawn = [success_figure(tables.rows), *(strip_figure(indicator, methods, trials) for indicator in INDICATORS[1:])]
+    methods = {
+        cell.method: COLOURS[k % len(COLOURS)] for k, cell in enumerate(tables.clean.cells) if cell.state != "spared"
+    }
+    shown = INDICATORS[1:] if tables.own else [replace(indicator, excellent=None) for indicator in INDICATORS[1:]]
+    drawn = [success_figure(tables.rows), *(strip_figure(indicator, methods, trials) for indicator in shown)]
     return [figure for figure in drawn if figure is not None]

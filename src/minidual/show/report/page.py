@@ -36,7 +36,10 @@ def build_report(given: StageContext, folder: Path) -> Report:
             media += collect_media(verdict, given.upstream[stage], folder)
         data = benchmark.data["tasks"] if benchmark else {}
         asked = trials_asked(given.config).items()
-        tables = {task: tabulate(wanted.methods, tuple(under), data.get(task, {})) for task, under in asked}
+        own = next(iter(trials_asked(given.config)))
+        tables = {
+            task: tabulate(wanted.methods, tuple(under), data.get(task, {}), own=task == own) for task, under in asked
+        }
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
         figures = {
             task: benchmark_figures(table, [t for t in trials if t["task"] == task]) for task, table in tables.items()
@@ -99,17 +102,17 @@ def document(report: Report) -> dict[str, Any]:
 def _task(tables: Tables) -> dict[str, Any]:
     clean, *disturbed = tables.rows
     return {
-        "comparison": {"missing": tables.missing(), "methods": {c.method: _cell(c) for c in clean.cells}},
+        "comparison": {"missing": tables.missing(), "methods": {c.method: _cell(c, tables.own) for c in clean.cells}},
         "conditions": {
-            row.condition: {"summary": row.summary, "methods": {c.method: _cell(c) for c in row.cells}}
+            row.condition: {"summary": row.summary, "methods": {c.method: _cell(c, tables.own) for c in row.cells}}
             for row in disturbed
         },
         "analysis": {name: getattr(tables, name) for name in ("pairs", "partings", "losses")},
     }
 
 
-def _cell(cell: Cell) -> dict[str, Any]:
-    excellent = [indicator.key for indicator in INDICATORS if cell.excellent(indicator)]
+def _cell(cell: Cell, own: bool) -> dict[str, Any]:
+    excellent = [indicator.key for indicator in INDICATORS if own and cell.excellent(indicator)]
     return {**asdict(cell), "failures": dict(cell.failures), "holes": cell.holes, "excellent": excellent}
 
 

@@ -169,11 +169,13 @@ class Tables:
     Attributes:
         pairs: Undisturbed.
         partings: Disturbed, with a significant difference.
+        own: The run's own task, for which the excellent limits were set.
     """
 
     rows: tuple[Row, ...]
     pairs: Sequence[Pair] = ()
     partings: Sequence[Pair] = ()
+    own: bool = True
 
     @property
     def clean(self) -> Row:
@@ -209,7 +211,7 @@ def corrected(rows: Sequence[Pair]) -> list[Pair]:
     return [{**row, "p_holm": p, "shown": p < CERTAIN} for row, p in zip(rows, ps, strict=True)]
 
 
-def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any]) -> Tables:
+def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any], *, own: bool = True) -> Tables:
     """Return the table of required `methods` and `conditions`; CLEAN is always included.
 
     `data`: see `benchmark_data`.
@@ -226,7 +228,7 @@ def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[st
         Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m))) for m in methods))
         for name, (summary, mine) in records.items()
     )
-    return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]])
+    return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]], own)
 
 
 def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | None) -> Cell:

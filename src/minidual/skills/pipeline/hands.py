@@ -9,7 +9,7 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
 from minidual.motion.api import PlanResult
-from minidual.motion.linear import LinearPlanner
+from minidual.motion.linear import TIP_LIMITS, Line, LinearPlanner
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array, pose
 from minidual.skills.phases import PHASES
@@ -20,6 +20,7 @@ _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
 _SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
 _DRIVEN_M, _RESTED_M = 0.006, 0.004  # further by force: into another object, down to rest
+_CRAWL_RATIO = 2.5  # time of a straight way over that of the hands alone; near singular postures it is 5 or more
 _SHORTER = (1.0, 0.6)  # shares of the retreat height to try
 
 
@@ -167,6 +168,15 @@ def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array
     engines, limits = tools.planner.engines(scene), PHASES[phase].limits
     linear = LinearPlanner(kinematics=tools.planner.kinematics)
     move = linear.plan(group_of(targets), state.q, targets, engines, limits=limits)
+    tips = tools.planner.kinematics.tcp_poses(state.q)
+    way_m = max(Line(tips[SIDES.index(arm)], T).length_m for arm, T in targets.items())
+    speed, acceleration = (limits or TIP_LIMITS).speed_m_per_s, (limits or TIP_LIMITS).acceleration_m_per_s2
+    alone_s, takes_s = way_m / speed + speed / acceleration, move.trajectory.duration_s
+    if takes_s > _CRAWL_RATIO * alone_s:
+        why = "the arms pass a nearly singular posture"
+        raise Failure(
+            "crawls", f"{phase}: {way_m:.2f} m straight on take {takes_s:.1f} s instead of {alone_s:.1f}: {why}"
+        )
     return Segment(phase, move.trajectory, state.openings, scene, move.verification)
 
 
