@@ -1,6 +1,7 @@
 """Collision checks by coal through Pinocchio, on convex hulls (about 20 us a state)."""
 
 import functools
+import itertools
 from typing import Any
 
 import coal
@@ -26,19 +27,15 @@ class CoalEngine:
         self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
-        placed = [(shape, 0) for shape in scene.solid_obstacles]
-        placed += [(held.shape, self.model.getFrameId(held.link)) for held in scene.attached]
-        for shape, frame_id in placed:
-            frame = self.model.frames[frame_id]  # 0: the world
-            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(shape.T_parent_shape)
-            self.items[shape.name] = [
-                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, *place, solid))
-                for solid in convex_solids(shape)
-            ]
+        for solid in scene.solids:
+            frame_id = self.model.getFrameId(solid.link)
+            frame = self.model.frames[frame_id]
+            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(solid.shape.T_parent_shape)
+            pieces = (pin.GeometryObject(solid.name, *place, piece) for piece in convex_solids(solid.shape))
+            self.items[solid.name] = [*map(self.geometry.addGeometryObject, pieces)]
         for a, b in scene.checked_pairs:
-            for first in self.items[a]:
-                for second in self.items[b]:
-                    self.geometry.addCollisionPair(pin.CollisionPair(first, second))
+            for pair in itertools.product(self.items[a], self.items[b]):
+                self.geometry.addCollisionPair(pin.CollisionPair(*pair))
         self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.geometry, 1)
         for request in self._pool.getGeometryData(0).collisionRequests:
             request.gjk_tolerance = _GJK_TOLERANCE

@@ -21,14 +21,11 @@ class MujocoEngine:
     def __init__(self, scene: Any) -> None:
         robot = scene.robot
         spec = mujoco.MjSpec.from_string(mujoco_urdf(robot))
-        for shape in scene.solid_obstacles:
-            add_body(spec, spec.worldbody, shape)
-        for held in scene.attached:
-            add_body(spec, spec.body(held.link), held.shape)
+        for solid in scene.solids:
+            add_body(spec, spec.body(solid.link), solid.shape)
         _boxes_to_meshes(spec)
         checked = {frozenset(p) for p in scene.checked_pairs}
-        objects = (*(s.name for s in scene.solid_obstacles), *(a.name for a in scene.attached))
-        for a, b in itertools.combinations((*collision_links(robot), *objects), 2):
+        for a, b in itertools.combinations((*collision_links(robot), *(s.name for s in scene.solids)), 2):
             if frozenset((a, b)) not in checked:
                 spec.add_exclude(bodyname1=a, bodyname2=b)
         self.model = spec.compile()
