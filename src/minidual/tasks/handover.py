@@ -53,15 +53,8 @@ def draw_either_way(task: Task, rng: np.random.Generator, widen: float = 1.0) ->
     start, goal = draw_on_table(task, rng, widen)
     if rng.uniform() >= task.scene.task.mirrored_share:
         return start, goal
-    return _mirrored(start), _mirrored(goal)
-
-
-def _mirrored(places: Poses) -> Poses:
-    found: Poses = {}
-    for name, place in places.items():
-        x, y, yaw = placement(place)
-        found[name] = x, -y, -yaw
-    return found
+    (x, y, yaw), (goal_x, goal_y, goal_yaw) = (placement(where[task.carried]) for where in (start, goal))
+    return {task.carried: (x, -y, -yaw)}, {task.carried: (goal_x, -goal_y, -goal_yaw)}
 
 
 def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:

@@ -14,7 +14,7 @@ from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse, pose
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, level_pose, placement
+from minidual.tasks.rod_carry import DOWN, level_pose, near, placement
 from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
 
 _VALUES = rows_beside(__file__)
@@ -75,13 +75,10 @@ def draw_apart(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
     """Draw a start on each side, and where in the air they meet."""
     asked, start = task.scene.task, Poses()
     for name, item in task.objects.items():
-        (x, y), ranges = item.body.xy_m or asked.start_xy_m, (asked.start_range_m,) * 2 + (asked.start_range_rad,)
-        dx, dy, yaw = (widen * np.array(ranges) * rng.uniform(-1.0, 1.0, size=3)).tolist()
-        start[name] = x + dx, y + dy, yaw
-    ranges = asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad
-    dx, dy, turn = (ranges * rng.uniform(-1.0, 1.0, size=3)).tolist()
-    (x, y), z = asked.goal_xy_m, float(rng.uniform(*_GOAL_Z_M))
-    peg = level_pose(x + dx, y + dy, z, asked.goal_yaw_rad + turn)
+        middle = (*(item.body.xy_m or asked.start_xy_m), 0.0)
+        start[name] = near(rng, middle, widen * asked.start_range_m, widen * asked.start_range_rad)
+    x, y, yaw = near(rng, (*asked.goal_xy_m, asked.goal_yaw_rad), asked.goal_range_m, asked.goal_range_rad)
+    peg = level_pose(x, y, float(rng.uniform(*_GOAL_Z_M)), yaw)
     return start, {PEG: peg, SOCKET: peg @ _along(_PEG_LENGTH_M / 2 - _AIM_M - _MOUTH_M)}
 
 

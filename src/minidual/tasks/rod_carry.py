@@ -60,15 +60,19 @@ def draw_on_table(task: Task, rng: np.random.Generator, widen: float = 1.0) -> t
     """
     asked, name = task.scene.task, task.carried
     for _ in range(_DRAWS_MAX):
-        dx, dy = widen * asked.start_range_m * rng.uniform(-1.0, 1.0, size=2)
-        yaw = widen * asked.start_range_rad * rng.uniform(-1.0, 1.0)
-        start = (asked.start_xy_m[0] + float(dx), asked.start_xy_m[1] + float(dy), float(yaw))
-        gx, gy, turn = (asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad) * rng.uniform(-1.0, 1.0, size=3)
-        x, y = asked.goal_xy_m
-        goal = (x + float(gx), y + float(gy), asked.goal_yaw_rad + float(turn))
+        start = near(rng, (*asked.start_xy_m, 0.0), widen * asked.start_range_m, widen * asked.start_range_rad)
+        goal = near(rng, (*asked.goal_xy_m, asked.goal_yaw_rad), asked.goal_range_m, asked.goal_range_rad)
         if asked.obstacle is None or all(beside(task.scene.object, asked.obstacle, place) for place in (start, goal)):
             return {name: start}, {name: goal}
     raise UsageError(f"'{name}' has no room beside the obstacle", remedy="move scene.task.start_xy_m or goal_xy_m away")
+
+
+def near(
+    rng: np.random.Generator, middle: tuple[float, float, float], range_m: float, range_rad: float
+) -> tuple[float, float, float]:
+    """Draw (x [m], y [m], yaw [rad]) uniformly round a middle."""
+    (x, y, yaw), (dx, dy, turn) = middle, (rng.uniform(-1.0, 1.0, 3) * (range_m, range_m, range_rad)).tolist()
+    return x + dx, y + dy, yaw + turn
 
 
 def beside(body: ObjectConfig, block: ObstacleConfig, place: tuple[float, float, float]) -> bool:
