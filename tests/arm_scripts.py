@@ -10,7 +10,7 @@ from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rotation_log
-from minidual.tasks.rod_carry import grasp_offsets, level_pose
+from minidual.tasks.task import grasp_offsets, level_pose
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 

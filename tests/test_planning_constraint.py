@@ -22,7 +22,7 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 
 GRASPS = grasp_offsets(SceneConfig())
 ROD = thing_of(SceneConfig().object).shape

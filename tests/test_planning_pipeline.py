@@ -25,7 +25,7 @@ from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, Failure, Gap, Stage, Tools
 from minidual.skills.pipeline.state import CLOSED, OPEN, State
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 
 RADIUS, HOME = 0.00887, DUAL_PANDA.home
 ROD = thing_of(SceneConfig().object)

@@ -36,8 +36,7 @@ from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.rod_carry import placement
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, placement
 
 PURPOSE = "demonstrations"
 """Random stream, not used by tests."""

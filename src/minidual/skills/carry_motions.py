@@ -23,7 +23,7 @@ from minidual.robot.poses import inverse
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import PHASES
 from minidual.skills.reach import grasp_posture
-from minidual.tasks.rod_carry import level_part, level_pose
+from minidual.tasks.task import level_part, level_pose
 
 LANDED_S = 0.1
 """Rest time before release."""

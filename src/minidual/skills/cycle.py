@@ -14,11 +14,9 @@ from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
 from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
-from minidual.plant.bodies import ObjectPose
 from minidual.plant.scenery import OBSTACLE
 from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
-from minidual.robot.poses import pose, rot_z
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, open_hands, reach, retreat
@@ -26,7 +24,7 @@ from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
 from minidual.skills.pipeline.state import State, Thing
 from minidual.skills.supervised import arm_distance
-from minidual.tasks.task import Step, Task, Trial
+from minidual.tasks.task import Step, Task, Trial, pose_of
 
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
 _PRISM = 16  # sides of the prism round a cylinder
@@ -67,14 +65,6 @@ def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
     if block is None:
         return room
     return room.with_obstacles(Box(OBSTACLE, (*block.xy_m, block.size_m[2] / 2), size_m=block.size_m))
-
-
-def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
-    """Return the pose (4, 4) for a pose or (x, y, yaw) on the table."""
-    if not isinstance(where, tuple):
-        return where
-    x, y, yaw = where
-    return pose(rot_z(yaw), (x, y, body.rest_height_m))
 
 
 def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -> Pipeline:

@@ -26,13 +26,12 @@ from minidual.robot.pair import Array
 from minidual.robot.poses import inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
-from minidual.skills.cycle import pose_of, thing_of
+from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
-from minidual.tasks.rod_carry import level_part, placement
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Trial, level_part, placement, pose_of
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 # what the hands are told in a phase

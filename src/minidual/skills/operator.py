@@ -17,12 +17,11 @@ from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
-from minidual.skills.cycle import pose_of, solve
+from minidual.skills.cycle import solve
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import GAP_MARGIN_M
-from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
 _ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
 _OVERLAPPING, _HOLDING, _PAUSED = ("correct", "descend"), ("close", "open"), ("lift", "lower")

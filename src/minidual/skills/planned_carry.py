@@ -10,12 +10,11 @@ from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse, pose, rotation_log
-from minidual.skills.cycle import pose_of, solve
+from minidual.skills.cycle import solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError
 from minidual.skills.pipeline.state import OPEN, Segment, State
-from minidual.tasks.rod_carry import level_part, placement
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
 GAP_MARGIN_M = 0.005
 

@@ -11,8 +11,8 @@ from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_z
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, draw_on_table, placement, transported
-from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
+from minidual.tasks.rod_carry import draw_on_table, transported
+from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, placement
 
 _VALUES = rows_beside(__file__)
 # Exchange poses if the left hand gives.

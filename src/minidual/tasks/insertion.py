@@ -14,8 +14,7 @@ from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse, pose
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, level_pose, near, placement
-from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
+from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, near, placement
 
 _VALUES = rows_beside(__file__)
 SOCKET, PEG = "socket", "peg"

@@ -15,8 +15,7 @@ from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, level_pose, placement
-from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
+from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, placement
 
 _ROWS = rows_beside(__file__)
 COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}

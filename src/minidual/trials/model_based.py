@@ -11,13 +11,13 @@ from minidual.plant.world import World
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
-from minidual.skills.cycle import pose_of, thing_of
+from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.state import OPEN, still
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import Task, Trial, make_task
+from minidual.tasks.task import Task, Trial, make_task, pose_of
 from minidual.trials.methods import Factory, MethodInputs
 
 _REST_S = 2.0

@@ -27,7 +27,7 @@ from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 from minidual.trials.planning.queries import random_obstacles
 
 _ROOM_M = 0.01
