@@ -1,13 +1,17 @@
-"""Model-based methods: object impedance, and planned motion with joint control."""
+"""Methods: object impedance, planned motion with joint control, and learned policies."""
 
+import functools
 from collections.abc import Callable, Mapping
 
 from minidual.config.seeds import stream, subseed
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
 from minidual.motion.api import Planner
+from minidual.plant.render import Camera
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
+from minidual.policies.pilot import PolicyPilot, load_runtime
 from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -91,3 +95,23 @@ def resting(inputs: MethodInputs) -> Factory:
     """Hold still."""
     config, supervisor = inputs.config, _supervisor(inputs)
     return lambda world, kinematics, trial: Rest(ControlStack(world, kinematics, config.arbiter, supervisor=supervisor))
+
+
+def policy(inputs: MethodInputs) -> Factory:
+    """Run the policy of the checkpoint."""
+    if inputs.checkpoint is None:
+        raise UsageError("a learned method needs a checkpoint", remedy="minidual train-act")
+    config = inputs.config
+    robot = robot_from(config.robot)
+    runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
+    # One per model: an OpenGL context is slow to create.
+    camera = functools.cache(lambda model: Camera.recorded(model, config.scene.camera))
+
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
+        picture = lambda name: (camera(world.model).picture(world.data, name), world.time)  # noqa: E731
+        rate_hz = config.teleop.rate_hz
+        stack = ControlStack(world, kinematics, config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
+        return PolicyPilot(stack, runtime, picture)
+
+    return make
