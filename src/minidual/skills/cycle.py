@@ -15,7 +15,6 @@ from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.scenery import OBSTACLE
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
@@ -31,7 +30,7 @@ _PRISM = 16  # sides of the prism round a cylinder
 _KEENNESS = 0.5  # where grasps can be chosen, the cheapest of all plans would take too long to find
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
-_CLEAR_M = 0.005  # over the height that the task asks for
+_CLEAR_M, _GAP_MARGIN_M = 0.005, 0.005  # over the height that the task asks for, and the distance of the arms
 _PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
 _OF_HANDS = {"descend": descend, "close": close, "open": open_hands, "retreat": retreat, "home": home}
 
@@ -59,7 +58,7 @@ def _corners(part: PartConfig) -> Array:
     return np.vstack(ends) * part.half_m + part.position_m
 
 
-def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
+def around(scene: SceneConfig, robot: Robot) -> PlanningScene:
     """Return a task's obstacles."""
     room, block = PlanningScene(robot=robot), scene.task.obstacle
     if block is None:
@@ -128,18 +127,18 @@ def solve(
     start: State,
     planner: Planner,
     seed: int = 0,
-    gap_m: float | None = None,
+    apart_m: float | None = None,
     by_force: bool = False,
 ) -> Solution:
     """Return a plan of the whole task from `start`, by the first arrangement of its steps that has one.
 
-    The arms keep `gap_m` apart.
+    The arms keep `apart_m` and a margin apart.
 
     Raises:
         TaskFailedError: Of the last arrangement.
     """
     things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
-    gap = None if gap_m is None else Gap(arm_distance(planner.robot), gap_m)
+    gap = None if apart_m is None else Gap(arm_distance(planner.robot), apart_m + _GAP_MARGIN_M)
     tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)

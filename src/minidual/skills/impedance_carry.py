@@ -286,10 +286,9 @@ class ImpedanceCarry:
         self._note(fault.name, fault.detail)
 
     def _heed_arbiter(self) -> None:
-        stack, refused = self.stack, None
-        if len(stack.refusals) > self._refusals_seen:
-            news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
-            refused = next((r for r in news if r.source == SOURCE), None)
+        stack = self.stack
+        news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
+        refused = next((r for r in news if r.source == SOURCE), None)
         if self.done:
             return
         if stack.output.halted:  # first: sources see a halt as a hold request

@@ -16,8 +16,6 @@ from minidual.skills.pipeline.search import Solution, TaskFailedError
 from minidual.skills.pipeline.state import OPEN, Segment, State
 from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
-GAP_MARGIN_M = 0.005
-
 
 class PlannedCarry(Drive):
     """One planned trial by position: stiff joints give the internal force. Call `step` until `done`.
@@ -48,16 +46,15 @@ class PlannedCarry(Drive):
             for name, T in self.poses.items()
         }
         start = State(world.q, dict(known))
-        gap_m = None if supervisor is None else supervisor.config.self_collision_min_m + GAP_MARGIN_M
+        apart_m = None if supervisor is None else supervisor.config.self_collision_min_m
         self.solution: Solution | None = None
-        why: str | None = None
         try:
-            self.solution = solve(task, trial, start, planner, seed, gap_m, self.by_force)
+            self.solution = solve(task, trial, start, planner, seed, apart_m, self.by_force)
             self.record = self.solution.record
+            super().__init__(stack, self.solution.segments)
         except TaskFailedError as error:
-            why, self.record = error.summary, error.record
-        super().__init__(stack, () if self.solution is None else self.solution.segments)
-        self.aborted = why
+            super().__init__(stack, ())
+            self.aborted, self.record = error.summary, error.record
 
 
 class CompliantCarry(PlannedCarry):

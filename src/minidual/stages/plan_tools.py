@@ -19,6 +19,7 @@ from minidual.motion.api import Planner, PlanResult
 from minidual.motion.goal_plan import GoalPlanner, goal_of
 from minidual.motion.goals import GROUP_ARMS
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
+from minidual.registry import rows_beside
 from minidual.robot.arms import robot_from
 from minidual.robot.pair import Array, Robot
 
@@ -26,14 +27,7 @@ _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
 Targets = dict[str, Path | None]
 """Output files by option."""
-_MEANINGS = {
-    "rigid": "carried by one joint: they cannot move against each other",
-    "adjacent": "neighbours along the chain: their hulls overlap at the joint",
-    "model": "ruled out by the model of the arm or its hand",
-    "always": "touch at home and in at least 95 % of the samples",
-    "never": "touched in none of the samples",
-    "user": "allowed by the scene file",
-}
+_MEANINGS: dict[str, str] = rows_beside(__file__)
 
 
 def plan_once(context: ToolContext) -> ToolResult:

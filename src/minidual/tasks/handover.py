@@ -40,7 +40,6 @@ def handover(config: Config) -> Task:
         instruction=f"Take the {body.name} with the nearer hand, pass it to the other one and stand it on the green mark.",
         config=config,
         objects={body.name: TaskObject(body, symmetry=4)},
-        steps=(),
         success=handed_over,
         draw=draw_either_way,
         stream="handover-trial",

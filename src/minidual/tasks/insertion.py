@@ -57,7 +57,6 @@ def insertion(config: Config) -> Task:
         instruction="Take the socket with the left hand and the peg with the right one, and put them together in the air.",
         config=config,
         objects=objects,
-        steps=(),
         success=inserted,
         draw=draw_apart,
         stream="insertion-trial",

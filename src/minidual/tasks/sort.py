@@ -51,7 +51,6 @@ def sort(config: Config) -> Task:
         instruction="Put the red cubes into the red bin on the left and the blue ones into the blue bin on the right.",
         config=config,
         objects={name: TaskObject(body, grasps, symmetry=4) for name, body in config.scene.objects.items()},
-        steps=(),
         success=sorted_by_colour,
         draw=draw_cubes,
         stream="sort-trial",

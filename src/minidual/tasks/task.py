@@ -91,9 +91,9 @@ class Task:
     instruction: str
     config: Config
     objects: Mapping[str, TaskObject]
-    steps: tuple[Step, ...]
     success: Callable[[Task, Trial], Sequence[SuccessCondition]]
     draw: Callable[[Task, np.random.Generator, float], tuple[Poses, Poses]]
+    steps: tuple[Step, ...] = ()
     stream: str = "trial"
     arrange: Callable[[Task, Trial, Mapping[str, Array]], Iterable[Sequence[Step]]] | None = None
 

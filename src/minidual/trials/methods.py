@@ -22,11 +22,8 @@ if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
 
-SENSES: dict[str, str] = {
-    "pose": "sensed pose of the object",
-    "feedback": "pose or contact force during the motion",
-    "picture": "picture",
-}
+_ROWS = rows_beside(__file__)
+SENSES: dict[str, str] = _ROWS["senses"]
 """What a method may read of the object, with its name in messages."""
 
 
@@ -113,7 +110,7 @@ def _held_apart(task: Task, trained: str) -> str:
 
 _CANNOT = {"another_task": _another_task, "held_apart": _held_apart}
 METHODS: Registry[MethodSpec] = Registry("method", group="minidual.methods")
-for _name, _row in rows_beside(__file__).items():
+for _name, _row in _ROWS["methods"].items():
     if "cannot" in _row:
         _row["cannot"] = _CANNOT[_row["cannot"]]
     METHODS.add(_name, MethodSpec(**_row))

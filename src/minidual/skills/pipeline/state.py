@@ -74,10 +74,9 @@ class Segment:
 
 @dataclass(frozen=True)
 class Thing:
-    """The handled object: shape in its own frame, and obstacles it may touch when lifted or lowered."""
+    """The handled object: its shape in its own frame."""
 
     shape: Shape
-    rests_on: tuple[str, ...] = ("table",)
     upright: bool = False
 
     def tilt_rad(self, Ts_world_object: Array) -> float:
