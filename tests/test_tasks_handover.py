@@ -21,9 +21,9 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_z
 from minidual.skills.cycle import pipeline_of, solve, thing_of
+from minidual.skills.phases import Segment, State
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import Segment, State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.judge import Outcome, begin

@@ -21,8 +21,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import solve, thing_of
+from minidual.skills.phases import State
 from minidual.skills.pipeline import hands
-from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import SceneClearance
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET

@@ -20,7 +20,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import solve, thing_of
-from minidual.skills.pipeline.state import State
+from minidual.skills.phases import State
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
 from minidual.tasks.judge import begin
 from minidual.tasks.success import Truth

@@ -20,8 +20,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.robot.poses import pose, rot_z
 from minidual.skills.cycle import solve
+from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.sort import bin_of, side_of

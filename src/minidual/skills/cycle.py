@@ -16,12 +16,11 @@ from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.scenery import OBSTACLE
 from minidual.robot.pair import SIDES, Array, Robot
-from minidual.skills.phases import PHASES
+from minidual.skills.phases import PHASES, State, Thing
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, open_hands, reach, retreat
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
-from minidual.skills.pipeline.state import State, Thing
 from minidual.skills.supervised import arm_distance
 from minidual.tasks.task import Step, Task, Trial, pose_of
 

@@ -18,8 +18,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.robot.poses import pose, rot_x, rot_z
 from minidual.skills.cycle import solve
-from minidual.skills.phases import PHASES
-from minidual.skills.pipeline.state import State
+from minidual.skills.phases import PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
 _ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")

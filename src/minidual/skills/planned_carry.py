@@ -11,9 +11,9 @@ from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array
 from minidual.robot.poses import inverse, pose, rotation_log
 from minidual.skills.cycle import solve
+from minidual.skills.phases import OPEN, Segment, State
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError
-from minidual.skills.pipeline.state import OPEN, Segment, State
 from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
 

@@ -17,8 +17,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.phases import OPEN, still
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.state import OPEN, still
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.task import Task, Trial, make_task, pose_of

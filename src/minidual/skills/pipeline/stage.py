@@ -10,7 +10,7 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.motion.api import Planner
 from minidual.motion.held.planner import placed, scene_holding
 from minidual.robot.pair import SIDES, Array
-from minidual.skills.pipeline.state import Segment, State, Thing
+from minidual.skills.phases import Segment, State, Thing
 
 _GAP_STEP_S = 0.005
 

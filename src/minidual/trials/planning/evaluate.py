@@ -22,8 +22,8 @@ from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.poses import inverse
 from minidual.skills.cycle import solve
+from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import State
 from minidual.tasks.task import make_task, pose_of
 from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 from minidual.trials.planning.queries import Query, polyline_states, query_source
