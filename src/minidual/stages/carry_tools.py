@@ -5,9 +5,8 @@ import yaml
 from minidual.config.profiles import DEFAULT_PROFILE, shipped_profiles
 from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode
-from minidual.gate.stage import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.show.figures.tuning import draw_tuning
-from minidual.show.markdown import markdown
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
 from minidual.trials.benchmark import DROP_MAX, PERTURBED, count_trials, promised, robustness, run_benchmark

@@ -161,7 +161,8 @@ def plan_acm(context: ToolContext) -> ToolResult:
     scene, notes = _scene(context, robot)
     table = sorted(scene.allowed)
     lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
-    kinds = Counter(_kind(reason) for _, _, reason in table)
+    words = (reason.split(" ")[0] for _, _, reason in table)
+    kinds = Counter(word if word in _MEANINGS else "user" for word in words)
     notes += [f"{count:4d} {kind:9s} {_MEANINGS[kind]}" for kind, count in sorted(kinds.items())]
     checked = f"{len(scene.checked_pairs)} of this scene are checked"
     notes += [f"{len(table)} pairs may touch, {checked}; pairs of different arms always are", *report.lines()]
@@ -171,8 +172,3 @@ def plan_acm(context: ToolContext) -> ToolResult:
         "built": dataclasses.asdict(report),
     }
     return ToolResult(lines, notes, data)
-
-
-def _kind(reason: str) -> str:
-    word = reason.split(" ")[0]
-    return word if word in _MEANINGS else "user"
