@@ -7,7 +7,7 @@ from minidual.control.gripper import SAFETY, pinch_force
 from minidual.registry import Registry, rows_beside
 
 
-def with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
+def _with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row with the pinch that its squeeze needs, at its `safety`."""
     values = {"safety": SAFETY, **row}
     safety = values.pop("safety")
@@ -21,5 +21,6 @@ def with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
 _ROWS: dict[str, dict[str, dict[str, Any]]] = rows_beside(__file__)
 OBJECTS: Registry[Mapping[str, Any]] = Registry("object", group="minidual.objects")
 for _name, _row in _ROWS["objects"].items():
-    OBJECTS.add(_name, with_pinch(_row))
+    OBJECTS.add(_name, _with_pinch(_row))
+POT = _with_pinch(_ROWS["pot"])
 MOTIONS: Registry[Mapping[str, Any]] = Registry("motion", _ROWS["motions"], group="minidual.motions")
