@@ -7,7 +7,7 @@ from minidual.control.gripper import SAFETY, pinch_force
 from minidual.registry import Registry, rows_beside
 
 
-def _with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
+def with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row with the pinch that its squeeze needs, at its `safety`."""
     values = {"safety": SAFETY, **row}
     safety = values.pop("safety")
@@ -21,6 +21,5 @@ def _with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
 _ROWS: dict[str, dict[str, dict[str, Any]]] = rows_beside(__file__)
 OBJECTS: Registry[Mapping[str, Any]] = Registry("object", group="minidual.objects")
 for _name, _row in _ROWS["objects"].items():
-    OBJECTS.add(_name, _with_pinch(_row))
-POT = _with_pinch(_ROWS["pot"])
+    OBJECTS.add(_name, with_pinch(_row))
 MOTIONS: Registry[Mapping[str, Any]] = Registry("motion", _ROWS["motions"], group="minidual.motions")

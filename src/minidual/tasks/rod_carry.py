@@ -1,4 +1,4 @@
-"""Both arms carry an object across the table: a long one, or a pot by its handles."""
+"""Both arms carry a long object across the table."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from minidual.config.scene import OBSTACLE
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES
 from minidual.tasks import success
-from minidual.tasks.objects import MOTIONS, OBJECTS, POT
+from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial, beside, grasp_offsets, near, placement
 
 _DRAWS_MAX = 1000
@@ -30,12 +30,6 @@ def rod_carry(config: Config) -> Task:
     config = carry_config(config)
     what = f"Grasp the {config.scene.object.name} with both hands, carry it to the green mark and put it down."
     return carry_task("rod_carry", what, config, "rod-trial")
-
-
-def pot_lift(config: Config) -> Task:
-    """Return the task: both hands stand the pot on a plate."""
-    text = "Lift the pot by both handles and put it on the green plate."
-    return carry_task("pot_lift", text, preset(config, POT), "pot-trial")
 
 
 def carry_task(name: str, instruction: str, config: Config, stream: str) -> Task:

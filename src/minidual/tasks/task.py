@@ -128,7 +128,7 @@ TASKS: Registry[Callable[[Config], Task]] = Registry(
     {
         "rod_carry": "minidual.tasks.rod_carry:rod_carry",
         "handover": "minidual.tasks.handover:handover",
-        "pot_lift": "minidual.tasks.rod_carry:pot_lift",
+        "pot_lift": "minidual.tasks.pot_lift:pot_lift",
         "sort": "minidual.tasks.sort:sort",
         "insertion": "minidual.tasks.insertion:insertion",
     },
