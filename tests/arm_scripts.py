@@ -8,8 +8,7 @@ from panda import HOME, Q_LOWER, Q_UPPER
 from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import pose, rotation_log
+from minidual.robot.pair import Array, pose, rotation_log
 from minidual.tasks.task import grasp_offsets, level_pose
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)

@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from minidual.control.impedance import HeldObject, ObjectState
 from panda import HOME, JOINT_DAMPING
 
 from minidual.config.scene import SceneConfig
-from minidual.control.object_impedance import HeldObject, ObjectState
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, pose
+from minidual.robot.pair import DUAL_PANDA, Array, inverse, pose
 
 
 class ArmsPlant:

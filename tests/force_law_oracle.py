@@ -7,19 +7,18 @@ Jacobians is a finite difference of Pinocchio's, the dynamics are M qdd + h.
 from __future__ import annotations
 
 import numpy as np
-from panda import DOF, GROUPS, JOINT_DAMPING, TAU_MAX
-
-from minidual.config.control import ImpedanceConfig
-from minidual.control.object_impedance import (
+from minidual.control.impedance import (
     POSTURE_DAMPING_PER_S,
     POSTURE_STIFFNESS_PER_S2,
     SQUEEZE_CEILING_N,
     HeldObject,
     ObjectState,
 )
+from panda import DOF, GROUPS, JOINT_DAMPING, TAU_MAX
+
+from minidual.config.control import ImpedanceConfig
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import rotation_log
+from minidual.robot.pair import Array, rotation_log
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 

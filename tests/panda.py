@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from minidual.robot.arms import DUAL_PANDA, PANDA
-from minidual.robot.pair import SIDES
+from minidual.robot.pair import DUAL_PANDA, PANDA, SIDES
 
 ARMS = SIDES
 DOF = DUAL_PANDA.dof

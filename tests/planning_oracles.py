@@ -5,10 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pinocchio as pin
+from minidual.collision.engines import CoalEngine, MujocoEngine
 from panda import HOME, Q_LOWER, Q_UPPER
 
-from minidual.collision.coal_engine import CoalEngine
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.robot.pair import Array
 

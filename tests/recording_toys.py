@@ -18,8 +18,8 @@ from minidual.config.root import Config
 from minidual.demos import recording
 from minidual.demos.rig import Job, Rig
 from minidual.demos.session import SessionResult, Tick
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 from minidual.tasks.judge import Outcome
 from minidual.tasks.task import Trial, make_task
 

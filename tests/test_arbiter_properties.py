@@ -21,7 +21,7 @@ from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand
 from minidual.control.execution import ArbiterOutput
 from minidual.control.mailbox import Mailbox
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 CONFIG = ArbiterConfig()
 DRIVEN = (ArbiterState.ALIGNING, ArbiterState.ACTIVE)

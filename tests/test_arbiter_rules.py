@@ -13,7 +13,7 @@ from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.execution import ArbiterOutput
 from minidual.errors import UsageError
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 DT = 0.02
 STILL = np.zeros(14)

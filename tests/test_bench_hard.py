@@ -21,9 +21,8 @@ from minidual.motion.ik import solvers
 from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import time_path
 from minidual.registry import Registry
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import SIDES
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Trajectory
+from minidual.robot.pair import DUAL_PANDA, SIDES
 from scripts.bench import __main__ as bench
 from scripts.bench import hard, peers
 from scripts.bench.peers import Roboplan, Run

@@ -21,7 +21,7 @@ from minidual.demos.episode import inspect_episode, read_episode
 from minidual.errors import DataError
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import POLICIES, Training, load_policy
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 lerobot_adapter = late("minidual.demos.lerobot_adapter")
 pytestmark = pytest.mark.torch

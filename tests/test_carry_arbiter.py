@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from branches import Branches
 from carry_trials import sample_trial
+from minidual.control.impedance import ObjectImpedance, ObjectState
 from panda import HOME, TAU_RATE_MAX
 
 from minidual.config.control import CarryConfig, PaceConfig
@@ -20,13 +21,11 @@ from minidual.config.scene import SceneConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_impedance import ObjectImpedance, ObjectState
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.plant.sensing import Reading, Sensors
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import held_motion, joint_move, plan_path

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from branches import Branches
 from carry_trials import rod_trial, sample_trial
+from minidual.control.impedance import ObjectImpedance, SingularPostureError
 from panda import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
 
 from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.object_impedance import ObjectImpedance, SingularPostureError
 from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from carry_trials import PERFECT_SENSING, sample_trial
+from minidual.control.impedance import HeldEstimate, RestingEstimate
 from panda import HOME
 
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
-from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
+from minidual.robot.pair import inverse, pose, rot_x, rot_z, rotation_log
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.impedance_carry import ImpedanceCarry
 

@@ -20,8 +20,8 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.motion.ik import posture_at
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.reach import grasp_posture
 from minidual.tasks.task import level_part

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from control_plant import ArmsPlant, HandsObject
+from minidual.control.impedance import ObjectPath, ObjectState, Waypoint
 from panda import HOME, TAU_RATE_MAX
 from test_control_controllers import hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_impedance import ObjectPath, ObjectState, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arm_scripts import pinch_rod
 from control_plant import ArmsPlant, HandsObject, TrueObject
+from minidual.control.impedance import HeldObject, ObjectPath, ObjectState, SingularPostureError, Waypoint
 from panda import A_MAX, HOME, V_MAX
 
 from minidual.config.scene import SceneConfig
@@ -15,15 +16,12 @@ from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand,
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_impedance import HeldObject, ObjectPath, ObjectState, SingularPostureError, Waypoint
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.pair import Array, inverse
 
 OPEN = np.ones(2)
 PAIR = ("left_arm", "right_arm")

@@ -15,6 +15,7 @@ import pytest
 from control_plant import ArmsPlant, HandsObject
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from minidual.control.impedance import ObjectPath, Waypoint
 from panda import GROUPS, HOME, V_MAX
 from test_control_controllers import move
 
@@ -26,7 +27,6 @@ from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand,
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.execution import Underway
 from minidual.control.mailbox import Mailbox
-from minidual.control.object_impedance import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

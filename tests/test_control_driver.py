@@ -35,9 +35,8 @@ from minidual.control.soft_stop import TorqueRate
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.skills.supervised import SceneClearance
 
 CONFIG = ArbiterConfig()

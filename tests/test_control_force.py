@@ -8,16 +8,16 @@ import pytest
 from carry_trials import PERFECT_SENSING, rod_judge, rod_trial, sample_trial
 from hypothesis import given
 from hypothesis import strategies as st
+from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from panda import HOME, JOINT_DAMPING
 
 from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import object_impedance
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.task import grasp_offsets
 

@@ -12,6 +12,7 @@ import pytest
 from arm_scripts import solve_hands
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
 from panda import DOF, HOME, TAU_MAX
 from scipy.optimize import brentq
 
@@ -19,10 +20,9 @@ from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import kernels
 from minidual.control.gripper import pinch_force
-from minidual.control.object_impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.poses import inverse, pose, rot_z, rotation_log
+from minidual.robot.pair import inverse, pose, rot_z, rotation_log
 from minidual.robot.vectors import cross, inner, minus, plus, times
 from scripts.bench.scenes import BenchScene, held_scene
 

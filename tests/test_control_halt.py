@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_plant import ArmsPlant, HandsObject
+from minidual.control.impedance import ObjectPath, Waypoint
 from panda import A_MAX, HOME
 from test_control_controllers import PAIR, hand_over, move, stack_on, trajectory
 
@@ -16,15 +17,13 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.execution import ObjectExecution
-from minidual.control.object_impedance import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SwitchedOff
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 
 STOPPING = ("soft_stop",)
 CLOSED = np.zeros(2)

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from control_plant import ArmsPlant
-from panda import HOME, TAU_RATE_MAX
-from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
-
-from minidual.config.scene import SceneConfig
-from minidual.control.hand_impedance import (
+from minidual.control.impedance import SingularPostureError
+from minidual.control.impedance_controllers import (
     FORCE_MAX_N,
     MOMENT_MAX_NM,
     STIFFNESS_N_PER_M,
@@ -17,13 +14,15 @@ from minidual.control.hand_impedance import (
     HandImpedance,
     InHand,
 )
-from minidual.control.object_impedance import SingularPostureError
+from panda import HOME, TAU_RATE_MAX
+from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
+
+from minidual.config.scene import SceneConfig
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, pose, rot_x, rot_z, rotation_log
+from minidual.robot.pair import Array, inverse, pose, rot_x, rot_z, rotation_log
 
 RIGHT = slice(7, 14)
 SOFT = ("left_arm", "right_hand")

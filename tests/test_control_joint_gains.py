@@ -13,9 +13,8 @@ from panda import A_MAX, DOF, HOME, JOINT_ARMATURE, JOINT_DAMPING, JOINT_NAMES
 from minidual.control.joint_control import ComputedTorque, JointLoop, Motors
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
+from minidual.robot.pair import DUAL_PANDA, Robot
 from minidual.stages.env_check.tracking import sine_reference
 
 ZERO = np.zeros(DOF)

@@ -10,7 +10,7 @@ import pytest
 from minidual.control import gripper
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE, Grippers
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 DT = 0.001
 TRAVEL_M = DUAL_PANDA.hand.travel_m

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from panda import A_MAX, DOF, HOME, Q_LOWER, Q_UPPER, V_MAX
 
 from minidual.control.joint_control import ReferenceFilter
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 DT = 0.001
 

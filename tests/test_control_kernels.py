@@ -6,7 +6,7 @@ import pytest
 from minidual.control import kernels
 from minidual.control.joint_control import Motors
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import rotation_log
+from minidual.robot.pair import rotation_log
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.0, np.pi - 1e-3])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from control_plant import ArmsPlant
+from minidual.control.impedance import ObjectPath, Waypoint
 from panda import A_MAX, HOME, V_MAX
 from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
 
@@ -12,10 +13,9 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.execution import ObjectExecution, TrajectoryExecution
-from minidual.control.object_impedance import ObjectPath, Waypoint
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 SLOW = ArbiterConfig(speed_override=0.1)
 STEP = np.where(np.arange(14) % 7 == 0, 0.1, 0.025)

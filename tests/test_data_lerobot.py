@@ -19,7 +19,7 @@ from minidual.demos import lerobot_reader
 from minidual.demos.episode import read_episode
 from minidual.demos.lerobot_reader import LeRobotTables, read_dataset
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 adapter = late("minidual.demos.lerobot_adapter")
 pytestmark = pytest.mark.torch

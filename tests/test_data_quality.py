@@ -12,8 +12,8 @@ import pytest
 from minidual.demos import quality
 from minidual.demos.episode import read_episode
 from minidual.errors import DataError
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 
 
 def path_through(*points: tuple[float, float, float], ticks: int = 50) -> np.ndarray:

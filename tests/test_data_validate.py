@@ -15,8 +15,7 @@ import pytest
 from minidual.demos.checks import Thumbnails, camera_references, check_swapped, thumbnails
 from minidual.demos.episode import inspect_episode, read_episode
 from minidual.errors import DataError
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Robot
+from minidual.robot.pair import DUAL_PANDA, Robot
 
 PER_JOINT = ("joints", "home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max")
 Spoil = Callable[[h5py.File], Any]

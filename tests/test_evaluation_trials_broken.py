@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
+from minidual.control.impedance import SingularPostureError
 
-from minidual.control.object_impedance import SingularPostureError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.poses import pose, rot_z
+from minidual.robot.pair import pose, rot_z
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial
 from minidual.trials import runner

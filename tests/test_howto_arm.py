@@ -9,7 +9,7 @@ import howto
 import pytest
 
 from minidual.cli.app import run_command_line
-from minidual.robot.arms import ARM_MODELS
+from minidual.robot.pair import ARM_MODELS
 from minidual.stages.registry import STAGES, TOOLS
 
 

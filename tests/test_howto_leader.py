@@ -12,7 +12,7 @@ from minidual.demos.episode import inspect_episode
 from minidual.demos.leader import LEADERS
 from minidual.demos.recording import usable_workers
 from minidual.errors import UsageError
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 
 @pytest.fixture(scope="module")

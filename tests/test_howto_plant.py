@@ -5,8 +5,7 @@ from __future__ import annotations
 import howto
 import pytest
 
-from minidual.robot.arms import ARM_MODELS
-from minidual.robot.pair import Robot
+from minidual.robot.pair import ARM_MODELS, Robot
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def test_the_same_plant_and_stack_drive_other_arms(page, arm):
 
 def test_its_health_stops_the_arms(page):
     from minidual.control.reflexes import ReflexError
-    from minidual.robot.arms import DUAL_PANDA
+    from minidual.robot.pair import DUAL_PANDA
 
     plant = page["RigidArms"](DUAL_PANDA)
     plant.health = "the brakes are closed"

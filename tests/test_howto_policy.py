@@ -16,8 +16,7 @@ from minidual.policies.acceptance import exercise_checkpoint
 from minidual.policies.kinds import POLICIES, load_policy
 from minidual.policies.pilot import load_runtime
 from minidual.policies.records import draw_loss, write_loss_csv
-from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
-from minidual.robot.pair import Robot
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
 from minidual.stages.config_checks import check_policy
 from minidual.stages.train_act import train_checks
 

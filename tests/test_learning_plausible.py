@@ -16,8 +16,8 @@ from minidual.policies.kinds import ChunkPolicy, Image
 from minidual.policies.pilot import Picture, PolicyPilot
 from minidual.policies.plausible import SWING_RAD, TURNS_MAX, Plausible, PolicyStoppedError
 from minidual.policies.policy import PolicyRuntime
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 
 CHUNK = 5
 AWAY = np.eye(14)[0]

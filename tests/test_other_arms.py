@@ -12,8 +12,7 @@ from minidual.control.joint_control import JointLoop
 from minidual.gate.verdict import read_verdict
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
-from minidual.robot.poses import pose
+from minidual.robot.pair import pose, robot_from
 from minidual.stages.registry import STAGES
 
 BASELINE_TRACKING_RAD = 0.05

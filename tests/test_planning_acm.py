@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from minidual.collision import acm
-from minidual.collision.acm import QUIET_DOUBLINGS, acm_report, build_acm
-from minidual.robot.arms import DUAL_PANDA, PANDA
+from minidual.collision.scene import QUIET_DOUBLINGS, acm_report, build_acm
 from minidual.robot.description import links_of
-from minidual.robot.pair import Robot
+from minidual.robot.pair import DUAL_PANDA, PANDA, Robot
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from minidual.errors import UsageError
 from minidual.motion.api import Effort, Planner
 from minidual.motion.search import PLANNERS
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import pose, rot_x, rot_z
 
 POST = Box("post", (0.36, 0.25, 0.4), size_m=(0.06, 0.06, 0.8))
 DOWN = rot_z(np.pi / 2) @ rot_x(np.pi)

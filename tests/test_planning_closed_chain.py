@@ -15,7 +15,7 @@ from minidual.motion.held.path import ObjectPath
 from minidual.motion.held.planner import HeldPlanner, scene_holding
 from minidual.motion.timing import PathLimits
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import inverse, pose, rot_x, rot_z
 
 RADIUS = 0.00887
 DOWN = rot_z(np.pi / 2) @ rot_x(np.pi)

@@ -23,17 +23,16 @@ from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
-from minidual.motion.goals import pose_goals
 from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart, ObjectPath
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, _Effort, scene_holding
 from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
+from minidual.motion.ik import pose_goals
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import deviation, execute
 from minidual.stages.plan import held_checks

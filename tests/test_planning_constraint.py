@@ -18,9 +18,8 @@ from minidual.motion.held.path import ObjectPath
 from minidual.motion.held.planner import scene_holding
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse, rot_z
+from minidual.robot.pair import DUAL_PANDA, inverse, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.task import grasp_offsets
 

@@ -4,17 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from minidual.collision.engines import CoalEngine, MujocoEngine
 from planning_oracles import CoalDistances, states
 
-from minidual.collision.coal_engine import CoalEngine
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
 from minidual.motion.search import EdgeChecker, bisection_order
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 
 HALF, HOME = np.sqrt(0.5), DUAL_PANDA.home
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from minidual.collision.engines import MujocoEngine
 from pydantic import ValidationError
 
 from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, LinearMoveError, OutOfLimitsError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits, PlannerConfig
@@ -26,12 +26,10 @@ from minidual.motion.goal_plan import (
     goal_of,
     load_goal,
 )
-from minidual.motion.goals import pose_goals
+from minidual.motion.ik import pose_goals
 from minidual.motion.linear import Line, LinearPlanner
-from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
-from minidual.robot.poses import pose, rot_x
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose, rot_x
 
 HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
 EXAMPLES = Path(__file__).parents[1] / "examples"

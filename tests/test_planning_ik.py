@@ -8,9 +8,8 @@ from panda import GROUPS, HOME
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
 from minidual.motion.ik import ArmIK, check_pose
-from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
 from minidual.robot.kinematics import Kinematics, hinges
-from minidual.robot.pair import Robot
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
 
 
 @pytest.fixture(scope="module", params=["left", "right"])

@@ -16,7 +16,7 @@ from minidual.cli.app import run_command_line
 from minidual.collision.scene_file import load_scene
 from minidual.errors import MinidualError
 from minidual.motion.goal_plan import GoalPlanner, goal_of
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 from minidual.stages.registry import STAGES, TOOLS
 
 NAMES = list(DUAL_PANDA.joint_names)

@@ -17,9 +17,8 @@ from minidual.motion.blend import blended_path, path_length, rounded, shortcut
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import sample_parameters, time_path
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.pair import DUAL_PANDA
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,8 @@ from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.held.path import CarriedTrajectory
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.phases import CLOSED, OPEN, State
 from minidual.skills.pipeline.carrying import Carry, Place

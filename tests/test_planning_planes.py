@@ -10,10 +10,8 @@ from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines, first_stretches
-from minidual.robot.arms import ARM_MODELS, DUAL_PANDA
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
 
 HALF = np.sqrt(0.5)
 DOF, HOME = DUAL_PANDA.dof, DUAL_PANDA.home

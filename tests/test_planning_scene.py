@@ -6,15 +6,14 @@ import json
 
 import numpy as np
 import pytest
+from minidual.collision.engines import MujocoEngine
 
 from minidual.collision import acm as acm_module
-from minidual.collision.acm import acm_report, build_acm
-from minidual.collision.mujoco_engine import MujocoEngine
-from minidual.collision.scene import TABLE, Attached, PlanningScene
+from minidual.collision.scene import TABLE, Attached, PlanningScene, acm_report, build_acm
 from minidual.collision.shapes import Box, Capsule, Cylinder, Pairs, Sphere
 from minidual.errors import UsageError
-from minidual.robot.arms import DUAL_PANDA, PANDA
 from minidual.robot.description import collision_links, links_of, never_touching
+from minidual.robot.pair import DUAL_PANDA, PANDA
 
 HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
 LINKS = collision_links(DUAL_PANDA)

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from minidual.collision.engines import CoalEngine, MujocoEngine
 from panda import HOME, Q_LOWER, Q_UPPER
 from scipy.spatial import ConvexHull
 
-from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import GoalInCollisionError, StartInCollisionError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_mesh, load_scene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown

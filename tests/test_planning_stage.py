@@ -6,11 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from minidual.collision.engines import CoalEngine, MujocoEngine
 from panda import GROUPS
 
-from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import PlanningError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import GroupTimes, HeldMovesConfig, PlanConfig, PlannerConfig
 from minidual.config.root import Config
@@ -19,7 +18,7 @@ from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
 from minidual.proof.scene_engines import Audit, SceneEngines
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import pose
+from minidual.robot.pair import pose
 from minidual.stages import plan
 from minidual.stages.config_checks import check_plan
 from minidual.stages.plan import common_checks, group_checks, run

@@ -14,9 +14,8 @@ from minidual.motion import timing
 from minidual.motion.blend import SmoothPath, rounded
 from minidual.motion.timing import fastest_profile, sample_parameters
 from minidual.proof.scene_engines import limit_use
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.pair import DUAL_PANDA
 
 HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
 H = 0.001

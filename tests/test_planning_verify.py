@@ -14,8 +14,7 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.proof import scene_engines
 from minidual.proof.scene_engines import STEP_RAD, collision_samples
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.trials.planning.evaluate import plan_query
 from minidual.trials.planning.queries import QueryGenerator
 

@@ -26,8 +26,7 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import read_recording, write_recording
 from minidual.plant.replay import replay
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.arms import ARM_MODELS
-from minidual.robot.pair import Robot
+from minidual.robot.pair import ARM_MODELS, Robot
 from minidual.stages.registry import STAGES, TOOLS
 
 STEPS = 700

@@ -11,8 +11,8 @@ from minidual.config.robot import RobotConfig
 from minidual.config.scene import SceneConfig
 from minidual.plant.world import World
 from minidual.robot import poses
-from minidual.robot.arms import DUAL_PANDA, robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA, robot_from
 
 DOF, ARMS = DUAL_PANDA.dof, DUAL_PANDA.sides
 

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from minidual.config.root import Config
 from minidual.plant.model import build_model
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
+from minidual.robot.pair import robot_from
 from minidual.show.figures import canvas
 from minidual.show.figures.film import Postures, film_postures, sheet_of_postures
 from minidual.show.figures.trial import draw_trial

@@ -26,8 +26,8 @@ from minidual.errors import EnvironmentMissingError
 from minidual.gate.stage import StageContext
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 from minidual.show.figures.film import FILM_FPS
 from minidual.stages.env_check import installation, tracking
 from minidual.stages.env_check import model as measure

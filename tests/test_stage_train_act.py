@@ -17,7 +17,7 @@ from minidual.policies import policy
 from minidual.policies.acceptance import EmittedActions, exercise_checkpoint
 from minidual.policies.kinds import ChunkPolicy
 from minidual.policies.records import TrainResult
-from minidual.robot.arms import DUAL_PANDA
+from minidual.robot.pair import DUAL_PANDA
 from minidual.stages.train_act import train_checks
 
 RESULT = TrainResult(

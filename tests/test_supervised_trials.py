@@ -20,9 +20,8 @@ from minidual.demos.session import TeleopSession
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import arm_distance, trial_supervisor

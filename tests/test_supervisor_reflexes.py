@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 from guarded_arms import GuardedArms, Senses, accelerate, begin_swing, swing
+from minidual.control.senses import Expected
 from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
 
 from minidual.config.supervisor import SupervisorConfig
-from minidual.control.contact import Expected
 from minidual.control.joint_control import JointLoop
 from minidual.control.reflexes import REFLEXES, Reach, Reflex, ReflexError
 from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.supervised import SceneClearance, arm_distance
 from minidual.stages.env_check.tracking import sine_reference
 

@@ -11,10 +11,8 @@ from minidual.collision.shapes import Box
 from minidual.config.supervisor import SupervisorConfig
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import pose
+from minidual.robot.pair import DUAL_PANDA, Array, pose
 from minidual.skills.supervised import SceneClearance, arm_distance, trial_supervisor
 
 BOTH = np.eye(DOF)[:7] - np.eye(DOF)[7:]

@@ -21,7 +21,7 @@ from minidual.motion.ik import solvers
 from minidual.plant.bodies import NamedObject
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import pose, rot_x, rot_z
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.task import Task, Trial, make_task, placement

@@ -16,10 +16,8 @@ from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.motion.ik import solvers
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_x, rot_z
 from minidual.skills.cycle import solve, thing_of
 from minidual.skills.phases import State
 from minidual.skills.pipeline import hands

@@ -6,19 +6,17 @@ import math
 
 import numpy as np
 import pytest
+from minidual.control.impedance_controllers import SLOW_AT
 from pydantic import ValidationError
 
 from minidual.collision.shapes import Mesh
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PartConfig
-from minidual.control.object_controller import SLOW_AT
 from minidual.motion.api import Planner
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.cycle import solve, thing_of
 from minidual.skills.phases import State
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over

@@ -11,7 +11,7 @@ from carry_trials import carry_task, rod_judge, rod_trial
 
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import pose, rot_x, rot_z
 from minidual.tasks.judge import Judge
 from minidual.tasks.success import Exchanged, Held, ObjectTruth, Turned
 from minidual.tasks.task import make_task

@@ -18,8 +18,8 @@ from minidual.demos.keyboard import KeyboardLeader
 from minidual.demos.leader import LEADERS, LeaderSetup
 from minidual.demos.session import check_start, follower_target
 from minidual.errors import EnvironmentMissingError, UsageError
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 
 HOME = DUAL_PANDA.home
 

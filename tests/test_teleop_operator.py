@@ -12,8 +12,8 @@ from minidual.config.teleop import OperatorConfig
 from minidual.control.kernels import minimum_jerk
 from minidual.errors import UsageError
 from minidual.motion.ik import posture_at
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.operator import ScriptedOperator
 from minidual.tasks.task import grasp_offsets, level_pose
 

@@ -34,8 +34,7 @@ from minidual.demos.writer import EpisodeWriter
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.gate.stage import StageContext
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import Robot
+from minidual.robot.pair import DUAL_PANDA, Robot
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.stages.teleop_record import READS, record_checks, recording_inputs, run
 from minidual.tasks.task import make_task

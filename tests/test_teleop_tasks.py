@@ -16,9 +16,8 @@ from minidual.cli.app import run_command_line
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS, LeaderSetup, ScriptedLeader
 from minidual.demos.rig import Job, Rig
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES
+from minidual.robot.pair import DUAL_PANDA, SIDES
 from minidual.skills.operator import Demonstration, ScriptedOperator
 from minidual.skills.pipeline.search import Record, TaskFailedError
 from minidual.stages.registry import STAGES, TOOLS

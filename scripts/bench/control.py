@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from minidual.control.impedance import ObjectState
 
 from minidual.control.joint_control import JointLoop
-from minidual.control.object_impedance import ObjectState
 from minidual.robot.kinematics import Hands
 from scripts.bench.scenes import BenchScene, JointSample, free_scene, held_scene
 from scripts.bench.step import Step, StepCost, step_cost

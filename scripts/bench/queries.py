@@ -16,8 +16,8 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
+from minidual.collision.engines import CoalEngine
 
-from minidual.collision.coal_engine import CoalEngine
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
@@ -25,13 +25,12 @@ from minidual.collision.shapes import Box, Shape
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
-from minidual.motion.goals import pose_goals
 from minidual.motion.held.planner import scene_holding
+from minidual.motion.ik import pose_goals
 from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse, pose, rot_x, rot_z
+from minidual.robot.pair import SIDES, Array, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.task import grasp_offsets
 

@@ -11,17 +11,16 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from minidual.control.impedance import ObjectImpedance, ObjectPath, ObjectState, Waypoint
 
 from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.gripper import Grippers
 from minidual.control.joint_control import JointLoop
-from minidual.control.object_impedance import ObjectImpedance, ObjectPath, ObjectState, Waypoint
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, pose
+from minidual.robot.pair import Array, inverse, pose
 from minidual.skills.carry_motions import held_object
 from minidual.skills.reach import grasp_posture
 from minidual.stages.env_check.tracking import sine_reference

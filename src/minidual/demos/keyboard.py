@@ -13,8 +13,7 @@ from minidual.demos.leader import Leader, LeaderSetup
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import pose, rot_z
+from minidual.robot.pair import Array, pose, rot_z
 from minidual.tasks.task import Trial
 
 # Step per key press: x, y, z [m], yaw [rad].

@@ -32,9 +32,8 @@ from minidual.demos.writer import EpisodeWriter
 from minidual.errors import DataError
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Robot, robot_from
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.task import Task, Trial, placement
 

@@ -10,16 +10,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from minidual.collision.mujoco_engine import add_body
+from minidual.collision.engines import add_body
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import PHASES
-from minidual.plant.model import GROUP_COLLISION, build_spec, map_joints
-from minidual.plant.scenery import GROUP_MARKER, GROUP_VISUAL
-from minidual.robot.kinematics import Kinematics
+from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array
-from minidual.robot.trajectory import Trajectory
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
 from minidual.show.view import View
 from minidual.show.view.overlay import Overlay

@@ -17,9 +17,8 @@ from minidual.demos.recording import Observe
 from minidual.demos.rig import Rig
 from minidual.plant.model import build_model
 from minidual.plant.world import World
-from minidual.robot.arms import DUAL_PANDA
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import DUAL_PANDA, Array, Robot
 from minidual.show.view import View
 from minidual.show.view.overlay import ARM_RGB, NO_PREVIEW, Arrow, Overlay, PathLine, Preview
 from minidual.trials.methods import Method

@@ -15,12 +15,11 @@ import numpy as np
 
 from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
+from minidual.control.impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance_controllers import SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_controller import SQUEEZE_RATE_N_PER_S
-from minidual.control.object_impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
-from minidual.robot.pair import Array, Robot
-from minidual.robot.poses import inverse
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Trajectory
+from minidual.robot.pair import Array, Robot, inverse
 from minidual.skills.phases import PHASES
 from minidual.skills.reach import grasp_posture
 from minidual.tasks.task import level_part, level_pose

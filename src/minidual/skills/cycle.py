@@ -14,7 +14,7 @@ from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
 from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
-from minidual.plant.scenery import OBSTACLE
+from minidual.plant.model import OBSTACLE
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.skills.phases import PHASES, State, Thing
 from minidual.skills.pipeline.carrying import Carry, Place

@@ -12,8 +12,7 @@ from minidual.errors import MinidualError
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse, rotation_log
+from minidual.robot.pair import Array, inverse, rotation_log
 from minidual.skills.phases import PHASES, Segment, still
 from minidual.skills.pipeline.drive import Drive
 

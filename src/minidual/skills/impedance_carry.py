@@ -12,7 +12,7 @@ from minidual.config.arbiter import ArbiterConfig
 from minidual.config.control import CarryConfig
 from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_impedance import ObjectPath, ObjectState, SingularPostureError
+from minidual.control.impedance import ObjectPath, ObjectState, SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
@@ -22,8 +22,7 @@ from minidual.plant.protocol import ObjectSensors
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import inverse
+from minidual.robot.pair import Array, inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.cycle import thing_of

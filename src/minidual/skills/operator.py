@@ -15,8 +15,7 @@ from minidual.control.kernels import minimum_jerk
 from minidual.motion.api import Planner
 from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import Array, pose, rot_x, rot_z
 from minidual.skills.cycle import solve
 from minidual.skills.phases import PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 
 import pinocchio as pin
 
-from minidual.control.hand_impedance import InHand
+from minidual.control.impedance_controllers import InHand
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse, pose, rotation_log
+from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
 from minidual.skills.cycle import solve
 from minidual.skills.phases import OPEN, Segment, State
 from minidual.skills.pipeline.drive import Drive

@@ -5,7 +5,7 @@ from contextlib import suppress
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.control.object_controller import SLOW_AT
+from minidual.control.impedance_controllers import SLOW_AT
 from minidual.errors import MinidualError, UsageError
 from minidual.motion.ik import posture_at, solvers
 from minidual.robot.kinematics import Kinematics

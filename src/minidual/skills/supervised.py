@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from minidual.collision.mujoco_engine import MujocoEngine
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Attached, PairDistance, Pairs, Shape
 from minidual.config.supervisor import SupervisorConfig

@@ -12,7 +12,7 @@ from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
-from minidual.robot.arms import robot_from
+from minidual.robot.pair import robot_from
 from minidual.show.figures.film import film_trial
 from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials

@@ -18,8 +18,7 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.plant.render import Camera, Image
 from minidual.policies.occlusion import occlusion, on_object
 from minidual.policies.pilot import load_runtime
-from minidual.robot.arms import robot_from
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials

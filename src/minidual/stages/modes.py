@@ -21,8 +21,8 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.policies.pilot import load_runtime
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator

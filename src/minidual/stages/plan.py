@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from minidual.collision.acm import acm_report
+from minidual.collision.scene import acm_report
 from minidual.config.planning import PlanConfig
 from minidual.config.seeds import subseed
 from minidual.durable import write_csv
@@ -13,7 +13,7 @@ from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
+from minidual.robot.pair import robot_from
 from minidual.show.planning import Outcomes, play_queries, write_paths, write_times
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import watched

@@ -8,7 +8,7 @@ from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.model import build_model
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
+from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import trial_hook
 from minidual.skills.planned_carry import PlannedCarry

@@ -15,9 +15,8 @@ from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Robot, robot_from
 from minidual.show.view.overlay import Slider
 from minidual.show.watch import Brake, StackNarrator, watched
 from minidual.tasks.task import task_config

@@ -14,8 +14,7 @@ from minidual.policies.acceptance import EmittedActions, exercise_checkpoint
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import POLICIES, Training
 from minidual.policies.records import TrainResult
-from minidual.robot.arms import robot_from
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Robot, robot_from
 from minidual.stages.words import worded
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.registry import rows_beside
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose, rot_z
+from minidual.robot.pair import SIDES, Array, pose, rot_z
 from minidual.tasks import success
 from minidual.tasks.rod_carry import draw_on_table, transported
 from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, placement

@@ -11,8 +11,7 @@ from minidual.config.change import preset
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.registry import rows_beside
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse, pose
+from minidual.robot.pair import SIDES, Array, inverse, pose
 from minidual.tasks import success
 from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, near, placement
 

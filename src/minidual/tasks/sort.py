@@ -12,8 +12,7 @@ from minidual.config.root import Config
 from minidual.config.scene import MarkConfig, ObjectConfig
 from minidual.errors import UsageError
 from minidual.registry import rows_beside
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose
+from minidual.robot.pair import SIDES, Array, pose
 from minidual.tasks import success
 from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, placement
 

@@ -16,8 +16,7 @@ from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.config.seeds import stream
 from minidual.registry import Registry
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.tasks.success import SuccessCondition
 
 Placement = tuple[float, float, float]

@@ -12,9 +12,8 @@ from minidual.plant.render import Camera
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot, load_runtime
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, robot_from
 from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.phases import OPEN, still

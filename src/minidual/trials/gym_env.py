@@ -16,8 +16,8 @@ from minidual.errors import UsageError, unknown_name
 from minidual.plant.model import CAMERAS
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import robot_from
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import TASKS, Trial, level_part, make_task, placement
 

@@ -9,17 +9,16 @@ import mujoco
 import numpy as np
 
 from minidual.config.seeds import stream
+from minidual.control.impedance import SingularPostureError
 from minidual.control.kernels import strain
-from minidual.control.object_impedance import SingularPostureError
 from minidual.control.reflexes import SATURATED
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder
 from minidual.plant.recording import write_recording
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, robot_from
 from minidual.tasks.judge import Failure, begin
 from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from minidual.robot.poses import pose, rotation_from_quat
+from minidual.robot.pair import pose, rotation_from_quat
 from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, Preview
 
 HIDDEN_GROUP = 3

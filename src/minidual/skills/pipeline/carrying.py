@@ -7,10 +7,9 @@ import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
-from minidual.motion.goals import pose_goals
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import inverse
+from minidual.motion.ik import pose_goals
+from minidual.robot.pair import SIDES, Array, inverse
 from minidual.skills.phases import PHASES, Segment, State, raised
 from minidual.skills.pipeline.hands import free, straight
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure, group_of

@@ -10,9 +10,8 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
 from minidual.motion.api import PlanResult
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.pair import SIDES, Array
-from minidual.robot.poses import pose
-from minidual.robot.trajectory import Trajectory
+from minidual.robot.kinematics import Trajectory
+from minidual.robot.pair import SIDES, Array, pose
 from minidual.skills.phases import CLOSED, OPEN, PHASES, Segment, State, moved, still
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure, group_of
 

@@ -13,9 +13,8 @@ from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.plant.model import build_model
 from minidual.plant.world import World
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Robot, robot_from
 from minidual.show.figures.canvas import BLUE, INK, ORANGE, limit_line, new_figure
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import StackNarrator, watched

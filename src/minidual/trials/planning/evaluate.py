@@ -18,9 +18,8 @@ from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.proof.scene_engines import Audit
-from minidual.robot.arms import robot_from
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.poses import inverse
+from minidual.robot.pair import inverse, robot_from
 from minidual.skills.cycle import solve
 from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.errors import ClosedChainError, PlanningError, TimingError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
@@ -23,9 +23,7 @@ from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene
 from minidual.motion.held.search import HeldSpace, search_object
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import SIDES, Array, Robot
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.tasks.task import grasp_offsets
 from minidual.trials.planning.queries import random_obstacles

@@ -13,18 +13,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.errors import PlanningError
-from minidual.collision.mujoco_engine import MujocoEngine
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream
 from minidual.errors import DataError
-from minidual.motion.goals import GROUP_ARMS
-from minidual.motion.ik import solvers
+from minidual.motion.ik import GROUP_ARMS, solvers
 from minidual.proof.scene_engines import STEP_RAD
-from minidual.robot.arms import DUAL_PANDA
-from minidual.robot.pair import SIDES, Array, Robot
-from minidual.robot.poses import pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
 
 OBSTACLES_N = 5
 ROBOT = DUAL_PANDA
