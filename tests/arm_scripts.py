@@ -9,7 +9,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, pose, rotation_log
-from minidual.tasks.rod_carry import grasp_offsets, level_pose
+from minidual.tasks.task import grasp_offsets, level_pose
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 

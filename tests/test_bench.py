@@ -12,7 +12,7 @@ from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.registry import Registry
-from minidual.tasks.rod_carry import tilt_rad
+from minidual.tasks.task import tilt_rad
 from scripts.bench import __main__ as bench
 from scripts.bench import carry, control, planning
 from scripts.bench.control import CASES, COLUMNS, Case, measure_case, trajectory_14

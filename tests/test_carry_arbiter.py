@@ -31,7 +31,7 @@ from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import held_motion, joint_move, plan_path
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.skills.reach import grasp_posture
-from minidual.tasks.rod_carry import level_pose, tilt_rad
+from minidual.tasks.task import level_pose, tilt_rad
 
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")
 ONCE_DONE_S = 0.3

@@ -24,7 +24,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.reach import grasp_posture
-from minidual.tasks.rod_carry import level_part
+from minidual.tasks.task import level_part
 
 Change = Callable[["FaultyWorld"], None]
 

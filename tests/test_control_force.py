@@ -19,7 +19,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 
 
 def _law(yaw: float = 0.0) -> tuple[ObjectImpedance, np.ndarray, np.ndarray]:

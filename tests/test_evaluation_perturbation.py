@@ -10,10 +10,10 @@ from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import perturb
 from minidual.trials import benchmark
+from minidual.trials.benchmark import PERTURBED, Robustness, promised, robustness
 from minidual.trials.conditions import CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.perturbation import PURPOSE, Robustness, promised, robustness
 
 
 def trial_result(index: int, condition: str, *, success: bool) -> TrialMetrics:
@@ -56,7 +56,7 @@ def outcomes(monkeypatch):
 
 def found(failures=(), trials_n=20):
     inputs = MethodInputs(Config(), 5)
-    cells, trials = benchmark.run_benchmark(["impedance"], promised(trials_n), inputs, workers=1, purpose=PURPOSE)
+    cells, trials = benchmark.run_benchmark(["impedance"], promised(trials_n), inputs, workers=1, purpose=PERTURBED)
     rows = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     return {row.cell.condition: row for row in rows}
 

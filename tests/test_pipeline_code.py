@@ -99,6 +99,12 @@ def test_the_table_beside_a_module_counts_and_its_comments_do_not(package, tmp_p
         assert before.changes(code_of(["toycode.stage:run"], before)) == changed
 
 
+def test_a_stage_reaches_the_targets_that_a_table_names(package, tmp_path):
+    (tmp_path / "site" / "toycode" / "inner.yaml").write_text("rows: {far: {target: toycode.far:THING}}\n")
+    package("far", "THING = 1\n")
+    assert "toycode.far" in reach().modules
+
+
 def test_the_real_stages_reach_their_physics_and_not_each_other():
     modules = STAGES["carry"].code().modules
     assert {"minidual.plant.world", "minidual.control.stack", "minidual.gate.check"} <= modules.keys()

@@ -36,7 +36,7 @@ from minidual.robot.pair import DUAL_PANDA, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import deviation, execute
 from minidual.stages.plan import held_checks
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 from minidual.trials.planning.evaluate import plan_move, run_moves, table_plans, timed_residual
 from minidual.trials.planning.held_moves import HeldMoveGenerator
 

@@ -21,7 +21,7 @@ from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, inverse, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 
 GRASPS = grasp_offsets(SceneConfig())
 ROD = thing_of(SceneConfig().object).shape

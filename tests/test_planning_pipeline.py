@@ -17,13 +17,13 @@ from minidual.motion.held.path import CarriedTrajectory
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
+from minidual.skills.phases import CLOSED, OPEN, State
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, Failure, Gap, Stage, Tools
-from minidual.skills.pipeline.state import CLOSED, OPEN, State
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 
 RADIUS, HOME = 0.00887, DUAL_PANDA.home
 ROD = thing_of(SceneConfig().object)

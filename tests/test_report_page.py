@@ -19,7 +19,7 @@ from minidual.gate.check import Check
 from minidual.gate.manifest import build_manifest
 from minidual.gate.stage import StageContext
 from minidual.plant.render import write_video
-from minidual.show.report import media
+from minidual.show.report import model
 from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 
@@ -223,7 +223,7 @@ def test_pictures_and_films_of_the_stages_are_shown_and_data_is_not(tmp_path: Pa
 
 
 def test_a_large_film_is_copied_beside_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(media, "EMBED_BYTES", 10)
+    monkeypatch.setattr(model, "EMBED_BYTES", 10)
     given = samples.make_run(tmp_path)
     film = given.upstream["deploy"] / "success.mp4"
     write_video(film, [np.zeros((32, 48, 3), dtype=np.uint8)] * 4, fps=10)

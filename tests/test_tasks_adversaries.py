@@ -24,8 +24,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import pose, rot_x, rot_z
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.objects import MOTIONS, OBJECTS
-from minidual.tasks.rod_carry import placement
-from minidual.tasks.task import Task, Trial, make_task
+from minidual.tasks.task import Task, Trial, make_task, placement
 
 GRIP = 30.0
 """Enough for every object, too little to break one [N]."""

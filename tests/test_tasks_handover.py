@@ -18,14 +18,14 @@ from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
-from minidual.skills.cycle import pipeline_of, pose_of, solve, thing_of
+from minidual.skills.cycle import pipeline_of, solve, thing_of
+from minidual.skills.phases import Segment, State
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import Segment, State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.judge import Outcome, begin
-from minidual.tasks.task import Step, Task, Trial, make_task
+from minidual.tasks.task import Step, Task, Trial, make_task, pose_of
 
 TASK = make_task(Config(task="handover"))
 MIRRORED = {index: TASK.trial(1, "plan", index).start["bottle"][1] < 0.0 for index in range(8)}

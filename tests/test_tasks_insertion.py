@@ -18,15 +18,14 @@ from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_x, rot_z
-from minidual.skills.cycle import pose_of, solve, thing_of
+from minidual.skills.cycle import solve, thing_of
+from minidual.skills.phases import State
 from minidual.skills.pipeline import hands
-from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import SceneClearance
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET
 from minidual.tasks.judge import Judge, Outcome, begin
-from minidual.tasks.rod_carry import placement
-from minidual.tasks.task import Step, Trial, make_task
+from minidual.tasks.task import Step, Trial, make_task, placement, pose_of
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 

@@ -17,13 +17,12 @@ from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, pose, rot_x, rot_z
-from minidual.skills.cycle import pose_of, solve, thing_of
-from minidual.skills.pipeline.state import State
+from minidual.skills.cycle import solve, thing_of
+from minidual.skills.phases import State
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
 from minidual.tasks.judge import begin
-from minidual.tasks.rod_carry import level_pose, placement, tilt_rad
 from minidual.tasks.success import Truth
-from minidual.tasks.task import make_task
+from minidual.tasks.task import level_pose, make_task, placement, pose_of, tilt_rad
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 

@@ -17,13 +17,13 @@ from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
-from minidual.skills.cycle import pose_of, solve
+from minidual.skills.cycle import solve
+from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import State
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.sort import bin_of, side_of
-from minidual.tasks.task import Step, Task, Trial, make_task
+from minidual.tasks.task import Step, Task, Trial, make_task, pose_of
 from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench

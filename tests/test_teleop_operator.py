@@ -15,7 +15,7 @@ from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.operator import ScriptedOperator
-from minidual.tasks.rod_carry import grasp_offsets, level_pose
+from minidual.tasks.task import grasp_offsets, level_pose
 
 SEED = 5
 

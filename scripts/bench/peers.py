@@ -225,7 +225,7 @@ def _query(query: PosedQuery, kinematics: Kinematics) -> dict[str, Any]:
     assert query.q_goal is not None
     drawn, model = query.drawn, kinematics.model
     scene, robot = drawn.scene, kinematics.robot
-    shapes = [_shape(shape, "", shape.T_parent_shape) for shape in scene.solid_obstacles]
+    shapes = [_shape(s.shape, "", s.shape.T_parent_shape) for s in scene.solids if s.link == "world"]
     for held in scene.attached:
         # roboplan 0.7.0 places a shape relative to the joint that moves the link, not to the link.
         T_joint_link = model.frames[model.getFrameId(held.link)].placement.homogeneous

@@ -32,7 +32,7 @@ from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.tasks.task import grasp_offsets
 
 GROUP = "both_arms"
 _RESTARTS_SCALE = 4

@@ -24,7 +24,7 @@ from minidual.robot.pair import Array, inverse, pose
 from minidual.skills.carry_motions import held_object
 from minidual.skills.reach import grasp_posture
 from minidual.stages.env_check.tracking import sine_reference
-from minidual.tasks.rod_carry import level_part
+from minidual.tasks.task import level_part
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 _AT_REST = np.zeros(6)

@@ -28,19 +28,15 @@ class CoalEngine:
         self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
-        placed = [(shape, 0) for shape in scene.solid_obstacles]
-        placed += [(held.shape, self.model.getFrameId(held.link)) for held in scene.attached]
-        for shape, frame_id in placed:
-            frame = self.model.frames[frame_id]  # 0: the world
-            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(shape.T_parent_shape)
-            self.items[shape.name] = [
-                self.geometry.addGeometryObject(pin.GeometryObject(shape.name, *place, solid))
-                for solid in convex_solids(shape)
-            ]
+        for solid in scene.solids:
+            frame_id = self.model.getFrameId(solid.link)
+            frame = self.model.frames[frame_id]
+            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(solid.shape.T_parent_shape)
+            pieces = (pin.GeometryObject(solid.name, *place, piece) for piece in convex_solids(solid.shape))
+            self.items[solid.name] = [*map(self.geometry.addGeometryObject, pieces)]
         for a, b in scene.checked_pairs:
-            for first in self.items[a]:
-                for second in self.items[b]:
-                    self.geometry.addCollisionPair(pin.CollisionPair(first, second))
+            for pair in itertools.product(self.items[a], self.items[b]):
+                self.geometry.addCollisionPair(pin.CollisionPair(*pair))
         self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.geometry, 1)
         for request in self._pool.getGeometryData(0).collisionRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
@@ -102,14 +98,11 @@ class MujocoEngine:
     def __init__(self, scene: Any) -> None:
         robot = scene.robot
         spec = mujoco.MjSpec.from_string(mujoco_urdf(robot))
-        for shape in scene.solid_obstacles:
-            add_body(spec, spec.worldbody, shape)
-        for held in scene.attached:
-            add_body(spec, spec.body(held.link), held.shape)
+        for solid in scene.solids:
+            add_body(spec, spec.body(solid.link), solid.shape)
         _boxes_to_meshes(spec)
         checked = {frozenset(p) for p in scene.checked_pairs}
-        objects = (*(s.name for s in scene.solid_obstacles), *(a.name for a in scene.attached))
-        for a, b in itertools.combinations((*collision_links(robot), *objects), 2):
+        for a, b in itertools.combinations((*collision_links(robot), *(s.name for s in scene.solids)), 2):
             if frozenset((a, b)) not in checked:
                 spec.add_exclude(bodyname1=a, bodyname2=b)
         self.model = spec.compile()

@@ -215,9 +215,10 @@ class PlanningScene:
             raise UsageError(f"min_distance_m = {self.min_distance_m}; it must be from 0 to {MIN_DISTANCE_MAX_M} m")
 
     @cached_property
-    def solid_obstacles(self) -> tuple[Shape, ...]:
-        """Obstacles grown by `min_distance_m`."""
-        return tuple(grown(shape, self.min_distance_m) for shape in self.obstacles)
+    def solids(self) -> tuple[Attached, ...]:
+        """Obstacles grown by `min_distance_m`, attached to the link "world", and attached objects."""
+        grown_obstacles = (grown(shape, self.min_distance_m) for shape in self.obstacles)
+        return (*(Attached(shape, "world") for shape in grown_obstacles), *self.attached)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

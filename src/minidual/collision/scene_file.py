@@ -220,21 +220,14 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
         )
     content = validate_document(document, SceneFile)
     notes: list[str] = []
-    obstacles: list[Shape] = [TABLE] if content.table else []
-    attached: list[Attached] = []
-
-    def scene_so_far() -> PlanningScene:
-        return PlanningScene(tuple(obstacles), tuple(attached), min_distance_m=content.min_distance_m, robot=robot)
-
+    scene = PlanningScene((TABLE,) if content.table else (), min_distance_m=content.min_distance_m, robot=robot)
     for index, entry in enumerate(content.obstacles):
         with _told(document, f"obstacles.{index}"):
-            shape = _shape(entry, path.parent, notes)
-            if entry.held is None:
-                obstacles.append(shape)
+            shape, held = _shape(entry, path.parent, notes), entry.held
+            if held is None:
+                scene = scene.with_obstacles(shape)
             else:
-                attached.append(Attached(shape, entry.held.link, entry.held.touch_links))
-            scene_so_far()  # so that the error about a duplicate name carries its line
-    scene = scene_so_far()
+                scene = scene.with_attached(Attached(shape, held.link, held.touch_links))
     for index, rule in enumerate(content.allowed):
         with _told(document, f"allowed.{index}"):
             scene = scene.allowing(*rule.pair, rule.reason)

@@ -154,8 +154,7 @@ class Pairs:
 
     robot: Robot
     checked_pairs: tuple[tuple[str, str], ...]
-    solid_obstacles: tuple[Shape, ...] = ()
-    attached: tuple[Attached, ...] = ()
+    solids: tuple[Attached, ...] = ()
 
 
 @dataclass(frozen=True)

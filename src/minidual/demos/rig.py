@@ -35,8 +35,7 @@ from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot, robot_from
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.rod_carry import placement
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, placement
 
 PURPOSE = "demonstrations"
 """Random stream, not used by tests."""

@@ -79,8 +79,9 @@ def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
     if not files:
         return None
     tree = _Strip().visit(ast.parse(files[0].read_bytes()))
-    content = ast.dump(tree) + (repr(rows_beside(str(files[0]))) if files[1:] else "")
-    return hashlib.sha256(content.encode()).hexdigest()[:16], tuple(sorted(set(_reached(tree))))
+    table = repr(rows_beside(str(files[0]))) if files[1:] else ""
+    reached = {*_reached(tree), *_TARGET.findall(table)}
+    return hashlib.sha256((ast.dump(tree) + table).encode()).hexdigest()[:16], tuple(sorted(reached))
 
 
 @cache

@@ -146,3 +146,10 @@ class ToolResult:
 
 
 ToolFunction = Callable[[ToolContext], ToolResult]
+
+
+def markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return rows of equal keys as a Markdown table."""
+    heads = [head.replace("_", " ") for head in rows[0]]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]

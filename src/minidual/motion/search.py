@@ -30,16 +30,9 @@ _KEEP_FRACTION = 0.9
 @cache
 def bisection_order(count: int) -> Array:
     """Return k/count, k = 1..count, in bisection order, end first. Cached: read only."""
-    order: list[int] = []
-    seen = {0}
-    step = count
-    while step >= 1 and len(order) < count:
-        for k in range(step, count + 1, step):
-            if k not in seen:
-                seen.add(k)
-                order.append(k)
-        step //= 2
-    return np.array(order, dtype=float) / count
+    steps = (count >> halvings for halvings in range(count.bit_length()))
+    order = dict.fromkeys(k for step in steps for k in range(step, count + 1, step))
+    return np.array([*order], dtype=float) / count
 
 
 class EdgeChecker:
@@ -63,10 +56,10 @@ class EdgeChecker:
         self.checks_n = 0
         self.checks_end = self.deadline = math.inf
         rows = solids.of_arms(arms)
-        near = [(q, solids.clearance(np.asarray(q)[None], padding_m, rows)) for q in ends]
-        near = [(q, max(0.0, clearance)) for q, clearance in near if clearance < padding_m]
-        tight = np.array([q for q, _ in near]).reshape(len(near), self.robot.dof)
-        keep = float(padding_m), tight, _KEEP_FRACTION * np.array([clearance for _, clearance in near]), RELAX_RAD
+        tight = np.array(ends).reshape(-1, self.robot.dof)
+        clearances = np.array([solids.clearance(q[None], padding_m, rows) for q in tight])
+        near = clearances < padding_m
+        keep = float(padding_m), tight[near], _KEEP_FRACTION * np.maximum(0.0, clearances[near]), RELAX_RAD
         self._geometry, self._rest = solids.geometry, (rows, keep, solids.workspace())
 
     def allow(self, checks_n: int, deadline: float) -> None:

@@ -41,12 +41,11 @@ class Solids:
         self.robot, self.pairs = scene.robot, scene.checked_pairs
         model, turns = Kinematics(self.robot).model, hinges(self.robot)[1]
         parts = dict(_robot_parts(self.robot))
-        placed = [(shape, 0) for shape in scene.solid_obstacles]
-        placed += [(held.shape, model.getFrameId(held.link)) for held in scene.attached]
-        for shape, index in placed:
-            frame = model.frames[index]  # 0: the world
-            place = turns[frame.parentJoint] * frame.placement * pin.SE3(shape.T_parent_shape)
-            parts[shape.name] = _part(self.robot, frame.parentJoint, [(s, place) for s in convex_solids(shape)])
+        for solid in scene.solids:
+            frame = model.frames[model.getFrameId(solid.link)]
+            place = turns[frame.parentJoint] * frame.placement * pin.SE3(solid.shape.T_parent_shape)
+            pieces = [(piece, place) for piece in convex_solids(solid.shape)]
+            parts[solid.name] = _part(self.robot, frame.parentJoint, pieces)
         rows: list[tuple[Any, ...]] = []
         balls: list[tuple[Any, ...]] = []
         end = 0

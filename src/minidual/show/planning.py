@@ -1,13 +1,11 @@
 """Show plans and their times."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,12 +19,10 @@ from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, bu
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
+from minidual.show.view import View
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import tcp_preview
 from minidual.trials.planning.evaluate import Outcome
-
-if TYPE_CHECKING:
-    from minidual.show.view import View
 
 _OBSTACLE_RGBA = [0.78, 0.42, 0.25, 1.0]
 _HELD_RGBA = [0.15, 0.6, 0.4, 1.0]

@@ -1,14 +1,11 @@
 """Show a running world; the view has its own model, so watching never changes the simulation."""
 
-from __future__ import annotations
-
 import functools
 import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -22,12 +19,10 @@ from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
+from minidual.show.view import View
 from minidual.show.view.overlay import ARM_RGB, NO_PREVIEW, Arrow, Overlay, PathLine, Preview
 from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
-
-if TYPE_CHECKING:
-    from minidual.show.view import View
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])  # from the hands, where the object would hide the arrows
 _BRAKE_EVERY_S, _LOST_S = 0.01, 0.1

@@ -22,7 +22,7 @@ from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import Array, Robot, inverse
 from minidual.skills.phases import PHASES
 from minidual.skills.reach import grasp_posture
-from minidual.tasks.rod_carry import level_part, level_pose
+from minidual.tasks.task import level_part, level_pose
 
 LANDED_S = 0.1
 """Rest time before release."""
@@ -143,10 +143,9 @@ def plan_path(
     waypoints: list[Waypoint] = []
     ends = [((x, y, high), yaw), ((gx, gy, high), goal_yaw), ((gx, gy, rest_m + pace.landing_m), goal_yaw)]
     for xyz, direction in ends:
-        end = Waypoint(xyz, direction, 0.0)
-        duration_s, q = object_duration_s(scene, robot, place, end, q, pace)
-        waypoints.append(Waypoint(xyz, direction, duration_s))
-        place = end
+        duration_s, q = object_duration_s(scene, robot, place, Waypoint(xyz, direction, 0.0), q, pace)
+        place = Waypoint(xyz, direction, duration_s)
+        waypoints.append(place)
     if pace.landing_m > 0.0:
         waypoints.append(Waypoint((gx, gy, rest_m), goal_yaw, pace.landing_s))
     return ObjectPath(start, waypoints)

@@ -14,7 +14,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.faults import Fault, FaultMonitor
-from minidual.tasks.rod_carry import tilt_rad
+from minidual.tasks.task import tilt_rad
 
 _GRIPPED = 0.9
 _MOVED_M = 0.0005  # motion of the hands between two poses that the second must show

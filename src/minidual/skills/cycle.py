@@ -14,24 +14,22 @@ from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
 from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
-from minidual.plant.bodies import ObjectPose
 from minidual.plant.model import OBSTACLE
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_z
-from minidual.skills.phases import PHASES
+from minidual.robot.pair import SIDES, Array, Robot
+from minidual.skills.phases import PHASES, State, Thing
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, open_hands, reach, retreat
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
-from minidual.skills.pipeline.state import State, Thing
 from minidual.skills.supervised import arm_distance
-from minidual.tasks.task import Step, Task, Trial
+from minidual.tasks.task import Step, Task, Trial, pose_of
 
 _ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
 _PRISM = 16  # sides of the prism round a cylinder
 _KEENNESS = 0.5  # where grasps can be chosen, the cheapest of all plans would take too long to find
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
-_CLEAR_M = 0.005  # over the height that the task asks for
+_CLEAR_M, _GAP_MARGIN_M = 0.005, 0.005  # over the height that the task asks for, and the distance of the arms
 _PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
 _OF_HANDS = {"descend": descend, "close": close, "open": open_hands, "retreat": retreat, "home": home}
 
@@ -59,20 +57,12 @@ def _corners(part: PartConfig) -> Array:
     return np.vstack(ends) * part.half_m + part.position_m
 
 
-def around(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> PlanningScene:
+def around(scene: SceneConfig, robot: Robot) -> PlanningScene:
     """Return a task's obstacles."""
     room, block = PlanningScene(robot=robot), scene.task.obstacle
     if block is None:
         return room
     return room.with_obstacles(Box(OBSTACLE, (*block.xy_m, block.size_m[2] / 2), size_m=block.size_m))
-
-
-def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
-    """Return the pose (4, 4) for a pose or (x, y, yaw) on the table."""
-    if not isinstance(where, tuple):
-        return where
-    x, y, yaw = where
-    return pose(rot_z(yaw), (x, y, body.rest_height_m))
 
 
 def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -> Pipeline:
@@ -136,18 +126,18 @@ def solve(
     start: State,
     planner: Planner,
     seed: int = 0,
-    gap_m: float | None = None,
+    apart_m: float | None = None,
     by_force: bool = False,
 ) -> Solution:
     """Return a plan of the whole task from `start`, by the first arrangement of its steps that has one.
 
-    The arms keep `gap_m` apart.
+    The arms keep `apart_m` and a margin apart.
 
     Raises:
         TaskFailedError: Of the last arrangement.
     """
     things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
-    gap = None if gap_m is None else Gap(arm_distance(planner.robot), gap_m)
+    gap = None if apart_m is None else Gap(arm_distance(planner.robot), apart_m + _GAP_MARGIN_M)
     tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)

@@ -13,9 +13,8 @@ from minidual.motion.held.path import CarriedTrajectory
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse, rotation_log
-from minidual.skills.phases import PHASES
+from minidual.skills.phases import PHASES, Segment, still
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.state import Segment, still
 
 _CLOSED = (0.0, 0.0)
 _FLAT = 1e-6

@@ -25,13 +25,12 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
 from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
 from minidual.skills.carry_watch import CarryWatch
-from minidual.skills.cycle import pose_of, thing_of
+from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
-from minidual.tasks.rod_carry import level_part, placement
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Trial, level_part, placement, pose_of
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 # what the hands are told in a phase
@@ -286,10 +285,9 @@ class ImpedanceCarry:
         self._note(fault.name, fault.detail)
 
     def _heed_arbiter(self) -> None:
-        stack, refused = self.stack, None
-        if len(stack.refusals) > self._refusals_seen:
-            news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
-            refused = next((r for r in news if r.source == SOURCE), None)
+        stack = self.stack
+        news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
+        refused = next((r for r in news if r.source == SOURCE), None)
         if self.done:
             return
         if stack.output.halted:  # first: sources see a halt as a hold request

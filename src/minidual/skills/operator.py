@@ -16,12 +16,9 @@ from minidual.motion.api import Planner
 from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, pose, rot_x, rot_z
-from minidual.skills.cycle import pose_of, solve
-from minidual.skills.phases import PHASES
-from minidual.skills.pipeline.state import State
-from minidual.skills.planned_carry import GAP_MARGIN_M
-from minidual.tasks.rod_carry import grasp_offsets, level_pose, placement
-from minidual.tasks.task import Task, Trial
+from minidual.skills.cycle import solve
+from minidual.skills.phases import PHASES, State
+from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
 _ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
 _OVERLAPPING, _HOLDING, _PAUSED = ("correct", "descend"), ("close", "open"), ("lift", "lower")
@@ -163,9 +160,8 @@ def demonstrate_plan(
     """Return the task's plan as a demonstration; TaskFailedError without one."""
     robot = planner.robot
     start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
-    gap_m = task.config.supervisor.self_collision_min_m + GAP_MARGIN_M
     own = subseed(seed, f"operator/{trial.purpose}", trial.index)
-    segments = solve(task, trial, start, planner, own, gap_m).segments
+    segments = solve(task, trial, start, planner, own, task.config.supervisor.self_collision_min_m).segments
     q, gripper = list[Array](), list[Array]()
     for segment in segments:
         # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.

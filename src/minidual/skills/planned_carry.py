@@ -9,14 +9,11 @@ from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
-from minidual.skills.cycle import pose_of, solve
+from minidual.skills.cycle import solve
+from minidual.skills.phases import OPEN, Segment, State
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import Solution, TaskFailedError
-from minidual.skills.pipeline.state import OPEN, Segment, State
-from minidual.tasks.rod_carry import level_part, placement
-from minidual.tasks.task import Task, Trial
-
-GAP_MARGIN_M = 0.005
+from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
 
 class PlannedCarry(Drive):
@@ -48,16 +45,15 @@ class PlannedCarry(Drive):
             for name, T in self.poses.items()
         }
         start = State(world.q, dict(known))
-        gap_m = None if supervisor is None else supervisor.config.self_collision_min_m + GAP_MARGIN_M
+        apart_m = None if supervisor is None else supervisor.config.self_collision_min_m
         self.solution: Solution | None = None
-        why: str | None = None
         try:
-            self.solution = solve(task, trial, start, planner, seed, gap_m, self.by_force)
+            self.solution = solve(task, trial, start, planner, seed, apart_m, self.by_force)
             self.record = self.solution.record
+            super().__init__(stack, self.solution.segments)
         except TaskFailedError as error:
-            why, self.record = error.summary, error.record
-        super().__init__(stack, () if self.solution is None else self.solution.segments)
-        self.aborted = why
+            super().__init__(stack, ())
+            self.aborted, self.record = error.summary, error.record
 
 
 class CompliantCarry(PlannedCarry):

@@ -10,8 +10,8 @@ from minidual.errors import MinidualError, UsageError
 from minidual.motion.ik import posture_at, solvers
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.skills.pipeline.state import raised
-from minidual.tasks.rod_carry import grasp_offsets
+from minidual.skills.phases import raised
+from minidual.tasks.task import grasp_offsets
 
 
 class GraspUnreachableError(MinidualError):

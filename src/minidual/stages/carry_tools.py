@@ -5,15 +5,13 @@ import yaml
 from minidual.config.profiles import DEFAULT_PROFILE, shipped_profiles
 from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode
-from minidual.gate.stage import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.show.figures.tuning import draw_tuning
-from minidual.show.markdown import markdown
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
-from minidual.trials.benchmark import count_trials, run_benchmark
+from minidual.trials.benchmark import DROP_MAX, PERTURBED, count_trials, promised, robustness, run_benchmark
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.perturbation import DROP_MAX, PURPOSE, promised, robustness
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
 
 PERTURB_TRIALS_N = 20
@@ -29,7 +27,7 @@ def perturb(context: ToolContext) -> ToolResult:
         def tell(result: TrialMetrics) -> None:
             task.advance(note=result.condition)
 
-        cells, trials = run_benchmark(*asked, workers=context.workers, purpose=PURPOSE, on_trial=tell, watch=watch)
+        cells, trials = run_benchmark(*asked, workers=context.workers, purpose=PERTURBED, on_trial=tell, watch=watch)
     found = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     measured = [r.row() for r in found]
     rows = [{**dict.fromkeys(measured[0], "-"), **row} for row in measured]  # the first, undisturbed, has all columns

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image as Picture
+from PIL import ImageDraw, ImageFont
 
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import dumping
@@ -16,13 +18,12 @@ from minidual.gate.progress import Task as Bar
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.recorder import Recorder
-from minidual.plant.render import Camera, write_video
+from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.policies.pilot import load_runtime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS
-from minidual.show.figures.modes_film import FILM_SIZE, filmed
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
@@ -33,6 +34,11 @@ from minidual.trials.modes_turns import Turn
 
 _INTERRUPT_SHARE = 0.55
 """Share of the planner's first motion before it is interrupted."""
+_FILM_SIZE = (720, 540)
+_BAR_PX = 64
+_LAST_S = 1.0
+_COLOURS = {"moveit": (32, 108, 214), "teleop": (20, 140, 90), "policy": (150, 62, 190)}
+_NOBODY = (96, 96, 96)
 
 
 def modes(context: ToolContext) -> ToolResult:
@@ -46,11 +52,11 @@ def modes(context: ToolContext) -> ToolResult:
         doing = lambda: ("" if demo.turn is None else demo.turn.caption, None)  # noqa: E731
         tell = StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing)
         with (
-            Camera(world.model, *FILM_SIZE, shadows=True) as camera,
+            Camera(world.model, *_FILM_SIZE, shadows=True) as camera,
             watched(context.view, world, tell),
             context.progress.task("modes", len(wanted)) as bar,
         ):
-            pictures = filmed(_counted(demo, bar), demo.stack, camera)
+            pictures = _filmed(_counted(demo, bar), demo.stack, camera)
             write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
     passed = demo.ended is None and not demo.exceeded(config.arbiter)
     record = {"modes": list(wanted), "checkpoint": str(checkpoint) if checkpoint else None, "seed": context.seed}
@@ -137,3 +143,34 @@ def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
     refused = [r.name for r in demo.stack.refusals]
     notes += [f"refused as {name}: {refused.count(name)}" for name in sorted(set(refused))]
     return [*notes, *(f"OVER ITS BOUND: {text}" for text in demo.exceeded(arbiter))]
+
+
+def _filmed(steps: Iterator[Turn], stack: ControlStack[World], camera: Camera) -> Iterator[Image]:
+    """Run `steps`; yield captioned frames at FILM_FPS, the last one for 1 s."""
+    frames, world = 0, stack.plant
+    last: Image | None = None
+    for turn in steps:
+        if world.time * FILM_FPS >= frames:
+            frames += 1
+            last = captioned(camera.picture(world.data, "overview"), stack, turn)
+            yield last
+    if last is not None:
+        yield from [last] * round(_LAST_S * FILM_FPS)
+
+
+def captioned(picture: Image, stack: ControlStack[World], turn: Turn) -> Image:
+    """Return the picture above a caption bar."""
+    height, width = picture.shape[:2]
+    source = stack.output.active_source
+    whole = Picture.new("RGB", (width, height + _BAR_PX), _NOBODY if source is None else _COLOURS[source])
+    whole.paste(Picture.fromarray(picture), (0, 0))
+    draw = ImageDraw.Draw(whole)
+    large, small = ImageFont.load_default(size=22), ImageFont.load_default(size=15)
+    driver = f"{source} drives" if source is not None else f"{turn.mode} requested: arms held"
+    state = f"arbiter: {stack.state}   t = {stack.plant.time:5.1f} s"
+    active = f"controllers: {' + '.join(stack.manager.active)}"
+    draw.text((14, height + 6), driver, fill="white", font=large)
+    draw.text((14, height + 38), turn.caption, fill="white", font=small)
+    draw.text((width - 14, height + 10), state, fill="white", font=small, anchor="ra")
+    draw.text((width - 14, height + 38), active, fill="white", font=small, anchor="ra")
+    return np.asarray(whole)

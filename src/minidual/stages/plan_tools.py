@@ -18,20 +18,14 @@ from minidual.motion.api import Planner, PlanResult
 from minidual.motion.goal_plan import GoalPlanner, goal_of
 from minidual.motion.ik import GROUP_ARMS
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
+from minidual.registry import rows_beside
 from minidual.robot.pair import Array, Robot, robot_from
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
 Targets = dict[str, Path | None]
 """Output files by option."""
-_MEANINGS = {
-    "rigid": "carried by one joint: they cannot move against each other",
-    "adjacent": "neighbours along the chain: their hulls overlap at the joint",
-    "model": "ruled out by the model of the arm or its hand",
-    "always": "touch at home and in at least 95 % of the samples",
-    "never": "touched in none of the samples",
-    "user": "allowed by the scene file",
-}
+_MEANINGS: dict[str, str] = rows_beside(__file__)
 
 
 def plan_once(context: ToolContext) -> ToolResult:
@@ -165,7 +159,8 @@ def plan_acm(context: ToolContext) -> ToolResult:
     scene, notes = _scene(context, robot)
     table = sorted(scene.allowed)
     lines = [f"{first:26s} {second:26s} {reason}" for first, second, reason in table]
-    kinds = Counter(_kind(reason) for _, _, reason in table)
+    words = (reason.split(" ")[0] for _, _, reason in table)
+    kinds = Counter(word if word in _MEANINGS else "user" for word in words)
     notes += [f"{count:4d} {kind:9s} {_MEANINGS[kind]}" for kind, count in sorted(kinds.items())]
     checked = f"{len(scene.checked_pairs)} of this scene are checked"
     notes += [f"{len(table)} pairs may touch, {checked}; pairs of different arms always are", *report.lines()]
@@ -175,8 +170,3 @@ def plan_acm(context: ToolContext) -> ToolResult:
         "built": dataclasses.asdict(report),
     }
     return ToolResult(lines, notes, data)
-
-
-def _kind(reason: str) -> str:
-    word = reason.split(" ")[0]
-    return word if word in _MEANINGS else "user"

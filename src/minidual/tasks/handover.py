@@ -10,8 +10,8 @@ from minidual.config.root import Config
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array, pose, rot_z
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, draw_on_table, placement, transported
-from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
+from minidual.tasks.rod_carry import draw_on_table, transported
+from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, placement
 
 _VALUES = rows_beside(__file__)
 # Exchange poses if the left hand gives.
@@ -39,7 +39,6 @@ def handover(config: Config) -> Task:
         instruction=f"Take the {body.name} with the nearer hand, pass it to the other one and stand it on the green mark.",
         config=config,
         objects={body.name: TaskObject(body, symmetry=4)},
-        steps=(),
         success=handed_over,
         draw=draw_either_way,
         stream="handover-trial",
@@ -52,15 +51,8 @@ def draw_either_way(task: Task, rng: np.random.Generator, widen: float = 1.0) ->
     start, goal = draw_on_table(task, rng, widen)
     if rng.uniform() >= task.scene.task.mirrored_share:
         return start, goal
-    return _mirrored(start), _mirrored(goal)
-
-
-def _mirrored(places: Poses) -> Poses:
-    found: Poses = {}
-    for name, place in places.items():
-        x, y, yaw = placement(place)
-        found[name] = x, -y, -yaw
-    return found
+    (x, y, yaw), (goal_x, goal_y, goal_yaw) = (placement(where[task.carried]) for where in (start, goal))
+    return {task.carried: (x, -y, -yaw)}, {task.carried: (goal_x, -goal_y, -goal_yaw)}
 
 
 def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:

@@ -13,8 +13,7 @@ from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array, inverse, pose
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, level_pose, placement
-from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
+from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, near, placement
 
 _VALUES = rows_beside(__file__)
 SOCKET, PEG = "socket", "peg"
@@ -57,7 +56,6 @@ def insertion(config: Config) -> Task:
         instruction="Take the socket with the left hand and the peg with the right one, and put them together in the air.",
         config=config,
         objects=objects,
-        steps=(),
         success=inserted,
         draw=draw_apart,
         stream="insertion-trial",
@@ -74,13 +72,10 @@ def draw_apart(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
     """Draw a start on each side, and where in the air they meet."""
     asked, start = task.scene.task, Poses()
     for name, item in task.objects.items():
-        (x, y), ranges = item.body.xy_m or asked.start_xy_m, (asked.start_range_m,) * 2 + (asked.start_range_rad,)
-        dx, dy, yaw = (widen * np.array(ranges) * rng.uniform(-1.0, 1.0, size=3)).tolist()
-        start[name] = x + dx, y + dy, yaw
-    ranges = asked.goal_range_m, asked.goal_range_m, asked.goal_range_rad
-    dx, dy, turn = (ranges * rng.uniform(-1.0, 1.0, size=3)).tolist()
-    (x, y), z = asked.goal_xy_m, float(rng.uniform(*_GOAL_Z_M))
-    peg = level_pose(x + dx, y + dy, z, asked.goal_yaw_rad + turn)
+        middle = (*(item.body.xy_m or asked.start_xy_m), 0.0)
+        start[name] = near(rng, middle, widen * asked.start_range_m, widen * asked.start_range_rad)
+    x, y, yaw = near(rng, (*asked.goal_xy_m, asked.goal_yaw_rad), asked.goal_range_m, asked.goal_range_rad)
+    peg = level_pose(x, y, float(rng.uniform(*_GOAL_Z_M)), yaw)
     return start, {PEG: peg, SOCKET: peg @ _along(_PEG_LENGTH_M / 2 - _AIM_M - _MOUTH_M)}
 
 

@@ -7,9 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from minidual.plant.world import World
-from minidual.tasks.rod_carry import placement
 from minidual.tasks.success import SuccessCondition, Truth
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, placement
 
 REST_S = 0.1
 """Conditions must hold this long: an object let go in the air rests for an instant too."""

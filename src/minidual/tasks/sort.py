@@ -14,8 +14,7 @@ from minidual.errors import UsageError
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array, pose
 from minidual.tasks import success
-from minidual.tasks.rod_carry import DOWN, level_pose, placement
-from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial
+from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, placement
 
 _ROWS = rows_beside(__file__)
 COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}
@@ -51,7 +50,6 @@ def sort(config: Config) -> Task:
         instruction="Put the red cubes into the red bin on the left and the blue ones into the blue bin on the right.",
         config=config,
         objects={name: TaskObject(body, grasps, symmetry=4) for name, body in config.scene.objects.items()},
-        steps=(),
         success=sorted_by_colour,
         draw=draw_cubes,
         stream="sort-trial",

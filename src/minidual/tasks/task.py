@@ -5,6 +5,7 @@ Other distributions add rows through the entry point group `minidual.tasks` (doc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -12,16 +13,21 @@ import numpy as np
 
 from minidual.config.change import changed
 from minidual.config.root import Config
-from minidual.config.scene import ObjectConfig, SceneConfig
+from minidual.config.scene import ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.config.seeds import stream
 from minidual.registry import Registry
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.tasks.success import SuccessCondition
 
-ObjectPose = Array | tuple[float, float, float]
+Placement = tuple[float, float, float]
+"""(x [m], y [m], yaw [rad]) on the table."""
+ObjectPose = Array | Placement
 """As in minidual.plant.bodies."""
 Poses = dict[str, ObjectPose]
 """By object."""
+DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
+"""Orientation (3, 3) of a hand over an object that lies along y."""
+_ROOM_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -84,9 +90,9 @@ class Task:
     instruction: str
     config: Config
     objects: Mapping[str, TaskObject]
-    steps: tuple[Step, ...]
     success: Callable[[Task, Trial], Sequence[SuccessCondition]]
     draw: Callable[[Task, np.random.Generator, float], tuple[Poses, Poses]]
+    steps: tuple[Step, ...] = ()
     stream: str = "trial"
     arrange: Callable[[Task, Trial, Mapping[str, Array]], Iterable[Sequence[Step]]] | None = None
 
@@ -157,3 +163,56 @@ def task_config(config: Config) -> Config:
 def benchmark_config(config: Config) -> Config:
     """Return `task_config`; several tasks are resolved when they run."""
     return config if config.benchmark.tasks or config.benchmark.further_tasks else task_config(config)
+
+
+def placement(pose: ObjectPose) -> Placement:
+    """Return the placement of an object pose."""
+    if isinstance(pose, tuple):
+        return pose
+    return float(pose[0, 3]), float(pose[1, 3]), float(np.arctan2(-pose[0, 1], pose[1, 1]))
+
+
+def level_pose(x: float, y: float, z: float, yaw_rad: float) -> Array:
+    """Return the pose (4, 4) of a level object."""
+    return pose(rot_z(yaw_rad), (x, y, z))
+
+
+def level_part(T_world_object: Array) -> Array:
+    """Return the pose without tilt or roll."""
+    return pose(rot_z(placement(T_world_object)[2]), T_world_object[:3, 3])
+
+
+def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
+    """Return the pose (4, 4) for a pose or (x, y, yaw) on the table."""
+    if not isinstance(where, tuple):
+        return where
+    x, y, yaw = where
+    return level_pose(x, y, body.rest_height_m, yaw)
+
+
+def near(rng: np.random.Generator, middle: Placement, range_m: float, range_rad: float) -> Placement:
+    """Draw a placement uniformly round a middle."""
+    (x, y, yaw), (dx, dy, turn) = middle, (rng.uniform(-1.0, 1.0, 3) * (range_m, range_m, range_rad)).tolist()
+    return x + dx, y + dy, yaw + turn
+
+
+def beside(body: ObjectConfig, block: ObstacleConfig, place: Placement) -> bool:
+    """Return whether a body keeps 2 cm from a block."""
+    (x, y, yaw), parts = place, body.solids
+    a, b = (max(abs(part.position_m[k]) + part.half_m[k] for part in parts) for k in (0, 1))
+    c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
+    away = abs(x - block.xy_m[0]) - c * a - s * b, abs(y - block.xy_m[1]) - s * a - c * b
+    return any(gap > size / 2 + _ROOM_M for gap, size in zip(away, block.size_m, strict=False))
+
+
+def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
+    """Return left and right T_object_tcp, pointing down; left is the +y end."""
+    y, z = scene.object.grasp_offset_m, scene.object.grasp_height_m
+    return pose(DOWN, (0.0, y, z)), pose(DOWN, (0.0, -y, z))
+
+
+def tilt_rad(T_world_object: Array, body: ObjectConfig) -> float:
+    """Return the long axis' tilt."""
+    if body.upright:
+        return math.acos(min(1.0, abs(T_world_object.item(2, 2))))
+    return math.asin(min(1.0, abs(T_world_object.item(2, 1))))

@@ -1,20 +1,36 @@
-"""Benchmark: every method under every condition, from the same starts."""
+"""Benchmark: every method under every condition, from the same starts, and paired comparisons.
 
+Success: McNemar's exact test, Newcombe's interval. Completion time, over starts that both completed: bootstrap of the
+median difference.
+"""
+
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
+
+import numpy as np
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
+from minidual.errors import DataError
 from minidual.tasks.task import make_task
-from minidual.trials.comparisons import compare_all, compare_with_clean
-from minidual.trials.conditions import CLEAN, condition, parse_conditions
+from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
-from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
+from minidual.trials.metrics import Cell, MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import Watch, run_trials
+from minidual.trials.statistics import bootstrap_median_interval, mcnemar_p_value, paired_rate_interval
 
 PURPOSE = "benchmark"
 """Random stream of the starts, used by no earlier stage."""
+PERTURBED = "perturb"
+"""Random stream of the starts of `robustness`, used by no other stage."""
+DROP_MAX = 0.15
+"""Limit of the loss of success rate."""
+_ROUNDING = 1e-9
+NO_PAIR = "no start completed by both"
+_Starts = dict[int, TrialMetrics]
 
 
 @dataclass(frozen=True)
@@ -132,3 +148,111 @@ def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:
             entry = {"summary": condition(cell.condition).summary, "trials_n": cell.asked_n, "methods": {}}
             table.setdefault(cell.condition, entry)["methods"][cell.method] = cell.record()
     return table
+
+
+def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
+    """Compare each pair of methods per condition."""
+    rows: list[dict[str, Cell]] = []
+    methods = dict.fromkeys(t.method for t in trials)
+    for under in dict.fromkeys(t.condition for t in trials):
+        for first, second in combinations(methods, 2):
+            name = f"{under}/{'/'.join(sorted((first, second)))}"
+            one, two = _starts(trials, first, under), _starts(trials, second, under)
+            rows += _compared(one, two, seed, name, condition=under, first=first, second=second)
+    return rows
+
+
+def compare_with_clean(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
+    """Compare each method's disturbed trials with its clean ones; differences are disturbed minus clean."""
+    rows: list[dict[str, Cell]] = []
+    for method, under in dict.fromkeys((t.method, t.condition) for t in trials if t.condition != CLEAN):
+        one, two = _starts(trials, method, under), _starts(trials, method, CLEAN)
+        rows += _compared(one, two, seed, f"{method}/{under}/{CLEAN}", method=method, first=under, second=CLEAN)
+    return rows
+
+
+def _starts(trials: Sequence[TrialMetrics], method: str, under: str) -> _Starts:
+    return {t.index: t for t in trials if (t.method, t.condition) == (method, under)}
+
+
+def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) -> list[dict[str, Cell]]:
+    shared = sorted(one.keys() & two.keys())
+    if not shared:
+        return []
+    won = [(one[i].success, two[i].success) for i in shared]
+    both, first, second, neither = (won.count((a, b)) for a in (True, False) for b in (True, False))
+    low, high = paired_rate_interval(both, first, second, neither)
+    times = [one[i].duration_s - two[i].duration_s for i in shared if one[i].success and two[i].success]
+    if not np.isfinite(times).all():
+        raise DataError(f"{name}: a trial that succeeded has no completion time, so the pair has no difference")
+    least, most = bootstrap_median_interval(times, stream(seed, f"bootstrap/paired/{name}"))
+    row: dict[str, Cell] = {**labels, "trials_n": len(shared), "both_n": both}
+    row |= {"only_first_n": first, "only_second_n": second, "neither_n": neither}
+    row |= {"rate_difference": (first - second) / len(shared)}
+    row |= {"rate_difference_low": low, "rate_difference_high": high, "p_value": mcnemar_p_value(first, second)}
+    row |= {"duration_difference_s": float(np.median(times)) if times else math.nan}
+    row |= {"duration_difference_low_s": least, "duration_difference_high_s": most}
+    return [{k: NO_PAIR if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}]
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """A method under one condition.
+
+    Attributes:
+        drop: Success rate lost against clean.
+        rate_min: Least success rate: a method that always fails loses nothing.
+    """
+
+    cell: BenchmarkCell
+    drop: float
+    example: str
+    rate_min: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether drop and rate are within their limits (false for NaN), or the condition does not apply."""
+        s = self.cell.summary
+        if s is None:
+            return bool(self.cell.why_not)
+        return not self.cell.undisturbed and s["success_rate"] >= self.rate_min and self.drop < DROP_MAX - _ROUNDING
+
+    def row(self) -> dict[str, Any]:
+        """Return the table row, only condition and reason where it does not apply."""
+        s, name = self.cell.summary, self.cell.condition
+        if s is None:
+            return {"condition": name, "holds": f"does not apply: {self.cell.why_not}"}
+        return {
+            "condition": name,
+            "successes": f"{s.successes_n} of {s.trials_n}",
+            "interval": f"{100 * s['success_low']:.0f} to {100 * s['success_high']:.0f} %",
+            "drop": f"{100 * self.drop:+.0f} points",
+            "least_squeeze_n": _number(s["internal_force_min_n"], 1),
+            "largest_tilt_deg": _number(np.degrees(s["tilt_max_rad"]), 2),
+            "peak_torque_percent": _number(100.0 * s["torque_ratio_max"], 0),
+            "first_failure": self.example,
+            "holds": "yes" if self.holds else "NO",
+        }
+
+
+def promised(trials_n: int) -> dict[str, int]:
+    """Return {condition: trials} of the conditions that a carry must pass, clean first."""
+    return {name: trials_n for name, row in CONDITIONS.items() if row.promised}
+
+
+def robustness(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], rate_min: float) -> list[Robustness]:
+    """Return what each condition costs one method, whose undisturbed rate must reach `rate_min`."""
+    rates = {c.condition: c.summary["success_rate"] for c in cells if c.summary is not None}
+    rows: list[Robustness] = []
+    for cell in cells:
+        failed = (f"trial {t.index}: {t.text}" for t in trials if t.condition == cell.condition and not t.success)
+        example = next(failed, "")
+        if cell.undisturbed:
+            example = f"trial {cell.undisturbed[0]}: success, but its push or move never took place"
+        drop = rates[CLEAN] - rates.get(cell.condition, float("nan"))
+        rows.append(Robustness(cell, drop, example, rate_min if cell.condition == CLEAN else 0.0))
+    return rows
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "no successful trial"

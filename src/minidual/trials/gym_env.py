@@ -19,8 +19,7 @@ from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
 from minidual.tasks.judge import Judge, begin
-from minidual.tasks.rod_carry import level_part, placement
-from minidual.tasks.task import TASKS, Trial, make_task
+from minidual.tasks.task import TASKS, Trial, level_part, make_task, placement
 
 CONTROL_HZ = 50
 """Rate of actions and observations."""

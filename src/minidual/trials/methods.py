@@ -15,18 +15,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 from minidual.config.change import changed
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.registry import Registry, load_target
+from minidual.registry import Registry, load_target, rows_beside
 from minidual.tasks.task import TASKS, Task, Trial, make_task
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
 
-SENSES: dict[str, str] = {
-    "pose": "sensed pose of the object",
-    "feedback": "pose or contact force during the motion",
-    "picture": "picture",
-}
+_ROWS = rows_beside(__file__)
+SENSES: dict[str, str] = _ROWS["senses"]
 """What a method may read of the object, with its name in messages."""
 
 
@@ -88,13 +85,13 @@ class MethodSpec:
     target: str
     summary: str
     needs_images: bool = False
-    demands: frozenset[str] = frozenset()
-    senses: frozenset[str] = frozenset(SENSES)
-    senses_apart: frozenset[str] | None = None
+    demands: Collection[str] = ()
+    senses: Collection[str] = tuple(SENSES)
+    senses_apart: Collection[str] | None = None
     cannot: Callable[[Task, str], str] = lambda task, trained: ""
     settings: Mapping[str, Any] = MappingProxyType({})
 
-    def reads(self, task: Task) -> frozenset[str]:
+    def reads(self, task: Task) -> Collection[str]:
         """Return the rows of SENSES that it reads in a task."""
         return self.senses if task.together or self.senses_apart is None else self.senses_apart
 
@@ -111,48 +108,12 @@ def _held_apart(task: Task, trained: str) -> str:
     return "" if task.together else "the hands hold no object together"
 
 
-_IMPEDANCE = MethodSpec(
-    "minidual.trials.model_based:impedance",
-    "impedance of what the hands hold, and internal force control",
-    demands=frozenset({"squeezed"}),
-    senses=frozenset({"pose", "feedback"}),
-    senses_apart=frozenset({"pose"}),
-)
-METHODS: Registry[MethodSpec] = Registry(
-    "method",
-    {
-        "moveit": MethodSpec(
-            "minidual.trials.model_based:planned",
-            "planned and timed path (OMPL, TOPP-RA), joint trajectory control",
-            senses=frozenset({"pose"}),
-        ),
-        "impedance": _IMPEDANCE,
-        "impedance_open": replace(
-            _IMPEDANCE,
-            summary="impedance without feedback of the internal force",
-            cannot=_held_apart,
-            settings={"carry.impedance.force_gain": 0.0},
-        ),
-        "impedance_world": replace(
-            _IMPEDANCE,
-            summary="impedance with an internal force of fixed direction in world axes",
-            cannot=_held_apart,
-            settings={"carry.impedance.squeeze_axes": "world"},
-        ),
-        "act": MethodSpec(
-            "minidual.trials.learned:policy",
-            "ACT policy from camera and joints",
-            needs_images=True,
-            senses=frozenset({"picture"}),
-            cannot=_another_task,
-        ),
-        "replay": MethodSpec(
-            "minidual.trials.model_based:replayed", "the plan of one demonstration, driven blind", senses=frozenset()
-        ),
-        "hold": MethodSpec("minidual.trials.model_based:resting", "the arms rest", senses=frozenset()),
-    },
-    group="minidual.methods",
-)
+_CANNOT = {"another_task": _another_task, "held_apart": _held_apart}
+METHODS: Registry[MethodSpec] = Registry("method", group="minidual.methods")
+for _name, _row in _ROWS["methods"].items():
+    if "cannot" in _row:
+        _row["cannot"] = _CANNOT[_row["cannot"]]
+    METHODS.add(_name, MethodSpec(**_row))
 
 
 def check_able(method: str, tasks: Collection[Task], trained: str) -> None:

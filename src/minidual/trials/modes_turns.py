@@ -17,8 +17,7 @@ from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.phases import PHASES
 from minidual.tasks.judge import begin
-from minidual.tasks.rod_carry import grasp_offsets, level_part, placement
-from minidual.tasks.task import Task, Trial
+from minidual.tasks.task import Task, Trial, grasp_offsets, level_part, placement
 
 _JOIN_SPEED_RAD_S = 0.7
 _JOIN_MIN_S = 1.0

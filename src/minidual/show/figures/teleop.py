@@ -8,8 +8,7 @@ import numpy as np
 from minidual.demos.episode import read_episode
 from minidual.demos.rig import Attempt
 from minidual.show.figures.canvas import BLUE, LIMIT, new_figure
-from minidual.tasks.rod_carry import placement
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Trial, placement
 
 
 def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limit_rad_s3: float, path: Path) -> None:

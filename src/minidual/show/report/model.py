@@ -1,19 +1,24 @@
-"""Content of the report: its checks, state, warnings and analysis."""
+"""Content of the report: its checks, state, warnings, media and analysis."""
 
+import base64
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
+from minidual.errors import DataError
 from minidual.gate.check import Check, Rows, checks_of
 from minidual.gate.stage import StageContext, closing_checks
 from minidual.gate.verdict import Verdict, Waiver, derive_status
 from minidual.show.report.figures import Figure
-from minidual.show.report.media import Medium
 from minidual.show.report.tables import Tables, finite
 from minidual.show.report.wording import WORDS, commit, joined, moment, shortened
 
 _THINNEST = 5
+_KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".mp4": "video/mp4"}
+EMBED_BYTES = 1_500_000
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,45 @@ def _gap(deploy: Verdict | None) -> dict[str, float] | None:
 def _at_its_best(check: Check) -> bool:
     share = not check.unit and check.limit is not None and 0.0 < check.limit <= 1.0
     return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)
+
+
+@dataclass(frozen=True)
+class Medium:
+    """A picture or film.
+
+    Attributes:
+        source: Data URI, or path relative to the page.
+    """
+
+    stage: str
+    name: str
+    caption: str
+    source: str
+    film: bool = False
+
+
+def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Medium]:
+    """Return the pictures and films in a stage's folder, without subfolders; copy large ones into `page_folder`/media.
+
+    Raises:
+        DataError: A file is missing.
+    """
+    media: list[Medium] = []
+    stage, captions = verdict.stage, WORDS["captions"].get(verdict.stage, {}) | verdict.data.get("captions", {})
+    for name in sorted(name for name in verdict.artefacts if Path(name).suffix in _KINDS and "/" not in name):
+        path = folder / name
+        if not path.is_file():
+            raise DataError(f"artefact {name} of stage {stage} is gone: {path}")
+        kind = _KINDS[path.suffix]
+        if path.stat().st_size <= EMBED_BYTES:
+            source = f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+        else:
+            source = f"media/{stage}-{name}"
+            (page_folder / "media").mkdir(exist_ok=True)
+            shutil.copyfile(path, page_folder / source)
+        caption = captions.get(name) or path.stem.replace("_", " ").capitalize()
+        media.append(Medium(stage, name, caption, source, path.suffix == ".mp4"))
+    return media
 
 
 @dataclass(frozen=True)

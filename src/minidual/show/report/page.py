@@ -14,8 +14,7 @@ from minidual.gate.canonical import dumps
 from minidual.gate.stage import StageContext
 from minidual.show.report import wording
 from minidual.show.report.figures import benchmark_figures, read_trials
-from minidual.show.report.media import Medium, collect_media
-from minidual.show.report.model import Report
+from minidual.show.report.model import Medium, Report, collect_media
 from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate
 from minidual.trials.benchmark import trials_asked
 from minidual.trials.methods import METHODS

@@ -71,7 +71,7 @@ CERTAIN = 0.05
 """Two-sided significance level after Holm's correction."""
 
 Pair = Mapping[str, Any]
-"""A row of minidual.trials.comparisons with `p_holm` and `shown`: whether the difference is significant."""
+"""A row of minidual.trials.benchmark with `p_holm` and `shown`: whether the difference is significant."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Live browser view."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -9,7 +7,9 @@ from minidual.config.view import ViewConfig
 from minidual.errors import unknown_name
 
 if TYPE_CHECKING:
-    from minidual.show.view.web import WebView as View
+    from minidual.show.view.web import WebView
+
+type View = WebView  # evaluated by type checkers only
 
 NAMES = ("none", "web")
 """Values of `--view`."""

@@ -9,7 +9,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.robot.pair import SIDES
 from minidual.skills.faults import Fault
-from minidual.skills.pipeline.state import Segment
+from minidual.skills.phases import Segment
 
 SOURCE = "moveit"
 """Arbiter source of pre-planned motions."""

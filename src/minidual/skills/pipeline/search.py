@@ -9,8 +9,8 @@ from typing import Any
 
 from minidual.collision.errors import PlanningError
 from minidual.errors import UsageError
+from minidual.skills.phases import Segment, State
 from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools
-from minidual.skills.pipeline.state import Segment, State
 
 _WIDTH = 220
 

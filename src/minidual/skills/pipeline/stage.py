@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.collision.errors import PlanningError
-from minidual.collision.scene import PlanningScene
+from minidual.collision.scene import TABLE, PlanningScene
 from minidual.motion.api import Planner
 from minidual.motion.held.planner import placed, scene_holding
 from minidual.robot.pair import SIDES, Array
-from minidual.skills.pipeline.state import Segment, State, Thing
+from minidual.skills.phases import Segment, State, Thing
 
 _GAP_STEP_S = 0.005
 
@@ -50,12 +50,11 @@ class Gap:
         Raises:
             Failure: The arms come closer.
         """
-        found: list[tuple[float, str]] = []
+        found = [("", np.inf)]
         for motion in (s.trajectory for s in segments if s.verification is not None):
-            for q in motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]:
-                pair, gap = self.distance(q)
-                found.append((gap, pair))
-        gap, pair = min(found, default=(np.inf, ""))
+            times = np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float)
+            found += map(self.distance, motion.sample_many(times)[0])
+        pair, gap = min(found, key=lambda near: (near[1], near[0]))
         if gap < self.least_m:
             keep = f"they must keep {1e3 * self.least_m:.0f}"
             raise Failure("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; {keep}")
@@ -88,7 +87,7 @@ class Tools:
             holders = {arm: T for arm, T in state.held_by.items() if state.object_of(arm) == name}
             near = [arm for arm in touching if state.object_of(arm) == name]
             if holders:
-                rests_on = thing.rests_on if resting else ()
+                rests_on = (TABLE.name,) if resting else ()
                 scene = scene_holding(scene, thing.shape, holders, rests_on=rests_on, touching=near)
                 continue
             scene = scene.with_obstacles(placed(thing.shape, state.objects[name]))

@@ -10,9 +10,8 @@ from packaging.specifiers import SpecifierSet
 
 from minidual.errors import DataError, EnvironmentMissingError
 from minidual.gate.fingerprint import circumstances_now, installed_version
-from minidual.gate.stage import ToolContext, ToolResult
+from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.gate.verdict import read_verdict
-from minidual.show.markdown import markdown
 
 
 @dataclass(frozen=True)

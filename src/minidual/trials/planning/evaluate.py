@@ -20,10 +20,10 @@ from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.proof.scene_engines import Audit
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, robot_from
-from minidual.skills.cycle import pose_of, solve
+from minidual.skills.cycle import solve
+from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.pipeline.state import State
-from minidual.tasks.rod_carry import rod_carry
+from minidual.tasks.task import make_task, pose_of
 from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 from minidual.trials.planning.queries import Query, polyline_states, query_source
 
@@ -239,7 +239,7 @@ def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], lis
 
 def failed_carries(config: Config, count: int) -> list[str]:
     """Plan `count` carries as method moveit does; return a line for each failure."""
-    task, seed, planner = rod_carry(Config(scene=config.scene)), config.seed, _planner(config)
+    task, seed, planner = make_task(Config(scene=config.scene)), config.seed, _planner(config)
     body = task.objects[task.carried].body
     failures = []
     for k in range(count):

@@ -122,8 +122,8 @@ class QueryGenerator:
             goal = self._configuration(rng, engine, start, arms, crossed and crossed_at_goal)
             if goal is None:
                 continue
-            between = _touched_between(engine, start, goal)
-            if not _is_kind(kind, arms, between):
+            way = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
+            if not _is_kind(kind, arms, set[frozenset[str]]().union(*map(engine.touching_pairs, way))):
                 continue
             if crossed and not _swapped(*(goal_targets(group, q, self.robot) for q in (start, goal))):
                 continue
@@ -164,11 +164,6 @@ def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
 def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
     a, b = (hands["left"][1, 3] - hands["right"][1, 3] for hands in (before, after))
     return a * b < 0.0 and min(abs(a), abs(b)) > _CROSSED_BY_M
-
-
-def _touched_between(engine: MujocoEngine, start: Array, goal: Array) -> set[frozenset[str]]:
-    between = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
-    return set[frozenset[str]]().union(*map(engine.touching_pairs, between))
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:

@@ -1,22 +1,26 @@
-"""Model-based methods: object impedance, and planned motion with joint control."""
+"""Methods: object impedance, planned motion with joint control, and learned policies."""
 
+import functools
 from collections.abc import Callable, Mapping
 
 from minidual.config.seeds import stream, subseed
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
 from minidual.motion.api import Planner
+from minidual.plant.render import Camera
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
+from minidual.policies.pilot import PolicyPilot, load_runtime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, robot_from
-from minidual.skills.cycle import pose_of, thing_of
+from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.phases import OPEN, still
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.state import OPEN, still
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import Task, Trial, make_task
+from minidual.tasks.task import Task, Trial, make_task, pose_of
 from minidual.trials.methods import Factory, MethodInputs
 
 _REST_S = 2.0
@@ -90,3 +94,23 @@ def resting(inputs: MethodInputs) -> Factory:
     """Hold still."""
     config, supervisor = inputs.config, _supervisor(inputs)
     return lambda world, kinematics, trial: Rest(ControlStack(world, kinematics, config.arbiter, supervisor=supervisor))
+
+
+def policy(inputs: MethodInputs) -> Factory:
+    """Run the policy of the checkpoint."""
+    if inputs.checkpoint is None:
+        raise UsageError("a learned method needs a checkpoint", remedy="minidual train-act")
+    config = inputs.config
+    robot = robot_from(config.robot)
+    runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
+    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
+    # One per model: an OpenGL context is slow to create.
+    camera = functools.cache(lambda model: Camera.recorded(model, config.scene.camera))
+
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
+        picture = lambda name: (camera(world.model).picture(world.data, name), world.time)  # noqa: E731
+        rate_hz = config.teleop.rate_hz
+        stack = ControlStack(world, kinematics, config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
+        return PolicyPilot(stack, runtime, picture)
+
+    return make
