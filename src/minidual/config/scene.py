@@ -80,11 +80,6 @@ class ObjectConfig(StrictModel):
         return PartConfig(shape=self.shape, size_m=size, axis=axis, colour=self.colour), *self.parts
 
     @property
-    def half_sizes_m(self) -> tuple[float, float, float]:
-        """Half extents of the first solid."""
-        return self.solids[0].half_m
-
-    @property
     def grasped(self) -> PartConfig:
         """The part between the fingers."""
         return next(filter(self._holds, self.parts), self.solids[0])
@@ -101,7 +96,7 @@ class ObjectConfig(StrictModel):
     @property
     def rest_height_m(self) -> float:
         """Height of the centre on the table."""
-        return self.half_sizes_m[2]
+        return self.solids[0].half_m[2]
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
