@@ -21,9 +21,9 @@ from late import late
 from recording_toys import TICKS, ToyRig, hang_in_conversion, job
 
 from minidual.cli.app import run_command_line
+from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
-from minidual.config.teleop import TeleopConfig
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
 from minidual.demos.episode import inspect_episode, read_episode

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -201,8 +200,7 @@ def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple
     dotted, where = ".".join(location), _origin(location, document)
     if kind == "extra_forbidden":
         known = sorted(_keys_at(problem["loc"][:-1], model))
-        close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
-        remedy = f"did you mean '{close[0]}'?" if close else None
+        remedy = unknown_name("key", location[-1], known).remedy
         parent = ".".join(location[:-1]) or "the root"
         return f"{where}: {dotted}: no such key; {parent} has {', '.join(known)}", remedy
     if kind == "value_error":

@@ -1,18 +1,16 @@
-"""Root of the configuration, with the sections of `benchmark`, `report` and the live view."""
+"""Root of the configuration, with small sections, and validated changes."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BaseModel, Field
 
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.base import AtLeast, Rate, StrictModel
-from minidual.config.control import CarryConfig, EnvCheckConfig
-from minidual.config.learning import DeployConfig, TrainConfig
+from minidual.config.control import ArbiterConfig, CarryConfig, EnvCheckConfig, SupervisorConfig
+from minidual.config.learning import DeployConfig, TeleopConfig, TrainConfig
 from minidual.config.planning import PlanConfig
-from minidual.config.robot import RobotConfig, SemanticsConfig
-from minidual.config.scene import SceneConfig
-from minidual.config.supervisor import SupervisorConfig
-from minidual.config.teleop import TeleopConfig
+from minidual.config.scene import RobotConfig, SceneConfig, SemanticsConfig
+from minidual.errors import unknown_name
 
 
 class BenchmarkConfig(StrictModel):
@@ -78,3 +76,39 @@ class Config(StrictModel):
     arbiter: ArbiterConfig = ArbiterConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     view: ViewConfig = ViewConfig()
+
+
+def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: bool = False) -> M:
+    """Return a section with {dotted path: value} applied; with `unset_only` where the user set nothing.
+
+    Raises:
+        UsageError: There is no such path.
+        pydantic.ValidationError: The values are invalid together.
+    """
+    wanted: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        name, _, rest = path.partition(".")
+        if name not in type(section).model_fields:
+            raise unknown_name("configuration value", path, type(section).model_fields)
+        now = getattr(section, name)
+        if rest:
+            inner.setdefault(name, {})[rest] = value
+        elif not unset_only or name not in section.model_fields_set:
+            wanted[name] = value
+        elif isinstance(now, BaseModel) and isinstance(value, BaseModel):
+            inner.setdefault(name, {}).update({k: getattr(value, k) for k in value.model_fields_set})
+    for name, part in inner.items():
+        wanted[name] = changed(getattr(section, name), part, unset_only=unset_only)
+    return replaced(section, **wanted)
+
+
+def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
+    """Return a section with {dotted path: value} applied where the user set nothing; errors as `changed`."""
+    return changed(section, values, unset_only=True)
+
+
+def replaced[M: BaseModel](section: M, **values: Any) -> M:
+    """Return a validated copy with `values`; other unset fields stay unset."""
+    known = {name: getattr(section, name) for name in section.model_fields_set}
+    return type(section).model_validate({**known, **values})

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.core import types
 
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

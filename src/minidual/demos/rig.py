@@ -15,11 +15,10 @@ from pydantic import Field, ValidationError
 
 from minidual import durable
 from minidual.collision.errors import PlanningError
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.base import StrictModel
+from minidual.config.control import ArbiterConfig, SupervisorConfig
+from minidual.config.learning import TeleopConfig
 from minidual.config.seeds import stream
-from minidual.config.supervisor import SupervisorConfig
-from minidual.config.teleop import TeleopConfig
 from minidual.control.stack import ControlStack
 from minidual.demos.checks import Thumbnails, thumbnails
 from minidual.demos.episode import inspect_episode

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from minidual.config.robot import RobotConfig
+from minidual.config.scene import RobotConfig
 from minidual.registry import Registry, rows_beside
 from minidual.robot.pair import ArmModel, HandModel, Robot
 

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
-from minidual.config.teleop import TeleopConfig
 from minidual.demos import recording, rig
 from minidual.demos.leader import LEADERS
 from minidual.demos.schema import MAX_SYNC_S

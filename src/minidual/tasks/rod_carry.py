@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.config.scene import OBSTACLE, ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array
