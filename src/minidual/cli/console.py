@@ -10,7 +10,7 @@ from rich.progress import Progress as RichBars
 from rich.segment import Segment
 
 from minidual.errors import printable
-from minidual.gate.progress import Progress, Task
+from minidual.gate.stage import Progress, Task
 
 
 class SafeConsole(Console):

@@ -9,10 +9,9 @@ from minidual.config.loader import LoadedConfig
 from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
-from minidual.gate.manifest import CONFIG_FILE, manifest_changes, strays
 from minidual.gate.store import RunStore
 from minidual.gate.table import CommandText, StageTable, overrides
-from minidual.gate.verdict import Verdict
+from minidual.gate.verdict import CONFIG_FILE, Verdict, manifest_changes, strays
 
 State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
 
