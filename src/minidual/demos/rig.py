@@ -23,10 +23,9 @@ from minidual.control.stack import ControlStack
 from minidual.demos.checks import Thumbnails, thumbnails
 from minidual.demos.episode import inspect_episode
 from minidual.demos.leader import LEADERS, LeaderSetup
-from minidual.demos.quality import EpisodeQuality, episode_quality
+from minidual.demos.quality import EpisodeQuality, episode_quality, rms_jerk
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
-from minidual.demos.smoothness import rms_jerk
 from minidual.demos.writer import EpisodeWriter
 from minidual.errors import DataError
 from minidual.plant.render import Camera, Image

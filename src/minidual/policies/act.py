@@ -25,8 +25,7 @@ from minidual.durable import read_json, regular_file
 from minidual.errors import DataError, EnvironmentMissingError
 from minidual.policies.batches import Stats
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import REMEDY, ChunkPolicy, Image, PolicyKind, Training
-from minidual.policies.records import TrainResult
+from minidual.policies.kinds import REMEDY, ChunkPolicy, Image, PolicyKind, Training, TrainResult
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
 from minidual.policies.train import Trained, threads, train

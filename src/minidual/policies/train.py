@@ -23,11 +23,9 @@ from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
 from minidual.demos.lerobot_reader import Rows
 from minidual.errors import DataError, UsageError
-from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
+from minidual.policies.batches import BatchMaker, Shares, Stats, dataset_statistics
 from minidual.policies.demonstrations import Demonstrations, draw_weighted, split_episodes
-from minidual.policies.kinds import Advance, Training
-from minidual.policies.records import LossRow, TrainResult
-from minidual.policies.shares import Shares
+from minidual.policies.kinds import Advance, LossRow, Training, TrainResult
 
 VALIDATION_ROWS = 512
 PROGRESS_FILE = "progress.pt"

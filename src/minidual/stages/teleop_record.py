@@ -9,8 +9,8 @@ from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.demos import recording, rig
 from minidual.demos.leader import LEADERS
+from minidual.demos.quality import JERK_FILTER
 from minidual.demos.schema import MAX_SYNC_S
-from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.check import Check, Rows
