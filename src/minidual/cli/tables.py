@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from minidual.gate.check import Check, with_unit
@@ -86,12 +86,9 @@ def _print_verdict(console: Console, state: StageState, verdict: Verdict, title:
 
 def print_status(console: Console, gate: Gate, title: str, following: str) -> None:
     """Print one row per stage."""
-    table = Table(title=title, title_justify="left")
-    table.add_column("stage", no_wrap=True)
-    table.add_column("state", no_wrap=True)
-    table.add_column("checks", justify="right")
-    table.add_column("took", justify="right")
-    table.add_column("remarks", overflow="fold")
+    names = [Column(header, no_wrap=True) for header in ("stage", "state")]
+    numbers = [Column(header, justify="right") for header in ("checks", "took")]
+    table = Table(*names, *numbers, Column("remarks", overflow="fold"), title=title, title_justify="left")
     for state in map(gate.state, gate.table):
         verdict = state.verdict
         checks = took = ""

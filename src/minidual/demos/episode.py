@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from minidual import durable
 from minidual.demos import checks, schema
 from minidual.demos.checks import EpisodeFault
-from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError
 from minidual.robot.pair import Array, Robot
 
@@ -24,7 +23,7 @@ ARRAY_BYTES_MAX = 2**32
 class Episode:
     """One episode; see `minidual.demos.schema`."""
 
-    meta: EpisodeMeta
+    meta: schema.EpisodeMeta
     images: dict[str, NDArray[np.uint8]]
     qpos: Array
     gripper: Array
@@ -56,7 +55,7 @@ def episode_paths(folder: Path | str) -> list[Path]:
     return sorted(Path(folder).glob("episode_[0-9]*.hdf5"))
 
 
-def read_meta(path: Path | str) -> EpisodeMeta:
+def read_meta(path: Path | str) -> schema.EpisodeMeta:
     """Return the metadata; raises as `read_episode`."""
     return _sound(path, *_load(Path(path), (), fields=())).meta
 
@@ -125,7 +124,7 @@ def _load(
     faults: list[EpisodeFault] = []
     try:
         with h5py.File(path, "r") as file:
-            meta, ticks = EpisodeMeta.from_attrs(file.attrs)
+            meta, ticks = schema.EpisodeMeta.from_attrs(file.attrs)
             joints_n = _joints_n(file)
             for field in fields:
                 if field.key in file:
@@ -148,7 +147,7 @@ def _joints_n(file: h5py.File) -> int:
 
 
 def _images(
-    file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, faults: list[EpisodeFault]
+    file: h5py.File, meta: schema.EpisodeMeta, ticks: int, cameras: Sequence[str] | None, faults: list[EpisodeFault]
 ) -> dict[str, NDArray[np.uint8]]:
     stored = list(file.get("observations/images", ()))
     if cameras is None and sorted(stored) != sorted(meta.cameras):

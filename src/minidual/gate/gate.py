@@ -75,8 +75,7 @@ class Gate:
 
     def verdicts(self, name: str) -> dict[str, Verdict]:
         """Return {upstream stage: verdict}, without missing ones."""
-        upstream = {up: self.state(up).verdict for up in self.table.upstream(name)}
-        return {up: verdict for up, verdict in upstream.items() if verdict is not None}
+        return {up: verdict for up in self.table.upstream(name) if (verdict := self.state(up).verdict) is not None}
 
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that do not pass."""

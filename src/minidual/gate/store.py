@@ -10,13 +10,12 @@ runs/<run>/crash-*.txt      tracebacks
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
 import traceback
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -220,7 +219,7 @@ class RunStore:
         temporary.rename(folder)
         sync(folder.parent)
         if old.exists() and not keep_old:
-            with contextlib.suppress(OSError):  # no permission inside it
+            with suppress(OSError):  # no permission inside it
                 remove(old)
         return set_aside(old, stage) if old.exists() else None
 

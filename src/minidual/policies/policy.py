@@ -12,12 +12,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError, UsageError
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import Plausible
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
 CELL_PX = 8
 Limits = tuple[Array, Array]

@@ -16,6 +16,7 @@ Indices = npt.NDArray[np.intp]
 
 SIDES: tuple[str, str] = ("left", "right")
 """In storage order."""
+GRIPPERS_N = len(SIDES)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,8 @@ def run(context: StageContext) -> StageResult:
 
     began = time.perf_counter()
     with context.progress.task("dataset", len(recorded.kept)) as task:
-        dataset = lerobot_adapter.convert(recorded.paths, folder / "lerobot", job.robot, progress=task.advance)
+        paths = [attempt.path for attempt in recorded.kept if attempt.path is not None]
+        dataset = lerobot_adapter.convert(paths, folder / "lerobot", job.robot, progress=task.advance)
     numbers = recorded.numbers(time.perf_counter() - began)
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice

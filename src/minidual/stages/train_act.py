@@ -6,14 +6,13 @@ from typing import Any
 
 from minidual.config.learning import TrainConfig
 from minidual.config.seeds import subseed
-from minidual.demos.schema import GRIPPERS_N
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv, write_train_json
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.arms import robot_from
-from minidual.robot.pair import Robot
+from minidual.robot.pair import GRIPPERS_N, Robot
 from minidual.stages.words import worded
 
 

@@ -10,7 +10,6 @@ bfloat16 resolves a quarter pixel.
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.act.modeling_act import ACT, ACTPolicy
 from lerobot.policies.pretrained import PreTrainedPolicy
@@ -90,12 +89,12 @@ class KeypointEncoder(nn.Module):
             features = self.features(image.to(memory_format=torch.channels_last))
             if self.context is not None:
                 size = features.shape[-2:]
-                features = features + F.interpolate(self.context(features), size, mode="bilinear")
+                features = features + nn.functional.interpolate(self.context(features), size, mode="bilinear")
             maps = self.heads(features)
         if not self.standardised:
             return maps
         flat = maps.float().flatten(2)
-        return F.layer_norm(flat, flat.shape[2:], eps=_LEAST_VARIANCE).view(maps.shape)
+        return nn.functional.layer_norm(flat, flat.shape[2:], eps=_LEAST_VARIANCE).view(maps.shape)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map images (B, 3, H, W) to (B, 3 K)."""
@@ -177,4 +176,4 @@ def _masked_l1(predicted: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
     """Mean absolute error over `valid` (B, S)."""
     mask = valid.unsqueeze(-1)
     count = (mask.sum() * predicted.shape[-1]).clamp_min(1)
-    return (F.l1_loss(predicted, wanted, reduction="none") * mask).sum() / count
+    return (nn.functional.l1_loss(predicted, wanted, reduction="none") * mask).sum() / count
