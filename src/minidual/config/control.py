@@ -8,7 +8,6 @@ from minidual.config.base import AtLeast, AtMost, Coordinate, StrictModel
 
 SPEED_OVERRIDE_MIN = 0.1
 Span = tuple[Coordinate, Coordinate]
-Box = tuple[Span, Span, Span]
 
 
 class EnvCheckConfig(StrictModel):
@@ -191,7 +190,7 @@ class SupervisorConfig(StrictModel):
     """Same, distance from the reference."""
     deviation_s: float = Field(default=0.05, ge=0.001, le=0.05)
     """Longest time beyond that bound."""
-    workspace_m: Box = ((-0.9, 1.1), (-1.2, 1.2), (0.005, 1.6))
+    workspace_m: tuple[Span, Span, Span] = ((-0.9, 1.1), (-1.2, 1.2), (0.005, 1.6))
     """Of the tool centre points, above the table (z = 0)."""
     self_collision_min_m: float = Field(default=0.01, ge=1e-4, le=0.2)
     stale_s: float = Field(default=0.1, ge=0.001, le=2.0)

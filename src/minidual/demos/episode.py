@@ -37,18 +37,6 @@ class Episode:
     def __len__(self) -> int:
         return len(self.timestamps)
 
-    @property
-    def duration_s(self) -> float:
-        """Time from first to last tick [s]."""
-        return float(self.timestamps[-1] - self.timestamps[0])
-
-    @property
-    def sync_error_max_s(self) -> float:
-        """Largest time between joints and images; NaN without image times."""
-        if self.image_timestamps is None:
-            return float("nan")
-        return float(np.max(np.abs(self.image_timestamps - self.timestamps)))
-
 
 def episode_paths(folder: Path | str) -> list[Path]:
     """Return a folder's finished episodes."""

@@ -52,7 +52,7 @@ def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
     hands = tcp_positions(episode.qpos, kinematics)
     return EpisodeQuality(
         ticks=len(episode),
-        duration_s=episode.duration_s,
+        duration_s=float(episode.timestamps[-1] - episode.timestamps[0]),
         rms_jerk_rad_s3=rms_jerk(episode.qpos, episode.meta.fps),
         path_length_m=float(path_length_m(hands).mean()),
         path_efficiency=path_efficiency(hands, episode.action_gripper),

@@ -225,7 +225,8 @@ class Rig:
         attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))
         if episode is None:
             return attempt
-        attempt = replace(attempt, sync_error_max_s=episode.sync_error_max_s)
+        if (stamps := episode.image_timestamps) is not None:
+            attempt = replace(attempt, sync_error_max_s=float(np.max(np.abs(stamps - episode.timestamps))))
         if faults:
             return attempt
         return replace(attempt, quality=episode_quality(episode, self.kinematics), views=thumbnails(episode.images))

@@ -1,6 +1,6 @@
 """State of each stage and of its gate; see docs/architecture.md."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -10,7 +10,7 @@ from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
 from minidual.gate.store import RunStore
-from minidual.gate.table import CommandText, StageTable, overrides
+from minidual.gate.table import StageTable, overrides
 from minidual.gate.verdict import CONFIG_FILE, Verdict, manifest_changes, strays
 
 State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
@@ -116,7 +116,7 @@ class Gate:
         extras = [f"--{key} {value}" for key, value in self.table[name].extras(options).items()]
         return [f"--profile {loaded.profile}", *(item.text for item in loaded.overrides), *extras]
 
-    def closed_error(self, name: str, command: CommandText) -> GateClosedError:
+    def closed_error(self, name: str, command: Callable[[str], str]) -> GateClosedError:
         """Return the error with cause, failed check and command to type."""
         unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
         cause = unfinished[0]
