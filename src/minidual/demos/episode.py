@@ -113,7 +113,8 @@ def _load(
     try:
         with h5py.File(path, "r") as file:
             meta, ticks = schema.EpisodeMeta.from_attrs(file.attrs)
-            joints_n = _joints_n(file)
+            found = (file.get(key) for key in ("observations/qpos", "action"))
+            joints_n = next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
             for field in fields:
                 if field.key in file:
                     expected = (ticks, *field.row_shape(joints_n))
@@ -127,11 +128,6 @@ def _load(
     except durable.DAMAGED as error:
         return None, [EpisodeFault("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
     return (None if faults else Episode(meta, images, path=path, **arrays)), faults
-
-
-def _joints_n(file: h5py.File) -> int:
-    found = (file.get(key) for key in ("observations/qpos", "action"))
-    return next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
 
 
 def _images(

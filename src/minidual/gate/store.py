@@ -200,11 +200,9 @@ class RunStore:
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt as ended without verdict; its files stay until the next one."""
-        try:
+        # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
+        with suppress(OSError):
             self._mark(Attempt(stage, state, os.getpid(), now_text(), message))
-        except OSError:
-            # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
-            return
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
         """Write the verdict and replace the previous folder; return where that is kept, or None."""

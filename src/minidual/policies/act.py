@@ -120,8 +120,7 @@ class SpatialActKind(ActKind):
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
         """Return a policy of the configured precision."""
         own = ("keypoints", "keyframe_weight", "context_layers", "standardised_maps")
-        described = SpatialActConfig(**{name: getattr(config, name) for name in own}, **common)
-        policy = SpatialActPolicy(described)
+        policy = SpatialActPolicy(SpatialActConfig(**{name: getattr(config, name) for name in own}, **common))
         encoders: Any = policy.model.backbone
         for encoder in encoders:
             encoder.bf16 = use_bf16(config)

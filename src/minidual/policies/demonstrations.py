@@ -111,11 +111,9 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
     Crossings within 25 ticks count once; grippers moving less than half of `span` (2,) are ignored.
     """
     crossings: list[int] = []
-    for column in range(gripper.shape[1]):
-        values = gripper[:, column]
-        if span[column] <= 1e-6 or values.max() - values.min() < 0.5 * span[column]:
-            continue
-        crossings.extend(grip_changes(values))
+    for values, most in zip(gripper.T, span, strict=True):
+        if most > 1e-6 and np.ptp(values) >= 0.5 * most:
+            crossings += grip_changes(values)
     events: list[int] = []
     for tick in sorted(crossings):
         if not events or tick - events[-1] > 25:
