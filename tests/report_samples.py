@@ -14,9 +14,8 @@ from minidual.config.root import Config
 from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint
-from minidual.gate.manifest import build_manifest
 from minidual.gate.stage import StageContext
-from minidual.gate.verdict import Verdict, Waiver
+from minidual.gate.verdict import Verdict, Waiver, build_manifest
 from minidual.show.report.figures import Figure, Trial, benchmark_figures
 from minidual.show.report.tables import Tables
 from minidual.trials.benchmark import BenchmarkCell, compare_all, compare_with_clean, conditions_data

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda import A_MAX, GROUPS, HOME, Q_LOWER, Q_UPPER
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand
 from minidual.control.mailbox import Mailbox

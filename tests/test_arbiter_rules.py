@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from panda import HOME, Q_UPPER
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.errors import UsageError

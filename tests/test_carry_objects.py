@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from panda import FINGER_TRAVEL_M
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.config.scene import OBSTACLE, ObstacleConfig, TaskConfig
 from minidual.errors import UsageError
 from minidual.plant.world import World

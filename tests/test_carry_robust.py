@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
 
-from minidual.config.change import changed
 from minidual.config.control import CarryFaultConfig
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.config.document import parse_document, parse_value
-from minidual.config.loader import Override, load_config, parse_override
-from minidual.config.profiles import SHIPPED_FOLDER, shipped_profiles
+from minidual.config.loader import SHIPPED_FOLDER, Override, load_config, parse_override, shipped_profiles
 from minidual.config.root import Config
 from minidual.errors import ConfigError, UsageError
 from minidual.stages.registry import STAGES

@@ -744,7 +744,7 @@ def _run_out(stack: ControlStack) -> None:
 
 
 def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(scene: SceneConfig, world: World) -> None:
-    from minidual.config.supervisor import SupervisorConfig
+    from minidual.config.control import SupervisorConfig
     from minidual.control.reflexes import ReflexError
     from minidual.control.supervisor import Supervisor
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from panda import GROUPS, HOME, V_MAX
 from test_control_controllers import move
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import controllers as controllers_module
 from minidual.control.arbiter import CommandArbiter

@@ -17,7 +17,7 @@ from panda import DOF, HOME, JOINT_DAMPING, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_
 from test_control_broken import FailingPlant, Path, breaks, jumps
 from test_control_controllers import move
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import (
     HOLD,

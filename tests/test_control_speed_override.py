@@ -8,7 +8,7 @@ from control_plant import ArmsPlant
 from panda import A_MAX, HOME, V_MAX
 from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.execution import ObjectExecution, TrajectoryExecution

@@ -28,9 +28,9 @@ from websockets.typing import Subprotocol
 
 from minidual import emergency
 from minidual.cli.app import run_command_line
+from minidual.config.learning import TeleopConfig
+from minidual.config.root import ViewConfig
 from minidual.config.scene import SceneConfig
-from minidual.config.teleop import TeleopConfig
-from minidual.config.view import ViewConfig
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

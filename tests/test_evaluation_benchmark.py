@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 from carry_trials import sample_trial
 
-from minidual.config.change import changed
-from minidual.config.evaluation import BenchmarkConfig
-from minidual.config.root import Config
+from minidual.config.root import BenchmarkConfig, Config, changed
 from minidual.durable import write_csv
 from minidual.errors import UsageError
 from minidual.gate.stage import StageContext

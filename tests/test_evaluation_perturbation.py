@@ -4,8 +4,7 @@ import dataclasses
 
 import pytest
 
-from minidual.config.change import changed
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import perturb

@@ -145,7 +145,7 @@ def test_distractors_stand_beside_starts_and_goals(name: str) -> None:
             assert values["geom_rgba"][geom, 3] == 1.0
             for poses in (trial.start, trial.goal):
                 for body, T in poses.items():
-                    (x, y, _), half = placement(T), min(task.objects[body].body.half_sizes_m[:2])
+                    (x, y, _), half = placement(T), min(task.objects[body].body.solids[0].half_m[:2])
                     assert np.hypot(place[0] - x, place[1] - y) > half + 0.03
 
 

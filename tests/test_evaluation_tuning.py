@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from minidual.config.change import changed
 from minidual.config.loader import load_config
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import tune
 from minidual.trials import tuning

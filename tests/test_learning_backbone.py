@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from late import late
 
-torch, backbone = late("torch"), late("minidual.policies.backbone")
+torch, backbone = late("torch"), late("minidual.policies.spatial_act.modeling_spatial_act")
 pytestmark = pytest.mark.torch
 
 

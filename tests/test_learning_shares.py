@@ -9,7 +9,7 @@ import pytest
 from late import late
 
 torch = late("torch")
-shares = late("minidual.policies.shares")
+shares = late("minidual.policies.batches")
 pytestmark = pytest.mark.torch
 
 

@@ -17,8 +17,7 @@ from test_learning_demonstrations import tiny
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import POLICIES, Training
-from minidual.policies.records import TrainResult, draw_loss, write_loss_csv
+from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv
 
 torch, act, tensor_files = late("torch"), late("minidual.policies.act"), late("safetensors.torch")
 pytestmark = pytest.mark.torch

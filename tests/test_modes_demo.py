@@ -15,7 +15,7 @@ import pytest
 from carry_trials import carry_task, sample_trial
 from panda import HOME
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.config.root import Config
 from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from minidual.cli.app import run_command_line
-from minidual.config.robot import RobotConfig
-from minidual.config.scene import SceneConfig
+from minidual.config.scene import RobotConfig, SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.gate.verdict import read_verdict
 from minidual.motion.api import Planner

@@ -12,7 +12,7 @@ from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, 
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits, PlannerConfig
-from minidual.config.robot import NamedStateConfig, SemanticsConfig
+from minidual.config.scene import NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
 from minidual.motion.goal_plan import (

@@ -15,8 +15,8 @@ from panda import DOF, HOME
 from replay_mutations import mutate, write
 
 from minidual.cli.app import run_command_line
+from minidual.config.control import SupervisorConfig
 from minidual.config.scene import ObstacleConfig
-from minidual.config.supervisor import SupervisorConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor, dumping

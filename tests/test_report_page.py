@@ -16,8 +16,8 @@ from report_samples import figures_once  # noqa: F401  (a fixture for every test
 
 from minidual.errors import DataError
 from minidual.gate.check import Check
-from minidual.gate.manifest import build_manifest
 from minidual.gate.stage import StageContext
+from minidual.gate.verdict import build_manifest
 from minidual.plant.render import write_video
 from minidual.show.report import model
 from minidual.show.report.model import Report

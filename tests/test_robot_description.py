@@ -11,8 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from minidual.config.robot import RobotConfig
-from minidual.config.scene import SceneConfig
+from minidual.config.scene import RobotConfig, SceneConfig
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from minidual.config.robot import RobotConfig
-from minidual.config.scene import SceneConfig
+from minidual.config.scene import RobotConfig, SceneConfig
 from minidual.plant.world import World
 from minidual.robot import pair
 from minidual.robot.kinematics import Kinematics

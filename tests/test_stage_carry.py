@@ -13,7 +13,7 @@ from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.canonical import digest
-from minidual.gate.progress import Progress
+from minidual.gate.stage import Progress
 from minidual.stages.carry import _record
 from minidual.stages.registry import STAGES
 from minidual.trials.methods import MethodInputs

@@ -12,10 +12,9 @@ import pytest
 from pydantic import ValidationError
 
 from minidual.config.control import CarryLimits
-from minidual.config.evaluation import BenchmarkConfig
 from minidual.config.learning import DeployConfig
 from minidual.config.loader import load_config
-from minidual.config.root import Config
+from minidual.config.root import BenchmarkConfig, Config
 from minidual.demos.rig import PURPOSE
 from minidual.errors import ConfigError, UsageError
 from minidual.gate.check import Check

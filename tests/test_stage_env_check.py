@@ -15,10 +15,9 @@ import pytest
 
 import minidual
 from minidual.cli.app import run_command_line
-from minidual.config.control import EnvCheckConfig
+from minidual.config.control import EnvCheckConfig, SupervisorConfig
 from minidual.config.root import Config
 from minidual.config.scene import PhysicsConfig, SceneConfig
-from minidual.config.supervisor import SupervisorConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

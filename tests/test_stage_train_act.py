@@ -14,9 +14,8 @@ import pytest
 
 from minidual.config.learning import TrainConfig
 from minidual.policies import policy
-from minidual.policies.acceptance import EmittedActions, exercise_checkpoint
-from minidual.policies.kinds import ChunkPolicy
-from minidual.policies.records import TrainResult
+from minidual.policies.kinds import ChunkPolicy, TrainResult
+from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages.train_act import train_checks
 

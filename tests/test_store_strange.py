@@ -16,7 +16,7 @@ from pipeline_toys import Bench
 from rich.console import Console
 
 from minidual.cli.app import run_command_line
-from minidual.cli.tables import print_explanation
+from minidual.cli.console import print_explanation
 from minidual.durable import remove
 from minidual.errors import DataError, GateClosedError
 from minidual.gate.canonical import digest

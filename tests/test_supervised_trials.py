@@ -10,9 +10,9 @@ import pytest
 from carry_trials import carry_task, sample_trial
 from panda import HOME
 
+from minidual.config.control import SupervisorConfig
+from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
-from minidual.config.supervisor import SupervisorConfig
-from minidual.config.teleop import TeleopConfig
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import ScriptedLeader

@@ -16,7 +16,7 @@ import pytest
 from guarded_arms import GuardedArms, Senses, accelerate, begin_swing, swing
 from panda import A_MAX, DOF, HOME, JOINT_NAMES, Q_LOWER, Q_UPPER, TAU_MAX, TAU_RATE_MAX, V_MAX
 
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.reflexes import REFLEXES, Reach, Reflex, ReflexError
 from minidual.control.senses import Expected

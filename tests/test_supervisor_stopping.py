@@ -8,7 +8,7 @@ from guarded_arms import GuardedArms, Reference
 from panda import DOF, HOME
 
 from minidual.collision.shapes import Box
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

@@ -13,8 +13,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from minidual.config.change import replaced
-from minidual.config.root import Config
+from minidual.config.root import Config, replaced
 from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.motion.ik import solvers

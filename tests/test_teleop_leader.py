@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from carry_trials import carry_task, sample_trial
 
+from minidual.config.learning import MirrorConfig, TeleopConfig
 from minidual.config.scene import SceneConfig
-from minidual.config.teleop import MirrorConfig, TeleopConfig
 from minidual.demos.keyboard import KeyboardLeader
 from minidual.demos.leader import LEADERS, LeaderSetup
 from minidual.demos.session import check_start, follower_target

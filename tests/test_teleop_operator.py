@@ -7,8 +7,8 @@ import pytest
 from carry_trials import rod_trial, sample_trial
 from panda import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
 
+from minidual.config.learning import OperatorConfig
 from minidual.config.scene import SceneConfig
-from minidual.config.teleop import OperatorConfig
 from minidual.control.kernels import minimum_jerk
 from minidual.errors import UsageError
 from minidual.motion.ik import posture_at

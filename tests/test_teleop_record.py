@@ -21,9 +21,9 @@ from late import late
 from recording_toys import TICKS, ToyRig, hang_in_conversion, job
 
 from minidual.cli.app import run_command_line
+from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
-from minidual.config.teleop import TeleopConfig
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
 from minidual.demos.episode import inspect_episode, read_episode
@@ -193,7 +193,7 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
         assert episode.meta.extra["start_x_y_yaw"] == list(real.trial(attempt.trial.index).start["rod"])
         assert set(np.unique(episode.action_gripper)) == {0.0, 1.0}
         assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, "measured openings, not commands"
-    rows = sum(len(read_episode(path, cameras=())) for path in recording.paths)
+    rows = sum(len(read_episode(path, cameras=())) for path in [a.path for a in recording.kept])
     numbers = recording.numbers() | {"dataset_rows": rows, "dataset_episodes": 2}
     checks = record_checks(numbers, real.teleop.model_copy(update={"latency_max_s": 1.0, "episodes_per_min": 0.0}))
     assert [c.sentence() for c in checks if c.passed is False] == []

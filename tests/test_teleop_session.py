@@ -10,7 +10,7 @@ import pytest
 from carry_trials import carry_task, sample_trial
 from panda import HOME
 
-from minidual.config.teleop import TeleopConfig
+from minidual.config.learning import TeleopConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.stack import ControlStack
 from minidual.demos.leader import ScriptedLeader

@@ -20,7 +20,7 @@ import pytest
 import viser
 from browser import Browser, find_browser, unused_port
 
-from minidual.config.view import ViewConfig
+from minidual.config.root import ViewConfig
 from minidual.show.view import make_view
 from minidual.show.view.web import WebView
 

@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from minidual.config.view import ViewConfig
+from minidual.config.root import ViewConfig
 from minidual.errors import EnvironmentMissingError, ExitCode
 from minidual.show.view import guard, make_view, web
 from minidual.show.view.overlay import Slider

@@ -15,8 +15,7 @@ from browser import unused_port
 from carry_trials import sample_trial
 from websockets.sync.client import connect
 
-from minidual.config.root import Config
-from minidual.config.view import ViewConfig
+from minidual.config.root import Config, ViewConfig
 from minidual.plant.world import World
 from minidual.show.view import make_view
 from minidual.show.view.overlay import Arrow, Overlay, PathLine, Preview, Slider

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from minidual.config.loader import LoadedConfig, load_config
-from minidual.config.profiles import SHIPPED_FOLDER
+from minidual.config.loader import SHIPPED_FOLDER, LoadedConfig, load_config
 from minidual.config.root import Config
 from minidual.errors import ExitCode, MinidualError
 from minidual.stages.registry import STAGES

@@ -122,9 +122,14 @@ def remove(path: Path) -> None:
             path.unlink(missing_ok=True)
 
 
+def now_text(form: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
+    """Return the UTC time, by default in ISO 8601, to the second."""
+    return datetime.now(UTC).strftime(form)
+
+
 def set_aside(path: Path, name: str) -> Path:
     """Move `path` into the folder `set-aside` beside it, as `name` and the UTC time; return the new path."""
-    place = path.parent / "set-aside" / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}"
+    place = path.parent / "set-aside" / f"{name}-{now_text('%Y%m%d-%H%M%S-%f')}"
     make_folder(place.parent)
     path.rename(place)
     return place

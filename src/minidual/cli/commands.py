@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from minidual import emergency
-from minidual.cli.console import ConsoleProgress
+from minidual.cli.console import ConsoleProgress, print_explanation, print_lowest, print_outcome, print_status
 from minidual.cli.session import Session
-from minidual.cli.tables import print_explanation, print_lowest, print_outcome, print_status
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.gate import StageState

@@ -1,9 +1,8 @@
-"""Load and validate configurations."""
+"""Find profiles, load and validate configurations."""
 
 from __future__ import annotations
 
 import copy
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,9 +13,12 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from minidual.config.document import Document, parse_value, read_document
-from minidual.config.profiles import DEFAULT_PROFILE, SHIPPED_FOLDER, find_profile
 from minidual.config.root import Config
-from minidual.errors import ConfigError, UsageError
+from minidual.durable import expanded, kind_of
+from minidual.errors import ConfigError, UsageError, unknown_name
+
+SHIPPED_FOLDER = Path(__file__).resolve().parent.parent / "configs"
+DEFAULT_PROFILE = "standard"
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,38 @@ class LoadedConfig:
         """Return resolved YAML, valid for --profile."""
         head = f"# profile: {self.profile}\n" + "".join(f"# {item.text}\n" for item in self.overrides)
         return head + yaml.safe_dump(self.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Return the names of the shipped profiles."""
+    return tuple(sorted(path.stem for path in SHIPPED_FOLDER.glob("*.yaml")))
+
+
+def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Path]:
+    """Return (name, file) of a shipped name or .yaml path.
+
+    Raises:
+        UsageError: Unknown name.
+        ConfigError: Missing file, or one with a shipped profile's name.
+    """
+    if not profile.endswith((".yaml", ".yml")):
+        if profile not in shipped_profiles():
+            error = unknown_name("profile", profile, shipped_profiles())
+            error.remedy = error.remedy or "or give the path of a profile file that ends in .yaml"
+            raise error
+        return profile, SHIPPED_FOLDER / f"{profile}.yaml"
+    path = (relative_to or Path.cwd()) / expanded(profile)
+    if (kind := kind_of(path)) != "file":
+        what, shipped = f": it is a {kind}" if kind else "", ", ".join(shipped_profiles())
+        raise ConfigError(f"no profile file {path}{what}", remedy=f"shipped profiles are {shipped}")
+    if path.resolve().parent == SHIPPED_FOLDER:
+        return path.stem, path.resolve()
+    if path.stem in shipped_profiles():
+        raise ConfigError(
+            f"{path} bears the name of the shipped profile '{path.stem}', its verdicts could not be told apart",
+            remedy=f"rename it, and begin it with 'extends: {path.stem}'",
+        )
+    return path.stem, path
 
 
 def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | str] = ()) -> LoadedConfig:
@@ -166,8 +200,7 @@ def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple
     dotted, where = ".".join(location), _origin(location, document)
     if kind == "extra_forbidden":
         known = sorted(_keys_at(problem["loc"][:-1], model))
-        close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
-        remedy = f"did you mean '{close[0]}'?" if close else None
+        remedy = unknown_name("key", location[-1], known).remedy
         parent = ".".join(location[:-1]) or "the root"
         return f"{where}: {dotted}: no such key; {parent} has {', '.join(known)}", remedy
     if kind == "value_error":

@@ -1,18 +1,53 @@
-"""Root of the configuration."""
+"""Root of the configuration, with small sections, and validated changes."""
 
-from pydantic import Field
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-from minidual.config.arbiter import ArbiterConfig
-from minidual.config.base import StrictModel
-from minidual.config.control import CarryConfig, EnvCheckConfig
-from minidual.config.evaluation import BenchmarkConfig, ReportConfig
-from minidual.config.learning import DeployConfig, TrainConfig
+from pydantic import BaseModel, Field
+
+from minidual.config.base import AtLeast, Rate, StrictModel
+from minidual.config.control import ArbiterConfig, CarryConfig, EnvCheckConfig, SupervisorConfig
+from minidual.config.learning import DeployConfig, TeleopConfig, TrainConfig
 from minidual.config.planning import PlanConfig
-from minidual.config.robot import RobotConfig, SemanticsConfig
-from minidual.config.scene import SceneConfig
-from minidual.config.supervisor import SupervisorConfig
-from minidual.config.teleop import TeleopConfig
-from minidual.config.view import ViewConfig
+from minidual.config.scene import RobotConfig, SceneConfig, SemanticsConfig
+from minidual.errors import unknown_name
+
+
+class BenchmarkConfig(StrictModel):
+    """Configuration of `benchmark`."""
+
+    tasks: AtLeast[tuple[str, ...]] = ()
+    """Empty: the run's `task` and `further_tasks`."""
+    further_tasks: AtLeast[dict[str, Annotated[int, Field(ge=1, le=10000)]]] = Field(default={})
+    """Undisturbed trials of each method in other tasks, {task: trials}; at most `trials_n`."""
+    methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
+    conditions: AtLeast[tuple[str, ...]] = Field(default=("clean",), min_length=1)
+    """Conditions, with `clean`; or `all`."""
+    trials_n: AtLeast[int] = Field(default=30, ge=1, le=10000)
+    """Undisturbed trials of each method, which have limits."""
+    perturbed_trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
+    """Trials of each method under each other condition, on the first of the same starts."""
+    success_rate_min: AtLeast[dict[str, Rate]] = Field(default={"moveit": 0.8, "impedance": 0.8, "act": 0.5})
+    """By method; others are only reported."""
+
+
+class ReportConfig(StrictModel):
+    """Configuration of `report`."""
+
+    title: str = Field(default="minidual: a measured dual-arm system", min_length=1)
+
+
+class ViewConfig(StrictModel):
+    """The live web view; no stage depends on it."""
+
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """Network interface; the default serves this machine only."""
+    port: int = Field(default=8080, ge=1, le=65535)
+    remote_drives: bool = False
+    """Whether pages on other machines may move sliders; those that come through ssh count as on this machine."""
+    rate_hz: float = Field(default=30.0, ge=1.0, le=120.0)
+    speed_max: float = Field(default=0.0, ge=0.0, le=100.0)
+    """Most simulated seconds per wall second; 0: no limit."""
 
 
 class Config(StrictModel):
@@ -41,3 +76,39 @@ class Config(StrictModel):
     arbiter: ArbiterConfig = ArbiterConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     view: ViewConfig = ViewConfig()
+
+
+def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: bool = False) -> M:
+    """Return a section with {dotted path: value} applied; with `unset_only` where the user set nothing.
+
+    Raises:
+        UsageError: There is no such path.
+        pydantic.ValidationError: The values are invalid together.
+    """
+    wanted: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        name, _, rest = path.partition(".")
+        if name not in type(section).model_fields:
+            raise unknown_name("configuration value", path, type(section).model_fields)
+        now = getattr(section, name)
+        if rest:
+            inner.setdefault(name, {})[rest] = value
+        elif not unset_only or name not in section.model_fields_set:
+            wanted[name] = value
+        elif isinstance(now, BaseModel) and isinstance(value, BaseModel):
+            inner.setdefault(name, {}).update({k: getattr(value, k) for k in value.model_fields_set})
+    for name, part in inner.items():
+        wanted[name] = changed(getattr(section, name), part, unset_only=unset_only)
+    return replaced(section, **wanted)
+
+
+def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
+    """Return a section with {dotted path: value} applied where the user set nothing; errors as `changed`."""
+    return changed(section, values, unset_only=True)
+
+
+def replaced[M: BaseModel](section: M, **values: Any) -> M:
+    """Return a validated copy with `values`; other unset fields stay unset."""
+    known = {name: getattr(section, name) for name in section.model_fields_set}
+    return type(section).model_validate({**known, **values})

@@ -1,9 +1,7 @@
-"""Configuration of the simulated world."""
-
-from __future__ import annotations
+"""Configuration of the simulated world, its arms and their named postures."""
 
 import math
-from typing import Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +11,7 @@ OBSTACLE = "obstacle"
 DISTRACTORS, DISTRACTOR_HALF_M = ("distractor_box", "distractor_cylinder"), 0.03
 """Geoms without contacts, invisible until a condition of trials shows them."""
 GRASPED_HALF_MAX_M = 0.035
+Angle = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
 class PhysicsConfig(StrictModel):
@@ -80,11 +79,6 @@ class ObjectConfig(StrictModel):
         return PartConfig(shape=self.shape, size_m=size, axis=axis, colour=self.colour), *self.parts
 
     @property
-    def half_sizes_m(self) -> tuple[float, float, float]:
-        """Half extents of the first solid."""
-        return self.solids[0].half_m
-
-    @property
     def grasped(self) -> PartConfig:
         """The part between the fingers."""
         return next(filter(self._holds, self.parts), self.solids[0])
@@ -101,7 +95,7 @@ class ObjectConfig(StrictModel):
     @property
     def rest_height_m(self) -> float:
         """Height of the centre on the table."""
-        return self.half_sizes_m[2]
+        return self.solids[0].half_m[2]
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
@@ -113,7 +107,7 @@ class ObjectConfig(StrictModel):
         return m * (y**2 + z**2) / 12.0, m * (x**2 + z**2) / 12.0, m * (x**2 + y**2) / 12.0
 
     @model_validator(mode="after")
-    def _hands_on_it(self) -> ObjectConfig:
+    def _hands_on_it(self) -> Self:
         if self.parts and not self._holds(self.grasped):
             raise ValueError(f"no part holds the grasp (0, {self.grasp_offset_m}, {self.grasp_height_m})")
         if not self.parts and self.grasp_offset_m > self.length_m / 2:
@@ -201,7 +195,30 @@ class SceneConfig(StrictModel):
         return {item.name: item for item in (self.object, *self.more)}
 
     @model_validator(mode="after")
-    def _names_differ(self) -> SceneConfig:
+    def _names_differ(self) -> Self:
         if len(self.objects) < 1 + len(self.more):
             raise ValueError(f"two objects have one name: {', '.join(o.name for o in (self.object, *self.more))}")
         return self
+
+
+class RobotConfig(StrictModel):
+    """The arms."""
+
+    arm: str = Field(default="panda", min_length=1)
+    """Row of robot.pair.ARM_MODELS."""
+
+
+class NamedStateConfig(StrictModel):
+    """A posture of one or both arms."""
+
+    left_rad: tuple[Angle, ...] | None = None
+    """Base first."""
+    right_rad: tuple[Angle, ...] | None = None
+    description: str = ""
+
+
+class SemanticsConfig(StrictModel):
+    """Named states."""
+
+    states: dict[str, NamedStateConfig] = Field(default={})
+    """Added to the arm model's states (`home` and others), or replace them."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
 from minidual.control.execution import Execution, Underway
 from minidual.control.mailbox import Mailbox, check_openings

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba.core import types
 
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.errors import MinidualError
 from minidual.registry import rows_beside
 from minidual.robot.compiled import ROWS, VECTOR, kernel

@@ -23,7 +23,7 @@ import numpy.typing as npt
 import pinocchio as pin
 from numba.core import types
 
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.control.controllers import Controller
 from minidual.control.joint_control import ComputedTorque
 from minidual.robot.kinematics import Kinematics

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from minidual import emergency
-from minidual.config.arbiter import SPEED_OVERRIDE_MIN, ArbiterConfig
+from minidual.config.control import SPEED_OVERRIDE_MIN, ArbiterConfig
 from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError

@@ -11,7 +11,7 @@ from typing import NoReturn, Protocol
 import numpy as np
 
 from minidual import emergency
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.control import reflexes
 from minidual.control.kernels import hand_look
 from minidual.control.reflexes import Reflex, ReflexError

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from minidual import durable
 from minidual.demos import checks, schema
 from minidual.demos.checks import EpisodeFault
-from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError
 from minidual.robot.pair import Array, Robot
 
@@ -24,7 +23,7 @@ ARRAY_BYTES_MAX = 2**32
 class Episode:
     """One episode; see `minidual.demos.schema`."""
 
-    meta: EpisodeMeta
+    meta: schema.EpisodeMeta
     images: dict[str, NDArray[np.uint8]]
     qpos: Array
     gripper: Array
@@ -38,25 +37,13 @@ class Episode:
     def __len__(self) -> int:
         return len(self.timestamps)
 
-    @property
-    def duration_s(self) -> float:
-        """Time from first to last tick [s]."""
-        return float(self.timestamps[-1] - self.timestamps[0])
-
-    @property
-    def sync_error_max_s(self) -> float:
-        """Largest time between joints and images; NaN without image times."""
-        if self.image_timestamps is None:
-            return float("nan")
-        return float(np.max(np.abs(self.image_timestamps - self.timestamps)))
-
 
 def episode_paths(folder: Path | str) -> list[Path]:
     """Return a folder's finished episodes."""
     return sorted(Path(folder).glob("episode_[0-9]*.hdf5"))
 
 
-def read_meta(path: Path | str) -> EpisodeMeta:
+def read_meta(path: Path | str) -> schema.EpisodeMeta:
     """Return the metadata; raises as `read_episode`."""
     return _sound(path, *_load(Path(path), (), fields=())).meta
 
@@ -125,8 +112,9 @@ def _load(
     faults: list[EpisodeFault] = []
     try:
         with h5py.File(path, "r") as file:
-            meta, ticks = EpisodeMeta.from_attrs(file.attrs)
-            joints_n = _joints_n(file)
+            meta, ticks = schema.EpisodeMeta.from_attrs(file.attrs)
+            found = (file.get(key) for key in ("observations/qpos", "action"))
+            joints_n = next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
             for field in fields:
                 if field.key in file:
                     expected = (ticks, *field.row_shape(joints_n))
@@ -142,13 +130,8 @@ def _load(
     return (None if faults else Episode(meta, images, path=path, **arrays)), faults
 
 
-def _joints_n(file: h5py.File) -> int:
-    found = (file.get(key) for key in ("observations/qpos", "action"))
-    return next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
-
-
 def _images(
-    file: h5py.File, meta: EpisodeMeta, ticks: int, cameras: Sequence[str] | None, faults: list[EpisodeFault]
+    file: h5py.File, meta: schema.EpisodeMeta, ticks: int, cameras: Sequence[str] | None, faults: list[EpisodeFault]
 ) -> dict[str, NDArray[np.uint8]]:
     stored = list(file.get("observations/images", ()))
     if cameras is None and sorted(stored) != sorted(meta.cameras):

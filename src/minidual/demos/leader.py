@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Self
 
-from minidual.config.teleop import TeleopConfig
+from minidual.config.learning import TeleopConfig
 from minidual.motion.api import Planner
 from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics

@@ -3,11 +3,10 @@
 Results depend neither on workers nor on interruptions.
 """
 
-import contextlib
 import json
 import os
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -41,7 +40,7 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     if gathered.exists():  # killed while it was set aside
         durable.set_aside(gathered, name)
     before: Any = {}
-    with contextlib.suppress(DataError):  # missing or damaged: the recording is set aside
+    with suppress(DataError):  # missing or damaged: the recording is set aside
         before = durable.read_json(path)
     before = before if isinstance(before, dict) else {}
     note, begun = "", any((folder / part).exists() for part in (KEPT, REJECTED, ATTEMPTS))
@@ -91,11 +90,6 @@ class Recording:
     def kept(self) -> tuple[Attempt, ...]:
         """Demonstrations in order."""
         return tuple(a for a in self.attempts if a.kept)
-
-    @property
-    def paths(self) -> list[Path]:
-        """Demonstration files."""
-        return [a.path for a in self.kept if a.path is not None]
 
     def numbers(self, conversion_s: float = 0.0) -> dict[str, float]:
         """Return the judged numbers; NaN propagates and fails its check.

@@ -15,19 +15,17 @@ from pydantic import Field, ValidationError
 
 from minidual import durable
 from minidual.collision.errors import PlanningError
-from minidual.config.arbiter import ArbiterConfig
 from minidual.config.base import StrictModel
+from minidual.config.control import ArbiterConfig, SupervisorConfig
+from minidual.config.learning import TeleopConfig
 from minidual.config.seeds import stream
-from minidual.config.supervisor import SupervisorConfig
-from minidual.config.teleop import TeleopConfig
 from minidual.control.stack import ControlStack
 from minidual.demos.checks import Thumbnails, thumbnails
 from minidual.demos.episode import inspect_episode
 from minidual.demos.leader import LEADERS, LeaderSetup
-from minidual.demos.quality import EpisodeQuality, episode_quality
+from minidual.demos.quality import EpisodeQuality, episode_quality, rms_jerk
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
-from minidual.demos.smoothness import rms_jerk
 from minidual.demos.writer import EpisodeWriter
 from minidual.errors import DataError
 from minidual.plant.render import Camera, Image
@@ -225,7 +223,8 @@ class Rig:
         attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))
         if episode is None:
             return attempt
-        attempt = replace(attempt, sync_error_max_s=episode.sync_error_max_s)
+        if (stamps := episode.image_timestamps) is not None:
+            attempt = replace(attempt, sync_error_max_s=float(np.max(np.abs(stamps - episode.timestamps))))
         if faults:
             return attempt
         return replace(attempt, quality=episode_quality(episode, self.kinematics), views=thumbnails(episode.images))

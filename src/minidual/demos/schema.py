@@ -23,9 +23,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from minidual.errors import DataError
+from minidual.robot.pair import GRIPPERS_N
 
 SCHEMA_VERSION = 1
-GRIPPERS_N = 2
 TICKS = "num_timesteps"
 """Attribute: number of ticks."""
 MAX_SYNC_S = 0.020

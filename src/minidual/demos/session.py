@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from minidual.config.teleop import MirrorConfig, TeleopConfig
+from minidual.config.learning import MirrorConfig, TeleopConfig
 from minidual.control.commands import ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack

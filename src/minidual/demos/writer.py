@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from minidual import durable
 from minidual.demos import checks, schema
-from minidual.demos.schema import EpisodeMeta
 from minidual.errors import DataError, UsageError, unknown_name
 
 
@@ -52,7 +51,7 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
         UsageError: The file exists.
     """
 
-    def __init__(self, path: Path | str, meta: EpisodeMeta) -> None:
+    def __init__(self, path: Path | str, meta: schema.EpisodeMeta) -> None:
         self.path, self.meta = Path(path), meta
         if self.path.exists():
             remedy = "choose another folder, or move the old recording away"
@@ -100,7 +99,10 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
         with self._writing():
             for camera, image in images.items():
                 if camera not in self._images:
-                    self._images[camera] = self._image_dataset(camera, image.shape)
+                    name, shape = schema.image_key(camera), image.shape
+                    layout: Any = {"maxshape": (None, *shape), "chunks": (1, *shape)}
+                    layout |= {"compression": "gzip", "compression_opts": 1}
+                    self._images[camera] = self._file.create_dataset(name, (0, *shape), "uint8", **layout)
                 self._images[camera].resize(tick + 1, axis=0)
                 self._images[camera][tick] = image
         for name, value in row.items():
@@ -176,12 +178,6 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
             raise durable.disk_error(error, self.path) or DataError(
                 f"{self.path} could not be written: {error}", remedy=remedy
             ) from error
-
-    def _image_dataset(self, camera: str, shape: tuple[int, ...]) -> h5py.Dataset:
-        options: dict[str, Any] = {"chunks": (1, *shape), "compression": "gzip", "compression_opts": 1}
-        return self._file.create_dataset(
-            schema.image_key(camera), shape=(0, *shape), maxshape=(None, *shape), dtype="uint8", **options
-        )
 
 
 def _row(field: schema.Field, value: ArrayLike | None, joints_n: int, tick: int) -> NDArray[np.float64] | None:

@@ -1,6 +1,6 @@
 """State of each stage and of its gate; see docs/architecture.md."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -9,10 +9,9 @@ from minidual.config.loader import LoadedConfig
 from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
-from minidual.gate.manifest import CONFIG_FILE, manifest_changes, strays
 from minidual.gate.store import RunStore
-from minidual.gate.table import CommandText, StageTable, overrides
-from minidual.gate.verdict import Verdict
+from minidual.gate.table import StageTable, overrides
+from minidual.gate.verdict import CONFIG_FILE, Verdict, manifest_changes, strays
 
 State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
 
@@ -76,8 +75,7 @@ class Gate:
 
     def verdicts(self, name: str) -> dict[str, Verdict]:
         """Return {upstream stage: verdict}, without missing ones."""
-        upstream = {up: self.state(up).verdict for up in self.table.upstream(name)}
-        return {up: verdict for up, verdict in upstream.items() if verdict is not None}
+        return {up: verdict for up in self.table.upstream(name) if (verdict := self.state(up).verdict) is not None}
 
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that do not pass."""
@@ -118,7 +116,7 @@ class Gate:
         extras = [f"--{key} {value}" for key, value in self.table[name].extras(options).items()]
         return [f"--profile {loaded.profile}", *(item.text for item in loaded.overrides), *extras]
 
-    def closed_error(self, name: str, command: CommandText) -> GateClosedError:
+    def closed_error(self, name: str, command: Callable[[str], str]) -> GateClosedError:
         """Return the error with cause, failed check and command to type."""
         unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
         cause = unfinished[0]

@@ -12,9 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
-from minidual.durable import make_folder, read_json, require
+from minidual.durable import make_folder, now_text, read_json, require
 from minidual.errors import DataError, UsageError
-from minidual.gate.clock import now_text
 
 LOCK_FILE = ".lock"
 

@@ -7,17 +7,14 @@ from typing import Any
 
 from minidual import emergency
 from minidual.config.loader import LoadedConfig
-from minidual.durable import disk_errors
+from minidual.durable import disk_errors, now_text
 from minidual.errors import ExitCode, MinidualError
 from minidual.gate.canonical import canonical
-from minidual.gate.clock import now_text
 from minidual.gate.gate import Gate, StageState
-from minidual.gate.manifest import build_manifest, strays
-from minidual.gate.progress import Progress
-from minidual.gate.stage import Folders, StageContext, closing_checks
+from minidual.gate.stage import Folders, Progress, StageContext, closing_checks
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
-from minidual.gate.verdict import Verdict, Waiver, derive_status
+from minidual.gate.verdict import Verdict, Waiver, build_manifest, derive_status, strays
 
 EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "error": ExitCode.NOTHING_EVALUATED}
 

@@ -17,7 +17,7 @@ from minidual.durable import regular_file, write_text
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.gate.canonical import dumps
 from minidual.gate.gate import Gate
-from minidual.gate.manifest import manifest_changes
+from minidual.gate.verdict import manifest_changes
 
 SIGNED_FILE = "signed.json"
 _KEY_BYTES = 100_000

@@ -10,28 +10,24 @@ runs/<run>/crash-*.txt      tracebacks
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
 import traceback
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from pydantic import TypeAdapter
 
-from minidual.durable import read_json, remove, replacing, require, set_aside, sync, write_text
+from minidual.durable import now_text, read_json, remove, replacing, require, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps
-from minidual.gate.clock import now_text
 from minidual.gate.lock import lock_holder, run_lock
-from minidual.gate.manifest import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE
-from minidual.gate.verdict import Verdict, read_verdict
+from minidual.gate.verdict import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE, Verdict, read_verdict
 
 ASIDE = "set-aside"
 _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -130,12 +126,9 @@ class RunStore:
         for path in (root, self.folder):
             require(path, "folder")
 
-    def _place(self, stage: str) -> Place:
-        return Place(self.folder / stage)
-
     def stage_folder(self, stage: str) -> Path:
         """Return the folder of a finished stage; it need not exist."""
-        place = self._place(stage)
+        place = Place(self.folder / stage)
         for folder in (place.name, place.old):
             if os.path.lexists(folder / VERDICT_FILE):
                 return folder
@@ -147,7 +140,7 @@ class RunStore:
 
     def verdict(self, stage: str) -> tuple[Verdict, str] | None:
         """Return (verdict, sha256 of its file), or None; DataError if corrupt, or if its folder is none."""
-        self._place(stage).check(replacing=False)
+        Place(self.folder / stage).check(replacing=False)
         path = self.verdict_path(stage)
         if not os.path.lexists(path):
             return None
@@ -158,7 +151,7 @@ class RunStore:
 
     def attempt(self, stage: str) -> Attempt | None:
         """Return the unfinished attempt at `stage`, or None."""
-        folder = self._place(stage).temporary
+        folder = Place(self.folder / stage).temporary
         if not folder.is_dir():
             return None
         try:
@@ -180,23 +173,19 @@ class RunStore:
         with run_lock(self.folder, command):
             require(self.folder / CONFIG_FILE, "file")
             for stage in stages:
-                place = self._place(stage)
+                place = Place(self.folder / stage)
                 place.check()
-                if place.old.is_dir():
-                    self._mend(place)
+                old, folder = place.old, place.folder
+                if old.is_dir() and ((folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file()):
+                    set_aside(old, stage)
+                elif old.is_dir():
+                    remove(folder)
+                    old.rename(folder)
             yield
-
-    def _mend(self, place: Place) -> None:
-        old, folder = place.old, place.folder
-        if (folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file():
-            set_aside(old, place.name.name)
-            return
-        remove(folder)
-        old.rename(folder)
 
     def begin(self, stage: str, config_text: str, keeps: Sequence[str] = ()) -> Path:
         """Clear the temporary folder except `keeps`, mark it as running and return it."""
-        folder = self._place(stage).temporary
+        folder = Place(self.folder / stage).temporary
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.iterdir():
             if left.name not in keeps:
@@ -207,19 +196,17 @@ class RunStore:
         return folder
 
     def _mark(self, attempt: Attempt) -> None:
-        write_text(self._place(attempt.stage).temporary / ATTEMPT_FILE, dumps(asdict(attempt)))
+        write_text(Place(self.folder / attempt.stage).temporary / ATTEMPT_FILE, dumps(asdict(attempt)))
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt as ended without verdict; its files stay until the next one."""
-        try:
+        # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
+        with suppress(OSError):
             self._mark(Attempt(stage, state, os.getpid(), now_text(), message))
-        except OSError:
-            # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
-            return
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
         """Write the verdict and replace the previous folder; return where that is kept, or None."""
-        place = self._place(stage)
+        place = Place(self.folder / stage)
         temporary, folder, old = place.temporary, place.folder, place.old
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, dumps(verdict.to_json()))
@@ -230,7 +217,7 @@ class RunStore:
         temporary.rename(folder)
         sync(folder.parent)
         if old.exists() and not keep_old:
-            with contextlib.suppress(OSError):  # no permission inside it
+            with suppress(OSError):  # no permission inside it
                 remove(old)
         return set_aside(old, stage) if old.exists() else None
 
@@ -245,6 +232,6 @@ class RunStore:
     def write_crash(self, name: str, error: BaseException) -> Path:
         """Write the traceback; return its path."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"crash-{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}-{os.getpid()}.txt"
+        path = self.folder / f"crash-{name}-{now_text('%Y%m%d-%H%M%S')}-{os.getpid()}.txt"
         path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
         return path

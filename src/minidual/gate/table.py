@@ -13,12 +13,9 @@ from minidual.config.base import limits
 from minidual.config.loader import Override
 from minidual.config.root import Config
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
-from minidual.gate.code import Code, code_of
+from minidual.gate.fingerprint import Code, code_of
 from minidual.gate.stage import StageFunction, ToolFunction
 from minidual.registry import Registry, load_target
-
-CommandText = Callable[[str], str]
-"""Turns "plan" into the full command, with profile and run."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from minidual.collision.scene_file import Finite3, PlaceFields
 from minidual.config.base import StrictModel
 from minidual.config.document import read_document
 from minidual.config.loader import validate_document
-from minidual.config.robot import SemanticsConfig
+from minidual.config.scene import SemanticsConfig
 from minidual.config.seeds import stream
 from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, unknown_name

@@ -24,8 +24,7 @@ from pydantic import Field, SkipValidation, ValidationError
 
 import minidual
 from minidual.config.base import StrictModel
-from minidual.config.robot import RobotConfig
-from minidual.config.scene import SceneConfig
+from minidual.config.scene import RobotConfig, SceneConfig
 from minidual.durable import kind_of, replacing
 from minidual.errors import DataError
 from minidual.robot.pair import Array, Robot, robot_from

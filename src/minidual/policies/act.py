@@ -16,17 +16,14 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from torch import Tensor
 
 from minidual import durable
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import ACTION, IMAGE_PREFIX, STATE, camera_key
-from minidual.durable import read_json, regular_file
 from minidual.errors import DataError, EnvironmentMissingError
 from minidual.policies.batches import Stats
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import REMEDY, ChunkPolicy, Image, PolicyKind, Training
-from minidual.policies.records import TrainResult
+from minidual.policies.kinds import REMEDY, ChunkPolicy, Image, PolicyKind, Training, TrainResult
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
 from minidual.policies.train import Trained, threads, train
@@ -99,22 +96,19 @@ class ActKind(PolicyKind):
             raise DataError(f"checkpoint {folder} lacks {', '.join(missing)}", remedy=f"{REMEDY} --force")
         for name in REQUIRED[2:]:
             check_processor(folder / name)
-        policy = self.policy_class(self._read_config(folder, device))
+        record = durable.read_json(folder / "config.json")
+        if record.pop("type") != self.config_class.get_choice_name(self.config_class):
+            raise ValueError("config.json describes a policy of another type")
+        # Weights to start training from would be downloaded; those of the checkpoint replace them.
+        config = draccus.decode(self.config_class, record | {"device": device, "pretrained_backbone_weights": None})
+        check_sizes(config)
+        policy = self.policy_class(config)
         policy.load_state_dict(read_tensors(folder / "model.safetensors"))
         policy.to(device)
         policy.eval()
         on_device = {"device_processor": {"device": device}}
         stored: dict[str, Any] = {"pretrained_path": str(folder), "preprocessor_overrides": on_device}
         return Trained(policy, *make_pre_post_processors(policy.config, **stored))
-
-    def _read_config(self, folder: Path, device: str) -> PreTrainedConfig:
-        record = read_json(folder / "config.json")
-        if record.pop("type") != self.config_class.get_choice_name(self.config_class):
-            raise ValueError("config.json describes a policy of another type")
-        # Weights to start training from would be downloaded; those of the checkpoint replace them.
-        config = draccus.decode(self.config_class, record | {"device": device, "pretrained_backbone_weights": None})
-        check_sizes(config)
-        return config
 
 
 class SpatialActKind(ActKind):
@@ -126,8 +120,7 @@ class SpatialActKind(ActKind):
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
         """Return a policy of the configured precision."""
         own = ("keypoints", "keyframe_weight", "context_layers", "standardised_maps")
-        described = SpatialActConfig(**{name: getattr(config, name) for name in own}, **common)
-        policy = SpatialActPolicy(described)
+        policy = SpatialActPolicy(SpatialActConfig(**{name: getattr(config, name) for name in own}, **common))
         encoders: Any = policy.model.backbone
         for encoder in encoders:
             encoder.bf16 = use_bf16(config)
@@ -142,7 +135,7 @@ def check_processor(path: Path) -> None:
 
     Called before LeRobot, which imports what the file names.
     """
-    for number, step in enumerate(read_json(path)["steps"]):
+    for number, step in enumerate(durable.read_json(path)["steps"]):
         unknown = sorted(step.keys() - {"registry_name", "config", "state_file"})
         if unknown or step["registry_name"] not in STEPS:
             named = ", ".join(f"{key} {step[key]!r:.60}" for key in (unknown or ["registry_name"]))
@@ -162,9 +155,9 @@ def check_sizes(config: PreTrainedConfig) -> None:
             raise ValueError(f"{name} in config.json is {list(values)}; sizes here are 0 to {limit}")
 
 
-def read_tensors(path: Path, bytes_max: int = WEIGHTS_BYTES_MAX) -> dict[str, Tensor]:
+def read_tensors(path: Path, bytes_max: int = WEIGHTS_BYTES_MAX) -> dict[str, torch.Tensor]:
     """Read a safetensors file; DataError unless every value is a finite floating-point number."""
-    tensors = load_file(regular_file(path, bytes_max))
+    tensors = load_file(durable.regular_file(path, bytes_max))
     for name, values in tensors.items():
         if not values.is_floating_point() or not bool(torch.isfinite(values).all()):
             raise DataError(f"{path}: '{name}' ({values.dtype}) must hold finite floating-point numbers")

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from minidual.demos.lerobot_reader import Image, Rows, read_dataset
 from minidual.demos.quality import grip_changes
-from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError
-from minidual.robot.pair import Array
+from minidual.robot.pair import GRIPPERS_N, Array
 
 
 @dataclass
@@ -39,7 +38,14 @@ class Demonstrations:
 
     def __post_init__(self) -> None:
         """Derive phases; DataError for invalid data."""
-        _check(self)
+        if len(self) == 0:
+            raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
+        if self.state.shape != self.action.shape or self.dim <= GRIPPERS_N:
+            raise DataError(f"dataset column 'action' has shape {self.action.shape}, 'state' {self.state.shape}")
+        if not self.images:
+            raise DataError("the dataset has no camera images", remedy="minidual teleop-record --force")
+        if np.any(np.diff(self.episode_index) < 0):
+            raise DataError("dataset column 'episode_index' is not ascending: episodes must be contiguous")
         self.phase = np.zeros(len(self), dtype=np.int64)
         self.keyframe_ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
         self.last_tick = np.zeros(len(self), dtype=np.int64)
@@ -105,11 +111,9 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
     Crossings within 25 ticks count once; grippers moving less than half of `span` (2,) are ignored.
     """
     crossings: list[int] = []
-    for column in range(gripper.shape[1]):
-        values = gripper[:, column]
-        if span[column] <= 1e-6 or values.max() - values.min() < 0.5 * span[column]:
-            continue
-        crossings.extend(grip_changes(values))
+    for values, most in zip(gripper.T, span, strict=True):
+        if most > 1e-6 and np.ptp(values) >= 0.5 * most:
+            crossings += grip_changes(values)
     events: list[int] = []
     for tick in sorted(crossings):
         if not events or tick - events[-1] > 25:
@@ -131,14 +135,3 @@ def draw_weighted(rows: Rows, cumulative: Array, count: int, rng: np.random.Gene
     """Draw `count` rows with replacement; `cumulative` holds the sums of their weights."""
     positions = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
     return rows[np.minimum(positions, len(rows) - 1)]
-
-
-def _check(demos: Demonstrations) -> None:
-    if len(demos) == 0:
-        raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
-    if demos.state.shape != demos.action.shape or demos.dim <= GRIPPERS_N:
-        raise DataError(f"dataset column 'action' has shape {demos.action.shape}, 'state' {demos.state.shape}")
-    if not demos.images:
-        raise DataError("the dataset has no camera images", remedy="minidual teleop-record --force")
-    if np.any(np.diff(demos.episode_index) < 0):
-        raise DataError("dataset column 'episode_index' is not ascending: episodes must be contiguous")

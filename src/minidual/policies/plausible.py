@@ -60,8 +60,7 @@ class Plausible:
 
     def chunk(self, chunk: Array) -> None:
         """Check the joint targets (k, n) that will run."""
-        zero = np.abs(chunk).max(axis=1) < _ZERO_RAD
-        if zero.any():
+        if (np.abs(chunk).max(axis=1) < _ZERO_RAD).any():
             raise PolicyStoppedError("all_zero")
         beyond = np.maximum(self._lower - chunk, chunk - self._upper)
         row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)

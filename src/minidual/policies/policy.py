@@ -1,22 +1,24 @@
-"""The policy runtime: runs `n_action_steps` of each chunk, then blends in the next.
+"""The policy runtime, and tests of it on pictures.
 
-Consecutive chunks differ by up to 0.05 rad.
+The runtime runs `n_action_steps` of each chunk, then blends in the next: they differ by up to 0.05 rad.
 """
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.demos.schema import GRIPPERS_N
 from minidual.errors import DataError, UsageError
+from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import Plausible
-from minidual.robot.pair import Array
+from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
+CELL_PX = 8
 Limits = tuple[Array, Array]
 """Lower and upper (n,) [rad]."""
 
@@ -133,3 +135,57 @@ class PolicyRuntime:
                 remedy="render at the recorded size, or record and train again",
             )
         return np.ascontiguousarray(image)
+
+
+@dataclass(frozen=True)
+class EmittedActions:
+    """Actions predicted on recorded observations; NaN for other arms.
+
+    Attributes:
+        in_limits: Share of joint targets inside the limits.
+        overshoot_max_rad: Largest distance outside.
+        targets_n: Joint and gripper targets per action.
+    """
+
+    in_limits: float
+    overshoot_max_rad: float
+    targets_n: int
+    inference_hz: float
+
+
+def exercise_checkpoint(
+    checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
+) -> EmittedActions:
+    """Run `checkpoint` on `samples` evenly spaced ticks, without clamping."""
+    runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0)
+    chunks = []
+    for row in np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64):
+        images = {camera: demos.images[camera][row] for camera in demos.cameras}
+        chunks.append(runtime.predict_chunk(images, demos.state[row].astype(np.float64)))
+    raw = np.concatenate(chunks)
+    in_limits = overshoot = float("nan")
+    if raw.shape[1] == robot.dof + GRIPPERS_N:
+        joints = raw[:, : robot.dof]
+        outside = np.maximum(np.maximum(robot.q_lower - joints, joints - robot.q_upper), 0.0)
+        in_limits, overshoot = float((outside == 0.0).mean()), float(outside.max())
+    return EmittedActions(in_limits, overshoot, raw.shape[1], runtime.inference_hz)
+
+
+def occlusion(predict: Callable[[Image], NDArray[np.float64]], image: Image) -> NDArray[np.float64]:
+    """Return the mean change of predicted values when a cell shows the median colour around it, (H, W) in cells."""
+    plain, (height, width, _) = predict(image), image.shape
+    changes = np.zeros((height // CELL_PX, width // CELL_PX))
+    for row, column in np.ndindex(*changes.shape):
+        covered, y, x = image.copy(), CELL_PX * row, CELL_PX * column
+        around = image[max(0, y - CELL_PX) : y + 2 * CELL_PX, max(0, x - CELL_PX) : x + 2 * CELL_PX]
+        covered[y : y + CELL_PX, x : x + CELL_PX] = np.median(around, axis=(0, 1))
+        changes[row, column] = np.abs(predict(covered) - plain).mean()
+    return changes
+
+
+def on_object(changes: NDArray[np.float64], image: Image, without: Image) -> float:
+    """Return the mean change in cells with the object over the others; `without` lacks it."""
+    rows, columns = changes.shape
+    differs = (image != without).any(axis=2)[: CELL_PX * rows, : CELL_PX * columns]
+    shown = differs.reshape(rows, CELL_PX, columns, CELL_PX).any(axis=(1, 3))
+    return float(changes[shown].mean() / changes[~shown].mean())

@@ -23,11 +23,9 @@ from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
 from minidual.demos.lerobot_reader import Rows
 from minidual.errors import DataError, UsageError
-from minidual.policies.batches import BatchMaker, Stats, dataset_statistics
+from minidual.policies.batches import BatchMaker, Shares, Stats, dataset_statistics
 from minidual.policies.demonstrations import Demonstrations, draw_weighted, split_episodes
-from minidual.policies.kinds import Advance, Training
-from minidual.policies.records import LossRow, TrainResult
-from minidual.policies.shares import Shares
+from minidual.policies.kinds import Advance, LossRow, Training, TrainResult
 
 VALIDATION_ROWS = 512
 PROGRESS_FILE = "progress.pt"
@@ -72,7 +70,8 @@ def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult
             loop.save()
             raise
         finally:
-            loop.close()
+            loop.shares.close()
+            loop.beside.shutdown(cancel_futures=True)
         loop.use_averaged_weights()
     return loop.result(training, validation, resumed, stopped_by), trained
 
@@ -114,11 +113,6 @@ class _Loop:
         self.state = _State()
         self.progress = None if job.resume_dir is None else job.resume_dir / PROGRESS_FILE
         self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
-
-    def close(self) -> None:
-        """End the threads."""
-        self.shares.close()
-        self.beside.shutdown(cancel_futures=True)
 
     def learning_rate(self, step: int) -> float:
         """Linear warm-up, then cosine decay to one hundredth."""

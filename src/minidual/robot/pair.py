@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from minidual.config.robot import RobotConfig
+from minidual.config.scene import RobotConfig
 from minidual.registry import Registry, rows_beside
 
 Array = npt.NDArray[np.float64]
@@ -21,6 +21,7 @@ Indices = npt.NDArray[np.intp]
 
 SIDES: tuple[str, str] = ("left", "right")
 """In storage order."""
+GRIPPERS_N = len(SIDES)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
-from minidual.config.arbiter import ArbiterConfig
-from minidual.config.control import CarryConfig
+from minidual.config.control import ArbiterConfig, CarryConfig
 from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.impedance import ObjectPath, ObjectState, SingularPostureError

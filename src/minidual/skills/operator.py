@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from minidual.config.learning import OperatorConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
-from minidual.config.teleop import OperatorConfig
 from minidual.control.kernels import minimum_jerk
 from minidual.motion.api import Planner
 from minidual.motion.ik import posture_at

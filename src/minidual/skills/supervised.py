@@ -10,7 +10,7 @@ import numpy as np
 from minidual.collision.engines import MujocoEngine
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Attached, PairDistance, Pairs, Shape
-from minidual.config.supervisor import SupervisorConfig
+from minidual.config.control import SupervisorConfig
 from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from minidual.demos.smoothness import JERK_FILTER
+from minidual.demos.quality import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult

@@ -7,7 +7,7 @@ import numpy as np
 from minidual.config.control import CarryLimits
 from minidual.config.scene import TaskConfig
 from minidual.config.seeds import stream
-from minidual.demos.smoothness import JERK_FILTER
+from minidual.demos.quality import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check, Rows

@@ -2,7 +2,7 @@
 
 import yaml
 
-from minidual.config.profiles import DEFAULT_PROFILE, shipped_profiles
+from minidual.config.loader import DEFAULT_PROFILE, shipped_profiles
 from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult, markdown

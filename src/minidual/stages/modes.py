@@ -14,7 +14,7 @@ from minidual.control.supervisor import dumping
 from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import canonical, dumps
-from minidual.gate.progress import Task as Bar
+from minidual.gate.stage import Task as Bar
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.recorder import Recorder

@@ -2,7 +2,7 @@
 
 from typing import Any, cast
 
-from minidual.config.change import replaced
+from minidual.config.root import replaced
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult

@@ -5,16 +5,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
-from minidual.config.teleop import TeleopConfig
 from minidual.demos import recording, rig
 from minidual.demos.leader import LEADERS
+from minidual.demos.quality import JERK_FILTER
 from minidual.demos.schema import MAX_SYNC_S
-from minidual.demos.smoothness import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.check import Check, Rows
-from minidual.gate.code import code_of
+from minidual.gate.fingerprint import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
@@ -79,7 +79,8 @@ def run(context: StageContext) -> StageResult:
 
     began = time.perf_counter()
     with context.progress.task("dataset", len(recorded.kept)) as task:
-        dataset = lerobot_adapter.convert(recorded.paths, folder / "lerobot", job.robot, progress=task.advance)
+        paths = [attempt.path for attempt in recorded.kept if attempt.path is not None]
+        dataset = lerobot_adapter.convert(paths, folder / "lerobot", job.robot, progress=task.advance)
     numbers = recorded.numbers(time.perf_counter() - began)
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice

@@ -6,15 +6,12 @@ from typing import Any
 
 from minidual.config.learning import TrainConfig
 from minidual.config.seeds import subseed
-from minidual.demos.schema import GRIPPERS_N
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
-from minidual.policies import records
-from minidual.policies.acceptance import EmittedActions, exercise_checkpoint
 from minidual.policies.demonstrations import load_demonstrations
-from minidual.policies.kinds import POLICIES, Training
-from minidual.policies.records import TrainResult
-from minidual.robot.pair import Robot, robot_from
+from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv, write_train_json
+from minidual.policies.policy import EmittedActions, exercise_checkpoint
+from minidual.robot.pair import GRIPPERS_N, Robot, robot_from
 from minidual.stages.words import worded
 
 
@@ -58,15 +55,15 @@ def run(context: StageContext) -> StageResult:
             place = resume if k == 0 else resume / f"seed-{k + 1}"
             result = kind.train(Training(demos, config, seed, place, advance), folder / "checkpoint")
         emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
-        records.write_loss_csv(result.curve, folder / "loss.csv")
-        records.draw_loss(result, folder / "loss.png")
+        write_loss_csv(result.curve, folder / "loss.csv")
+        draw_loss(result, folder / "loss.png")
         extra = {
             "policy": config.policy,
             "seed": seed,
             "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
             "inference_hz": emitted.inference_hz,
         }
-        all_records.append(records.write_train_json(result, extra, folder / "train.json"))
+        all_records.append(write_train_json(result, extra, folder / "train.json"))
         prefix = f"seed_{k + 1}." if k else ""
         checks += [replace(check, name=prefix + check.name) for check in train_checks(result, emitted, config, robot)]
         if k == 0:

@@ -5,8 +5,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array, pose, rot_z
 from minidual.tasks import success

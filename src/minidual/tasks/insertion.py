@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.registry import rows_beside
 from minidual.robot.pair import SIDES, Array, inverse, pose

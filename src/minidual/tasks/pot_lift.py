@@ -1,7 +1,6 @@
 """Pot: both hands lift it by its handles and stand it on a plate."""
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.registry import rows_beside
 from minidual.tasks.objects import with_pinch
 from minidual.tasks.rod_carry import carry_task

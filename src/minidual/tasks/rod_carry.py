@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.config.scene import OBSTACLE
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.config.change import preset
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.config.scene import MarkConfig, ObjectConfig
 from minidual.errors import UsageError
 from minidual.registry import rows_beside

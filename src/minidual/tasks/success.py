@@ -42,7 +42,7 @@ class ObjectTruth:
     def __init__(self, name: str, body: ObjectConfig) -> None:
         self.name, self.body = name, body
         self._axis = 2 if body.upright else 1
-        self.half_m = body.half_sizes_m
+        self.half_m = body.solids[0].half_m
         self._solids = [(p.position_m, p.half_m, p.shape == "cylinder", "xyz".index(p.axis)) for p in body.solids]
         self._world: World | None = None
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from minidual.config.change import changed
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.config.scene import ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.config.seeds import stream
 from minidual.registry import Registry

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from pydantic import ValidationError
 
-from minidual.config.change import changed
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, ObstacleConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry, rows_beside

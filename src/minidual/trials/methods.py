@@ -12,8 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from minidual.config.change import changed
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.errors import UsageError
 from minidual.registry import Registry, load_target, rows_beside
 from minidual.tasks.task import TASKS, Task, Trial, make_task

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.demos.quality import path_length_m
-from minidual.demos.smoothness import MIN_DURATION_S, rms_jerk
+from minidual.demos.quality import MIN_DURATION_S, path_length_m, rms_jerk
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.robot.pair import Array
 from minidual.tasks.judge import Failure, Outcome

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from minidual.config.arbiter import ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack

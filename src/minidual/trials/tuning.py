@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from minidual.config.change import changed
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.pair import Array

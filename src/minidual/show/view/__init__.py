@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from minidual.config.view import ViewConfig
+from minidual.config.root import ViewConfig
 from minidual.errors import unknown_name
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import mujoco
 import viser
 
-from minidual.config.view import ViewConfig
+from minidual.config.root import ViewConfig
 from minidual.errors import UsageError
 from minidual.show.view.guard import Guard, is_loopback
 from minidual.show.view.overlay import Array, Overlay, Slider
