@@ -25,7 +25,6 @@ _NEAR_ITERATIONS = 8
 _NEAR_STEP_MAX_RAD = 1.0
 _REST_ITERATIONS, _REST_STEP_MAX_RAD, _REST_DAMPING = 60, 0.2, 1e-9
 _REST_TOLERANCE_RAD, _REST_MARGIN_RAD = 1e-5, 0.02
-_LIMIT_ROOM_RAD = 0.01  # arms that follow a solution stray by up to 2 mrad, and the supervisor stops them at the limit
 
 
 @dataclass(frozen=True)
@@ -91,10 +90,9 @@ class ArmIK:
 
     def solve(self, T_world_tcp: Array, q_start: Array, iterations: int = _ITERATIONS) -> IKSolution:
         """Descend from q_start within the limits."""
-        lower, upper = self.lower + _LIMIT_ROOM_RAD, self.upper - _LIMIT_ROOM_RAD
-        q = np.clip(floats(q_start).reshape(self._n), lower, upper)
+        q = np.clip(floats(q_start).reshape(self._n), self.lower, self.upper)
         target = floats(T_world_tcp).reshape(4, 4)
-        off, residual_m, residual_rad = descend(self._frames, target, q, lower, upper, iterations, TOLERANCE)
+        off, residual_m, residual_rad = descend(self._frames, target, q, self.lower, self.upper, iterations, TOLERANCE)
         return IKSolution(q, residual_m, residual_rad, off < TOLERANCE)
 
     def nearest(self, T_world_tcp: Array, q_near: Array, wish: Array | None = None) -> Array | None:

@@ -1,6 +1,6 @@
 """Stages, their offers, and the planners of a search."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from minidual.robot.pair import SIDES, Array
 from minidual.skills.phases import Segment, State, Thing
 
 _GAP_STEP_S = 0.005
+_LIMIT_ROOM_RAD = 0.003  # arms stray from a plan by 1 to 2 mrad
 
 
 class Failure(PlanningError):
@@ -44,12 +45,17 @@ class Gap:
     distance: Callable[[Array], tuple[str, float]]
     least_m: float
 
-    def check(self, segments: Iterable[Segment]) -> None:
-        """Check moving segments every 5 ms.
+    def check(self, segments: Sequence[Segment]) -> None:
+        """Check moving segments, for distance every 5 ms.
 
         Raises:
-            Failure: The arms come closer.
+            Failure: The arms come closer, or a joint comes within 3 mrad of a limit.
         """
+        room = min((s.verification.limit_margin_rad for s in segments if s.verification), default=np.inf)
+        if room < _LIMIT_ROOM_RAD:
+            raise Failure(
+                "at_limit", f"a joint comes to {1e3 * room:.1f} mrad from its limit; the supervisor stops it there"
+            )
         found = [("", np.inf)]
         for motion in (s.trajectory for s in segments if s.verification is not None):
             times = np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float)
