@@ -329,6 +329,16 @@ def test_arms_that_come_too_close_are_a_failure_with_the_pair_and_the_gap(planne
     assert record.failures["arms_too_close"][0] == "elbow with elbow come to 2.0 mm; they must keep 15"
 
 
+def test_a_motion_that_touches_a_joint_limit_is_refused_where_the_supervisor_would_stop_it(carried):
+    gap = Gap(lambda q: ("", 1.0), 0.015)
+    gap.check(carried.segments)
+    (moving, *_) = (segment for segment in carried.segments if segment.verification is not None)
+    at_the_limit = replace(moving, verification=replace(moving.verification, limit_margin_rad=0.002))
+    with pytest.raises(Failure, match=r"a joint comes to 2\.0 mrad from its limit") as caught:
+        gap.check([moving, at_the_limit])
+    assert caught.value.reason == "at_limit"
+
+
 def test_what_hands_cannot_do_is_refused(planner):
     held = replace(START, held_by=GRASPS, rests=False)
     for offers, state, says in (
