@@ -20,7 +20,7 @@ from minidual.skills.cycle import thing_of
 from minidual.skills.phases import CLOSED, OPEN, State
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat
+from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat, straight
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, Failure, Gap, Stage, Tools
 from minidual.tasks.task import grasp_offsets
@@ -337,6 +337,19 @@ def test_a_motion_that_touches_a_joint_limit_is_refused_where_the_supervisor_wou
     with pytest.raises(Failure, match=r"a joint comes to 2\.0 mrad from its limit") as caught:
         gap.check([moving, at_the_limit])
     assert caught.value.reason == "at_limit"
+
+
+def test_a_straight_way_past_a_singular_posture_is_refused_before_anything_waits_for_it(planner):
+    q = HOME.copy()
+    q[DUAL_PANDA.groups["right_arm"]] = [0.6048, 0.2604, -1.2743, -2.1147, 0.3029, 2.1705, -1.3643]
+    state = replace(START, q=q, objects={})
+    down = rot_z(np.pi / 2 - 0.1) @ rot_x(np.pi)
+    there = Tools(PlanningScene(), {}, planner)
+    with pytest.raises(Failure, match=r"0\.62 m straight on take 1\d\.\d s instead of 2\.1") as caught:
+        straight(there, "carry", state, {"right": pose(down, (0.56, 0.03, 0.37))}, PlanningScene())
+    assert caught.value.reason == "crawls"
+    beside = straight(there, "carry", state, {"right": pose(down, (0.56, -0.2, 0.37))}, PlanningScene())
+    assert beside.trajectory.duration_s < 2.5
 
 
 def test_what_hands_cannot_do_is_refused(planner):
