@@ -6,14 +6,13 @@ from minidual.config.root import replaced
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult
-from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import trial_hook
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.stages.plan_tools import target_file
-from minidual.tasks.task import TASKS
+from minidual.tasks.task import TASKS, placement
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
 
@@ -43,8 +42,10 @@ def plan_task(context: ToolContext) -> ToolResult:
         lines.append(f"planned {solution.duration_s:.2f} s of motion; driven in the simulator: {result.text}")
     notes = []
     if video is not None and solution is not None:
+        stage = World(config.scene, robot_from(config.robot), visuals=True)
+        stage.mark_goal(*placement(trial.goal[bench.task.carried]))
         with disk_errors(video):
-            film_postures(build_model(config.scene, robot_from(config.robot), visuals=True), postures.qpos, video)
+            film_postures(stage.model, postures.qpos, video)
         notes.append(f"film: {video}")
     found: dict[str, Any] = {"solved": solution is not None, "success": result.success, "result": result.text}
     found |= {"duration_s": None if solution is None else solution.duration_s, "record": record.to_json()}
