@@ -3,8 +3,10 @@
 import itertools
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from minidual.collision.scene import PlanningScene
@@ -17,7 +19,7 @@ from minidual.motion.held.path import CarriedTrajectory
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.skills.phases import CLOSED, OPEN, State
+from minidual.skills.phases import CLOSED, OPEN, PHASES, State
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat, straight
@@ -373,6 +375,20 @@ def test_hands_may_reach_their_grasps_one_after_the_other(planner):
     assert set(solution.states[2].reached) == set(SIDES)
 
 
+def keeps_the_limits_of_a_carry(planner, motion):
+    """The left hand's speed and acceleration by finite differences every 2 ms; one radian counts as 0.2 m."""
+    step_s, limits = 0.002, PHASES["carry"].limits
+    times = np.arange(0.0, motion.duration_s, step_s)
+    poses = np.array([planner.kinematics.tcp_poses(q)[0] for q in motion.sample_many(times)[0]])
+    turns = np.array([pin.log3(a.T @ b) for a, b in pairwise(poses[:, :3, :3])]) / step_s
+    speeds = np.diff(poses[:, :3, 3], axis=0) / step_s
+    fastest = np.hypot(np.linalg.norm(speeds, axis=1), 0.2 * np.linalg.norm(turns, axis=1)).max()
+    hardest = np.linalg.norm(np.diff(speeds, axis=0) / step_s, axis=1).max()
+    assert fastest <= 1.01 * limits.speed_m_per_s
+    assert hardest <= 1.05 * limits.acceleration_m_per_s2
+    assert fastest > 0.9 * limits.speed_m_per_s or hardest > 0.9 * limits.acceleration_m_per_s2
+
+
 def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     """One hand brings an upright rod round a wall: allowed where any tilt is, refused where none is."""
     bottle, T = replace(ROD, upright=True), GRASPS["left"]
@@ -384,7 +400,11 @@ def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     given = Tools(PlanningScene(), {"rod": bottle}, planner, seed=1)
     held = replace(state, objects={"rod": T_start})
     stages = {limit: Carry([place], 0.1, limit) for limit in (np.pi, 0.05)}
-    assert any(o.label.endswith("round") for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure))
+    offered = [o for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure)]
+    (carried, *_) = (o.segments[-1].trajectory for o in offered if o.label.endswith("round"))
+    keeps_the_limits_of_a_carry(planner, carried)
+    carries = home(("left",), offered[0].end, given)
+    keeps_the_limits_of_a_carry(planner, next(carries).segments[0].trajectory)
     found = [o for o in stages[0.05].offers(held, given) if isinstance(o, Failure)]
     assert "tilted" in {o.reason for o in found}
     assert "at most 0.05" in next(o.message for o in found if o.reason == "tilted")

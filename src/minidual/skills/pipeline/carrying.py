@@ -127,7 +127,7 @@ class Carry:
         else:
             group, targets = group_of(state.held_by), _hands_at(goals, state)
             plan = tools.planner.plan_to_poses(group, state.q, targets, scene=scene, seed=tools.seed, budget_s=budget_s)
-            segment = free(tools, phase, state.openings, plan, scene)
+            segment = free(tools, phase, state, plan, scene)
             tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in plan.trajectory.q[::_TILT_EVERY]])
             ways = {arm: tips[:, SIDES.index(arm)] @ inverse(T) for arm, T in state.held_by.items()}
         tilt = max(tools.things[state.object_of(arm)].tilt_rad(Ts) for arm, Ts in ways.items())

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def reach(
                 break  # further postures would fail too
             opened = start.opened(arms, OPEN)
             end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
-            segment = free(tools, "approach", end.openings, plan, scene)
+            segment = free(tools, "approach", end, plan, scene)
             label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
             yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
 
@@ -86,8 +87,7 @@ def insert(
         segments.append(replace(straight(tools, "insert", state, targets, scene), soft=arms))
         state = replace(state, q=segments[-1].trajectory.q[-1], objects={**start.objects, what: T})
     hold_s = PHASES["insert"].force_s if tools.by_force else PHASES["insert"].hold_s
-    wait = still("settle", state.q, hold_s, state.openings, soft=arms)
-    yield Candidate("", 0.0, state, (*segments, wait))
+    yield Candidate("", 0.0, state, (*segments, still("settle", state.q, hold_s, state.openings, soft=arms)))
 
 
 def _spiral(T: Array) -> Iterator[Array]:
@@ -142,7 +142,7 @@ def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     scene, group, robot = tools.scene(start), group_of(arms), tools.planner.robot
     q = robot.home[robot.groups[group]]
     plan = tools.planner.plan_to_joints(group, start.q, q, scene=scene, seed=tools.seed)
-    segment = free(tools, "home", start.openings, plan, scene)
+    segment = free(tools, "home", start, plan, scene)
     yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
 
 
@@ -151,15 +151,18 @@ def _require_open_chain(start: State) -> None:
         raise Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
 
 
-def free(tools: Tools, phase: str, openings: tuple[float, float], plan: PlanResult, scene: PlanningScene) -> Segment:
-    """Return a planned free motion as a segment, slowed to `_TIP_MAX_M_PER_S`."""
-    motion = plan.trajectory
-    tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in motion.q[::_TIPS_EVERY]])[:, :, :3, 3]
-    steps_m = np.linalg.norm(np.diff(tips, axis=0), axis=2)
-    ratio = float(steps_m.max(initial=0.0)) / (_TIPS_EVERY * motion.dt_s * _TIP_MAX_M_PER_S)
-    if ratio > 1.0:
-        motion = Trajectory(ratio * motion.times, motion.q, motion.v / ratio, motion.a / ratio**2, motion.group)
-    return Segment(phase, motion, openings, scene, plan.verification)
+def free(tools: Tools, phase: str, state: State, plan: PlanResult, scene: PlanningScene) -> Segment:
+    """Return a planned free motion, slowed to `_TIP_MAX_M_PER_S`, of hands that hold something to the limits of a carry."""
+    motion, carry, every_s = plan.trajectory, PHASES["carry"].limits or TIP_LIMITS, _TIPS_EVERY * plan.trajectory.dt_s
+    tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in motion.q[::_TIPS_EVERY]])
+    speeds = np.diff(tips[:, :, :3, 3], axis=0) / every_s
+    ratio = max(1.0, np.linalg.norm(speeds, axis=2).max(initial=0.0) / _TIP_MAX_M_PER_S)
+    for hand in map(SIDES.index, state.held_by):
+        way_m = max((Line(*ends).length_m for ends in pairwise(tips[:, hand])), default=0.0)
+        most = np.linalg.norm(np.diff(speeds[:, hand], axis=0), axis=1).max(initial=0.0) / every_s
+        ratio = max(ratio, way_m / every_s / carry.speed_m_per_s, np.sqrt(most / carry.acceleration_m_per_s2))
+    motion = Trajectory(ratio * motion.times, motion.q, motion.v / ratio, motion.a / ratio**2, motion.group)
+    return Segment(phase, motion, state.openings, scene, plan.verification)
 
 
 def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array], scene: PlanningScene) -> Segment:
