@@ -146,19 +146,20 @@ def time_path(
     s, sd = fastest_profile(path, columns, *bounds)
     for _ in range(_SLOWDOWNS_MAX):
         times, at, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
-        q, first, second = (path.at(at, order)[:, : robot.dof] for order in range(3))
+        first, second = (path.at(at, order)[:, : robot.dof] for order in (1, 2))
         v = first * speed[:, None]
         a = second * speed[:, None] ** 2 + first * acceleration[:, None]
         # np.maximum propagates NaN, and Trajectory refuses it.
         factor = float(np.max(largest(v) / v_max))
         factor = np.maximum(factor, math.sqrt(np.max(largest(a) / a_max)))
         factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))
-        if factor <= 1.0 + 1e-9:
+        if not factor > 1.0 + 1e-9:
+            q = path.at(at)[:, : robot.dof]
             ratio = float(np.max(kinematics.torque_use(q, v, a, _TORQUE_EVERY))) / limits.torque_scale
             # Gravity torque does not shrink with speed, so the steps are small.
-            factor = 1.0 if ratio <= 1.0 else 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
-        if not factor > 1.0:
-            return Trajectory(times, q, v, a, group), at
+            factor = 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
+            if not ratio > 1.0:
+                return Trajectory(times, q, v, a, group), at
         sd = sd / (factor * 1.001)
     raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
 

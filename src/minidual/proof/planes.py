@@ -72,9 +72,11 @@ def _turned_back(R: Array, a: Any) -> Vector:
 
 @inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write poses, except the world's, and centres into row n."""
+    """Write poses and centres into row n."""
     joints, parts = geometry[0], geometry[3]
     R, p, C = work[1][n], work[2][n], work[3][n]
+    p[0], R[0] = 0.0, 0.0
+    R[0, 0, 0] = R[0, 1, 1] = R[0, 2, 2] = 1.0
     for j in range(len(joints)):
         f, shift = joints[j].parent, joints[j].p
         c, s = math.cos(q[j]), math.sin(q[j])

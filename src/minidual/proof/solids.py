@@ -84,14 +84,12 @@ class Solids:
         """Return pairs moved by these arms."""
         n, pairs = self.robot.dof_per_arm, self.geometry[4]
         arm = (self._parts["frame"] + n - 1) // n  # 0 for fixed parts
-        moves = np.isin(arm, [1 + SIDES.index(side) for side in arms])
+        moves = np.array([False, *(side in arms for side in SIDES)])[arm]
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
 
     def workspace(self, states_n: int = 1) -> planes.Work:
-        """Allocate the kernels' memory."""
-        frames_n = self.robot.dof + 1
-        R, p = np.empty((states_n, frames_n, 3, 3)), np.zeros((states_n, frames_n, 3))
-        R[:, 0] = np.eye(3)
+        """Allocate the kernels' memory, untouched: most states of a proof are never asked for (1 of 9 ms)."""
+        R, p = (np.empty((states_n, self.robot.dof + 1, *size)) for size in ((3, 3), (3,)))
         centres = np.empty((states_n, len(self._parts), 3))
         return np.zeros((self._directions_n, 3)), R, p, centres, np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3))
 

@@ -122,8 +122,7 @@ def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Of
 def retreat(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Yield straight motions away from the released object."""
     scene = tools.scene(start, touching=arms)
-    poses = zip(SIDES, tools.planner.kinematics.tcp_poses(start.q), strict=True)
-    tips = {arm: T for arm, T in poses if arm in arms}
+    tips = {arm: T for arm, T in zip(SIDES, tools.planner.kinematics.tcp_poses(start.q), strict=True) if arm in arms}
     for share in _SHORTER:
         height = share * PHASES["retreat"].rise_m
         label = f"by {100 * height:.0f} cm"
