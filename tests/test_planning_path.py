@@ -145,8 +145,12 @@ def test_timing_starts_and_ends_where_the_path_does(timed):
 
 def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(6)), free_checker(engine), 0.3, 0.01)
-    plain = time_path(curve, "both_arms", MotionLimits.model_construct(smoothing_s=0.0, jerk_scale=1e6), kinematics)[0]
-    smooth = time_path(curve, "both_arms", MotionLimits(smoothing_s=0.1), kinematics)[0]
+    plain = time_path(
+        curve, "both_arms", MotionLimits.model_construct(smoothing_s=0.0, jerk_scale=1e6, torque_scale=1e6), kinematics
+    )[0]
+    smooth = time_path(curve, "both_arms", MotionLimits.model_construct(smoothing_s=0.1, torque_scale=1e6), kinematics)[
+        0
+    ]
     assert 0.05 < smooth.duration_s - plain.duration_s < 0.4
     s = np.linspace(0.0, curve.length, 4000)
     on_path = curve.at(s)
@@ -168,7 +172,7 @@ def test_jerk_limit_slows_a_path_down(engine, kinematics):
 
 def test_torque_limit_slows_a_path_down(engine, kinematics):
     def used_by(t):
-        return kinematics.torque_use(t.q, t.v, t.a, every=1).max()
+        return kinematics.torque_use(t.q, t.v, t.a, t.dt_s, every=1)[0].max()
 
     curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
     fast = time_path(curve, "both_arms", MotionLimits(), kinematics)[0]

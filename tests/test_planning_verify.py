@@ -108,6 +108,23 @@ def test_each_limit_is_named(planner, good):
     assert "left_panda_joint7 leaves its position limit by 0.04" in report.reason
 
 
+def test_torque_rate_limit_is_named(planner):
+    """Acceleration, jerk and torque within limits, but an acceleration that swings 40 times a second."""
+    times, w, a_max = np.arange(201) * 0.001, 2.0 * np.pi * 40.0, np.zeros(14)
+    a_max[1] = 4.0
+    q, v, a = (
+        np.outer(x, a_max)
+        for x in ((times - np.sin(w * times) / w) / w, (1 - np.cos(w * times)) / w, np.sin(w * times))
+    )
+    report = planner.engines().verify(Trajectory(times, HOME + q, v, a, "left_arm"))
+    assert max(report.velocity_ratio, report.acceleration_ratio, report.jerk_ratio, report.torque_ratio) < 1.0
+    tau = Kinematics().torques(HOME + q, v, a)
+    assert report.torque_rate_ratio * 1000.0 == pytest.approx(np.abs(tau[8:] - tau[:-8]).max() / 0.008, rel=0.02)
+    assert report.reason == f"left_panda_joint2 needs {report.torque_rate_ratio:.3f} of its torque rate limit"
+    gentle = planner.engines().verify(Trajectory(times, HOME + 0.2 * q, 0.2 * v, 0.2 * a, "left_arm"))
+    assert gentle.ok
+
+
 def test_torque_limit_is_named(planner):
     """Accelerations within limits, but torques beyond: the stretched arm swung upwards at full acceleration."""
     q = HOME.copy()

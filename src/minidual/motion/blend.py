@@ -53,9 +53,9 @@ def random_stretch(
     """Return the marks (n,) along a path (n, d), and of two random places the marks, segments and points (2, d)."""
     marks = np.concatenate([[0.0], np.cumsum(lengths)])
     s = np.sort(rng.uniform(0.0, marks[-1], 2))
-    i, j = (min(int(np.searchsorted(marks, v, side="right")) - 1, len(lengths) - 1) for v in s)
-    ends = [path[k] + (v - marks[k]) / lengths[k] * (path[k + 1] - path[k]) for k, v in zip((i, j), s, strict=True)]
-    return marks, s, (i, j), np.array(ends)
+    at = np.minimum(marks.searchsorted(s, side="right") - 1, len(lengths) - 1)
+    ends = path[at] + ((s - marks[at]) / lengths[at])[:, None] * (path[at + 1] - path[at])
+    return marks, s, (int(at[0]), int(at[1])), ends
 
 
 def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, joints: slice) -> Array:
@@ -72,7 +72,7 @@ def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, jo
         stretch = np.vstack([a, inner, b])
         fractions = (np.concatenate([[s0], marks[i0 + 1 : i1 + 1], [s1]]) - s0) / (s1 - s0)
         stretch[:, joints] = a[joints] + fractions[:, None] * (b - a)[joints]
-    candidate = np.vstack([path[: i0 + 1], stretch, path[i1 + 1 :]])
+    candidate = np.concatenate([path[: i0 + 1], stretch, path[i1 + 1 :]])
     candidate = candidate[np.concatenate([[True], np.abs(np.diff(candidate, axis=0)).max(axis=1) > 1e-9])]
     if path_length(candidate) > marks[-1] - 1e-6:
         return path

@@ -155,7 +155,7 @@ def time_path(
         factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))
         if not factor > 1.0 + 1e-9:
             q = path.at(at)[:, : robot.dof]
-            ratio = float(np.max(kinematics.torque_use(q, v, a, _TORQUE_EVERY))) / limits.torque_scale
+            ratio = np.max(kinematics.torque_use(q, v, a, DT_S, _TORQUE_EVERY)) / limits.torque_scale
             # Gravity torque does not shrink with speed, so the steps are small.
             factor = 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
             if not ratio > 1.0:

@@ -36,12 +36,9 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[dict[str,
     found = np.empty((8, robot.dof))
     _extremes(*(floats(x) for x in (trajectory.q, trajectory.v, trajectory.a)), h, found)
     below, above, speed, acceleration, change, jump, off_velocity, off_acceleration = found
-    worst = {
-        "velocity": speed / robot.v_max,
-        "acceleration": acceleration / robot.a_max,
-        "jerk": change / h / robot.jerk_max,
-        "torque": kinematics.torque_use(trajectory.q, trajectory.v, trajectory.a, _TORQUE_EVERY),
-    }
+    torques = kinematics.torque_use(trajectory.q, trajectory.v, trajectory.a, h, _TORQUE_EVERY)
+    shares = speed / robot.v_max, acceleration / robot.a_max, change / h / robot.jerk_max, *torques
+    worst = dict(zip(("velocity", "acceleration", "jerk", "torque", "torque_rate"), shares, strict=True))
     margin = np.minimum(-below - robot.q_lower, robot.q_upper - above)
     use = {f"{what}_ratio": float(of.max()) for what, of in worst.items()} | {"limit_margin_rad": float(margin.min())}
     names = robot.joint_names
@@ -51,7 +48,7 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[dict[str,
     for what, ratios in worst.items():
         joint = int(np.argmax(ratios))
         if not ratios[joint] <= 1.0 + _ROUNDING:
-            return use, f"{names[joint]} needs {ratios[joint]:.3f} of its {what} limit"
+            return use, f"{names[joint]} needs {ratios[joint]:.3f} of its {what.replace('_', ' ')} limit"
     at_ends = float(np.abs(trajectory.v[[0, -1]]).max())
     if not at_ends <= _REST_RAD_S:
         return use, f"the arms still move at {at_ends:.4f} rad/s at an end"
@@ -97,6 +94,7 @@ _SLACK_M = 2e-5  # for rounding; the engines' vertices differ by 1e-7 m
 _FIRST_RAD = 0.5
 """Length of the first stretches, summed over joints."""
 _STRETCHES_MAX = 256
+_EVERY = 8
 
 
 def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:
@@ -119,13 +117,11 @@ def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:
 
 def first_stretches(q: Array, length_rad: float) -> np.ndarray:
     """Return first and last samples (s, 2) of stretches of about this length, summed over joints."""
-    gone = np.cumsum(np.abs(np.diff(q, axis=0)))[q.shape[1] - 1 :: q.shape[1]]
+    gone = np.append(0.0, np.cumsum(np.abs(np.diff(q[::_EVERY], axis=0)).sum(axis=1)))
     count = max(1, min(_STRETCHES_MAX, math.ceil(gone[-1] / length_rad)))
-    bounds = [0]
-    for sample in np.searchsorted(gone, np.arange(1, count) * gone[-1] / count).tolist():
-        bounds.append(1 + max(bounds[-1], sample))
-    bounds = [sample for sample in bounds if sample < len(gone)]
-    return np.column_stack([bounds, [*bounds[1:], len(gone)]])
+    ends = np.unique(_EVERY * np.searchsorted(gone, np.arange(count) * gone[-1] / count))
+    ends = ends[ends < len(q) - 1]
+    return np.column_stack([ends, np.append(ends[1:], len(q) - 1)])
 
 
 def _refusal(solids: Solids, trajectory: Trajectory, samples: list[int], pair: int) -> tuple[str, int]:
@@ -147,7 +143,7 @@ class Verification:
     """Certificate and use of limits.
 
     Attributes:
-        velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio: Largest fraction of each limit.
+        velocity_ratio, acceleration_ratio, jerk_ratio, torque_ratio, torque_rate_ratio: Largest fraction of each limit.
         limit_margin_rad: Smallest distance to a position limit.
         reason: What failed first, or "".
         samples_n: Number of stretch ends of the proof.
@@ -157,6 +153,7 @@ class Verification:
     acceleration_ratio: float
     jerk_ratio: float
     torque_ratio: float
+    torque_rate_ratio: float
     limit_margin_rad: float
     ok: bool
     reason: str

@@ -226,10 +226,16 @@ class Kinematics:
         pin.rneaInParallel(1, self._pool, *columns, tau)
         return tau.T
 
-    def torque_use(self, q: Array, v: Array, a: Array, every: int) -> Array:
-        """Return each joint's largest |torque| / limit (n,) over every `every`-th row of states and the last."""
-        rows = np.append(np.arange(0, len(q), every), len(q) - 1)
-        return largest(self.torques(q[rows], v[rows], a[rows])) / self.robot.tau_max
+    def torque_use(self, q: Array, v: Array, a: Array, dt_s: float, every: int) -> tuple[Array, Array]:
+        """Return each joint's largest |torque| and mean rate over 8 ms, / limit (n,), over every `every`-th row and the last.
+
+        A rate beyond the limit for 1 ms alone is held back by the supervisor, and nothing strays.
+        """
+        rows = np.append(np.arange(0, len(q) - 1, every), len(q) - 1)
+        tau = self.torques(q[rows], v[rows], a[rows])
+        span = max(1, min(round(0.008 / dt_s) // every, len(rows) - 1))
+        rates = (tau[span:] - tau[:-span]) / (dt_s * (rows[span:] - rows[:-span]))[:, None]
+        return largest(tau) / self.robot.tau_max, largest(rates) / self.robot.arm.tau_rate_max
 
 
 class Hands:

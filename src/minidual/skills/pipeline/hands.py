@@ -139,8 +139,7 @@ def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Yield the free motion of some arms, and what they hold, home."""
     _require_open_chain(start)
     scene, group, robot = tools.scene(start), group_of(arms), tools.planner.robot
-    q = robot.home[robot.groups[group]]
-    plan = tools.planner.plan_to_joints(group, start.q, q, scene=scene, seed=tools.seed)
+    plan = tools.planner.plan_to_joints(group, start.q, robot.home[robot.groups[group]], scene=scene, seed=tools.seed)
     segment = free(tools, "home", start, plan, scene)
     yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
 

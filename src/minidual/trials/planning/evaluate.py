@@ -90,7 +90,7 @@ class Outcome(Attempt[PlanResult]):
         return {name: round(value, 6) if isinstance(value, float) else value for name, value in row.items()}
 
 
-_PROVEN = ("samples_n", "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio")
+_PROVEN = ("samples_n", "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio", "torque_rate_ratio")
 
 
 def plan_query(planner: Planner, query: Query) -> Outcome:
