@@ -37,6 +37,10 @@ def test_torques_in_one_call_are_those_of_the_states(kinematics, n):
     q, v, a = states(np.random.default_rng(n), n)
     truth = np.array([kinematics.rnea(*state) for state in zip(q, v, a, strict=True)])
     assert np.abs(kinematics.torques(q, v, a) - truth).max() < 1e-10
+    resting = q.copy(), v.copy(), a.copy()
+    resting[0][:, 7:], resting[1][:, 7:], resting[2][:, 7:] = q[0, 7:], 0.0, 0.0  # one arm stands still
+    truth = np.array([kinematics.rnea(*state) for state in zip(*resting, strict=True)])
+    assert np.abs(kinematics.torques(*resting) - truth).max() < 1e-10
     a[n // 2, 3] = np.nan
     spoiled = kinematics.torques(q, v, a)
     assert np.isnan(spoiled[n // 2]).any()

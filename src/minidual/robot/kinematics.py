@@ -14,7 +14,7 @@ from pinocchio import computeJointJacobians, getFrameJacobian, updateFramePlacem
 
 from minidual.errors import DataError, UsageError
 from minidual.robot.description import pair_urdf
-from minidual.robot.pair import DUAL_PANDA, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
 
 
 def largest(x: Array) -> Array:
@@ -77,12 +77,8 @@ class Trajectory:
         i = np.minimum((t / h).astype(int), len(self.times) - 2)
         x = ((t - self.times[i]) / h)[:, None]
         q0, q1, v0, v1 = self.q[i], self.q[i + 1], self.v[i] * h, self.v[i + 1] * h
-        q = (
-            q0 * (2 * x**3 - 3 * x**2 + 1)
-            + v0 * (x**3 - 2 * x**2 + x)
-            + q1 * (3 * x**2 - 2 * x**3)
-            + v1 * (x**3 - x**2)
-        )
+        shares = 2 * x**3 - 3 * x**2 + 1, x**3 - 2 * x**2 + x, 3 * x**2 - 2 * x**3, x**3 - x**2
+        q = q0 * shares[0] + v0 * shares[1] + q1 * shares[2] + v1 * shares[3]
         v = ((q0 - q1) * (6 * x**2 - 6 * x) + v0 * (3 * x**2 - 4 * x + 1) + v1 * (3 * x**2 - 2 * x)) / h
         a = self.a[i] * (1 - x) + self.a[i + 1] * x
         return q, v, a
@@ -119,9 +115,6 @@ class Trajectory:
         table = np.column_stack([self.times, self.q, self.v, self.a])
         header = ",".join(["time_s", *header])
         np.savetxt(path, table, "%.9g", ",", "\r\n", header, comments="", encoding="utf-8")
-
-
-_WORLD_ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 
 def full_model(robot: Robot) -> tuple[Any, list[int], Array]:
@@ -194,7 +187,7 @@ class Kinematics:
         self.placed = b""
         computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
-        left, right = (getFrameJacobian(self.model, self.data, i, _WORLD_ALIGNED) for i in self.tcp_ids)
+        left, right = (getFrameJacobian(self.model, self.data, i, pin.LOCAL_WORLD_ALIGNED) for i in self.tcp_ids)
         return left, right
 
     def mass_matrix(self, q: Array) -> Array:
@@ -216,15 +209,20 @@ class Kinematics:
         return pin.rnea(self.model, self.data, q, v, a)
 
     @functools.cached_property
-    def _pool(self) -> Any:
-        return pin.ModelPool(self.model, 1)
+    def _single_arms(self) -> list[tuple[slice, Any]]:
+        arms, joints = (self.robot.groups[f"{side}_arm"] for side in SIDES), range(self.robot.dof)
+        locked = [(arm, [1 + j for j in joints if j not in joints[arm]]) for arm in arms]
+        return [(arm, pin.ModelPool(pin.buildReducedModel(self.model, ids, self.robot.home), 1)) for arm, ids in locked]
 
     def torques(self, q: Array, v: Array, a: Array) -> Array:
-        """Return `rnea` for rows of states."""
-        columns = [np.asfortranarray(np.asarray(x, dtype=float).T) for x in (q, v, a)]
-        tau = np.empty_like(columns[0], order="F")
-        pin.rneaInParallel(1, self._pool, *columns, tau)
-        return tau.T
+        """Return `rnea` for rows of states; for an arm that stands still, of one row."""
+        tau = np.empty(q.shape)
+        for arm, pool in self._single_arms:
+            still = not (v[:, arm].any() or a[:, arm].any() or (q[:, arm] != q[0, arm]).any())
+            columns = [np.array(x[: 1 if still else None, arm].T, dtype=float, order="F") for x in (q, v, a)]
+            pin.rneaInParallel(1, pool, *columns, (out := np.empty_like(columns[0])))
+            tau[:, arm] = out.T
+        return tau
 
     def torque_use(self, q: Array, v: Array, a: Array, dt_s: float, every: int) -> tuple[Array, Array]:
         """Return each joint's largest |torque| and mean rate over 8 ms, / limit (n,), over every `every`-th row and the last.
