@@ -94,7 +94,7 @@ _SLACK_M = 2e-5  # for rounding; the engines' vertices differ by 1e-7 m
 _FIRST_RAD = 0.5
 """Length of the first stretches, summed over joints."""
 _STRETCHES_MAX = 256
-_EVERY = 8
+_EVERY = 8  # samples; the length is only to divide the motion
 
 
 def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:

@@ -227,7 +227,7 @@ class Kinematics:
     def torque_use(self, q: Array, v: Array, a: Array, dt_s: float, every: int) -> tuple[Array, Array]:
         """Return each joint's largest |torque| and mean rate over 8 ms, / limit (n,), over every `every`-th row and the last.
 
-        A rate beyond the limit for 1 ms alone is held back by the supervisor, and nothing strays.
+        The mean, because the supervisor spreads what exceeds the rate for 1 ms alone.
         """
         rows = np.append(np.arange(0, len(q) - 1, every), len(q) - 1)
         tau = self.torques(q[rows], v[rows], a[rows])
