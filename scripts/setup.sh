@@ -52,9 +52,10 @@ if ! "$uv" --version 2>/dev/null | grep -qF "$(sed -n 's/^uv==\([^ ]*\).*/\1/p' 
         -r "$venv/uv.txt" || echo "setup: no uv, going on with pip (slower)" >&2
 fi
 
-echo "setup: installing the locked dependencies (about 7 GB on disk)"
+# Compiled at once: where PYTHONDONTWRITEBYTECODE is set, as in many containers, each process would do it again.
+echo "setup: installing and compiling the locked dependencies (about 7 GB on disk)"
 if "$uv" --version >/dev/null 2>&1; then
-    "$uv" pip sync --quiet --python "$venv/bin/python" --require-hashes "$lock"
+    "$uv" pip sync --quiet --compile-bytecode --python "$venv/bin/python" --require-hashes "$lock"
     "$uv" pip install --quiet --python "$venv/bin/python" --no-deps --no-build-isolation --editable .
 else
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"

@@ -43,7 +43,7 @@ CONFIG = Config(
 @pytest.fixture(scope="module")
 def stage_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    return folder, run(StageContext(folder=folder, config=CONFIG, seed=3, profile="smoke"))
+    return folder, run(StageContext(folder=folder, config=CONFIG, seed=5, profile="smoke"))
 
 
 def failing(checks):

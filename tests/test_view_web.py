@@ -104,6 +104,18 @@ def test_page_and_socket_answer_and_the_port_is_free_afterwards(
     assert capfd.readouterr().out == ""  # stdout is for data
 
 
+def test_a_spare_connection_without_a_request_does_not_hold_up_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A browser opens one ahead of its next request; with the library's 10 s, Ctrl-C took 6 s."""
+    monkeypatch.setattr("minidual.show.view.guard._OPEN_S", 0.2)
+    view = make_view("web", ViewConfig(port=unused_port()), say=lambda _line: None)
+    assert isinstance(view, WebView)
+    with socket.create_connection(("127.0.0.1", view.port)):
+        time.sleep(0.1)  # it is accepted
+        began = time.monotonic()
+        view.close()
+        assert time.monotonic() - began < 3.0
+
+
 def test_a_second_view_takes_the_next_port_and_says_so(view: WebView) -> None:
     said: list[str] = []
     other = make_view("web", ViewConfig(port=view.port), say=said.append)

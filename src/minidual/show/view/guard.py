@@ -19,7 +19,7 @@ from websockets.typing import Data, Subprotocol
 
 from minidual.errors import EnvironmentMissingError
 
-_MESSAGE_MAX_BYTES = 2**16
+_MESSAGE_MAX_BYTES, _OPEN_S = 2**16, 2.0
 _LOGGER = logging.getLogger("minidual.view")
 _LOGGER.addHandler(logging.NullHandler())
 _LOGGER.propagate = False  # port probes would print tracebacks
@@ -90,7 +90,8 @@ class Guard:
                 return self._answer(connection, request, process_request)
 
             settings |= {"process_request": answer, "create_connection": _Connection, "logger": _LOGGER}
-            settings |= {"max_size": _MESSAGE_MAX_BYTES, "select_subprotocol": None}
+            # browsers keep a spare connection open without a request, and a server that stops waits for its timeout
+            settings |= {"max_size": _MESSAGE_MAX_BYTES, "select_subprotocol": None, "open_timeout": _OPEN_S}
             return plain(*arguments, **settings | {"subprotocols": [Subprotocol(f"viser-v{viser.__version__}")]})
 
         websockets_server.serve = serve  # type: ignore[assignment, misc]
