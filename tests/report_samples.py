@@ -19,7 +19,7 @@ from minidual.gate.verdict import Verdict, Waiver, build_manifest
 from minidual.show.report.figures import Figure, Trial, benchmark_figures
 from minidual.show.report.tables import Tables
 from minidual.trials.benchmark import BenchmarkCell, compare_all, compare_with_clean, conditions_data
-from minidual.trials.metrics import TrialMetrics, summarise
+from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 
 METHODS = ("moveit", "impedance", "act")
 TASK = "rod_carry"
@@ -118,12 +118,22 @@ def make_trials(n: int = 20) -> list[TrialMetrics]:
     return rows
 
 
+_SUMMARIES: dict[str, MethodSummary] = {}
+
+
+def _summary(trials: Sequence[TrialMetrics]) -> MethodSummary:
+    """Return the summary of `trials`; the same trials are summarised once."""
+    key = repr(trials)
+    if key not in _SUMMARIES:
+        _SUMMARIES[key] = summarise(trials, np.random.default_rng(0))
+    return _SUMMARIES[key]
+
+
 def methods_data(trials: Sequence[TrialMetrics]) -> dict[str, dict[str, Any]]:
     """Return data["methods"] of the benchmark's verdict for `trials`."""
     table = {}
     for method in METHODS:
-        summary = summarise([trial for trial in trials if trial.method == method], np.random.default_rng(0))
-        table[method] = summary.record()
+        table[method] = _summary([trial for trial in trials if trial.method == method]).record()
     return table
 
 
@@ -161,7 +171,7 @@ def benchmark_data(trials: Sequence[TrialMetrics]) -> dict[str, Any]:
     for condition in dict.fromkeys(trial.condition for trial in trials):
         for method in METHODS:
             mine = [t for t in trials if (t.method, t.condition) == (method, condition)]
-            summary = summarise(mine, np.random.default_rng(0)) if mine else None
+            summary = _summary(mine) if mine else None
             why = "" if mine else _WHY_NOT[method, condition]
             cells.append(BenchmarkCell(method, condition, len(mine), summary, why))
     clean = [trial for trial in trials if trial.condition == "clean"]

@@ -145,10 +145,10 @@ def test_a_plan_begins_with_objects_at_their_known_height():
 
 def test_a_smooth_object_slips_before_it_is_lifted(bench):
     """Friction 0.36: the pads carry 43 N, more than the 40 N of the squeeze and less than the 46 N that are tried."""
-    slid = {}
+    slid, told_n = {}, Config().carry.impedance.internal_force_n
 
     def watch(world, driven):
-        if driven.watch.squeeze_n < Config().carry.impedance.internal_force_n:
+        if driven.watch.squeeze_n < told_n:
             slid.setdefault(driven.phase, world.time)
 
     with smooth(bench.world.model, 0.36):

@@ -20,6 +20,15 @@ from minidual.trials.benchmark import trials_asked
 from minidual.trials.methods import METHODS
 
 TRIALS_FILE = "benchmark.csv"
+_PAGES = jinja2.Environment(
+    loader=jinja2.PackageLoader("minidual.show.report"),
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+_FILTERS = ("commit", "duration", "fault", "joined", "moment", "percent", "points", "quantity")
+_PAGES.filters |= {name: getattr(wording, name) for name in _FILTERS}
 
 
 def build_report(given: StageContext, folder: Path) -> Report:
@@ -62,16 +71,7 @@ def build_report(given: StageContext, folder: Path) -> Report:
 
 def render_page(report: Report) -> str:
     """Return one self-contained HTML page."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("minidual.show.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    for name in ("commit", "duration", "fault", "joined", "moment", "percent", "points", "quantity"):
-        environment.filters[name] = getattr(wording, name)
-    return environment.get_template("report.html.j2").render(
+    return _PAGES.get_template("report.html.j2").render(
         report=report,
         indicators=INDICATORS,
         certain=CERTAIN,
