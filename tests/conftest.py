@@ -10,6 +10,7 @@ os.environ["HF_HUB_OFFLINE"] = "1"  # a test that reaches for the network fails 
 os.environ.setdefault("MUJOCO_GL", "egl")
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
+gc.disable()  # modules stay to the end: unwatched, they load in 11.5 s instead of 15, and tests take a twentieth less
 
 from collections.abc import Iterator  # noqa: E402
 from typing import TYPE_CHECKING  # noqa: E402
@@ -32,9 +33,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Spare the garbage collector the modules, which stay to the end: a twentieth of the time."""
-    gc.collect()
+    """Collect garbage from here on, but leave out the modules."""
     gc.freeze()
+    gc.enable()
 
 
 def pytest_sessionfinish() -> None:
