@@ -45,7 +45,7 @@ pytestmark = pytest.mark.torch
 
 CONFIG = Config()
 SMALL = Config.model_validate({"scene": {"camera": {"width_px": 48, "height_px": 32}}})
-"""Pictures of a sixth: to draw them took as long as the carry."""
+"""An eighth of the pixels: to draw them took as long as control and physics together."""
 GOOD: dict[str, float] = {
     "episodes": 120,
     "attempts": 121,

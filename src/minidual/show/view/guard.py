@@ -19,7 +19,8 @@ from websockets.typing import Data, Subprotocol
 
 from minidual.errors import EnvironmentMissingError
 
-_MESSAGE_MAX_BYTES, _OPEN_S = 2**16, 2.0
+_MESSAGE_MAX_BYTES = 2**16
+_OPEN_S = 2.0
 _LOGGER = logging.getLogger("minidual.view")
 _LOGGER.addHandler(logging.NullHandler())
 _LOGGER.propagate = False  # port probes would print tracebacks
