@@ -112,7 +112,7 @@ class MujocoEngine:
         for joint in robot.finger_joint_names:
             self.data.qpos[self.model.joint(joint).qposadr[0]] = robot.hand.travel_m
         self._addresses = np.array([int(self.model.joint(name).qposadr[0]) for name in robot.joint_names])
-        self._body_names = [self.model.body(i).name for i in range(self.model.nbody)]
+        self.body_names = [self.model.body(i).name for i in range(self.model.nbody)]
         self._margin_m = 0.0
 
     def contact_count(self, q: Array, margin_m: float = 0.0) -> int:
@@ -139,15 +139,28 @@ class MujocoEngine:
     def closest(self, q: Array, within_m: float = _CLOSEST_WITHIN_M) -> list[PairDistance]:
         """Return pairs nearer than `within_m`, nearest first."""
         count = self.contact_count(q, within_m)
-        if not count:
-            return []
         bodies = self.model.geom_bodyid[self.data.contact.geom[:count]]
         nearest: dict[tuple[str, str], float] = {}
-        for (a, b), distance in zip(bodies, self.data.contact.dist[:count], strict=True):
-            first, second = sorted((self._body_names[a], self._body_names[b]))
+        for pair, distance in zip(bodies, self.data.contact.dist[:count], strict=True):
+            first, second = sorted(self.body_names[body] for body in pair)
             nearest[first, second] = min(float(distance), nearest.get((first, second), np.inf))
-        found = [PairDistance(a, b, d) for (a, b), d in nearest.items()]
+        found = [PairDistance(*pair, distance) for pair, distance in nearest.items()]
         return sorted(found, key=lambda p: (p.distance_m, p.first, p.second))
+
+    def nearest(self, q: Array, within_m: float, least_m: Array) -> tuple[str, float, float]:
+        """Return the pair nearest to its bound ("a with b"), its distance and bound [m]; "none" beyond `within_m`.
+
+        least_m: bounds by body (nbody, nbody).
+        """
+        count = self.contact_count(q, within_m)
+        if not count:
+            return "none", within_m, 0.0
+        contact = self.data.contact
+        bodies, distances = self.model.geom_bodyid[contact.geom[:count]], contact.dist[:count]
+        bounds = least_m[bodies[:, 0], bodies[:, 1]]
+        k = int((distances - bounds).argmin())
+        pair = " with ".join(sorted(self.body_names[body] for body in bodies[k]))
+        return pair, float(distances[k]), float(bounds[k])
 
     def touching_pairs(self, q: Array) -> set[frozenset[str]]:
         """Return touching pairs."""

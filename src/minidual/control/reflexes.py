@@ -89,12 +89,16 @@ _WIDTH_M = 0.1
 """Lateral extent of a link or hand."""
 
 
-@kernel(types.float64(ROWS, VECTOR, ROWS, ROWS))
-def excess(rows: Array, before: Array, centre: Array, scale: Array) -> float:
-    """Return the largest |x - centre| scale of QUANTITIES (6, n); NaN stays. Fills the step of the torque since `before`."""
+@kernel(types.float64(ROWS, VECTOR, VECTOR, types.boolean, ROWS, ROWS))
+def excess(rows: Array, before: Array, a_ref: Array, follows: bool, centre: Array, scale: Array) -> float:
+    """Return the largest |x - centre| scale of QUANTITIES (6, n); NaN stays.
+
+    Fills the step of the torque since `before`, and a_ref (n,) with its step, if it `follows` the last.
+    """
     most = 0.0
     for j in range(len(before)):
         rows[3, j] = rows[2, j] - before[j]
+        rows[4, j], rows[5, j] = a_ref[j], a_ref[j] - rows[4, j] if follows else 0.0
     for i in range(rows.shape[0]):
         for j in range(rows.shape[1]):
             ratio = abs(rows[i, j] - centre[i, j]) * scale[i, j]

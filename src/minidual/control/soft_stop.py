@@ -30,10 +30,7 @@ class TorqueRate:
 
     def nearest(self, tau: Array) -> Array:
         """Return the reachable torques (n,) nearest to tau."""
-        change = tau - self.tau
-        np.minimum(change, self._step, change)
-        np.maximum(change, -self._step, change)
-        return self.tau + change
+        return self.tau + np.clip(tau - self.tau, -self._step, self._step)
 
     def limit(self, tau: Array) -> Array:
         """Go to the reachable torques (n,) nearest to tau; return them."""

@@ -357,7 +357,11 @@ class ControlStack[P: Plant]:
             raise stopped
 
     def _measured(self) -> tuple[float, float | None, Array, Array]:
-        plant, nothing = self.plant, np.full(self._robot.dof, np.nan)
+        plant = self.plant
+        all_at_once = self._attempt(lambda: (plant.time, plant.stamp_s, plant.q, plant.v), None)
+        if all_at_once is not None:
+            return all_at_once
+        nothing = np.full(self._robot.dof, np.nan)
         time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
         return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
 

@@ -115,13 +115,12 @@ class Supervisor:
         self._time_s = -math.inf
         self._tick = 0
         self._next_slow = self._next_ahead = 0
+        self._next_near = math.inf if self._self_distance is None else 0
         self._next_feel = EVERY
         self._applied = None if tau is None else tau.copy()
-        self._a_before: Array | None = None
-        self._rows[:] = 0.0
+        self._rows[:], self._referred = 0.0, False
         self._looked_tick = -2
-        self._saturated, self._jumps = np.zeros((2, self._robot.dof))
-        self._asked = np.zeros(self._robot.dof)
+        self._saturated, self._jumps, self._asked, self._nothing = np.zeros((4, self._robot.dof))
         self._stamp_s, self._usable = math.nan, True
         self._sense.reset()
         self._contact.reset()
@@ -169,15 +168,10 @@ class Supervisor:
             return self._stopping(q, v, stamp_s)
         before = self._note(time_s, q, v, tau, stamp_s)
         self._tick += 1
-        rows = self._rows
-        if a_ref is not None:
-            rows[4] = a_ref
-            np.subtract(rows[4], rows[4] if self._a_before is None else self._a_before, rows[5])
-            self._a_before = rows[4].copy()
-        elif self._a_before is not None:  # the new controller has no reference
-            self._a_before = None
-            rows[4:] = 0.0
-        within = reflexes.excess(rows, before, self.bounds.centre, self.bounds.scale) <= 1.0  # false for NaN
+        rows, referred = self._rows, a_ref is not None
+        follows, self._referred = self._referred and referred, referred
+        a_ref = a_ref if referred else self._nothing
+        within = reflexes.excess(rows, before, a_ref, follows, self.bounds.centre, self.bounds.scale) <= 1.0  # not NaN
         if within and self._usable and not self._stop_asked and time_s <= self._deadline_s:
             applied = rows[2]
         else:
@@ -317,13 +311,14 @@ class Supervisor:
             pair, distance, bound = self._monitored(self._clearance, rest)
             if not distance >= bound:
                 self._trip("stopping_distance", pair, distance, bound)
-        if self._self_distance is not None:
+        if self._self_distance is not None and self._tick >= self._next_near:
             pair, distance = self._monitored(self._self_distance, q)
             if not distance >= self.config.self_collision_min_m:
                 self._trip("self_collision", pair, distance, self.config.self_collision_min_m)
             # Check again before the gap can close to the bound at full acceleration.
             safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
-            self._next_slow = self._tick + min(self._slow_every, max(1, int(safe_s / self.dt_s)))
+            self._next_near = self._tick + max(1, int(safe_s / self.dt_s))
+        self._next_slow = min(self._next_slow, self._next_near)
 
     def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:
         try:

@@ -92,8 +92,7 @@ class World:
     @property
     def fingers(self) -> Array:
         """See `Plant`."""
-        left, right = self.gaps_m
-        return np.array([0.5 * left, 0.5 * right])
+        return 0.5 * np.array(self.gaps_m)
 
     @property
     def gaps_m(self) -> tuple[float, float]:
@@ -181,9 +180,8 @@ class World:
         bad = ~((q >= robot.q_lower - 1e-9) & (q <= robot.q_upper + 1e-9))
         if bad.any():
             i = int(np.argmax(bad))
-            raise UsageError(
-                f"{robot.joint_names[i]} = {q[i]:.4f} rad; {robot.q_lower[i]:.4f} <= value <= {robot.q_upper[i]:.4f}"
-            )
+            low, high = robot.q_lower[i], robot.q_upper[i]
+            raise UsageError(f"{robot.joint_names[i]} = {q[i]:.4f} rad; {low:.4f} <= value <= {high:.4f}")
         put = {self.truth(name): pose for name, pose in (poses or {}).items()}
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q

@@ -88,7 +88,7 @@ class ImpedanceCarry:
         self._told: Array | None = None
         self._broken: BaseException | None = None
         self._asked_for: str | None = None
-        self._refusals_seen = 0
+        self._refusals_seen, self._heeded = 0, self.stack.output
         self._cycle = self._phases()
         self._advance()
 
@@ -150,10 +150,9 @@ class ImpedanceCarry:
                 next(self._cycle)
             except StopIteration:
                 self._enter("done")
-            except GraspUnreachableError as error:
-                self._halt(Fault("unreachable", error.message))
-            except SingularPostureError as error:
-                self._halt(Fault("singular", error.message))
+            except (GraspUnreachableError, SingularPostureError) as error:
+                name = "singular" if isinstance(error, SingularPostureError) else "unreachable"
+                self._halt(Fault(name, error.message))
             except _RefusedError as error:
                 self._note("interrupted", str(error), _BRAKED_S)
 
@@ -285,10 +284,11 @@ class ImpedanceCarry:
 
     def _heed_arbiter(self) -> None:
         stack = self.stack
+        if self.done or (stack.output is self._heeded and len(stack.refusals) == self._refusals_seen):
+            return
+        self._heeded = stack.output
         news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
         refused = next((r for r in news if r.source == SOURCE), None)
-        if self.done:
-            return
         if stack.output.halted:  # first: sources see a halt as a hold request
             self._note("interrupted", "the arms were halted")
         elif refused is not None and refused.name in CLOSED:

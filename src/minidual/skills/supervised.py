@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.collision.engines import MujocoEngine
 from minidual.collision.scene import PlanningScene
-from minidual.collision.shapes import Attached, PairDistance, Pairs, Shape
+from minidual.collision.shapes import Attached, Pairs, Shape
 from minidual.config.control import SupervisorConfig
 from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics
@@ -30,12 +30,8 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
     ordered = (sorted(pair) for pair in PlanningScene(robot=robot).checked_pairs)
     across = tuple((a, b) for a, b in ordered if a.startswith(left) and b.startswith(right))
     engine = MujocoEngine(Pairs(robot, across))
-
-    def nearest(q: Array) -> tuple[str, float]:
-        pairs = engine.closest(q, _WITHIN_M)
-        return (f"{pairs[0].first} with {pairs[0].second}", pairs[0].distance_m) if pairs else ("none", _WITHIN_M)
-
-    return nearest
+    anywhere = np.zeros([engine.model.nbody] * 2)
+    return lambda q: engine.nearest(q, _WITHIN_M, anywhere)[:2]
 
 
 @cache
@@ -59,8 +55,14 @@ class SceneClearance:
     def __init__(self, robot: Robot, *shapes: Shape) -> None:
         shapes = shapes * len(robot.sides) if len(shapes) == 1 else shapes
         self._engine = deepcopy(_engine(robot, shapes))
-        self._fingers = tuple(link for side in robot.sides for link in robot.hand_links(side)[1:])
-        self._held = tuple(_in_hand(shape, side) for shape, side in zip(shapes, robot.sides, strict=False))
+        self._held = [_in_hand(shape, side) for shape, side in zip(shapes, robot.sides, strict=False)]
+        body = self._engine.body_names.index
+        fingers = [body(link) for side in robot.sides for link in robot.hand_links(side)[1:]]
+        held, table = [body(name) for name in self._held], body("table")
+        self._least_m = least_m = np.full([self._engine.model.nbody] * 2, _APART_M)
+        least_m[held, :] = least_m[:, held] = 0.0
+        least_m[fingers, table] = least_m[table, fingers] = _FINGERS_TO_TABLE_M
+        least_m[held, table] = least_m[table, held] = _HELD_TO_TABLE_M
         self.hold(None)
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
@@ -73,17 +75,7 @@ class SceneClearance:
 
     def __call__(self, q: Array) -> tuple[str, float, float]:
         """See `Clearance`; "none" beyond 20 mm."""
-        found = [(pair, self._least_m(pair)) for pair in self._engine.closest(q, _NEAR_M)]
-        if not found:
-            return "none", _NEAR_M, 0.0
-        pair, least_m = min(found, key=lambda row: row[0].distance_m - row[1])
-        return f"{pair.first} with {pair.second}", pair.distance_m, least_m
-
-    def _least_m(self, pair: PairDistance) -> float:
-        parts = {pair.first, pair.second}
-        if parts.intersection(self._held):
-            return _HELD_TO_TABLE_M if "table" in parts else 0.0
-        return _FINGERS_TO_TABLE_M if "table" in parts and parts.intersection(self._fingers) else _APART_M
+        return self._engine.nearest(q, _NEAR_M, self._least_m)
 
 
 def trial_supervisor(

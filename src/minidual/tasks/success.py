@@ -418,10 +418,13 @@ class AtRest(AtEnd):
     name = "at_rest"
     limit_m_per_s: float
 
+    def holds(self, truth: Truth) -> bool:
+        item = truth[self.object]
+        return item.speed_m_per_s < self.limit_m_per_s and item.on_table
+
     def end(self, truth: Truth) -> str:
         item = truth[self.object]
-        rests = item.speed_m_per_s < self.limit_m_per_s and item.on_table
-        return "" if rests else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+        return "" if self.holds(truth) else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
 
 
 class Each(SuccessCondition):
