@@ -12,6 +12,7 @@ import pytest
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.scene import ObjectConfig, SceneConfig
+from minidual.control.reflexes import Reach
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
@@ -25,12 +26,14 @@ from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat, straight
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, Failure, Gap, Stage, Tools
+from minidual.skills.supervised import arm_distance
 from minidual.tasks.task import grasp_offsets
 
 RADIUS, HOME = 0.00887, DUAL_PANDA.home
 ROD = thing_of(SceneConfig().object)
 GRASPS = dict(zip(SIDES, grasp_offsets(SceneConfig()), strict=True))
 BOTH = Grip("both ends", GRASPS)
+REACH_M = Reach(Kinematics()).m
 
 
 def lying(x, y, yaw=0.0):
@@ -324,15 +327,32 @@ def test_a_grip_that_cannot_be_reached_gives_way_to_the_next(planner):
 
 def test_arms_that_come_too_close_are_a_failure_with_the_pair_and_the_gap(planner):
     near = iter([0.002, 0.002])
-    gap = Gap(lambda q: ("elbow with elbow", next(near, 0.1)), 0.015)
+    gap = Gap(lambda q: ("elbow with elbow", next(near, 0.1)), REACH_M, 0.015)
     solution = carry([GOAL]).solve(START, tools(planner, gap=gap))
     record = solution.record.stages[0]
     assert record.chosen == "both ends, posture 2"
     assert record.failures["arms_too_close"][0] == "elbow with elbow come to 2.0 mm; they must keep 15"
 
 
+def test_a_gap_is_looked_at_as_often_as_it_could_close(carried):
+    distance, looks = arm_distance(DUAL_PANDA), []
+    motion = next(s for s in carried.segments if s.phase == "approach")
+    times = np.arange(0.0, motion.trajectory.duration_s + 0.005, 0.005)
+    every = [distance(q)[1] for q in motion.trajectory.sample_many(times)[0]]
+    assert min(every) < 0.15  # the arms come nearer than the distance sees
+
+    def look(q):
+        looks.append(q)
+        return distance(q)
+
+    Gap(look, REACH_M, min(every) - 1e-9).check([motion])
+    assert 2 < len(looks) < 0.6 * len(every)
+    with pytest.raises(Failure, match=f"come to {1e3 * min(every):.1f} mm"):
+        Gap(distance, REACH_M, min(every) + 1e-9).check([motion])
+
+
 def test_a_motion_that_touches_a_joint_limit_is_refused_where_the_supervisor_would_stop_it(carried):
-    gap = Gap(lambda q: ("", 1.0), 0.015)
+    gap = Gap(lambda q: ("", 1.0), REACH_M, 0.015)
     gap.check(carried.segments)
     (moving, *_) = (segment for segment in carried.segments if segment.verification is not None)
     at_the_limit = replace(moving, verification=replace(moving.verification, limit_margin_rad=0.002))

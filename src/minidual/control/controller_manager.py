@@ -56,11 +56,9 @@ class ControllerManager:
         for arm, arm_name in enumerate(SIDES):
             claims = [c.name for c in chosen if arm in c.arms]
             if not claims:
-                raise ControllerSwitchError(
-                    "unclaimed",
-                    f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})",
-                    remedy="name a whole set: both_arms; left_arm and right_arm; or object_impedance",
-                )
+                left = f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})"
+                remedy = "name a whole set: both_arms; left_arm and right_arm; or object_impedance"
+                raise ControllerSwitchError("unclaimed", left, remedy=remedy)
             if len(claims) > 1:
                 both = " and ".join(claims)
                 raise ControllerSwitchError("doubly_claimed", f"the {arm_name} arm's joints would be driven by {both}")

@@ -66,10 +66,8 @@ class ControlStack[P: Plant]:
         self.every = round(steps)
         """Control steps from one regular arbiter tick to the next."""
         if self.every < 1 or abs(steps - self.every) > 1e-6:
-            raise UsageError(
-                f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz",
-                remedy="take a divisor of it, such as 50 or 100",
-            )
+            uneven = f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz"
+            raise UsageError(uneven, remedy="take a divisor of it, such as 50 or 100")
         self.kinematics, self._robot = kinematics, kinematics.robot
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
@@ -178,9 +176,8 @@ class ControlStack[P: Plant]:
         """
         self.manager.check(names)
         if self.executing:
-            raise ControllerSwitchError(
-                "under_way", "a timed command is under way", remedy='wait for its end, or request("hold")'
-            )
+            remedy = 'wait for its end, or request("hold")'
+            raise ControllerSwitchError("under_way", "a timed command is under way", remedy=remedy)
         self.manager.switch(names, self.plant.q, self.plant.v)
         self._due = True
 
@@ -397,10 +394,8 @@ class ControlStack[P: Plant]:
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
         age_s, limit_s = np.nan if stamp_s is None else time_s - stamp_s, self._config.stale_s
         if not abs(age_s) <= limit_s:
-            raise PlantError(
-                f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
-                remedy="see that the plant delivers its state; arbiter.stale_s is how old it may be",
-            )
+            remedy = "see that the plant delivers its state; arbiter.stale_s is how old it may be"
+            raise PlantError(f"the measurements are {age_s:.3f} s old; limit {limit_s} s", remedy=remedy)
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.
         return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration

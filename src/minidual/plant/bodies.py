@@ -42,6 +42,16 @@ def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array
     seen[14] = min(inward_left, inward_right)
 
 
+@kernel(types.boolean(types.Array(types.int32, 2, "A"), types.int32[::1], types.int64, types.int64))
+def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
+    """Return whether contacts, pairs of geoms (k, 2), join two bodies."""
+    for pair in geoms:
+        first, second = body_of[pair[0]], body_of[pair[1]]
+        if (first == a and second == b) or (first == b and second == a):
+            return True
+    return False
+
+
 class NamedObject:
     """Reads one object through cached views."""
 

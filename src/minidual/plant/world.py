@@ -8,7 +8,7 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.errors import MinidualError, UsageError, unknown_name
-from minidual.plant.bodies import NamedObject, ObjectPose
+from minidual.plant.bodies import NamedObject, ObjectPose, touching
 from minidual.plant.model import GOAL_MARK, build_model, map_joints
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
@@ -48,7 +48,7 @@ class World:
         self.model = build_model(scene, robot, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
         self._warnings = self.data.warning.number  # view: counts by kind
-        self._no_warnings = bytes(self._warnings.nbytes)
+        self._no_warnings, self._table = bytes(self._warnings.nbytes), self.model.body("table").id
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
@@ -163,9 +163,8 @@ class World:
 
     def on_table(self, name: str | None = None) -> bool:
         """Return whether an object touches the table."""
-        bodies = self.model.geom_bodyid[self.data.contact.geom[: self.data.ncon]]
-        table, body = self.model.body("table").id, self.truth(name).body
-        return bool(((bodies == table).any(axis=1) & (bodies == body).any(axis=1)).any())
+        geoms, body = self.data.contact.geom[: self.data.ncon], self.truth(name).body
+        return touching(geoms, self.model.geom_bodyid, self._table, body)
 
     def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
         """Put the arms at q (n,) (default: home), hands open, objects at `poses` (default: start).

@@ -12,6 +12,7 @@ import numpy as np
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
 from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
+from minidual.control.reflexes import Reach
 from minidual.errors import UsageError, unknown_name
 from minidual.motion.api import Planner
 from minidual.plant.model import OBSTACLE
@@ -137,7 +138,8 @@ def solve(
         TaskFailedError: Of the last arrangement.
     """
     things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
-    gap = None if apart_m is None else Gap(arm_distance(planner.robot), apart_m + _GAP_MARGIN_M)
+    far = arm_distance(planner.robot), Reach(planner.kinematics).m
+    gap = None if apart_m is None else Gap(*far, apart_m + _GAP_MARGIN_M)
     tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)

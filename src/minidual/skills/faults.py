@@ -148,10 +148,8 @@ class FaultMonitor:
         for arm, name in enumerate(SIDES):
             through = not gap_m[arm] >= self._width - self._config.gap_margin_m
             if self._lasts(f"gap {name}", through, 3):
-                gap, width = 1e3 * gap_m[arm], 1e3 * self._width
-                return Fault(
-                    "missed_grasp", f"the {name} hand has closed to {gap:.0f} mm, the object is {width:.0f} mm wide"
-                )
+                closed = f"the {name} hand has closed to {1e3 * gap_m[arm]:.0f} mm"
+                return Fault("missed_grasp", f"{closed}, the object is {1e3 * self._width:.0f} mm wide")
         if t_s > self._config.grasp_timeout_s:
             felt = ", ".join(f"{f:.1f}" for f in pinch_n)
             return Fault("missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s")
@@ -204,9 +202,8 @@ class FaultMonitor:
         """Check a pose sample against the hands."""
         away_m, away_rad = innovation
         if self._lasts("held", bool(self._scatter.exceeded(innovation).any()), 2):
-            return Fault(
-                "slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands"
-            )
+            off = f"{1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off"
+            return Fault("slip", f"the object is {off} in the hands")
         return None
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:

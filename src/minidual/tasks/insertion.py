@@ -114,11 +114,10 @@ def depth_m(truth: success.Truth) -> float:
     if math.dist(peg.xyz, socket.xyz) > _PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M:
         return 0.0
     T = inverse(socket.T) @ peg.T
-    deep = T[1, 3] + T[1, 1] * _PEG_LENGTH_M / 2 - _MOUTH_M
+    deep = T.item(1, 3) + T.item(1, 1) * _PEG_LENGTH_M / 2 - _MOUTH_M
     half, ends = _PEG_M / 2, (_PEG_LENGTH_M / 2, _PEG_LENGTH_M / 2 - deep)
-    corners = np.array([(x, y, z, 1.0) for x in (-half, half) for z in (-half, half) for y in ends])
-    inside = deep > 0.0 and np.abs(corners @ T[[0, 2]].T).max() < _BORE_M / 2
-    return float(deep) if inside else 0.0
+    sides = [[abs(p + b * y) + half * (abs(a) + abs(c)) for y in ends] for a, b, c, p in T[[0, 2]].tolist()]
+    return deep if deep > 0.0 and max(map(max, sides)) < _BORE_M / 2 else 0.0
 
 
 @dataclass
@@ -130,8 +129,8 @@ class _Aloft(success.AtEnd):
 
     def end(self, truth: success.Truth) -> str:
         height = truth[self.object].clearance_m
-        more = f"{1e3 * height:.0f} mm over the table, needs > {1e3 * self.limit_m:.0f}"
-        return "" if height > self.limit_m else more
+        high = height > self.limit_m
+        return "" if high else f"{1e3 * height:.0f} mm over the table, needs > {1e3 * self.limit_m:.0f}"
 
 
 @dataclass

@@ -84,11 +84,11 @@ class ObjectTruth:
     def yaw_rad(self) -> float:
         """Yaw of its y axis."""
         T = self.T
-        return math.atan2(-T[0, 1], T[1, 1])
+        return math.atan2(-T.item(0, 1), T.item(1, 1))
 
     @property
     def speed_m_per_s(self) -> float:
-        return float(np.linalg.norm(self._object.twist()[:3]))
+        return math.hypot(*self._object.twist()[:3].tolist())
 
     @property
     def on_table(self) -> bool:
@@ -450,7 +450,7 @@ class Each(SuccessCondition):
         return {name: (min if name in _FLOORS else max)(row[name] for row in rows) for name in rows[0]}
 
     def _first(self, details: Sequence[str]) -> str:
-        return next((f"{p.object}: {d}" for p, d in zip(self.parts, details, strict=True) if d), "")
+        return next(f"{p.object}: {d}" for p, d in zip(self.parts, details, strict=True) if d) if any(details) else ""
 
 
 @dataclass

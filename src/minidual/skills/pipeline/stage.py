@@ -40,26 +40,34 @@ Offer = Candidate | Failure
 
 @dataclass(frozen=True)
 class Gap:
-    """Minimum arm distance; `distance` maps a posture (n,) to (link pair, distance [m])."""
+    """Minimum arm distance.
+
+    Attributes:
+        distance: Posture (n,) -> (link pair, distance [m]).
+        reach_m: (n,), see `Reach`.
+    """
 
     distance: Callable[[Array], tuple[str, float]]
+    reach_m: Array
     least_m: float
 
     def check(self, segments: Sequence[Segment]) -> None:
-        """Check moving segments, for distance every 5 ms.
+        """Check moving segments, for distance every 5 ms where it could close.
 
         Raises:
             Failure: The arms come closer, or a joint comes within 3 mrad of a limit.
         """
         room = min((s.verification.limit_margin_rad for s in segments if s.verification), default=np.inf)
         if room < _LIMIT_ROOM_RAD:
-            raise Failure(
-                "at_limit", f"a joint comes to {1e3 * room:.1f} mrad from its limit; the supervisor stops it there"
-            )
+            near = f"a joint comes to {1e3 * room:.1f} mrad from its limit; the supervisor stops it there"
+            raise Failure("at_limit", near)
         found = [("", np.inf)]
         for motion in (s.trajectory for s in segments if s.verification is not None):
-            times = np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float)
-            found += map(self.distance, motion.sample_many(times)[0])
+            q = motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]
+            way_m, k = np.r_[0.0, np.cumsum(np.abs(np.diff(q, axis=0)) @ self.reach_m)], 0
+            while k < len(q):  # until both arms together have gone further than the gap is wide, it lasts
+                found.append(self.distance(q[k]))
+                k = max(k + 1, int(np.searchsorted(way_m, way_m[k] + found[-1][1] - self.least_m)))
         pair, gap = min(found, key=lambda near: (near[1], near[0]))
         if gap < self.least_m:
             keep = f"they must keep {1e3 * self.least_m:.0f}"
