@@ -37,11 +37,15 @@ def bypasses(text: str) -> list[str]:
                 found.append(node)
         elif (
             _last(node) in MAKERS
-            or (isinstance(node, ast.Attribute) and ast.unparse(node.value) == "np.random" and node.attr != "Generator")
+            or (isinstance(node, ast.Attribute) and _of_numpy(node.value) and node.attr != "Generator")
             or (isinstance(node, ast.BinOp) and any(_last(n).endswith("seed") for n in (node.left, node.right)))
         ):
             found.append(node)
     return [ast.unparse(node) for node in found]
+
+
+def _of_numpy(node: ast.AST) -> bool:
+    return _last(node) == "random" and ast.unparse(node) == "np.random"
 
 
 def _last(node: ast.AST) -> str:
