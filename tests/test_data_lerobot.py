@@ -239,6 +239,15 @@ def test_an_existing_dataset_is_kept(tmp_path: Path) -> None:
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
+def test_the_next_episode_begins_another_file_when_one_is_full(made: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    root, sources, _ = made
+    monkeypatch.setattr("minidual.demos.lerobot_adapter._VIDEO_FILE_MB", 0.001)
+    tables = adapter.convert(sources, root.parent / "one_each", DUAL_PANDA)  # compares every picture
+    files = sorted((root.parent / "one_each").glob("videos/*high*/*/*.mp4"))
+    assert len(files) == len(sources) > len(list(root.glob("videos/*high*/*/*.mp4"))) == 1
+    np.testing.assert_array_equal(tables.images("high"), read_dataset(root).images("high"))
+
+
 def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_path: Path) -> None:
     own, other = tmp_path / ".out.999999999.partial", tmp_path / ".other.999999999.partial"
     for folder in (own, other):

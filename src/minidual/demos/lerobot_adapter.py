@@ -29,6 +29,7 @@ from minidual.robot.pair import Robot
 
 SOURCES_FILE = "meta/minidual_sources.json"
 """Lists the recordings of a dataset."""
+_VIDEO_FILE_MB = 4  # an episode is added by writing its whole file again
 IMAGE_DIFFERENCE_MAX = 6.0
 """Limit of an image's mean difference to the recorded one, of 255."""
 
@@ -96,6 +97,7 @@ def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, p
             video_backend="pyav",
             rgb_encoder=RGBEncoderConfig(vcodec="h264", preset="veryfast", pix_fmt="yuv444p", crf=12),
             streaming_encoding=False,  # streaming drops frames under load with only a warning
+            video_files_size_in_mb=_VIDEO_FILE_MB,
         )
         stack.callback(dataset.finalize)
         for path in paths:
@@ -160,9 +162,7 @@ def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
                 raise DataError(f"{label} is {image.shape}, recorded {pictures.shape[1:]}")
             difference = float(np.mean(np.abs(image.astype(np.int16) - pictures[tick])))
             if difference > IMAGE_DIFFERENCE_MAX:
-                raise DataError(
-                    f"{label} at tick {tick} differs from the recording by {difference:.1f} of 255 on average; the "
-                    f"limit is {IMAGE_DIFFERENCE_MAX:g}"
-                )
+                off = f"differs from the recording by {difference:.1f} of 255 on average"
+                raise DataError(f"{label} at tick {tick} {off}; the limit is {IMAGE_DIFFERENCE_MAX:g}")
             worst = max(worst, difference)
     return worst
