@@ -13,7 +13,8 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import GroupTimes, HeldMovesConfig, PlanConfig, PlannerConfig
 from minidual.config.root import Config
-from minidual.errors import ConfigError, DataError
+from minidual.config.scene import RobotConfig
+from minidual.errors import ConfigError, DataError, UsageError
 from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
 from minidual.proof.scene_engines import Audit, SceneEngines
@@ -149,6 +150,9 @@ def test_a_second_set_that_is_the_first_is_refused():
     assert "--set plan.second_seed" in caught.value.remedy
     check_plan(Config(seed=20261, plan=PlanConfig(second_queries_n=0)))
     check_plan(Config(seed=20260, plan=PlanConfig(second_queries_n=1)))
+    with pytest.raises(UsageError, match=r"(?s)no arm .pandaa.; there are panda, ur5.*did you mean .panda.") as caught:
+        check_plan(Config(robot=RobotConfig(arm="pandaa")))  # before the gate
+    assert caught.value.exit_code == 2
 
 
 def test_notes_tell_of_both_seeds(outcomes):

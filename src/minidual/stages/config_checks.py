@@ -4,19 +4,18 @@ from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
 from minidual.policies.kinds import POLICIES
+from minidual.robot.pair import robot_from
 from minidual.tasks.task import tasks_of
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions
 from minidual.trials.methods import METHODS, check_able
 
 
 def check_plan(config: Config) -> None:
-    """Raise UsageError for query sets with equal seeds."""
-    plan = config.plan
-    if plan.second_queries_n and config.seed == plan.second_seed:
-        raise ConfigError(
-            f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one",
-            remedy="choose another --seed, or --set plan.second_seed=NUMBER",
-        )
+    """Raise UsageError for an unknown arm, or query sets with equal seeds."""
+    robot_from(config.robot)
+    if config.plan.second_queries_n and config.seed == config.plan.second_seed:
+        equal = f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one"
+        raise ConfigError(equal, remedy="choose another --seed, or --set plan.second_seed=NUMBER")
 
 
 def check_leader(config: Config) -> None:
