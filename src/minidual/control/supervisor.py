@@ -317,7 +317,7 @@ class Supervisor:
                 self._trip("self_collision", pair, distance, self.config.self_collision_min_m)
             # Check again before the gap can close to the bound at full acceleration.
             safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
-            self._next_near = self._tick + max(1, int(safe_s / self.dt_s))
+            self._next_near = self._tick + min(3 * self._slow_every, max(1, int(safe_s / self.dt_s)))
         self._next_slow = min(self._next_slow, self._next_near)
 
     def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:
