@@ -577,6 +577,15 @@ class TestBounds:
             assert h * (REACH.m @ (np.abs(v) + A_MAX * h)) == pytest.approx(gap, abs=1e-12)
         assert REACH.safe_time_s(v, -0.01) == 0.0
 
+    @pytest.mark.parametrize(("distance_m", "every"), [(0.0101, 1), (0.02, 8), (0.15, 30), (9.0, 30)])
+    def test_the_nearer_the_arms_the_oftener_they_are_looked_at(self, distance_m, every):
+        looks = []
+        supervisor = Supervisor(self_distance=lambda q: looks.append(k) or ("a with b", distance_m))
+        q, tau = DUAL_PANDA.home, Kinematics().gravity(DUAL_PANDA.home)
+        for k in range(200):
+            supervisor.guard(0.001 * k, q, np.zeros(DOF), tau)
+        assert set(np.diff(looks)) == {every}
+
     def test_limits_can_be_tightened_and_not_loosened(self):
         for name in (
             "velocity_scale",
