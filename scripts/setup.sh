@@ -62,6 +62,7 @@ else
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation \
         --editable .
 fi
+"$venv/bin/python" -m compileall -qq src scripts || true
 echo "setup: compiling the numeric kernels (about half a minute)"
 "$venv/bin/python" scripts/compile_kernels.py || echo "setup: not compiled; the first plan does it" >&2
 touch "$venv/.ready"
