@@ -512,7 +512,15 @@ class TestLegalMotion:
             loop.step(target, np.ones(2))
         assert np.abs(world.q - target).max() < 1e-4
 
-    def test_targets_streamed_at_50_hz_are_limited_and_not_stopped(self, world, kinematics):
+    @pytest.mark.parametrize(
+        ("every", "by", "ramp_s", "least_nm", "most_nm"),
+        [(20, 0.02, 0.02, 0.3, 1.0), (20, 0.02, 0.001, 5.0, 10.0), (100, 0.08, 0.02, 2.0, 4.0)],
+        ids=["streamed", "without the ramp", "jumps"],
+    )
+    def test_targets_that_step_do_not_stop_the_arms(
+        self, world, kinematics, monkeypatch, every, by, ramp_s, least_nm, most_nm
+    ):
+        monkeypatch.setattr("minidual.control.joint_control._RAMP_S", ramp_s)
         loop, supervisor = JointLoop(world, kinematics), Supervisor()
         command, asked, applied = world.command, [], []
 
@@ -524,11 +532,13 @@ class TestLegalMotion:
         world.command = guarded
         target = HOME.copy()
         for k in range(1500):
-            if k % 20 == 0 and k < 1000:
-                target = target + 0.02 * np.eye(DOF)[0]
+            if k % every == 0 and k < 1000:
+                target = target + by * np.eye(DOF)[0]
             loop.step(target, np.ones(2))
-        assert np.abs(np.diff(asked, axis=0)).max() > 5.0
+        step = np.abs(np.diff(asked, axis=0)).max()
+        assert least_nm < step < most_nm
         assert np.abs(np.diff(applied, axis=0)).max() <= 1.0 + 1e-9
+        assert np.array_equal(asked, applied) == (step <= 1.0), "what the motors can follow is not changed"
         assert np.abs(world.q - target).max() < 1e-4
 
     def test_a_joint_may_go_to_its_very_limit(self, world, kinematics):

@@ -6,7 +6,8 @@ Targets arriving at 50 to 100 Hz become references at 1 kHz:
     v_want(e) = w e / 2                         for |e| <= d = 4 b / w^2
                 sign(e) sqrt(2 b (|e| - d / 2)) beyond, braking with b < a_max
 
-w is the bandwidth. Recording and deployment must use the same numbers. Motor torques: docs/force-control.md.
+w is the bandwidth. A target that changes is approached evenly over 20 ms, one period of a source at 50 Hz, so that it
+does not step. Recording and deployment must use the same numbers. Motor torques: docs/force-control.md.
 """
 
 import numpy as np
@@ -18,10 +19,11 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 _BRAKE_SHARE = 0.9  # b / a_max; the rest serves to track the curve
+_RAMP_S = 0.02
 
 
 class ReferenceFilter:
-    """Second-order tracking of joint targets with lag 2 / w."""
+    """Second-order tracking of joint targets, with lag 2 / w after the ramp."""
 
     def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0) -> None:
         self._w, self._dt = bandwidth_rad_s, dt_s
@@ -29,7 +31,7 @@ class ReferenceFilter:
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
         self._v_max = self._v_allowed = 0.95 * robot.v_max
         self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
-        self.q, self.v, self.a = np.zeros((3, robot.dof))
+        self._state = np.zeros((6, robot.dof))
         self._slewing = False
 
     def limit_speed(self, share: float) -> None:
@@ -38,9 +40,7 @@ class ReferenceFilter:
 
     def reset(self, q: Array, v: Array | None = None) -> None:
         """Start from posture q (n,) [rad], by default at rest."""
-        self.q = np.array(q, dtype=float)
-        self.v = np.zeros_like(self.q) if v is None else np.array(v, dtype=float)
-        self.a = np.zeros_like(self.q)
+        self._state[:] = q, np.zeros_like(q) if v is None else v, np.zeros_like(q), q, q, np.zeros_like(q)
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Advance towards target (n,); return new (q_ref, v_ref, a_ref).
@@ -51,10 +51,9 @@ class ReferenceFilter:
             v_max, brake = self._bounds[1], _BRAKE_SHARE * self._bounds[0] * self._dt
             v_max += np.clip(self._v_allowed - v_max, -brake, brake)
             self._slewing = bool((v_max != self._v_allowed).any())
-        after = np.empty((3, len(target)))
-        follow_target(target, self.q, self.v, self._bounds, self._w, self._dt, after)
-        self.q, self.v, self.a = after
-        return self.q, self.v, self.a
+        follow_target(target, self._state, self._bounds, self._w, self._dt, _RAMP_S)
+        q, v, self.a = self._state[:3].copy()
+        return q, v, self.a
 
 
 def motor_torque(kinematics: Kinematics, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:

@@ -354,18 +354,21 @@ def add_loads(tau: Array, load: Array, v: Array, damping: float, dry: float, tau
         tau[j] = within(tau[j], -tau_max[j], tau_max[j])
 
 
-@kernel(types.void(_VIEW, VECTOR, VECTOR, ROWS, _REAL, _REAL, ROWS))
-def follow_target(target: Array, q: Array, v: Array, bounds: Array, w: float, dt: float, after: Array) -> None:
-    """Fill `after` (3, n) with the next q, v, a; see `reference`.
+@kernel(types.void(_VIEW, ROWS, ROWS, _REAL, _REAL, _REAL))
+def follow_target(target: Array, state: Array, bounds: Array, w: float, dt: float, ramp_s: float) -> None:
+    """Advance `state` (6, n) in place: q, v, a, and the ramp's start, its end and the share that is left of it.
 
-    bounds (5, n): a_max, v_max, d, lower, upper.
+    bounds (5, n): a_max, v_max, d, lower, upper. See `joint_control`.
     """
+    q, v, start, end, left = state[0], state[1], state[3], state[4], state[5]
     for j in range(len(target)):
         a_max, v_max, near = bounds[0, j], bounds[1, j], bounds[2, j]
-        e = within(target[j], bounds[3, j], bounds[4, j]) - q[j]
+        if target[j] != end[j]:
+            start[j], end[j], left[j] = end[j] + left[j] * (start[j] - end[j]), target[j], 1.0
+        left[j] = max(0.0, left[j] - dt / ramp_s)
+        e = within(end[j] + left[j] * (start[j] - end[j]), bounds[3, j], bounds[4, j]) - q[j]
         s = near / max(abs(e), near)
         a = within(w * w * e * math.sqrt(s * (2.0 - s)) - 2.0 * w * v[j], -a_max, a_max)
         v_after = within(v[j] + dt * a, -v_max, v_max)
-        after[0, j] = q[j] + dt * v_after
-        after[1, j] = v_after
-        after[2, j] = (v_after - v[j]) / dt  # recomputed: the speed bound may have cut it
+        state[2, j] = (v_after - v[j]) / dt  # recomputed: the speed bound may have cut it
+        q[j], v[j] = q[j] + dt * v_after, v_after
