@@ -28,7 +28,7 @@ _STEP_MAX_RAD = 0.5  # the arbiter's bound here: a step response needs a step, n
 _SETTLED_S = 0.2
 _CONTACTS_EVERY = 10  # steps between contact checks, each of which costs more than a step
 _NUDGE_RAD = 0.02
-_CHANGED_SHARE = 0.5  # of the supervisor's torque step (1 Nm); a nudge asks for twenty times that
+_CHANGED_SHARE = 0.1  # of the supervisor's torque step (1 Nm): a nudge asks for 0.3 Nm at once, still arms for 0.013
 _SETTLE_STEPS = 120
 _STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
 
