@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,9 @@ class ToyRig(Rig):
         """Nothing to free."""
 
 
-def hang_in_conversion(paths: Sequence[Path], out_dir: Path, *_: Any, **__: Any) -> None:
-    """Stand in for `lerobot_adapter.convert`."""
+def hang_in_conversion(paths: Iterable[Path], out_dir: Path, *_: Any, **__: Any) -> None:
+    """Stand in for `lerobot_adapter.convert`, at the end of the recording."""
+    list(paths)
     (durable.partial_path(out_dir) / "data").mkdir(parents=True)
     time.sleep(60.0)
 

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import data_samples
@@ -39,9 +40,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path], Le
         )
         for i, ticks in enumerate(TICKS)
     ]
-    seen: list[int] = []
-    tables = adapter.convert(sources, folder / "dataset", DUAL_PANDA, progress=lambda: seen.append(1))
-    assert len(seen) == 2
+    tables = adapter.convert(sources, folder / "dataset", DUAL_PANDA)
     return folder / "dataset", sources, tables
 
 
@@ -49,6 +48,20 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path], Le
 def copy(made: tuple[Path, list[Path], LeRobotTables], tmp_path: Path) -> tuple[Path, list[Path]]:
     shutil.copytree(made[0], tmp_path / "dataset")
     return tmp_path / "dataset", made[1]
+
+
+def test_an_episode_is_written_before_the_next_is_asked_for(made: tuple, tmp_path: Path) -> None:
+    _, sources, data = made
+    films = []
+
+    def recorded() -> Iterator[Path]:
+        for source in sources:
+            yield source
+            films.append(len(list(tmp_path.glob(".dataset.*.partial/videos/**/*.mp4"))))
+
+    tables = adapter.convert(recorded(), tmp_path / "dataset", DUAL_PANDA)
+    assert films == [2, 2], "one film of each camera, while the second episode is not recorded yet"
+    assert len(tables) == len(data)
 
 
 def test_the_tables_count_rows_and_name_what_is_inside(made: tuple) -> None:

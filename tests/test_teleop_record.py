@@ -497,7 +497,7 @@ def test_the_command_typed_again_after_a_kill_goes_on(
         lerobot_adapter.convert = hang_in_conversion
         run_command_line(typed, STAGES, TOOLS)
         os._exit(1)
-    _wait_for(folder, ".lerobot.*.partial")
+    _wait_for(folder, f".lerobot.{child}.partial")
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
 

@@ -7,6 +7,7 @@ plan a line. Settings that the job does not give are roboplan's defaults.
 from __future__ import annotations
 
 import json
+import multiprocessing
 import sys
 import tempfile
 import time
@@ -31,6 +32,8 @@ GROUP = "arms"
 _NODES_MAX = 10_000_000
 """No limit: time ends the search."""
 _COLOUR = np.ones(4)
+_PATIENCE = 3.0
+"""A query is stopped after this many times the budget: the search keeps its time limit, the timing of its path has none."""
 
 
 def scene_of(job: dict[str, Any], query: dict[str, Any]) -> Any:
@@ -66,10 +69,15 @@ def whole(scene: Any, job: dict[str, Any], q: Sequence[float]) -> np.ndarray:
     return out
 
 
+def contacts_of(scene: Any, job: dict[str, Any], query: dict[str, Any]) -> list[bool]:
+    """Return at which of the query's states something touches."""
+    return [bool(scene.hasCollisions(whole(scene, job, q))) for q in query["states"]]
+
+
 def plan(job: dict[str, Any], query: dict[str, Any]) -> dict[str, Any]:
     """Return a plan: contacts at the job's states, processor time, and the timed path or why there is none."""
     scene = scene_of(job, query)
-    contacts = [bool(scene.hasCollisions(whole(scene, job, q))) for q in query["states"]]
+    contacts = contacts_of(scene, job, query)
     search = RRTOptions(group_name=GROUP, max_nodes=_NODES_MAX, max_planning_time=job["budget_s"], rrt_connect=True)
     shorten = PathShortcuttingOptions(group_name=GROUP, seed=query["seed"])
     limits = {"velocity_scale": job["velocity_scale"], "acceleration_scale": job["acceleration_scale"]}
@@ -108,11 +116,33 @@ def _grasp(scene: Any, job: dict[str, Any], query: dict[str, Any]) -> Any:
     )
 
 
+def bounded(job: dict[str, Any], query: dict[str, Any]) -> dict[str, Any]:
+    """Return `plan` of a process of its own, or that it did not end."""
+    fork, limit_s = multiprocessing.get_context("fork"), _PATIENCE * job["budget_s"]
+    receiver, sender = fork.Pipe(duplex=False)
+    child = fork.Process(target=lambda: sender.send(plan(job, query)))
+    child.start()
+    sender.close()
+    try:
+        if receiver.poll(limit_s):
+            return receiver.recv()
+    except EOFError:
+        raise RuntimeError(f"planning ended with exit code {child.exitcode}") from None
+    finally:
+        child.kill()
+        child.join()
+    return {
+        "contacts": contacts_of(scene_of(job, query), job, query),
+        "cpu_s": limit_s,
+        "reason": f"no end within {limit_s:.0f} s",
+    }
+
+
 def main() -> None:
     """Plan every query of the job, one after the other."""
     job = json.load(sys.stdin)
     for query in job["queries"]:
-        print(json.dumps(plan(job, query)), flush=True)
+        print(json.dumps(bounded(job, query)), flush=True)
 
 
 if __name__ == "__main__":

@@ -174,11 +174,7 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
 def _state_json(state: StageState) -> dict[str, Any]:
     verdict = state.verdict
     return {
-        "name": state.name,
-        "state": state.state,
-        "reasons": state.reasons,
-        "warnings": state.warnings,
-        "folder": state.folder,
+        **{name: getattr(state, name) for name in ("name", "state", "reasons", "warnings", "folder")},
         "status": verdict.status if verdict else None,
         "acceptance": verdict.acceptance if verdict else False,
         "failed": [check.to_json() for check in verdict.failed_checks()] if verdict else [],

@@ -53,11 +53,9 @@ def _open_output() -> None:
 
 
 class _Interrupt:
-    """Signal handler that raises KeyboardInterrupt.
+    """Signal handler that raises KeyboardInterrupt."""
 
-    Imports turn that into other errors. So it waits for their end, and ends the process if they take too long.
-    """
-
+    # Imports turn that into other errors. So it waits for their end, and ends the process if they take too long.
     asked_s: float | None = None
     raised = False
     """Libraries turn it into errors of their own."""

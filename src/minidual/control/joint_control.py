@@ -6,8 +6,8 @@ Targets arriving at 50 to 100 Hz become references at 1 kHz:
     v_want(e) = w e / 2                         for |e| <= d = 4 b / w^2
                 sign(e) sqrt(2 b (|e| - d / 2)) beyond, braking with b < a_max
 
-w is the bandwidth. A target that changes is approached evenly over 20 ms, one period of a source at 50 Hz, so that it
-does not step. Recording and deployment must use the same numbers. Motor torques: docs/force-control.md.
+w is the bandwidth. A changed target is approached evenly over 20 ms, one period of 50 Hz. Recording and deployment must
+use the same numbers. Motor torques: docs/force-control.md.
 """
 
 import numpy as np

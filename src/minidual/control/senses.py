@@ -11,8 +11,7 @@ A momentum observer finds the torques:
 
     r <- r + g (M(q) dv/dt + h(q, v) + friction - tau - tau_expected - r)
 
-The observer of p = M v, dp/dt = tau + C^T v - g(q) + tau_ext, stepped over several ticks. Source: Haddadin, De Luca,
-Albu-Schaeffer, Robot collisions, IEEE T-RO 33(6), 2017.
+Source: Haddadin, De Luca, Albu-Schaeffer, Robot collisions, IEEE T-RO 33(6), 2017.
 """
 
 import math

@@ -253,7 +253,7 @@ class Supervisor:
         self._asked = tau.copy()
         self._saturated = np.where(np.abs(tau) >= reflexes.SATURATED * bounds.tau_max, self._saturated + 1, 0)
         self._trip_lasting("torque_saturation", self._saturated, self.config.saturation_s, tau, bounds.tau_max)
-        # A target streamed at 50 Hz makes the torque jump once in 20 ticks, which the limiter absorbs; chatter jumps in
+        # A target that jumps makes the torque jump in a few ticks, which the limiter absorbs; chatter jumps in
         # every tick. A jump counts up, any other tick down.
         jumps = np.abs(jump) > self.config.torque_rate_excess * bounds.tau_step
         self._jumps = np.where(jumps, self._jumps + 1, np.maximum(self._jumps - 1, 0))

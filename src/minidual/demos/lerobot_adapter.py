@@ -3,10 +3,11 @@
 Videos are 4:4:4 at crf 12: the usual 4:2:0 at crf 30 loses the colour of a rod two pixels wide.
 """
 
+import itertools
 import json
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -39,18 +40,16 @@ def state_names(robot: Robot) -> tuple[str, ...]:
     return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
 
 
-def convert(
-    paths: Sequence[Path], out_dir: Path, robot: Robot, *, progress: Callable[[], None] = lambda: None
-) -> LeRobotTables:
+def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables:
     """Make, verify and return a dataset; a failed conversion leaves none.
 
-    `paths` are validated episodes of equal format; `progress` is called after each.
+    `paths` are validated episodes of equal format, each taken when the one before is written.
 
     Raises:
         UsageError: No episodes, or `out_dir` exists.
         DataError: Inconsistent episodes, or failed verification.
     """
-    if not paths:
+    if (first := next(paths := iter(paths), None)) is None:
         raise UsageError("no episodes to convert", remedy="record some: minidual teleop-record")
     if out_dir.exists():
         raise UsageError(f"{out_dir} exists already", remedy="remove it or choose another folder")
@@ -58,8 +57,8 @@ def convert(
     durable.remove_stale(out_dir)
     try:
         with durable.replacing(out_dir) as partial:
-            _write_dataset(partial, out_dir.name, paths, robot, progress)
-            verify_dataset(partial, paths, robot)
+            written = _write_dataset(partial, out_dir.name, first, paths, robot)
+            verify_dataset(partial, written, robot)
     except OSError as error:
         raise durable.disk_error(error, out_dir) or DataError(
             f"{out_dir} could not be written: {error}", remedy="check the disk or choose another folder"
@@ -67,16 +66,16 @@ def convert(
     return read_dataset(out_dir)
 
 
-def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, progress: Callable[[], None]) -> None:
+def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], robot: Robot) -> list[Path]:
     names = state_names(robot)
     features: dict[str, dict[str, Any]] = {
         key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key in (STATE, ACTION)
     }
-    first = read_episode(paths[0])
-    shapes = {camera: frames.shape[1:] for camera, frames in first.images.items()}
+    given = read_episode(first)
+    shapes = {camera: frames.shape[1:] for camera, frames in given.images.items()}
     for camera, shape in shapes.items():
         features[camera_key(camera)] = {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
-    records: list[dict[str, Any]] = []
+    records, written = list[dict[str, Any]](), list[Path]()
     with ExitStack() as stack:
         # Keep encoder reports and progress bars off stderr.
         av.logging.set_libav_level(av.logging.ERROR)
@@ -89,7 +88,7 @@ def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, p
         stack.callback(image_log.removeFilter, _raise_report)
         dataset = LeRobotDataset.create(
             repo_id=f"local/{name}",
-            fps=int(first.meta.fps),
+            fps=int(given.meta.fps),
             features=features,
             root=root,
             robot_type=f"dual_{robot.arm.name}",
@@ -100,7 +99,8 @@ def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, p
             video_files_size_in_mb=_VIDEO_FILE_MB,
         )
         stack.callback(dataset.finalize)
-        for path in paths:
+        for path in itertools.chain([first], others):
+            written.append(path)
             episode = read_episode(path, cameras=tuple(shapes))
             if episode.meta.fps != dataset.fps:
                 raise DataError(f"{path} runs at {episode.meta.fps:g} Hz, the dataset at {dataset.fps} Hz (whole, one)")
@@ -115,11 +115,11 @@ def _write_dataset(root: Path, name: str, paths: Sequence[Path], robot: Robot, p
             meta = episode.meta
             facts = {"file": path.name, "seed": meta.seed, "ticks": len(episode), "success": meta.success}
             records.append({**facts, "extra": dict(meta.extra)})
-            progress()
     for left in (*root.glob("tmp*"), root / "images"):
         durable.remove(left)
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
     (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
+    return written
 
 
 def _raise_report(record: logging.LogRecord) -> bool:

@@ -4,8 +4,9 @@ Results depend neither on workers nor on interruptions.
 """
 
 import json
+import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -115,10 +116,8 @@ class Recording:
         }
 
 
-def record(
-    job: Job, *, workers: int, on_attempt: Callable[[Attempt], None] | None = None, observe: Observe | None = None
-) -> Recording:
-    """Record until there are `episodes_n` demonstrations or the attempts allowed are used up.
+def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Iterator[Attempt]:
+    """Yield attempts in order, until there are `episodes_n` demonstrations or the attempts allowed are used up.
 
     Attempts that an interrupted recording left in `job.folder` count (see `claim`). `observe` needs one worker.
 
@@ -127,15 +126,22 @@ def record(
         EnvironmentMissingError: Missing device or renderer.
     """
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
-    wanted, used = job.teleop.episodes_n, usable_workers(job, workers)
-    allowed = int(np.ceil(wanted * job.teleop.attempts_max_ratio))
-    attempts: list[Attempt] = []
-    while (missing := wanted - sum(a.kept for a in attempts)) > 0 and len(attempts) < allowed:
-        indices = range(len(attempts), min(len(attempts) + missing, allowed))
-        for attempt in in_workers(lambda index: _record_in_worker(job, index, observe), indices, used):
-            attempts.append(attempt)
-            if on_attempt is not None:
-                on_attempt(attempt)
+    allowed, tried = math.ceil(job.teleop.episodes_n * job.teleop.attempts_max_ratio), 0
+    missing = job.teleop.episodes_n
+    while missing > 0 and tried < allowed:
+        indices = range(tried, min(tried + missing, allowed))
+        for attempt in in_workers(lambda i: _record_in_worker(job, i, observe), indices, usable_workers(job, workers)):
+            tried, missing = tried + 1, missing - attempt.kept
+            yield attempt
+
+
+def recording_of(job: Job, workers: int, attempts: Sequence[Attempt]) -> Recording:
+    """Return the recording, with the faults that only all attempts show."""
     references = camera_references([a.views for a in attempts if a.kept])
     judged = (replace(a, faults=(*a.faults, *map(str, check_swapped(a.views, references)))) for a in attempts)
-    return Recording(tuple(judged), min(used, wanted))
+    return Recording(tuple(judged), min(usable_workers(job, workers), job.teleop.episodes_n))
+
+
+def record(job: Job, *, workers: int) -> Recording:
+    """See `attempts_of`."""
+    return recording_of(job, workers, list(attempts_of(job, workers)))

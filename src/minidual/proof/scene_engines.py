@@ -68,11 +68,9 @@ def _larger(x: float, y: float) -> float:
 
 @kernel(types.void(ROWS, ROWS, ROWS, types.float64, ROWS))
 def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
-    """Fill (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2].
-
-    A cubic whose mean speed differs from the mean end speed accelerates by six times the difference over the step. The
-    acceleration's change (for a, half of it) is subtracted. NaN propagates.
-    """
+    """Fill (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2]."""
+    # A cubic whose mean speed differs from the mean end speed accelerates by six times the difference over the step. The
+    # acceleration's change (for a, half of it) is subtracted. NaN propagates.
     most[:] = -np.inf
     for i in range(len(q)):
         for j in range(q.shape[1]):

@@ -1,8 +1,10 @@
 """`minidual teleop-record`: record demonstrations and convert them to a dataset."""
 
+import itertools
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from minidual.config.learning import TeleopConfig
@@ -47,7 +49,7 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
 
 def recording_inputs(config: Config) -> dict[str, Any]:
     """Return what determines the episodes (JSON types)."""
-    code = code_of(["minidual.demos.recording:record", "minidual.trials.conditions:rooms"])
+    code = code_of(["minidual.demos.recording:attempts_of", "minidual.trials.conditions:rooms"])
     return {"seed": config.seed, "code": code.modules, **config.model_dump(mode="json", include=set(READS))}
 
 
@@ -61,26 +63,33 @@ def run(context: StageContext) -> StageResult:
         context.progress.note(earlier)
     if leader.usage:
         context.progress.note(leader.usage)
-    with context.progress.task("demonstrations", teleop.episodes_n) as task:
+    watch, attempts, began = watch_recording(context.view), list[rig.Attempt](), time.perf_counter()
 
-        def tell(attempt: rig.Attempt) -> None:
-            task.advance(int(attempt.kept), "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}")
+    def demonstrations() -> Iterator[Path]:
+        nonlocal began
+        with context.progress.task("demonstrations", teleop.episodes_n) as task:
+            for attempt in recording.attempts_of(job, context.workers, watch):
+                attempts.append(attempt)
+                why = "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
+                task.advance(int(attempt.kept), why)
+                if attempt.path is not None and attempt.kept:
+                    yield attempt.path
+        began = time.perf_counter()
+        context.progress.note("the dataset is compared with the recordings, picture by picture")
 
-        watch = watch_recording(context.view)
-        recorded = recording.record(job, workers=context.workers, on_attempt=tell, observe=watch)
-    write_csv(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
-    if not recorded.kept:
+    paths = iter(list(demonstrations())) if leader.realtime else demonstrations()  # a person does not wait between two
+    if (first := next(paths, None)) is None:
         recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
         raise NothingEvaluatedError(
-            f"none of {len(recorded.attempts)} attempts became a demonstration; {_commonest(recorded.attempts)}",
+            f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}",
             remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
         )
     from minidual.demos import lerobot_adapter  # takes seconds to load
 
-    began = time.perf_counter()
-    with context.progress.task("dataset", len(recorded.kept)) as task:
-        paths = [attempt.path for attempt in recorded.kept if attempt.path is not None]
-        dataset = lerobot_adapter.convert(paths, folder / "lerobot", job.robot, progress=task.advance)
+    # An episode is converted while the next ones are recorded.
+    dataset = lerobot_adapter.convert(itertools.chain([first], paths), folder / "lerobot", job.robot)
+    recorded = recording.recording_of(job, context.workers, attempts)
+    write_csv(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
     numbers = recorded.numbers(time.perf_counter() - began)
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice
@@ -89,15 +98,15 @@ def run(context: StageContext) -> StageResult:
             task.advance()
     tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
     draw_quality(recorded.attempts, tests, teleop.jerk_max_rad_s3, folder / "quality.png")
+    rejected = [a for a in attempts if not a.kept]
     data = {
-        "rejected": {str(a.trial.index): a.reason for a in recorded.attempts if not a.kept},
+        "rejected": {str(a.trial.index): a.reason for a in rejected},
         "faults": {str(a.trial.index): list(a.faults) for a in recorded.attempts if a.faults},
         "jerk_filter": JERK_FILTER,
     }
-    rejected = [a for a in recorded.attempts if not a.kept]
-    notes = [f"{len(rejected)} of {len(recorded.attempts)} attempts were left out"]
+    notes = [f"{len(rejected)} of {len(attempts)} attempts were left out"]
     notes[0] += f"; {_commonest(rejected)}" if rejected else ""
-    if adopted := sum(a.adopted for a in recorded.attempts):
+    if adopted := sum(a.adopted for a in attempts):
         notes.append(f"{adopted} attempts were recorded before an interruption")
     return StageResult(checks=record_checks(numbers, teleop), data=data, notes=notes)
 

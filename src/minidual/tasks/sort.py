@@ -82,7 +82,8 @@ def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
     """
     (x_low, x_high), y_range = _START_M
     middle, half = (x_low + x_high) / 2, widen * (x_high - x_low) / 2
-    goal: Poses = {name: _slot(name, k % 2) for k, name in enumerate(task.objects)}
+    slots = ((name, _WAY[side_of(name)] * (_BIN_XY_M[1] + _SLOTS_M[k % 2])) for k, name in enumerate(task.objects))
+    goal: Poses = {name: (_BIN_XY_M[0], y, 0.0) for name, y in slots}
     for _ in range(_DRAWS_MAX):
         xy = {n: (float(rng.uniform(middle - half, middle + half)), float(rng.uniform(*y_range))) for n in goal}
         apart = all(math.dist(xy[a], xy[b]) >= _APART_M for a in xy for b in xy if a < b)
@@ -90,10 +91,6 @@ def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
             yaws = rng.uniform(-np.pi / 4, np.pi / 4, size=len(xy)).tolist()
             return {name: (*at, yaw) for (name, at), yaw in zip(xy.items(), yaws, strict=True)}, goal
     raise UsageError("the cubes find no start apart from each other", remedy="take fewer or smaller objects")
-
-
-def _slot(name: str, index: int) -> tuple[float, float, float]:
-    return _BIN_XY_M[0], _WAY[side_of(name)] * (_BIN_XY_M[1] + _SLOTS_M[index]), 0.0
 
 
 def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from pydantic import ValidationError
@@ -125,7 +125,8 @@ class Condition:
         if self.change is None:
             yield
             return
-        kept = [(values, values.copy()) for place in (model, model.vis.headlight) for values in _arrays(place)]
+        fields = (getattr(of, n) for of in (model, model.vis.headlight) for n in dir(of) if not n.startswith("_"))
+        kept = [(values, values.copy()) for values in fields if isinstance(values, np.ndarray)]
         try:
             self.change(model, task, trial, rng)  # inside try: a partial change must be undone too
             _derive(model)
@@ -134,11 +135,6 @@ class Condition:
             for values, before in kept:
                 values[...] = before
             _derive(model)
-
-
-def _arrays(place: Any) -> list[Array]:
-    found = (getattr(place, name) for name in dir(place) if not name.startswith("_"))
-    return [values for values in found if isinstance(values, np.ndarray)]
 
 
 def _derive(model: mujoco.MjModel) -> None:

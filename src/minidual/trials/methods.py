@@ -99,15 +99,10 @@ class MethodSpec:
         return load_target(self.target)(replace(inputs, config=changed(inputs.config, self.settings)))
 
 
-def _another_task(task: Task, trained: str) -> str:
-    return "" if task.name == trained else f"its policy is trained on '{trained}'"
-
-
-def _held_apart(task: Task, trained: str) -> str:
-    return "" if task.together else "the hands hold no object together"
-
-
-_CANNOT = {"another_task": _another_task, "held_apart": _held_apart}
+_CANNOT: dict[str, Callable[[Task, str], str]] = {
+    "another_task": lambda task, trained: "" if task.name == trained else f"its policy is trained on '{trained}'",
+    "held_apart": lambda task, trained: "" if task.together else "the hands hold no object together",
+}
 METHODS: Registry[MethodSpec] = Registry("method", group="minidual.methods")
 for _name, _row in _ROWS["methods"].items():
     if "cannot" in _row:
