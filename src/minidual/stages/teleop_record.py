@@ -75,7 +75,7 @@ def run(context: StageContext) -> StageResult:
                 if attempt.path is not None and attempt.kept:
                     yield attempt.path
         began = time.perf_counter()
-        context.progress.note("the dataset is compared with the recordings, picture by picture")
+        write_csv(folder / "quality.csv", [attempt.row() for attempt in attempts])
 
     paths = iter(list(demonstrations())) if leader.realtime else demonstrations()  # a person does not wait between two
     if (first := next(paths, None)) is None:
@@ -86,10 +86,9 @@ def run(context: StageContext) -> StageResult:
         )
     from minidual.demos import lerobot_adapter  # takes seconds to load
 
-    # An episode is converted while the next ones are recorded.
+    context.progress.note("demonstrations go into the dataset as they come; at the end every picture is compared")
     dataset = lerobot_adapter.convert(itertools.chain([first], paths), folder / "lerobot", job.robot)
     recorded = recording.recording_of(job, context.workers, attempts)
-    write_csv(folder / "quality.csv", [attempt.row() for attempt in recorded.attempts])
     numbers = recorded.numbers(time.perf_counter() - began)
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice
