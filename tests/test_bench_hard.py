@@ -229,6 +229,12 @@ def test_a_rod_held_with_a_joint_on_its_limit_is_carried(queries, planner) -> No
     assert [numbers[what] for what in ("solved", "colliding", "over_jerk", "off_grasp")] == [1, 0, 0, 0]
 
 
+def test_hands_whose_first_postures_collide_are_planned_to_their_poses(planner) -> None:
+    query = posed(draw(SETS["crossing"], 20261, 19), planner)
+    numbers = hard.judged([query], hard.plan_to_poses([query], planner, 30.0), planner)
+    assert [numbers[what] for what in ("solved", "colliding", "over_jerk")] == [1, 0, 0]
+
+
 class TestPeers:
     def test_ompl_solves_what_is_easy_and_says_what_it_takes(self, planner) -> None:
         ends = [dict(zip(SIDES, planner.kinematics.tcp_poses(q), strict=True)) for q in (HOME, HOME + 0.1)]

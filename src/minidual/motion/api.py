@@ -9,7 +9,7 @@ from typing import Self, TypedDict, Unpack
 
 import numpy as np
 
-from minidual.collision.errors import NoPathInTimeError, PlanningError, TimingError
+from minidual.collision.errors import GoalInCollisionError, NoPathInTimeError, PlanningError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
@@ -174,8 +174,11 @@ class Planner:
         """
         work, config = _Work(self, group, q_start, **options), self.config
         with work.phase("ik"):
-            rng, counts = stream(work.seed, "motion/goals"), (config.ik_restarts_n, config.goal_candidates_n)
-            goals = pose_goals(group, work.q_start, targets, work.engines, rng, *counts)
+            asked = group, work.q_start, targets, work.engines, stream(work.seed, "motion/goals")
+            try:
+                goals = pose_goals(*asked, config.ik_restarts_n, config.goal_candidates_n)
+            except GoalInCollisionError:  # at the few postures found: two hands may be in each other's way
+                goals = pose_goals(*asked, 8 * config.ik_restarts_n, config.goal_candidates_n)
         return work.run(goals)
 
 

@@ -283,8 +283,7 @@ def pose_goals(
     found: dict[str, list[Array]] = {side: [] for side in solutions}
     while True:
         new = {side: list(itertools.islice(more, goals_n)) for side, more in solutions.items()}
-        for side in found:
-            found[side] += new[side]
+        found = {side: found[side] + new[side] for side in found}
         combined = []
         for parts in itertools.product(*found.values()):
             q = np.array(q_start)
@@ -297,7 +296,5 @@ def pose_goals(
             return free
         if not any(new.values()):
             require_free(engine, combined[0], "goal")
-            raise GoalInCollisionError(
-                "the goal is too close to contact: no plane separates all pairs at any of its solutions",
-                remedy="move it a little, or allow the pair in the scene",
-            )
+            why = "the goal is too close to contact: no plane separates all pairs at any of its solutions"
+            raise GoalInCollisionError(why, remedy="move it a little, or allow the pair in the scene")

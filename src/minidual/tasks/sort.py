@@ -82,8 +82,8 @@ def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
     """
     (x_low, x_high), y_range = _START_M
     middle, half = (x_low + x_high) / 2, widen * (x_high - x_low) / 2
-    slots = ((name, _WAY[side_of(name)] * (_BIN_XY_M[1] + _SLOTS_M[k % 2])) for k, name in enumerate(task.objects))
-    goal: Poses = {name: (_BIN_XY_M[0], y, 0.0) for name, y in slots}
+    bin_x, bin_y = _BIN_XY_M
+    goal: Poses = {n: (bin_x, _WAY[side_of(n)] * (bin_y + _SLOTS_M[k % 2]), 0.0) for k, n in enumerate(task.objects)}
     for _ in range(_DRAWS_MAX):
         xy = {n: (float(rng.uniform(middle - half, middle + half)), float(rng.uniform(*y_range))) for n in goal}
         apart = all(math.dist(xy[a], xy[b]) >= _APART_M for a in xy for b in xy if a < b)
