@@ -285,7 +285,9 @@ class TestPeers:
         numbers = hard.judged([blocked], runs, planner)
         assert (numbers["solved"], numbers["colliding"], numbers["median_ms"]) == (1, 1, 500.0)
 
-        contacts[0] = not contacts[0]
+        contacts[:2] = [not touches for touches in contacts[:2]]
+        self.answering(tmp_path, contacts, **answer).plan([blocked], planner, 1.0)
+        contacts[2] = not contacts[2]
         with pytest.raises(RuntimeError, match="other contacts"):
             self.answering(tmp_path, contacts, **answer).plan([blocked], planner, 1.0)
 

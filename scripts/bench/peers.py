@@ -46,6 +46,8 @@ _EDGE_RAD = 0.03
 _SHARE_S = 0.2
 _STATES_N = 200
 """States per query on which roboplan must see the contacts that MuJoCo sees."""
+_OTHER_SHARE = 0.01
+"""Of them may differ: roboplan looks at surfaces, and does not see a box that lies wholly inside a hull."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +165,7 @@ class Roboplan:
         """Plan with roboplan.
 
         Raises:
-            RuntimeError: It sees contacts that neither MuJoCo nor coal sees, or misses what both see: the geometries
-                differ, and nothing is comparable.
+            RuntimeError: It sees other contacts than MuJoCo: the geometries differ, and nothing is comparable.
         """
         if not queries:
             return []
@@ -176,9 +177,8 @@ class Roboplan:
         runs = []
         for query, asked, line in zip(queries, job["queries"], done.stdout.splitlines(), strict=True):
             answer = json.loads(line)
-            engines, states = planner.engines(query.drawn.scene), np.array(asked["states"])
-            seen = [engines.engine(name).collisions(states) for name in ("mujoco", "coal")]
-            if not np.any(np.equal(seen, answer["contacts"]), axis=0).all():  # at a mere touch these two differ as well
+            seen = planner.engines(query.drawn.scene).engine("mujoco").collisions(np.array(asked["states"]))
+            if np.mean(seen != answer["contacts"]) > _OTHER_SHARE:
                 raise RuntimeError(f"roboplan and MuJoCo see other contacts in query {query.drawn.index}")
             timed = None
             if not answer["reason"]:
