@@ -3,7 +3,8 @@
 import itertools
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,8 @@ def recording_inputs(config: Config) -> dict[str, Any]:
 
 def run(context: StageContext) -> StageResult:
     """Record, convert and film; write quality.csv and quality.png."""
+    from minidual.demos import lerobot_adapter  # takes seconds: interrupted there, no workers are left behind
+
     config, folder = context.config, context.folder
     teleop, leader = config.teleop, LEADERS[config.teleop.leader]
     within = rooms(teleop.conditions)
@@ -65,7 +68,7 @@ def run(context: StageContext) -> StageResult:
         context.progress.note(leader.usage)
     watch, attempts, began = watch_recording(context.view), list[rig.Attempt](), time.perf_counter()
 
-    def demonstrations() -> Iterator[Path]:
+    def demonstrations() -> Generator[Path]:
         nonlocal began
         with context.progress.task("demonstrations", teleop.episodes_n) as task:
             for attempt in recording.attempts_of(job, context.workers, watch):
@@ -77,24 +80,22 @@ def run(context: StageContext) -> StageResult:
         began = time.perf_counter()
         write_csv(folder / "quality.csv", [attempt.row() for attempt in attempts])
 
-    paths = iter(list(demonstrations())) if leader.realtime else demonstrations()  # a person does not wait between two
-    if (first := next(paths, None)) is None:
-        recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
-        raise NothingEvaluatedError(
-            f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}",
-            remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
-        )
-    from minidual.demos import lerobot_adapter  # takes seconds to load
-
-    context.progress.note("demonstrations go into the dataset as they come; at the end every picture is compared")
-    dataset = lerobot_adapter.convert(itertools.chain([first], paths), folder / "lerobot", job.robot)
+    with closing(demonstrations()) as coming:  # an interruption ends the workers here
+        paths = iter(list(coming)) if leader.realtime else coming  # a person does not wait between two episodes
+        if (first := next(paths, None)) is None:
+            recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
+            raise NothingEvaluatedError(
+                f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}",
+                remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
+            )
+        context.progress.note("demonstrations go into the dataset as they come; at the end every picture is compared")
+        dataset = lerobot_adapter.convert(itertools.chain([first], paths), folder / "lerobot", job.robot)
     recorded = recording.recording_of(job, context.workers, attempts)
     numbers = recorded.numbers(time.perf_counter() - began)
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
     if not leader.realtime:  # a person does not do the same thing twice
-        with context.progress.task("film", 1) as task:
-            film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
-            task.advance()
+        context.progress.note("filming the first demonstration again")
+        film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
     tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
     draw_quality(recorded.attempts, tests, teleop.jerk_max_rad_s3, folder / "quality.png")
     rejected = [a for a in attempts if not a.kept]
@@ -103,13 +104,12 @@ def run(context: StageContext) -> StageResult:
         "faults": {str(a.trial.index): list(a.faults) for a in recorded.attempts if a.faults},
         "jerk_filter": JERK_FILTER,
     }
-    notes = [f"{len(rejected)} of {len(attempts)} attempts were left out"]
-    notes[0] += f"; {_commonest(rejected)}" if rejected else ""
+    most = f"; {_commonest(rejected)}" if rejected else ""
+    notes = [f"{len(rejected)} of {len(attempts)} attempts were left out{most}"]
     if adopted := sum(a.adopted for a in attempts):
         notes.append(f"{adopted} attempts were recorded before an interruption")
     return StageResult(checks=record_checks(numbers, teleop), data=data, notes=notes)
 
 
 def _commonest(attempts: Sequence[rig.Attempt]) -> str:
-    (reason, count) = Counter(a.reason for a in attempts).most_common(1)[0]
-    return f"{count} x {reason}"
+    return "{1} x {0}".format(*Counter(a.reason for a in attempts).most_common(1)[0])
