@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from minidual.config.control import SensingConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.tasks.judge import Judge
 from minidual.tasks.task import Task, Trial, make_task
+from minidual.trials.metrics import TrialMetrics
 
 _SENSED = "pose_noise_m pose_noise_rad pose_rate_hz force_noise_n delay_s force_filter_s grasp_memory_s"
 PERFECT_SENSING = SensingConfig(**dict.fromkeys(_SENSED.split(), 0.0))
@@ -30,3 +33,8 @@ def rod_trial(purpose: str, index: int, start: tuple[float, float, float], goal:
 def rod_judge(scene: SceneConfig, trial: Trial, *, demand_internal_force: bool = False) -> Judge:
     """Return the judge of a trial in a scene."""
     return Judge(carry_task(scene), trial, {"squeezed"} if demand_internal_force else ())
+
+
+def same_row(result: TrialMetrics) -> dict[str, Any]:
+    """A trial's row without the times that were measured by the clock."""
+    return {name: value for name, value in result.to_row().items() if name not in result.wall}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carry_trials import sample_trial
+from carry_trials import same_row, sample_trial
 
 from minidual.config.root import BenchmarkConfig, Config, changed
 from minidual.durable import write_csv
@@ -384,7 +384,7 @@ def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
     used, fresh = (Bench("impedance", MethodInputs(Config(), SEED)) for _ in range(2))
     for name in ("mass +50 %", "moved 20 mm"):
         used.run(first, condition=name)
-    rows = [bench.run(second, condition="moved 20 mm")[0].to_row() for bench in (used, fresh)]
+    rows = [same_row(bench.run(second, condition="moved 20 mm")[0]) for bench in (used, fresh)]
     assert rows[0] == rows[1]
 
 
@@ -394,7 +394,7 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
     inputs = MethodInputs(config, SEED)
     one, two = (
-        [r.to_row() for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
+        [same_row(r) for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
         for n in (1, 2)
     )
     assert one == two

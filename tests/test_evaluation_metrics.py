@@ -14,6 +14,7 @@ import pytest
 from minidual.durable import write_csv
 from minidual.errors import DataError, NothingEvaluatedError, UsageError
 from minidual.tasks.judge import Failure, Outcome
+from minidual.trials.measures import LOG_RATE_HZ, MEASURES, TrialLog, measure
 from minidual.trials.metrics import TrialMetrics, summarise, trial_metrics
 
 
@@ -34,17 +35,26 @@ def outcome(*failures: Failure, **changes: Any) -> Outcome:
     return Outcome(*told, measured=values)
 
 
-def logs(duration_s: float = 4.0, rate_hz: float = 1000.0) -> dict[str, Any]:
-    t = np.arange(0.0, duration_s + 1e-9, 1.0 / rate_hz)
+def log(duration_s: float = 4.0, **changes: Any) -> TrialLog:
+    t = np.arange(0.0, duration_s + 1e-9, 1.0 / LOG_RATE_HZ)
     path = np.zeros((len(t), 2, 3))
     path[:, 0, 1] = 0.5 * t / t[-1]
     path[:, 1, 2] = 0.1 * t / t[-1]
-    return {
-        "q": 0.3 * np.sin(2 * np.pi * t[:, None] + np.arange(14)),
-        "torque_ratio_max": 0.75,
-        "tcp_positions": path,
-        "rate_hz": rate_hz,
-    }
+    return TrialLog(
+        t=t,
+        q=changes.pop("q", 0.3 * np.sin(2 * np.pi * t[:, None] + np.arange(14))),
+        tau=np.full((len(t), 14), 2.0),
+        tcp=path,
+        position=np.zeros((len(t), 3)),
+        tilt=0.0 * t,
+        pinch=np.full((len(t), 2), 50.0),
+        internal_force=np.full(len(t), 41.0),
+        airborne=(t > 1.0) & (t < 2.0),
+    )
+
+
+def logs(duration_s: float = 4.0) -> dict[str, Any]:
+    return {"log": log(duration_s), "torque_ratio_max": 0.75}
 
 
 def trial(index: int, *, success: bool = True, method: str = "act", **changes: Any) -> TrialMetrics:
@@ -100,9 +110,66 @@ def test_a_trial_too_short_for_a_jerk_says_so() -> None:
 
 def test_a_log_that_is_not_finite_is_refused() -> None:
     bad = logs()
-    bad["q"][3] = np.nan
+    bad["log"].q[3] = np.nan
     with pytest.raises(DataError, match="NaN or infinity"):
         trial_metrics("act", 1, outcome(), **bad)
+
+
+class TestMeasures:
+    """Each against a motion whose answer is known."""
+
+    def test_what_never_happened_is_not_a_number(self) -> None:
+        still = log()
+        still.airborne[:] = False
+        found = measure(still, 0.2, 40.0)
+        assert math.isnan(found["sync_error_m"])
+        assert math.isnan(found["internal_force_error_n"])
+        assert found["impulse_max_ns"] == 0.0
+
+    def test_the_hands_part_by_what_their_distance_changes_in_the_air_alone(self) -> None:
+        """The left hand goes 0.125 m/s along y, the right one 0.025 along z, held from 1 to 2 s."""
+        apart = [math.hypot(0.125 * t, 0.025 * t) for t in (1.0 + 1 / LOG_RATE_HZ, 2.0 - 1 / LOG_RATE_HZ)]
+        assert measure(log(), 0.2, 40.0)["sync_error_m"] == pytest.approx(apart[1] - apart[0])
+        let_go = log()
+        let_go.pinch[let_go.t > 1.5, 1] = 0.0
+        assert measure(let_go, 0.2, 40.0)["sync_error_m"] < 0.51 * (apart[1] - apart[0])
+
+    def test_the_internal_force_is_compared_with_what_the_method_wants(self) -> None:
+        assert measure(log(), 0.2, 40.0)["internal_force_error_n"] == pytest.approx(1.0)
+        assert math.isnan(measure(log(), 0.2, math.nan)["internal_force_error_n"])
+
+    def test_a_blow_of_half_a_metre_a_second_on_two_kilograms_is_one_newton_second(self) -> None:
+        struck = log()
+        struck.position[:, 0] = 0.5 * np.maximum(0.0, struck.t - 2.0)
+        assert measure(struck, 2.0, math.nan)["impulse_max_ns"] == pytest.approx(1.0)
+
+    def test_work_is_torque_times_way_whichever_way(self) -> None:
+        t = log().t
+        swung = log(q=np.c_[np.sin(2 * np.pi * t), np.zeros((len(t), 13))])
+        assert measure(swung, 0.2, math.nan)["energy_j"] == pytest.approx(2.0 * 4 * 4.0, rel=1e-3)
+
+    def test_a_swing_of_25_hz_is_in_the_jerk_at_50_hz_alone(self) -> None:
+        t = log().t
+        shaken = log(q=0.001 * np.sin(2 * np.pi * 25.0 * t)[:, None] * np.ones(14))
+        found, expected = measure(shaken, 0.2, math.nan), 0.001 * (2 * np.pi * 25.0) ** 3 * np.sqrt(7.0)
+        assert found["jerk_50_hz_rms"] == pytest.approx(expected, rel=0.1)
+        assert trial_metrics("act", 1, outcome(), shaken, torque_ratio_max=0.1).jerk_rms < 0.1 * expected
+
+    def test_they_are_in_the_rows_and_their_medians_in_the_summary(self) -> None:
+        made = trial_metrics("impedance", 4, outcome(progress=0.5, energy_j=3.0), **logs())
+        row = made.to_row()
+        assert set(MEASURES) <= set(row)
+        assert (row["progress"], row["energy_j"], row["planning_s"]) == (0.5, 3.0, "not measured")
+        others = [replace(made, index=k, measured={**made.measured, "progress": k / 4}) for k in range(4)]
+        others[0] = replace(others[0], wall={"planning_s": 0.2})
+        summary = summarise(others, np.random.default_rng(0))
+        assert summary.measures["progress"] == pytest.approx(0.375)
+        assert summary.measures["planning_s"] == 0.2
+        assert summary.record()["measures"]["inference_s"] == "nan"
+        assert summary.to_row()["inference_s"] == "not measured"
+
+    def test_measured_times_make_no_two_trials_differ(self) -> None:
+        assert trial(0, wall={"planning_s": 1.0}) == trial(0, wall={"planning_s": 2.0})
 
 
 def test_a_summary_says_over_which_trials_it_speaks() -> None:

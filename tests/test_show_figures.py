@@ -14,7 +14,7 @@ from minidual.robot.pair import robot_from
 from minidual.show.figures import canvas
 from minidual.show.figures.film import Postures, film_postures, sheet_of_postures
 from minidual.show.figures.trial import draw_trial
-from minidual.trials.runner import TrialLog
+from minidual.trials.measures import TrialLog
 
 
 @pytest.mark.parametrize(("arm", "joints"), [("panda", 7), ("ur5", 6)])
@@ -27,7 +27,7 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
     zeros = np.zeros((50, robot.dof))
     tau = np.tile(0.5 * robot.tau_max, (50, 1))
     tau[:, -1] = 0.9 * robot.tau_max[-1]
-    log = TrialLog(t, zeros, tau, np.zeros((50, 2, 3)), np.zeros((50, 3)), 0.0 * t, np.ones((50, 2)), 0.0 * t)
+    log = TrialLog(t, zeros, tau, np.zeros((50, 2, 3)), np.zeros((50, 3)), 0.0 * t, np.ones((50, 2)), 0.0 * t, t > 1.0)
     drawn: list[Any] = []
     make = canvas.new_figure
     monkeypatch.setattr(

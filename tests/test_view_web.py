@@ -22,9 +22,10 @@ from minidual.show.view.overlay import Arrow, Overlay, PathLine, Preview, Slider
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
 from minidual.tasks.task import task_config
+from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.runner import Bench, TrialLog, run_trials
+from minidual.trials.runner import Bench, run_trials
 
 CONFIG = Config()
 SUBPROTOCOL = "viser-v1.1.1"

@@ -19,7 +19,7 @@ FILTER_ORDER = 4
 CUTOFF_HZ = 10.0
 INTERNAL_RATE_HZ = 1000.0
 TRIM_S = 2.0 / CUTOFF_HZ
-"""Time left out at each end."""
+"""Time left out at each end, at any cutoff."""
 MIN_DURATION_S = 2.5 * TRIM_S
 
 JERK_FILTER = (
@@ -95,10 +95,10 @@ def grip_changes(command: NDArray[np.floating]) -> list[int]:
     return (np.flatnonzero(above[1:] != above[:-1]) + 1).tolist()
 
 
-def rms_jerk(q: NDArray[np.floating], rate_hz: float) -> float:
+def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> float:
     """Return sqrt(mean over t of sum over joints of (d3q/dt3)^2), rad/s^3, of q (T, n) [rad].
 
-    DataError below 40 Hz, under 0.5 s, or if not finite.
+    DataError below four times the cutoff, under 0.5 s, or if not finite.
     """
     from scipy.interpolate import make_interp_spline  # slow import, not needed for JERK_FILTER
     from scipy.signal import butter, sosfiltfilt
@@ -106,8 +106,8 @@ def rms_jerk(q: NDArray[np.floating], rate_hz: float) -> float:
     q = np.asarray(q, dtype=np.float64)
     if q.ndim != 2 or q.shape[1] == 0:
         raise DataError(f"jerk needs joint positions of shape (T, joints), got {q.shape}")
-    if not (np.isfinite(rate_hz) and rate_hz >= 4.0 * CUTOFF_HZ):
-        raise DataError(f"jerk with a {CUTOFF_HZ:g} Hz cutoff needs at least {4 * CUTOFF_HZ:g} Hz, got {rate_hz:g} Hz")
+    if not (np.isfinite(rate_hz) and rate_hz >= 4.0 * cutoff_hz):
+        raise DataError(f"jerk with a {cutoff_hz:g} Hz cutoff needs at least {4 * cutoff_hz:g} Hz, got {rate_hz:g} Hz")
     if (len(q) - 1) / rate_hz < MIN_DURATION_S - 1e-9:
         raise DataError(f"jerk needs at least {MIN_DURATION_S:.2f} s of motion, got {len(q)} samples at {rate_hz:g} Hz")
     if not np.all(np.isfinite(q)):
@@ -119,7 +119,7 @@ def rms_jerk(q: NDArray[np.floating], rate_hz: float) -> float:
         ticks = np.arange(len(q), dtype=np.float64)
         fine = np.arange((len(q) - 1) * factor + 1) / factor
         q = make_interp_spline(ticks, q, k=5, axis=0)(fine)
-    sos = butter(FILTER_ORDER, CUTOFF_HZ, fs=rate, output="sos")
+    sos = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
     # Subtracting the start avoids rounding error in the third difference.
     smooth = sosfiltfilt(sos, q - q[0], axis=0, padlen=min(len(q) - 1, int(TRIM_S * rate)))
     # Central third difference: (q[+2] - 2 q[+1] + 2 q[-1] - q[-2]) / (2 dt^3).

@@ -71,6 +71,7 @@ class PolicyPilot:
         # A mode switch must drop the current chunk, or it would run on afterwards.
         self.stack.on_flush(lambda mode: runtime.reset())
         runtime.reset()
+        self._inferred_n = len(runtime.times_s)
         self.stack.request(SOURCE)
         self._step = 0
         self.stack.arbitrate()
@@ -79,6 +80,12 @@ class PolicyPilot:
     def phase(self) -> str:
         """State of the arbiter."""
         return str(self.stack.state)
+
+    @property
+    def inference_s(self) -> float:
+        """Mean time of this trial's inferences, or NaN."""
+        times_s = self._runtime.times_s[self._inferred_n :]
+        return float(np.mean(times_s)) if times_s else float("nan")
 
     @property
     def done(self) -> bool:

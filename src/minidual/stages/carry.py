@@ -18,9 +18,10 @@ from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task
+from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics, summarise
-from minidual.trials.runner import Bench, TrialLog, run_trials
+from minidual.trials.runner import Bench, run_trials
 
 METHOD = "impedance"
 RECORDED_FAILURES_MAX = 20

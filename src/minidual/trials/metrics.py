@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from minidual.demos.quality import MIN_DURATION_S, path_length_m, rms_jerk
+from minidual.demos.quality import CUTOFF_HZ, path_length_m
 from minidual.errors import NothingEvaluatedError, UsageError
-from minidual.robot.pair import Array
 from minidual.tasks.judge import Failure, Outcome
+from minidual.trials.measures import MEASURES, TrialLog, jerk
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
 
 NOT_MEASURED = "not measured"
@@ -33,8 +33,9 @@ class TrialMetrics:
         internal_force_min_n, pinch_force_min_n: Off the table.
         aborted: Why the method stopped itself.
         disturbed: Whether the push or move took place; None without.
-        saturated_max_s: Longest time of one motor at its limit.
-        measured: The conditions' numbers; neither is in tables.
+        saturated_max_s: Longest time of one motor at its limit; not in tables.
+        measured: Numbers of the conditions and of the motion; tables show the rows of MEASURES.
+        wall: Measured times by name, which differ from run to run.
     """
 
     method: str
@@ -56,6 +57,13 @@ class TrialMetrics:
     disturbed: bool | None = None
     saturated_max_s: float = 0.0
     measured: Mapping[str, float] = field(default_factory=dict)
+    wall: Mapping[str, float] = field(default_factory=dict, compare=False)
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """The rows of MEASURES; NaN where one does not apply."""
+        found = {**self.measured, **self.wall}
+        return {name: found.get(name, math.nan) for name in MEASURES}
 
     @property
     def text(self) -> str:
@@ -68,7 +76,8 @@ class TrialMetrics:
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON."""
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
-        told = {name: value for name, value in vars(self).items() if name not in ("saturated_max_s", "measured")}
+        hidden = ("saturated_max_s", "measured", "wall")
+        told = {name: value for name, value in vars(self).items() if name not in hidden} | self.measures
         row = {name: _said(value, words.get(name, NOT_MEASURED)) for name, value in told.items()}
         return {**row, "disturbed": "no push or move" if self.disturbed is None else self.disturbed}
 
@@ -87,6 +96,7 @@ class MethodSummary:
             the median). Durations, path lengths and forces are over successes, the others over all trials.
         failures: By first violated condition, most frequent first.
         stopped_n: Failures of a method that stopped itself.
+        measures: Median of each row of MEASURES, of `progress` the mean; NaN where none applies.
     """
 
     method: str
@@ -96,6 +106,7 @@ class MethodSummary:
     numbers: Mapping[str, float]
     failures: Mapping[str, int]
     stopped_n: int
+    measures: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     def __getitem__(self, name: str) -> float:
         return self.numbers[name]
@@ -109,13 +120,15 @@ class MethodSummary:
         }
         labels = {name: getattr(self, name) for name in ("method", "condition", "trials_n", "successes_n")}
         failures = "; ".join(f"{name} {count}" for name, count in self.failures.items()) or "none"
-        return {**labels, **numbers, "failures": failures, "stopped_n": self.stopped_n}
+        measures = {name: _said(value, NOT_MEASURED) for name, value in self.measures.items()}
+        return {**labels, **numbers, **measures, "failures": failures, "stopped_n": self.stopped_n}
 
     def record(self) -> dict[str, Any]:
         """Return the summary for a verdict; NaN becomes "nan"."""
         numbers = {name: _said(value, "nan") for name, value in self.numbers.items()}
         counts = {"trials": self.trials_n, "successes_n": self.successes_n, "stopped_n": self.stopped_n}
-        return {**counts, **numbers, "failures": dict(self.failures)}
+        measures = {name: _said(value, "nan") for name, value in self.measures.items()}
+        return {**counts, **numbers, "failures": dict(self.failures), "measures": measures}
 
     def not_finite(self) -> list[str]:
         """Return the names of numbers that its trials should have given."""
@@ -131,15 +144,11 @@ class MethodSummary:
         )
 
 
-def trial_metrics(
-    method: str, index: int, outcome: Outcome, *, q: Array, tcp_positions: Array, rate_hz: float, **known: Any
-) -> TrialMetrics:
-    """Return the metrics of one undisturbed trial; `q` is (T, n) [rad], `tcp_positions` (T, 2, 3) [m], both measured.
-
-    `known` are further fields.
+def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **known: Any) -> TrialMetrics:
+    """Return the metrics of one undisturbed trial; `known` are further fields.
 
     Raises:
-        DataError: `q` is not finite.
+        DataError: Its joints are not finite.
     """
     unfinished = Failure("unfinished", outcome.duration_s, "the object was never released at rest")
     first = min(outcome.failures, key=lambda failure: failure.at_s, default=unfinished)
@@ -153,8 +162,8 @@ def trial_metrics(
         reason=cause.detail,
         failed_at_s=cause.at_s,
         duration_s=outcome.duration_s if outcome.success else math.nan,
-        jerk_rms=math.nan if (len(q) - 1) / rate_hz < MIN_DURATION_S else rms_jerk(q, rate_hz),
-        path_length_m=float(path_length_m(tcp_positions).mean()),
+        jerk_rms=jerk(log.q, CUTOFF_HZ),
+        path_length_m=float(path_length_m(log.tcp).mean()),
         pinch_force_min_n=outcome.pinch_min_n,
         measured=outcome.measured,
         **{name: getattr(outcome, name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},
@@ -203,7 +212,10 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
     counts = Counter(trial.failure for trial in trials if not trial.success)
     failures = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
     stopped_n = sum(bool(t.aborted) and not t.success for t in trials)
-    return MethodSummary(trials[0].method, trials[0].condition, len(trials), len(won), numbers, failures, stopped_n)
+    measures = {name: _median([x for t in trials if math.isfinite(x := t.measures[name])]) for name in MEASURES}
+    measures["progress"] = float(np.mean([t.measures["progress"] for t in trials]))
+    label = trials[0].method, trials[0].condition
+    return MethodSummary(*label, len(trials), len(won), numbers, failures, stopped_n, measures)
 
 
 def _median(values: Sequence[float]) -> float:

@@ -1,7 +1,9 @@
 """Run, judge and log trials."""
 
+import math
+import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +20,17 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import write_recording
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array, robot_from
+from minidual.robot.pair import robot_from
 from minidual.tasks.judge import Failure, begin
 from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
+from minidual.trials.measures import LOG_RATE_HZ, TrialLog, measure
 from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec, check_able
 from minidual.trials.metrics import TrialMetrics, trial_metrics
 from minidual.workers import in_workers
 
-LOG_RATE_HZ = 250
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
 _STATE = mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
@@ -40,31 +42,6 @@ StepHook = Callable[[World, Method], None]
 """Called after each step; read-only."""
 Watch = Callable[["Bench", str], StepHook]
 """Returns a trial's step hook, from bench and title."""
-
-
-@dataclass
-class TrialLog:
-    """Time series at 250 Hz.
-
-    Attributes:
-        t: (T,) [s].
-        q: (T, n) measured [rad].
-        tau: (T, n) motor torques [Nm].
-        tcp: (T, 2, 3) tool centres [m].
-        position: (T, 3) of the object [m].
-        tilt: (T,) [rad].
-        pinch: (T, 2) [N].
-        internal_force: (T,) [N].
-    """
-
-    t: Array
-    q: Array
-    tau: Array
-    tcp: Array
-    position: Array
-    tilt: Array
-    pinch: Array
-    internal_force: Array
 
 
 type Judged = tuple[TrialMetrics, TrialLog]
@@ -110,7 +87,9 @@ class Bench:
     def _run(self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook) -> Judged:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
+        began_s = time.process_time()
         method = self.factory(world, self.kinematics, trial)
+        wall = {"planning_s": time.process_time() - began_s}
         every = round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
@@ -147,14 +126,19 @@ class Bench:
         outcome = judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
-        logged: dict[str, Any] = {"q": log.q, "tcp_positions": log.tcp, "rate_hz": LOG_RATE_HZ}
-        logged |= {"torque_ratio_max": peak, "saturated_max_s": longest * world.dt, "aborted": method.aborted or ""}
-        return trial_metrics(self.method, trial.index, outcome, **logged), log
+        controls = self.task.together and "squeezed" in self.spec.demands
+        wanted_n = self.task.config.carry.impedance.internal_force_n if controls else math.nan
+        mass_kg = float(model.body_mass[world.truth(self.task.carried).body])
+        found = {name: x for name, x in measure(log, mass_kg, wanted_n).items() if math.isfinite(x)}
+        outcome = replace(outcome, measured={**outcome.measured, **found})
+        wall["inference_s"] = getattr(method, "inference_s", math.nan)
+        known: dict[str, Any] = {"torque_ratio_max": peak, "saturated_max_s": longest * world.dt, "wall": wall}
+        return trial_metrics(self.method, trial.index, outcome, log, aborted=method.aborted or "", **known), log
 
     def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
         world, q = self.world, self.world.q
         self.hands.update(q)
-        thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n
+        thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n, seen.airborne
         return (world.time, q, world.tau, np.array(self.hands.p), *thing)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.robot.pair import Robot
 from minidual.show.figures.canvas import BLUE, GREEN, INK, ORANGE, limit_line, new_figure
-from minidual.trials.runner import TrialLog
+from minidual.trials.measures import TrialLog
 
 
 def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, title: str) -> None:

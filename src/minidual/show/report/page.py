@@ -15,8 +15,9 @@ from minidual.gate.stage import StageContext
 from minidual.show.report import wording
 from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.model import Medium, Report, collect_media
-from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate
+from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate, three_digits
 from minidual.trials.benchmark import trials_asked
+from minidual.trials.measures import MEASURES
 from minidual.trials.methods import METHODS
 
 TRIALS_FILE = "benchmark.csv"
@@ -74,6 +75,8 @@ def render_page(report: Report) -> str:
     return _PAGES.get_template("report.html.j2").render(
         report=report,
         indicators=INDICATORS,
+        measures=MEASURES,
+        digits=three_digits,
         certain=CERTAIN,
         summaries={name: METHODS[name].summary for name in report.given.config.benchmark.methods if name in METHODS},
     )

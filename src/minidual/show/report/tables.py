@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from minidual.registry import rows_beside
 from minidual.trials.conditions import CLEAN
+from minidual.trials.measures import MEASURES
 from minidual.trials.statistics import holm
 
 _UNSEEN = 0.0005  # smaller displayed values are rounding error
@@ -98,6 +99,7 @@ class Cell:
         measures: By indicator key; None if missing or undefined.
         failures: (reason, trials), most frequent first.
         stopped: Failed trials that the method itself stopped.
+        further: Values of MEASURES; None where one does not apply.
     """
 
     method: str
@@ -109,6 +111,7 @@ class Cell:
     loss: Pair | None = None
     failures: tuple[tuple[str, int], ...] = ()
     stopped: int = 0
+    further: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
     def success(self) -> Measure | None:
@@ -244,6 +247,7 @@ def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | N
         loss=loss,
         failures=tuple(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         stopped=record.get("stopped_n", 0),
+        further={name: finite(record.get("measures", {}).get(name)) for name in MEASURES},
     )
 
 
