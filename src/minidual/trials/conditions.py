@@ -156,9 +156,10 @@ def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generat
 
 
 def size(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
-    """Scale every object about the point where it stands; its frame and centre of mass stay."""
+    """Scale all objects alike, so that parts still fit, about where they stand; frames and centres of mass stay."""
+    scale = _drawn(rng, factor)
     for name in task.objects:
-        body, scale = model.body(name), _drawn(rng, factor)
+        body = model.body(name)
         where, upright = trial.start[name], (task.objects[name].body.rest_height_m, np.eye(3)[2])
         height_m, up = upright if isinstance(where, tuple) else (where[2, 3], where[2, :3])
         geoms = model.geom_bodyid == body.id
