@@ -22,7 +22,14 @@ from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
 from minidual.tasks.task import make_task
 from minidual.trials import benchmark, methods, runner
-from minidual.trials.benchmark import BenchmarkCell, conditions_data, count_trials, run_benchmark, trials_asked
+from minidual.trials.benchmark import (
+    BenchmarkCell,
+    conditions_data,
+    count_trials,
+    first_failures,
+    run_benchmark,
+    trials_asked,
+)
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
@@ -76,7 +83,19 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
             yield outcome(method, trial.index, condition, success=(trial.index, method) != (1, "act"))
 
     monkeypatch.setattr(benchmark, "run_trials", run_trials)
+    monkeypatch.setattr("minidual.stages.benchmark.draw_failures", lambda failed, path: path.touch())  # made up too
     return calls
+
+
+def test_of_failures_the_first_of_each_kind_are_told_clean_ones_first() -> None:
+    trials = [outcome("act", k, "push +x", success=k < 2) for k in range(4)]
+    trials += [outcome("act", k, "clean", success=k != 1) for k in range(4)]
+    trials += [
+        dataclasses.replace(outcome("moveit", k, "clean", success=False), failure=f"kind {k}") for k in (5, 3, 4, 2)
+    ]
+    found = [(t.method, t.condition, t.index) for t in first_failures(trials)]
+    assert found == [("act", "clean", 1), ("moveit", "clean", 5), ("moveit", "clean", 3)]
+    assert first_failures([t for t in trials if t.success]) == []
 
 
 def table(methods: tuple[str, ...] = METHODS, **other: Any) -> dict[tuple[str, str], BenchmarkCell]:

@@ -12,9 +12,12 @@ from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.pair import robot_from
 from minidual.show.figures import canvas
-from minidual.show.figures.film import Postures, film_postures, sheet_of_postures
+from minidual.show.figures.film import Postures, draw_failures, film_postures, sheet_of_postures
 from minidual.show.figures.trial import draw_trial
+from minidual.trials.benchmark import under_condition
 from minidual.trials.measures import TrialLog
+from minidual.trials.methods import MethodInputs
+from minidual.trials.runner import Bench
 
 
 @pytest.mark.parametrize(("arm", "joints"), [("panda", 7), ("ur5", 6)])
@@ -56,3 +59,23 @@ def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> 
     assert picture[40:, :half].std() > 0.05
     assert picture[40:, half:].std() > 0.05
     assert film_postures(model, keep.qpos, tmp_path / "film.mp4") == 3
+
+
+def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`hold` never lifts the rod, so every trial of it fails; the condition is that of the trial."""
+    inputs, trial = under_condition(MethodInputs(Config(), 7), "object colour")
+    result, _ = Bench("hold", inputs).run(trial(3), condition="object colour")
+    assert not result.success
+    drawn: list[tuple[str, Any]] = []
+    write = canvas.sheet
+
+    def keep(images: Any, columns: int, path: Path) -> None:
+        drawn.extend(images)
+        write(images, columns, path)
+
+    monkeypatch.setattr("minidual.show.figures.film.sheet", keep)
+    draw_failures([(inputs, trial(3), result)], tmp_path / "failures.png")
+    titles = [title for title, _ in drawn]
+    assert titles == ["hold, object colour, trial 3", f"{result.failure} at {result.failed_at_s:.2f} s", result.reason]
+    assert all(picture.std() > 20.0 for _, picture in drawn)
+    assert imread(tmp_path / "failures.png").std() > 0.02

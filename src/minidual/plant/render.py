@@ -54,6 +54,13 @@ class Camera(AbstractContextManager["Camera"]):
         image = self._renderer.render()
         return _shrunk(image, self._supersample)
 
+    def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
+        """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""
+        eye = mujoco.MjvCamera()
+        eye.lookat[:], eye.distance, eye.azimuth, eye.elevation = at, 0.9, 150.0, -25.0
+        self._renderer.update_scene(data, eye, scene_option=self._option)
+        return self._renderer.render()
+
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
         """Return each visible body's share of the image."""
         self._renderer.enable_segmentation_rendering()

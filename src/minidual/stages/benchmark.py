@@ -7,10 +7,19 @@ from minidual.demos.quality import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
+from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
-from minidual.tasks.task import tasks_of
-from minidual.trials.benchmark import BenchmarkCell, benchmark_data, count_trials, run_benchmark, trials_asked
+from minidual.tasks.task import Trial, tasks_of
+from minidual.trials.benchmark import (
+    BenchmarkCell,
+    benchmark_data,
+    count_trials,
+    first_failures,
+    run_benchmark,
+    trials_asked,
+    under_condition,
+)
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics
@@ -72,6 +81,7 @@ def run(context: StageContext) -> StageResult:
     inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
     count = sum(count_trials(methods, asked[task], given) for task, given in inputs.items())
     checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)
+    captions: dict[str, str] = {}
     tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
     with context.progress.task("benchmark trials", count) as progress:
         for task, given in inputs.items():
@@ -86,9 +96,18 @@ def run(context: StageContext) -> StageResult:
             checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
             checks += condition_checks(cells, methods, tuple(trials_n), prefix)
             data[task] = benchmark_data(cells, trials, seed)
+            if failed := first_failures(trials):
+                name = f"failures-{task}.png"
+                captions[name] = f"{task}: the first failures of each kind, {len(failed)} trials"
+                draw_failures([(*_again(given, t), t) for t in failed], folder / name)
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
             tables["conditions"] += [{"task": task, **c.row()} for c in cells]
     for name, rows in tables.items():
         write_csv(folder / f"{name}.csv", rows, missing="does not apply")
-    return StageResult(checks=checks, data={"tasks": data})
+    return StageResult(checks=checks, data={"tasks": data, "captions": captions})
+
+
+def _again(inputs: MethodInputs, result: TrialMetrics) -> tuple[MethodInputs, Trial]:
+    given, trial = under_condition(inputs, result.condition)
+    return given, trial(result.index)

@@ -15,7 +15,7 @@ import numpy as np
 from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.errors import DataError
-from minidual.tasks.task import make_task
+from minidual.tasks.task import Trial, make_task
 from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import Cell, MethodSummary, TrialMetrics, summarise
@@ -30,7 +30,10 @@ DROP_MAX = 0.15
 """Limit of the loss of success rate."""
 _ROUNDING = 1e-9
 NO_PAIR = "no start completed by both"
+FAILURES_MAX = 3
+"""Failed trials of a task that are drawn."""
 _Starts = dict[int, TrialMetrics]
+type Draw = Callable[[int], Trial]
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,21 @@ def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: Me
     return sum(n for m in methods for c, n in trials_n.items() if not _why_not(m, c, inputs))
 
 
+def under_condition(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> tuple[MethodInputs, Draw]:
+    """Return the inputs under a condition, and the draw of its trials."""
+    under = condition(name)
+    given = replace(inputs, config=under.config_under(inputs.config))
+    task = make_task(given.config)
+    return given, lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
+
+
+def first_failures(trials: Sequence[TrialMetrics]) -> list[TrialMetrics]:
+    """Return the first failed trial of each method and kind of failure, `FAILURES_MAX` at most; clean ones first."""
+    failed = sorted((t for t in trials if not t.success), key=lambda t: t.condition != CLEAN)
+    kinds = {(t.method, t.failure): t for t in reversed(failed)}
+    return sorted(kinds.values(), key=failed.index)[:FAILURES_MAX]
+
+
 def run_benchmark(
     methods: Sequence[str],
     trials_n: Mapping[str, int],
@@ -106,20 +124,20 @@ def run_benchmark(
     Raises:
         UsageError: A condition sets a value out of bounds; before the first trial.
     """
-    configs = {name: condition(name).config_under(inputs.config) for name in trials_n}
+    drawn = {name: under_condition(inputs, name, purpose) for name in trials_n}
     cells: list[BenchmarkCell] = []
     everything: list[TrialMetrics] = []
     for method in methods:
         for name, n in trials_n.items():
-            under = condition(name)
+            under, (given, trial) = condition(name), drawn[name]
             reason = _why_not(method, name, inputs)
             if reason:
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
             rows: list[TrialMetrics] = []
-            given, task = replace(inputs, config=configs[name]), make_task(configs[name])
-            trials = [task.trial(inputs.seed, purpose, i, widen=under.widen) for i in range(n)]
-            for result in run_trials(method, given, trials, workers=workers, condition=name, watch=watch):
+            for result in run_trials(
+                method, given, [*map(trial, range(n))], workers=workers, condition=name, watch=watch
+            ):
                 rows.append(result)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")

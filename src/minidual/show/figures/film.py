@@ -18,6 +18,8 @@ from minidual.trials.runner import Bench
 
 FILM_FPS = 25
 FILM_SIZE = (640, 480)
+FAILURE_SIZE = (400, 300)
+_AROUND_S = (-1.0, 0.0, 1.0)
 CAMERAS = ("overview", "high", "left", "right")
 
 
@@ -27,6 +29,31 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
     result, _ = bench.run(trial, on_step=lambda world, _method: postures(world))
     film_postures(bench.world.model, postures.qpos, path)
     return result
+
+
+def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], path: Path) -> None:
+    """Run failed trials again and draw each a second before it failed, then, and a second later, or as it ended."""
+    pictures = [picture for inputs, trial, result in failed for picture in _failure(inputs, trial, result)]
+    sheet(pictures, len(_AROUND_S), path)
+
+
+def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
+    bench, taken = Bench(result.method, inputs, visuals=True), list[Image]()
+    seen = bench.world.truth(bench.task.carried)
+    with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as eye:
+
+        def take() -> None:
+            taken.append(eye.close_up(bench.world.data, seen.pose()[:3, 3]).copy())
+
+        def look(world: World, _method: object) -> None:
+            if len(taken) < len(_AROUND_S) and world.time >= result.failed_at_s + _AROUND_S[len(taken)]:
+                take()
+
+        bench.run(trial, condition=result.condition, on_step=look)
+        while len(taken) < len(_AROUND_S):  # it ended earlier
+            take()
+    title = f"{result.method}, {result.condition}, trial {result.index}"
+    return list(zip((title, f"{result.failure} at {result.failed_at_s:.2f} s", result.reason[:50]), taken, strict=True))
 
 
 def film_demonstration(job: Job, index: int, path: Path) -> None:
