@@ -9,12 +9,12 @@ from minidual.config.learning import AugmentConfig
 from minidual.policies.augment import augment, colour_maps, warps
 
 NOTHING = {"light_log": (0.0, 0.0)} | dict.fromkeys(
-    ("channel_gain_log", "channel_mixing", "offset", "permuted_share", "turn_deg", "scale", "shift", "things_max"), 0
+    ("channel_gain_log", "channel_mixing", "offset", "permuted_share", "turn_deg", "scale", "shift"), 0
 )
 
 
 def only(**values: object) -> AugmentConfig:
-    return AugmentConfig(**{**NOTHING, "straight_share": 0.0, "things": True, **values})
+    return AugmentConfig(**{**NOTHING, "straight_share": 0.0, **values})
 
 
 def pictures(n: int = 200, level: int | None = None) -> np.ndarray:
@@ -26,7 +26,7 @@ def changed(given: np.ndarray, config: AugmentConfig, seed: int = 0) -> np.ndarr
     return augment(given, config, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("config", [only(), AugmentConfig(photometric=False, geometric=False, things=False)])
+@pytest.mark.parametrize("config", [only(), AugmentConfig(photometric=False, geometric=False)])
 def test_without_draws_pictures_stay_as_they_are(config: AugmentConfig) -> None:
     np.testing.assert_array_equal(changed(pictures(), config), pictures())
 
@@ -75,12 +75,12 @@ def test_a_quarter_of_the_pictures_has_permuted_channels() -> None:
 def test_colours_stay_in_place_and_places_keep_their_colours() -> None:
     given = pictures(50, level=50)
     given[:, 8:16, 10:20] = 200
-    bright = changed(given, AugmentConfig(geometric=False, permuted_share=0.0, offset=0.0, things=False)).sum(axis=3)
+    bright = changed(given, AugmentConfig(geometric=False, permuted_share=0.0, offset=0.0)).sum(axis=3)
     inside = np.zeros((24, 32), dtype=bool)
     inside[8:16, 10:20] = True
     assert (np.ptp(bright[:, inside], axis=1) == 0).all()
     assert (np.ptp(bright[:, ~inside], axis=1) == 0).all()
-    warped = changed(given, AugmentConfig(photometric=False, things=False))
+    warped = changed(given, AugmentConfig(photometric=False))
     assert warped.min() >= 50
     assert warped.max() <= 200
 
@@ -104,18 +104,6 @@ def test_warps_move_a_point_as_they_say_about_the_middle() -> None:
         np.testing.assert_allclose([x, y], place @ [90, 30, 1], atol=0.3)
 
 
-def test_things_have_their_size_and_leave_the_rest_alone() -> None:
-    given = np.full((300, 96, 128, 3), 70, dtype=np.uint8)
-    config = only(things_max=3, thing_size=(0.05, 0.1))
-    painted = (changed(given, config) != given).any(axis=3)
-    areas = painted.sum(axis=(1, 2))
-    none = (areas == 0).mean()
-    assert 0.2 < none < 0.4, "0 to 3 things; some lie outside in part"
-    assert areas.max() <= 3 * (0.1 * 128 + 2) ** 2
-    assert painted.any(axis=0).mean() > 0.9, "they lie everywhere"
-    np.testing.assert_array_equal(changed(given, config.model_copy(update={"things": False})), given)
-
-
 def test_one_picture_in_ten_keeps_its_place() -> None:
     maps = warps(2000, 96, 128, AugmentConfig(), np.random.default_rng(0))
     straight = (maps == np.eye(2, 3)).all(axis=(1, 2)).mean()
@@ -126,7 +114,7 @@ def test_each_kind_can_be_left_out_of_the_batch() -> None:
     maps = colour_maps(3, AugmentConfig(), np.random.default_rng(0))
     assert maps.shape == (3, 3, 4)
     given = pictures(20)
-    place = changed(given, AugmentConfig(photometric=False, things=False))
+    place = changed(given, AugmentConfig(photometric=False))
     assert 0 < (place == given).all(axis=(1, 2, 3)).sum() < 20
 
 

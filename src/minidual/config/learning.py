@@ -86,8 +86,6 @@ class AugmentConfig(StrictModel):
 
     photometric: bool = True
     geometric: bool = True
-    things: bool = False
-    """Whether things are painted into pictures, against distractors."""
     light_log: tuple[_Log, _Log] = (-0.6, 0.5)
     """Range of the logarithm of the light."""
     channel_gain_log: float = Field(default=0.25, ge=0.0, le=2.0)
@@ -102,16 +100,12 @@ class AugmentConfig(StrictModel):
     """Of width and height."""
     straight_share: float = Field(default=0.1, ge=0.0, le=1.0)
     """Pictures that keep their place."""
-    things_max: int = Field(default=4, ge=0, le=50)
-    thing_size: tuple[Rate, Rate] = (0.03, 0.15)
-    """Least and largest axis, of the width."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for name in ("light_log", "thing_size"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(f"{name} is {low} to {high}; the lower value comes first")
+        low, high = self.light_log
+        if low > high:
+            raise ValueError(f"light_log is {low} to {high}; the lower value comes first")
         return self
 
 

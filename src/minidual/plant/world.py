@@ -1,7 +1,8 @@
 """The simulated world."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -12,8 +13,17 @@ from minidual.plant.bodies import NamedObject, ObjectPose, touching
 from minidual.plant.model import GOAL_MARK, build_model, map_joints
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
-if TYPE_CHECKING:  # it records worlds
-    from minidual.plant.recorder import Recorder
+
+class StepRecorder(Protocol):
+    """What records a world's steps; see `plant.recorder`."""
+
+    def before_step(self) -> None:
+        """Note the state and the commands of the next step."""
+        ...
+
+    def dump(self, name: str, reason: str) -> Path | None:
+        """Write the last second, if there is a folder; return its file."""
+        ...
 
 
 class SimulationDivergedError(MinidualError):
@@ -61,7 +71,7 @@ class World:
         data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._finger_ctrl = tuple(np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T))  # strided is slow
-        self.recorder: Recorder | None = None
+        self.recorder: StepRecorder | None = None
         """For replays."""
         self.observer: Callable[[World], None] | None = None
         """Viewer callback after each step; must only read."""

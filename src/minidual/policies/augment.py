@@ -2,7 +2,6 @@
 
 Colours: c' = e^l diag(e^g) M P c + o with light l, channel gains g, mixing M (grey stays grey), permutation P.
 Places: turn, scale and shift about the middle; the border is repeated.
-Things: ellipses and turned boxes of one colour, anywhere.
 """
 
 import cv2
@@ -44,19 +43,6 @@ def warps(n: int, height: int, width: int, config: AugmentConfig, rng: np.random
     return np.dstack([turned, middle + shift - turned @ middle])
 
 
-def add_things(picture: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> None:
-    """Paint up to `things_max` things into a picture (H, W, 3)."""
-    height, width, _ = picture.shape
-    for _ in range(rng.integers(config.things_max + 1)):
-        centre, axes = rng.uniform(0.0, (width, height)), width * rng.uniform(*config.thing_size, 2)
-        colour, turn = rng.integers(0, 256, 3).tolist(), float(rng.uniform(0.0, 180.0))
-        box = (tuple(centre.tolist()), tuple(axes.tolist()), turn)
-        if rng.random() < 0.5:
-            cv2.ellipse(picture, box, colour, -1)
-        else:
-            cv2.fillConvexPoly(picture, cv2.boxPoints(box).astype(np.int32), colour)
-
-
 def augment(pictures: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return changed copies of pictures (n, H, W, 3)."""
     n, height, width, _ = pictures.shape
@@ -68,6 +54,4 @@ def augment(pictures: NDArray[np.uint8], config: AugmentConfig, rng: np.random.G
             cv2.transform(picture, colour, dst=picture)
         if place is not None and (place != _UNMOVED).any():
             picture[:] = cv2.warpAffine(picture, place, (width, height), borderMode=cv2.BORDER_REPLICATE)
-        if config.things:
-            add_things(picture, config, rng)
     return changed
