@@ -139,6 +139,16 @@ def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[s
     assert rate.op is None
 
 
+@pytest.mark.parametrize(("missed_n", "names"), [(10, set()), (8, set()), (7, {"hidden_success_rate"})])
+def test_deploy_fails_if_the_policy_succeeds_without_seeing_the_object(missed_n: int, names: set[str]) -> None:
+    summary = summarise(missed(missed_n), np.random.default_rng(0))
+    checks = set_checks("object hidden", summary, [0.0, 0.5], DeployConfig(trials=10))
+    assert failing(checks) == names
+    assert len(checks) == 1, "other seeds' rates are not of interest"
+    (unjudged,) = set_checks("object hidden", summary, [0.0], DeployConfig(judge_success=False))
+    assert unjudged.op is None
+
+
 def test_a_limit_of_deploy_needs_its_condition() -> None:
     with pytest.raises(ValidationError, match="condition_rate_min limits camera moved, which conditions does not name"):
         DeployConfig(condition_rate_min={"camera moved": 0.5})

@@ -202,6 +202,9 @@ class DeployConfig(StrictModel):
     training_trials: AtLeast[int] = Field(default=20, ge=0, le=10_000)
     conditions: tuple[str, ...] = ("room",)
     """Conditions under which the held-out trials run again."""
+    hidden_trials: AtLeast[int] = Field(default=5, ge=0, le=10_000)
+    """Held-out trials with the object hidden, in which a policy that looks must fail."""
+    hidden_rate_max: AtMost[float] = Field(default=0.2, ge=0.0, le=1.0)
     condition_rate_min: AtLeast[dict[str, Rate]] = Field(default={})
     """Least success rate by condition; the others are reported."""
     success_rate_min: AtLeast[float] = Field(default=0.5, ge=0.0, le=1.0)

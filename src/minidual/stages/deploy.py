@@ -32,6 +32,7 @@ from minidual.trials.runner import Bench, run_trials
 METHOD = "act"
 HELD_OUT = "deploy"
 """Random stream of the held-out trials; `TRAINING` is that of the demonstrations."""
+HIDDEN = "object hidden"
 _INFERENCES_N = 60
 
 
@@ -79,6 +80,7 @@ def run(context: StageContext) -> StageResult:
     for name in config.deploy.conditions:
         task, widen = make_task(config), CONDITIONS[name].widen
         sets[name] = name, [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]]
+    sets.setdefault(HIDDEN, (HIDDEN, starts["held_out"][: config.deploy.hidden_trials]))
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
     results: dict[str, list[TrialMetrics]] = {name: [] for name in sets}
     with context.progress.task("policy trials", len(checkpoints) * sum(len(t) for _, t in sets.values())) as bar:
@@ -114,6 +116,9 @@ def run(context: StageContext) -> StageResult:
 def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settings: DeployConfig) -> list[Check]:
     """Return the checks of a set of trials with the rate of each training seed."""
     rows: dict[str, Any] = {}
+    if name == HIDDEN:
+        limit = settings.hidden_rate_max if settings.judge_success else None
+        return worded("deploy", {"hidden_success_rate": (summary["success_rate"], "<=", limit)})
     if name != "held_out":
         limit = settings.condition_rate_min.get(name) if settings.judge_success else None
         rows |= {"success_rate": (summary["success_rate"], ">=", limit)}
@@ -145,7 +150,7 @@ def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
     runtime, world = load_runtime(checkpoint, config.deploy, bench.world.robot), bench.world
     world.reset(poses=trial.start)
-    state, hidden = np.concatenate([world.q, world.gripper]), CONDITIONS["object hidden"]
+    state, hidden = np.concatenate([world.q, world.gripper]), CONDITIONS[HIDDEN]
     rng, maps, shares = stream(context.seed, "deploy/looks"), dict[str, tuple[Image, Array]](), list[float]()
     with Camera.recorded(world.model, config.scene.camera) as camera:
         pictures = {name: camera.picture(world.data, name) for name in runtime.cameras}

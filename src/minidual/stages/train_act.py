@@ -72,6 +72,8 @@ def run(context: StageContext) -> StageResult:
             notes.append(f"{prefix}continued an interrupted training from step {result.resumed_from_step}")
         if result.set_aside:
             notes.append(f"the progress of an interrupted training was damaged; it was moved to {result.set_aside}")
+    if config.seeds_n == 1:
+        notes.append("one training is one draw; `make learn` trains three seeds and compares them")
     shutil.rmtree(resume, ignore_errors=True)
     return StageResult(checks=checks, data={**all_records[0], "seeds": all_records[1:]}, notes=notes)
 
