@@ -284,6 +284,22 @@ def test_config_show_prints_yaml_or_json(cli, capsys):
     assert json.loads(capsys.readouterr().out)["config"]["acceptance"] is True
 
 
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("robot.arm=xarm", "did you mean 'xarm7'?"),
+        ("task=nope", "no task 'nope'; there are handover, "),
+        ("benchmark.methods=[impedence]", "did you mean 'impedance'?"),
+        ("teleop.conditions=[clean, roon]", "did you mean 'room'?"),
+    ],
+)
+def test_config_show_refuses_names_that_no_table_has(cli, capsys, setting, said):
+    assert run_command_line(["config", "show", "--set", setting], STAGES) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+
+
 def test_version(capsys):
     assert run_command_line(["--version"], STAGES) == 0
     assert capsys.readouterr().out.strip() == f"minidual {minidual.__version__}"

@@ -19,6 +19,7 @@ FORMS = sorted({command for page, command in printed_commands() if not any(word 
 
 SMALLER = {
     r"--(trials|episodes) \d+": r"--\1 2",
+    r"perturbed_trials_n=\d+": "perturbed_trials_n=1",
     r"train\.steps=\d+": "train.steps=210",
     r"teleop\.episodes_n=\d+": "teleop.episodes_n=4",
     "(runs/|--run )standard": r"\1smoke",

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import minidual
-from minidual.errors import UsageError
+from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry, rows_beside
 
 SOURCES = Path(minidual.__file__).parent
@@ -59,6 +59,14 @@ def test_a_row_of_another_distribution_may_not_replace_one(monkeypatch):
     plug(monkeypatch, ("two", "math:tau"))
     with pytest.raises(UsageError, match="already in the table"):
         Registry("number", {"two": 2}, group="minidual.tests")["two"]
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("nope", None), ("wbe", "web"), ("pot", "pot_lift"), ("handovr", "handover"), ("", None)]
+)
+def test_only_a_close_name_or_the_rest_of_one_is_suggested(name, meant):
+    remedy = unknown_name("row", name, ("handover", "pot_lift", "rod_carry", "web")).remedy
+    assert remedy == (meant and f"did you mean '{meant}'?")
 
 
 def test_names_are_read_from_text():

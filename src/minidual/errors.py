@@ -78,6 +78,6 @@ def printable(text: str) -> str:
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     """Return an error that lists the known names and suggests the closest."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    close = [n for n in names if name and n.startswith(name)] or difflib.get_close_matches(name, names, n=1)
     remedy = f"did you mean '{close[0]}'?" if close else None
     return UsageError(f"no {kind} '{name}'; there are {', '.join(names)}", remedy=remedy)

@@ -243,11 +243,10 @@ def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     config show --set plan.queries_n=30 --json
     """
     loaded = session.loaded
-    document = {
-        "profile": loaded.profile,
-        "sources": list(loaded.sources),
-        "overrides": [item.text for item in loaded.overrides],
-        "config": loaded.config,
-    }
+    if loaded.config != loaded.reference():  # the shipped ones are shown without slow imports
+        for entry in session.table.values():
+            entry.resolved(loaded.config, checked=True)
+    texts = [item.text for item in loaded.overrides]
+    document = {"profile": loaded.profile, "sources": loaded.sources, "overrides": texts, "config": loaded.config}
     session.finish(document, loaded.to_yaml().splitlines())
     return ExitCode.PASS

@@ -6,7 +6,7 @@ from minidual.errors import ConfigError
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
 from minidual.tasks.task import tasks_of
-from minidual.trials.conditions import CONDITIONS, condition, parse_conditions
+from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
 from minidual.trials.methods import METHODS, check_able
 
 
@@ -19,8 +19,9 @@ def check_plan(config: Config) -> None:
 
 
 def check_leader(config: Config) -> None:
-    """Raise UsageError for an unknown leader."""
+    """Raise UsageError for an unknown leader, or conditions that cannot be recorded."""
     LEADERS[config.teleop.leader]
+    rooms(config.teleop.conditions)
 
 
 def check_policy(config: Config) -> None:
