@@ -69,6 +69,7 @@ class Grippers:
         """Start with open hands."""
         self.is_open = [True, True]
         """By command, each hand."""
+        self._told: list[float] = []
         self.forget_grip()
         self._targets = [self._travel_m] * 2
         self.targets_m = np.array(self._targets)
@@ -80,6 +81,7 @@ class Grippers:
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
         self.is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
+        self._told = []
 
     @property
     def wide(self) -> bool:
@@ -88,35 +90,36 @@ class Grippers:
 
     def step(self, command: Array) -> Array:
         """Advance towards command (2,); return finger targets (2,) [m]."""
-        is_open = self.is_open
-        for hand, wanted in enumerate(command.tolist()):
-            if wanted > OPEN_ABOVE:
-                if not is_open[hand]:
-                    self._lost[hand], self.fault = 0, ""
-                is_open[hand] = True
-            elif wanted < CLOSE_BELOW:
-                is_open[hand] = False
-        targets, step = self._targets, self._step_m
-        if self.wide:
+        is_open, told = self.is_open, command.tolist()
+        if told != self._told:
+            self._told = told
+            for hand, wanted in enumerate(told):
+                if wanted > OPEN_ABOVE:
+                    if not is_open[hand]:
+                        self._lost[hand], self.fault = 0, ""
+                    is_open[hand] = True
+                elif wanted < CLOSE_BELOW:
+                    is_open[hand] = False
+        targets, step, travel = self._targets, self._step_m, self._travel_m
+        if is_open[0] and is_open[1] and targets[0] == travel == targets[1]:
             return self.targets_m
         grip = self._plant.grip.tolist()
-        for hand, target in enumerate(targets):
+        for hand, felt in enumerate(grip):
             if is_open[hand]:
                 self._held_m[hand] = math.nan
-                targets[hand] = min(target + step, self._travel_m)
+                targets[hand] = min(targets[hand] + step, travel)
                 continue
-            if math.isnan(grip[hand]):  # the target stays
-                self._compare(hand, grip[hand])
+            way = self._gain * (felt - self._force_n)
+            target = targets[hand] + (step if way > step else -step if way < -step else way)
+            target = min(target, travel)
+            if felt >= _NEAR * self._force_n:
+                if math.isnan(self._held_m[hand]):
+                    self._held_m[hand] = float(self._plant.fingers[hand])
+                targets[hand] = target
                 continue
-            way = self._gain * (grip[hand] - self._force_n)
-            way = step if way > step else -step if way < -step else way
-            target = min(target + way, self._travel_m)
-            if grip[hand] < _NEAR * self._force_n:  # otherwise the target is not far ahead of the fingers
-                target = max(target, float(self._plant.fingers[hand]) - 0.5 * self._travel_m)
-                self._compare(hand, grip[hand])
-            elif math.isnan(self._held_m[hand]):
-                self._held_m[hand] = float(self._plant.fingers[hand])
-            targets[hand] = target
+            if not math.isnan(felt):  # else the target stays; it is not far ahead of the fingers
+                targets[hand] = max(target, float(self._plant.fingers[hand]) - 0.5 * travel)
+            self._compare(hand, felt)
         self.targets_m = np.array(targets)
         return self.targets_m
 

@@ -79,8 +79,9 @@ class JointSense:
         # Implicit in the damping, as in the simulator: without readings an error grows as a pendulum falls.
         self._model.armature = self._model.armature + dt_s * self._robot.arm.damping
         self._data = self._model.createData()
-        self._config, self._dt = config, dt_s
+        self._config, self._dt, self._age_max_s = config, dt_s, config.measurement_age_max_s
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
+        self._bounds = config.position_mismatch_rad, config.frozen_s, self._tau_moves
         self.reset()
 
     def reset(self) -> None:
@@ -101,20 +102,19 @@ class JointSense:
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        config, kept, usable = self._config, self._kept, True
+        kept = self._kept
         self.applied[self.ticks % _KEPT] = tau
         self.ticks += 1
         if not new_s > 0.0:
             q, v = self.q, self.v
             self.age_s += self._dt
-            usable = self.age_s <= config.measurement_age_max_s
+            usable = self.age_s <= self._age_max_s
             if not usable:
                 self._lose(np.ones_like(self.lost), self.age_s)
         else:
-            if not self._started or new_s > config.measurement_age_max_s:  # nothing to compare with
+            if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
-            self.age_s, bounds = 0.0, (config.position_mismatch_rad, config.frozen_s, self._tau_moves)
-            usable = bool(compare(q, v, tau, new_s, *bounds, kept) <= 1.0)
+            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         if self._any_lost:

@@ -3,6 +3,7 @@
 The arbiter runs at its own rate, and at once for requests, halts and timed commands. Example: docs/control.md.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -61,7 +62,7 @@ class ControlStack[P: Plant]:
         self.plant = plant
         self.supervisor = supervisor
         self._config = ArbiterConfig() if config is None else config
-        self._speed = self._config.speed_override
+        self._speed, self._stale_s = self._config.speed_override, self._config.stale_s
         steps = 1.0 / (rate_hz * plant.dt)
         self.every = round(steps)
         """Control steps from one regular arbiter tick to the next."""
@@ -342,31 +343,35 @@ class ControlStack[P: Plant]:
         """
         plant = self.plant
         self._stop_ticks -= 1
-        self._attempt(self._step_executions, None)
-        tau, stopped = self._torque(*self._measured())
+        try:  # a closure for `_attempt` would cost more than the call
+            for execution in self.output.executions:
+                execution.step()
+                self._due = self._due or execution.finished
+        except Exception as error:
+            self.fail(error)
+        try:
+            measured = plant.time, plant.stamp_s, plant.q, plant.v
+        except Exception as error:
+            self.fail(error)
+            measured = self._salvaged()
+        tau, stopped = self._torque(*measured)
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
-        fingers_m = self._attempt(lambda: self.grippers.step(self.output.gripper), self.grippers.targets_m)
+        try:
+            fingers_m = self.grippers.step(self.output.gripper)
+        except Exception as error:
+            self.fail(error)
+            fingers_m = self.grippers.targets_m
         plant.command(tau, fingers_m)
         plant.step()
         if stopped is not None:
             raise stopped
 
-    def _measured(self) -> tuple[float, float | None, Array, Array]:
-        plant = self.plant
-        all_at_once = self._attempt(lambda: (plant.time, plant.stamp_s, plant.q, plant.v), None)
-        if all_at_once is not None:
-            return all_at_once
-        nothing = np.full(self._robot.dof, np.nan)
+    def _salvaged(self) -> tuple[float, float | None, Array, Array]:
+        plant, nothing = self.plant, np.full(self._robot.dof, np.nan)
         time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
         return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
-
-    def _step_executions(self) -> None:
-        for execution in self.output.executions:
-            execution.step()
-            if execution.finished:
-                self._due = True
 
     def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
         if self.supervisor is None:
@@ -376,7 +381,10 @@ class ControlStack[P: Plant]:
                 return self._fall_back(error, q, v), error
         tau, acceleration = self.applied, None
         if self._failed is None:
-            tau, acceleration = self._attempt(lambda: self._asked(time_s, stamp_s, q, v), (tau, None))
+            try:
+                tau, acceleration = self._asked(time_s, stamp_s, q, v)
+            except Exception as error:
+                self.fail(error)
         failed, self._failed = self._failed, None
         try:
             if failed is None:
@@ -392,8 +400,8 @@ class ControlStack[P: Plant]:
     def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
         if self.plant.health:
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
-        age_s, limit_s = np.nan if stamp_s is None else time_s - stamp_s, self._config.stale_s
-        if not abs(age_s) <= limit_s:
+        age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._stale_s
+        if not -limit_s <= age_s <= limit_s:
             remedy = "see that the plant delivers its state; arbiter.stale_s is how old it may be"
             raise PlantError(f"the measurements are {age_s:.3f} s old; limit {limit_s} s", remedy=remedy)
         tau = self.manager.update(q, v)

@@ -129,10 +129,6 @@ class Supervisor:
         """Stop the arms in the next tick; thread-safe."""
         self._estop = reason  # one assignment is atomic: no lock
 
-    @property
-    def _stop_asked(self) -> str:
-        return self._estop or emergency.pressed()
-
     def fail(self, time_s: float, q: Array, v: Array, why: str, stamp_s: float | None = None) -> Array:
         """Stop the arms; call instead of `guard` when controllers give no torque.
 
@@ -172,10 +168,11 @@ class Supervisor:
         follows, self._referred = self._referred and referred, referred
         a_ref = a_ref if referred else self._nothing
         within = reflexes.excess(rows, before, a_ref, follows, self.bounds.centre, self.bounds.scale) <= 1.0  # not NaN
-        if within and self._usable and not self._stop_asked and time_s <= self._deadline_s:
+        stop = self._estop or emergency.pressed()
+        if within and self._usable and not stop and time_s <= self._deadline_s:
             applied = rows[2]
         else:
-            applied = self._look_closer()
+            applied = self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
             self._next_feel = self._tick + EVERY
             self._feel(time_s if stamp_s is None else stamp_s)
@@ -213,7 +210,7 @@ class Supervisor:
     def _before_control(self, q: Array) -> Array:
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
-    def _look_closer(self) -> Array:
+    def _look_closer(self, stop: str) -> Array:
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
         for what, values in (("measured position", q), ("measured velocity", v), ("torque", tau), ("reference", a_ref)):
@@ -221,8 +218,8 @@ class Supervisor:
             if not finite.all():
                 joint = int(np.argmin(finite))
                 self._trip("not_finite", f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None)
-        if self._stop_asked:
-            self._trip("emergency_stop", self._stop_asked, 1.0, None)
+        if stop:
+            self._trip("emergency_stop", stop, 1.0, None)
         if self._time_s > self._deadline_s:
             silent = self._time_s - self._deadline_s + self.config.stale_s
             self._trip("stale_command", "no command", silent, self.config.stale_s)

@@ -48,13 +48,14 @@ class CarryWatch:
         rate_hz = config.sensing.pose_rate_hz
         self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else world.dt  # of poses
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
-        self._odd_max_n = round(config.faults.persistence_s / world.dt)
+        self._odd_max_n, self._glitch_n = round(config.faults.persistence_s / world.dt), config.faults.force_glitch_n
+        self._age_max_s, self._creep_m = config.faults.sensor_age_max_s, config.faults.creep_m
         self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
-        self._felt_n = 0.0
+        self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
         self.grip_limit_n = math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
 
@@ -78,7 +79,7 @@ class CarryWatch:
     @property
     def squeeze_n(self) -> float:
         """Requested internal force [N]; reduced on slip."""
-        return min(self._config.impedance.internal_force_n, self.grip_limit_n)
+        return min(self._squeeze_n, self.grip_limit_n)
 
     @property
     def lost_arms(self) -> tuple[int, ...]:
@@ -93,27 +94,27 @@ class CarryWatch:
 
     def sense(self) -> None:
         """Read and filter the sensors; call once a control step."""
-        world, held, now_s = self._world, self._held, self._world.time
-        self._now_s = now_s
+        world, held = self._world, self._held
+        self._now_s = now_s = world.time
         if now_s > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
-        reading = self._reading
-        pose = reading.pose
+        pose, hand_forces, pinch, stamp_s = self._reading
         if pose is not None:
             if np.isfinite(pose.T_world_object).all():
                 self._posed_s = now_s - pose.age_ticks * world.dt
             else:
-                pose, self._reading = None, reading._replace(pose=None)
-        if held is not None:
-            held.update(world.q, world.v, *(pose or (None, 0)))
-        glitch_n, patient = self._config.faults.force_glitch_n, self._odd_n < self._odd_max_n
+                pose, self._reading = None, self._reading._replace(pose=None)
+        if held is None:
+            T = self._resting.T_world_object
+        else:
+            T = held.update(world.q, world.v, *(pose or (None, 0))).T_world_object
+        patient = self._odd_n < self._odd_max_n
         odd, self._felt_n = smooth(
-            *(reading.hand_forces, reading.pinch, self._raw, self._felt, self._filter_share, glitch_n, patient),
-            (self._resting if held is None else held.state).T_world_object,
+            hand_forces, pinch, self._raw, self._felt, self._filter_share, self._glitch_n, patient, T
         )
         self._odd_n = self._odd_n + 1 if odd else 0
         if odd < 2:
-            self._forces_s = reading.stamp_s
+            self._forces_s = stamp_s
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
@@ -138,9 +139,11 @@ class CarryWatch:
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
         now_s, monitor = self._now_s, self._monitor
-        bound_s = self._sensors.delay_ticks * self._world.dt + self._config.faults.sensor_age_max_s
-        found = monitor.silent("pose", now_s - self._posed_s, bound_s + self._period_s)
-        found = found or monitor.silent("usable force", now_s - self._forces_s, bound_s)
+        bound_s, found = self._sensors.delay_ticks * self._world.dt + self._age_max_s, None
+        posed_s, felt_s = now_s - self._posed_s, now_s - self._forces_s
+        if not (posed_s <= bound_s + self._period_s and felt_s <= bound_s):
+            found = monitor.silent("pose", posed_s, bound_s + self._period_s)
+            found = found or monitor.silent("usable force", felt_s, bound_s)
         pose, held = self._reading.pose, self._held
         if pose is not None:
             same, self._posed = bool((pose.T_world_object == self._posed).all()), pose.T_world_object
@@ -172,8 +175,12 @@ class CarryWatch:
         if estimate is None:
             return None
         tilt = tilt_rad(estimate.state.T_world_object, self._body)
-        found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, estimate.spread_m, tilt)
-        self._ease(estimate.spread_m)
+        spread_m = estimate.spread_m
+        found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, spread_m, tilt)
+        if self._spread_m is None:
+            self._spread_m = spread_m
+        if abs(spread_m - self._spread_m) > self._creep_m:
+            self._ease(spread_m)
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
         weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
         return found or odd or weak
@@ -196,10 +203,6 @@ class CarryWatch:
 
         The force felt then is what friction carries, 2 mu times the pinch.
         """
-        if self._spread_m is None:
-            self._spread_m = spread_m
-        if abs(spread_m - self._spread_m) > self._config.faults.creep_m:
-            wanted = self.squeeze_n
-            least = _EASE_MARGIN * self._world.scene.task.internal_force_min_n
-            self.grip_limit_n = max(min(wanted, least), min(wanted, _EASED * self._felt_n))
-            self._spread_m = spread_m
+        wanted, least = self.squeeze_n, _EASE_MARGIN * self._world.scene.task.internal_force_min_n
+        self.grip_limit_n = max(min(wanted, least), min(wanted, _EASED * self._felt_n))
+        self._spread_m = spread_m

@@ -92,6 +92,9 @@ class FaultMonitor:
 
     def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
         self._config, self._width, self._pinch = config, width_m, pinch_n
+        self._least_n, self._least_m = config.lost_pinch_share * pinch_n, width_m - config.gap_margin_m
+        self._torque_max, self._squeeze_share = config.motor_torque_n_m, config.squeeze_share
+        self._crept_max_m, self._tilt_max_rad = config.displaced_m, config.tilt_rad
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
@@ -112,13 +115,13 @@ class FaultMonitor:
 
     def motors(self, commanded: Array, applied: Array) -> Fault | None:
         """Compare commanded and applied torques (n,); updates `lost`."""
-        if farthest(commanded, applied) <= self._config.motor_torque_n_m and not self._motors_missing:
+        if farthest(commanded, applied) <= self._torque_max and not self._motors_missing:
             return None
         missing = np.abs(commanded - applied).reshape(2, -1).max(axis=1)
-        self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
+        self._motors_missing = not bool((missing <= self._torque_max).all())
         found: list[str] = []
         for arm, name in enumerate(SIDES):  # check both: drives can share a supply
-            if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
+            if self._lasts(f"motor {name}", not missing[arm] <= self._torque_max):
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
         return Fault("lost_arm", "; ".join(found)) if found else None
@@ -179,22 +182,21 @@ class FaultMonitor:
         self, pinch_n: Sequence[float], gap_m: Sequence[float], spread_m: float, tilt_rad: float
     ) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
-        config = self._config
-        least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
+        least_n, least_m, tilt_max_rad = self._least_n, self._least_m, self._tilt_max_rad
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)
         firm = pinch_n[0] >= least_n <= pinch_n[1] and gap_m[0] >= least_m <= gap_m[1]
-        if firm and crept <= config.displaced_m and tilt_rad <= config.tilt_rad and not self._counts:
+        if firm and crept <= self._crept_max_m and tilt_rad <= tilt_max_rad and not self._counts:
             return None
         for name, pinch, gap in zip(SIDES, pinch_n, gap_m, strict=True):
             if self._lasts(f"pinch {name}", not pinch >= least_n):
                 return Fault("object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N")
             if self._lasts(f"held gap {name}", not gap >= least_m, 3):
                 return Fault("object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm")
-        if self._lasts("spread", not crept <= config.displaced_m, 1):  # encoders: one reading suffices
+        if self._lasts("spread", not crept <= self._crept_max_m, 1):  # encoders: one reading suffices
             return Fault("slip", f"the hands have moved {1e3 * crept:.1f} mm along the object")
-        if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
+        if self._lasts("tilt", not tilt_rad <= tilt_max_rad):
             return Fault("tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg")
         return None
 
@@ -208,7 +210,7 @@ class FaultMonitor:
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""
-        weak = not felt_n >= self._config.squeeze_share * wanted_n
+        weak = not felt_n >= self._squeeze_share * wanted_n
         if (weak or self._counts) and self._lasts("squeeze", weak):
             return Fault("slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N")
         return None

@@ -113,11 +113,14 @@ class ImpedanceCarry:
         Raises:
             Exception: What failed in a sensor, a controller or here, once the arms have stopped.
         """
-        for part in (self._look, self._advance):
-            try:
-                part()
-            except Exception as error:  # must not take this tick's torque away
-                self.stack.fail(error)
+        try:
+            self._look()
+        except Exception as error:  # must not take this tick's torque away
+            self.stack.fail(error)
+        try:
+            self._advance()
+        except Exception as error:
+            self.stack.fail(error)
         if self.fault is None:
             self.stack.affirm(SOURCE)
         try:
@@ -134,18 +137,20 @@ class ImpedanceCarry:
         else:
             self._heed_arbiter()
         self._told = self.stack.applied
-        self._stop_if_due()
-        if self.done and self._broken is not None:
+        if self.fault is not None:
+            self._stop_if_due()
+        if self._broken is not None and self.done:
             raise self._broken
 
     # Phases ---------------------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        self._stop_if_due()
+        if self.fault is not None:
+            self._stop_if_due()
         if self.phase == "stop":
             if self.world.time - self._began_s > self._stop_s + _STOPPED_S:
                 self._enter("done")
-        elif not self.done:
+        elif self.phase != "done":
             try:
                 next(self._cycle)
             except StopIteration:
@@ -256,7 +261,8 @@ class ImpedanceCarry:
         if lost is not None:
             self._halt(lost)
             self.stack.switch_off(self.watch.lost_arms)
-        self._halt(self._sensed())
+        if (fault := self._sensed()) is not None:
+            self._halt(fault)
 
     def _sensed(self) -> Fault | None:
         watch, phase = self.watch, self.phase
@@ -274,8 +280,8 @@ class ImpedanceCarry:
         held = phase in ("squeeze", "carry") or (phase in ("stop", "done") and self._law_drives)
         return watch.holding(steady=phase == "carry") if held else None
 
-    def _halt(self, fault: Fault | None) -> None:
-        if fault is None or self._halted:
+    def _halt(self, fault: Fault) -> None:
+        if self._halted:
             return
         self._halted = True
         opens = fault.name in OPENING and self.stack.source == SOURCE
@@ -284,7 +290,7 @@ class ImpedanceCarry:
 
     def _heed_arbiter(self) -> None:
         stack = self.stack
-        if self.done or (stack.output is self._heeded and len(stack.refusals) == self._refusals_seen):
+        if (stack.output is self._heeded and len(stack.refusals) == self._refusals_seen) or self.done:
             return
         self._heeded = stack.output
         news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
@@ -310,7 +316,7 @@ class ImpedanceCarry:
         self._stop_s = stop_s
 
     def _stop_if_due(self) -> None:
-        if self.fault is not None and self.phase not in ("stop", "done"):
+        if self.phase not in ("stop", "done"):
             self._enter("stop")
 
     def _flushed(self, mode: str) -> None:

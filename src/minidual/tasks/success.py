@@ -172,7 +172,8 @@ class Level(OfObject):
 
     def observe(self, truth: Truth) -> str:
         tilt = truth[self.object].tilt_rad
-        self._largest = max(self._largest, tilt)
+        if tilt > self._largest:
+            self._largest = tilt
         if tilt > self.limit_rad:
             return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
         return ""
@@ -325,7 +326,8 @@ class Squeezed(OfObject):
         if not item.airborne:
             return ""
         squeeze = item.squeeze_n
-        self._least = min(self._least, squeeze)
+        if squeeze < self._least:
+            self._least = squeeze
         return "" if squeeze > self.limit_n else f"internal force {squeeze:.1f} N, needs > {self.limit_n:.0f}"
 
     def measured(self, truth: Truth) -> dict[str, float]:
@@ -342,7 +344,8 @@ class Rose(OfObject):
     _most: float = 0.0
 
     def observe(self, truth: Truth) -> str:
-        self._most = max(self._most, truth[self.object].clearance_m)
+        if (clearance_m := truth[self.object].clearance_m) > self._most:
+            self._most = clearance_m
         return ""
 
     def holds(self, truth: Truth) -> bool:
@@ -366,6 +369,12 @@ class Arrived(AtEnd):
     stage = True
     goal: tuple[float, float]
     limit_m: float
+
+    def holds(self, truth: Truth) -> bool:
+        return truth[self.object].distance_m(self.goal) < self.limit_m
+
+    def reached(self, truth: Truth) -> bool:
+        return truth[self.object].distance_m(self.goal) < self.limit_m
 
     def end(self, truth: Truth) -> str:
         error = truth[self.object].distance_m(self.goal)
