@@ -266,7 +266,7 @@ class ObjectPath:
         """Return the state at a path time of an object that lies at T_level_object (4, 4) in the level frame."""
         T, motion = np.empty((4, 4)), np.zeros((2, 6))
         on_path(self._poses, self._ends_s, t_s, T_level_object, T, motion)
-        return ObjectState(T, motion[0], motion[1])
+        return tuple.__new__(ObjectState, (T, motion[0], motion[1]))
 
 
 class RestingEstimate:
@@ -331,7 +331,7 @@ class HeldEstimate:
             seen = inverse(T_then) @ sample
             self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
             T, twist = self._follow(q, v)[1:]
-        self.state = ObjectState(T, twist)
+        self.state = tuple.__new__(ObjectState, (T, twist, _STILL))  # ObjectState(...) takes three times as long
         return self.state
 
     def _follow(self, q: Array, v: Array) -> tuple[Array, Array, Array]:

@@ -41,7 +41,7 @@ class ObjectTruth:
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
         self.name, self.body = name, body
-        self._axis = 2 if body.upright else 1
+        self._upright = body.upright
         self.half_m = body.solids[0].half_m
         self._solids = [(p.position_m, p.half_m, p.shape == "cylinder", "xyz".index(p.axis)) for p in body.solids]
         self._world: World | None = None
@@ -51,25 +51,22 @@ class ObjectTruth:
         if world is not self._world:
             self._world, self._object = world, world.truth(self.name)
         # Plain floats: a success test of arrays costs four times as much.
-        x, y, z, *up, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
+        x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
-        along = min(1.0, abs(up[self._axis]))  # vertical share of the long axis
-        self.tilt_rad = math.acos(along) if self.body.upright else math.asin(along)
-        self.clearance_m = z + self._lowest_m(up)
-        self.airborne = self.clearance_m > AIRBORNE_M
-
-    def _lowest_m(self, up: Sequence[float]) -> float:
-        lowest, (ux, uy, uz) = math.inf, up
-        for (x, y, z), half, is_round, axis in self._solids:
+        along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
+        self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
+        lowest = math.inf
+        for (px, py, pz), half, is_round, axis in self._solids:
             if is_round:
-                along = min(1.0, abs(up[axis]))
+                along = min(1.0, abs(uz if axis == 2 else uy if axis else ux))
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
             else:
                 down = abs(ux) * half[0] + abs(uy) * half[1] + abs(uz) * half[2]
-            low = ux * x + uy * y + uz * z - down
+            low = ux * px + uy * py + uz * pz - down
             if not low >= lowest:  # true for NaN
                 lowest = low
-        return lowest
+        self.clearance_m = z + lowest
+        self.airborne = self.clearance_m > AIRBORNE_M
 
     def distance_m(self, xy: tuple[float, float]) -> float:
         """Return the horizontal distance of its centre."""
