@@ -79,11 +79,12 @@ class _Execution[C: TimedCommand]:
 
     def step(self) -> None:
         """Advance one control step; the first goes to time zero."""
-        self._paced = self._paced or self.pace < 1.0 or self._speed < 1.0 or self.braking
+        self._paced = self._paced or self.pace < 1.0 or self._speed < 1.0 or self._slope_max > 0.0
         if not self._paced:
             if self._k < self._steps:
                 self._k += 1
-                self._t_s = min(self._k * self._dt, self._end_s)
+                t_s = self._k * self._dt
+                self._t_s = t_s if t_s < self._end_s else self._end_s
             return
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S

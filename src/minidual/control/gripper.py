@@ -103,8 +103,7 @@ class Grippers:
         targets, step, travel = self._targets, self._step_m, self._travel_m
         if is_open[0] and is_open[1] and targets[0] == travel == targets[1]:
             return self.targets_m
-        grip = self._plant.grip.tolist()
-        for hand, felt in enumerate(grip):
+        for hand, felt in enumerate(self._plant.grip.tolist()):
             if is_open[hand]:
                 self._held_m[hand] = math.nan
                 targets[hand] = min(targets[hand] + step, travel)

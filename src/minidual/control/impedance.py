@@ -90,7 +90,7 @@ class ObjectImpedance:
         R_tcps_object = [T[:3, :3].T for T in held.T_object_tcps]
         servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_CEILING_N
         data = (K, np.zeros(6), held.mass_kg, *posture, *servo, held.inertia_kg_m2, held.axis, R_tcps_object)
-        self._law = np.array([data], LAW)
+        self._law, self._by_world = np.array([data], LAW), gains.squeeze_axes == "world"
         self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)
         self._hands = Hands(kinematics)
         self._qdd, self.push = np.zeros((2, kinematics.robot.dof))
@@ -127,7 +127,7 @@ class ObjectImpedance:
         """
         hands = self._hands
         hands.update(q)
-        if self.gains.squeeze_axes == "world":
+        if self._by_world:
             self._law["axis"] = measured.T_world_object[:3, :3].T @ self._world_axis
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),

@@ -38,13 +38,22 @@ _KEPT = 64
 _Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV = range(8)
 
 
-@kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
+@kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS, VECTOR, VECTOR))
 def compare(
-    q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
+    q: Array,
+    v: Array,
+    tau: Array,
+    dt: float,
+    mismatch: float,
+    frozen_s: float,
+    tau_moves: Array,
+    kept: Array,
+    q_usable: Array,
+    v_usable: Array,
 ) -> float:
     """Update `kept` (8, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
-    Returns the largest ratio to a bound; infinite for values that are not finite.
+    Returns the largest ratio to a bound; infinite for values that are not finite. Fills q_usable, v_usable if all are.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
@@ -62,6 +71,8 @@ def compare(
             kept[_TAU, j] = tau[j]
         elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= frozen_s:
             worst = max(worst, abs(tau[j] - kept[_TAU, j]) / tau_moves[j])
+    if worst <= 1.0:
+        q_usable[:], v_usable[:] = q, v
     return worst
 
 
@@ -87,7 +98,7 @@ class JointSense:
     def reset(self) -> None:
         """Trust everything again; start at the next measurement."""
         n = self._robot.dof
-        self.q, self.v = np.array(self._robot.home), np.zeros(n)
+        self.q, self.v = self._usable = np.array(self._robot.home), np.zeros(n)
         self.lost: npt.NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
         self.why = ""
         """Which values of which joint disagreed first, and by how much."""
@@ -114,13 +125,11 @@ class JointSense:
         else:
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
-            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept) <= 1.0
+            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept, *self._usable) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         if self._any_lost:
             self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
-        else:
-            self.q[:], self.v[:] = q, v
         return usable
 
     def _judge(self, q: Array, v: Array, tau: Array, new_s: float) -> None:

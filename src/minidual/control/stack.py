@@ -113,6 +113,8 @@ class ControlStack[P: Plant]:
             control_dt_s=self.plant.dt,
             admit=lambda command: self.manager.refuses(command),
         )
+        self.affirm = self.arbiter.affirm
+        """Reports a source as alive; call at the arbiter's rate."""
         self.arbiter.speed = self._speed
         self.arbiter.on_flush = self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
@@ -134,10 +136,6 @@ class ControlStack[P: Plant]:
         if refusal is None and not isinstance(command, JointCommand):
             self._due = self._pending = True
         return refusal
-
-    def affirm(self, source: str) -> None:
-        """Report a source as alive; call at the arbiter's rate."""
-        self.arbiter.affirm(source)
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
         """Request a source, or "hold".
