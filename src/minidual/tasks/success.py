@@ -53,12 +53,14 @@ class ObjectTruth:
         # Plain floats: a success test of arrays costs four times as much.
         x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
-        along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
+        along = abs(uz if self._upright else uy)  # vertical share of the long axis
+        along = along if along < 1.0 else 1.0
         self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
         lowest = math.inf
         for (px, py, pz), half, is_round, axis in self._solids:
             if is_round:
-                along = min(1.0, abs(uz if axis == 2 else uy if axis else ux))
+                along = abs(uz if axis == 2 else uy if axis else ux)
+                along = along if along < 1.0 else 1.0
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
             else:
                 down = abs(ux) * half[0] + abs(uy) * half[1] + abs(uz) * half[2]
@@ -68,7 +70,7 @@ class ObjectTruth:
         self.clearance_m = z + lowest
         self.airborne = self.clearance_m > AIRBORNE_M
 
-    def distance_m(self, xy: tuple[float, float]) -> float:
+    def distance_m(self, xy: Sequence[float]) -> float:
         """Return the horizontal distance of its centre."""
         return math.hypot(self.xyz[0] - xy[0], self.xyz[1] - xy[1])
 
@@ -224,7 +226,7 @@ class Held(OfObject):
     slip_m: float = 0.02
     hand: int | None = None
     _least: float = math.inf
-    _let_go: tuple[float, float] | None = None
+    _let_go: tuple[float, float, float] | None = None
 
     def _pinch(self, truth: Truth) -> tuple[int, float]:
         left, right = pinch = truth[self.object].pinch
@@ -238,11 +240,13 @@ class Held(OfObject):
         if not item.airborne and self._let_go is None:
             return ""
         hand, pinch = self._pinch(truth)
-        if item.airborne:
-            self._least = min(self._least, pinch)
-        if pinch > self.limit_n or self._let_go is None:
-            self._let_go = item.xyz[:2]
-        if pinch > self.limit_n or not (item.airborne or item.distance_m(self._let_go) > self.slip_m):
+        if item.airborne and pinch < self._least:
+            self._least = pinch
+        if pinch > self.limit_n:
+            self._let_go = item.xyz
+            return ""
+        self._let_go = self._let_go or item.xyz
+        if not (item.airborne or item.distance_m(self._let_go) > self.slip_m):
             return ""
         who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
         moving = "" if item.airborne else f" while it moves {1e3 * item.distance_m(self._let_go):.0f} mm on the table"
