@@ -327,7 +327,8 @@ class HeldEstimate:
             self._samples_n += 1
             gain = max(1.0 / self._samples_n, self._least_gain)
             T_then = self._history[-1 - age_ticks]
-            self.moved_m, self._sampled_m = float(np.linalg.norm(T_then[:3, 3] - self._sampled_m)), T_then[:3, 3]
+            way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
+            self.moved_m = math.sqrt(way_m @ way_m)
             seen = inverse(T_then) @ sample
             self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
             T, twist = self._follow(q, v)[1:]

@@ -19,7 +19,7 @@ from minidual.tasks.task import tilt_rad
 _GRIPPED = 0.9
 _MOVED_M = 0.0005  # motion of the hands between two poses that the second must show
 _COMPARE_S, _GRIPPERS_S = 0.01, 0.004
-_FORCES = ("the left hand's force", "the right hand's force", "the pinch")
+_FORCES = {"the left hand's force": slice(3), "the right hand's force": slice(3, 6), "the pinch": slice(6, 8)}
 _SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
 _EASED = 0.75  # share of the force felt at slip onset, requested afterwards
 _EASE_MARGIN = 1.1  # lower bound of that request, relative to the task's need
@@ -50,7 +50,7 @@ class CarryWatch:
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
         self._odd_max_n, self._glitch_n = round(config.faults.persistence_s / world.dt), config.faults.force_glitch_n
         self._age_max_s, self._creep_m = config.faults.sensor_age_max_s, config.faults.creep_m
-        self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
+        self._posed, self._compared = self._reading.pose.T_world_object.tobytes(), (self._raw.tolist(), world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
@@ -146,14 +146,16 @@ class CarryWatch:
             found = found or monitor.silent("usable force", felt_s, bound_s)
         pose, held = self._reading.pose, self._held
         if pose is not None:
-            same, self._posed = bool((pose.T_world_object == self._posed).all()), pose.T_world_object
+            posed = pose.T_world_object.tobytes()
+            same, self._posed = posed == self._posed, posed
             if held is not None and moving:
                 found = found or monitor.frozen("the pose", same and held.moved_m > _MOVED_M, 2)
         before, compared_s = self._compared
         if now_s - compared_s >= _COMPARE_S:
-            same, self._compared = self._raw == before, (self._raw.copy(), now_s)
-            for name, part in zip(_FORCES, (slice(0, 3), slice(3, 6), slice(6, 8)), strict=True):
-                found = found or monitor.frozen(name, moving and bool(same[part].any()), 3)
+            raw = self._raw.tolist()
+            same, self._compared = [a == b for a, b in zip(raw, before, strict=True)], (raw, now_s)
+            for name, part in _FORCES.items():
+                found = found or monitor.frozen(name, moving and any(same[part]), 3)
         return found
 
     def resting(self) -> Fault | None:

@@ -46,20 +46,20 @@ class _Scatter:
     """RMS scatter (distance [m], angle [rad]) of a resting object's readings, at least `least` (2,)."""
 
     def __init__(self, least: Sequence[float]) -> None:
-        self._least = np.array(least)
-        self._squares, self._count = np.zeros((2, 2))
+        self._parts = [(least_of, 0.0, 0) for least_of in least]  # with the sum of squares, and of how many
 
-    def exceeded(self, away: Sequence[float]) -> npt.NDArray[np.bool_]:
+    def exceeded(self, away: Sequence[float]) -> list[bool]:
         """Return which of away (2,) noise does not explain, such as NaN."""
-        learnt = _SCATTERS * np.sqrt(self._squares / np.maximum(self._count, 1.0))
-        limit = np.where(self._count < _LEARNT, 4.0 * self._least, np.maximum(self._least, learnt))
-        return ~(np.asarray(away) <= limit)
+        return [
+            not x <= (4.0 * least if n < _LEARNT else max(least, _SCATTERS * math.sqrt(squares / n)))
+            for x, (least, squares, n) in zip(away, self._parts, strict=True)
+        ]
 
     def learn(self, away: Sequence[float]) -> None:
         """Add a reading of an unmoved object, without outliers."""
-        usual = ~self.exceeded(away)
-        self._squares[usual] += np.square(away)[usual]
-        self._count += usual
+        for k, odd in enumerate(self.exceeded(away)):
+            least, squares, n = self._parts[k]
+            self._parts[k] = (least, squares, n) if odd else (least, squares + away[k] * away[k], n + 1)
 
 
 class _Turns:
@@ -71,19 +71,20 @@ class _Turns:
         self.moved_s = -math.inf
         self._turns_s: deque[float] = deque(maxlen=_TURNS)
 
-    def update(self, value: float, now_s: float) -> None:
-        """Take a value."""
-        if abs(value - self._at) >= self._step:
+    def update(self, value: float, now_s: float) -> bool:
+        """Take a value; return whether it has turned often of late."""
+        step = self._step
+        if abs(value - self._at) >= step:
             self._at, self.moved_s = value, now_s
-        self._high, self._low = max(self._high, value), min(self._low, value)
-        falls = self._way >= 0 and self._high - value >= self._step
-        if falls or (self._way <= 0 and value - self._low >= self._step):
+        if value > self._high:
+            self._high = value
+        if value < self._low:
+            self._low = value
+        falls = self._way >= 0 and self._high - value >= step
+        if falls or (self._way <= 0 and value - self._low >= step):
             if self._way:
                 self._turns_s.append(now_s)
             self._way, self._high, self._low = -1 if falls else 1, value, value
-
-    def jitters(self, now_s: float) -> bool:
-        """Whether it has turned often of late."""
         return len(self._turns_s) == _TURNS and now_s - self._turns_s[0] < _TURNS_S
 
 
@@ -140,7 +141,7 @@ class FaultMonitor:
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""
-        away = bool(self._scatter.exceeded(innovation).any())
+        away = any(self._scatter.exceeded(innovation))
         self._scatter.learn(innovation)
         if self._lasts("resting", away, 2):
             return Fault("knocked_away", f"the object is {1e3 * innovation[0]:.0f} mm from where it lay")
@@ -164,17 +165,18 @@ class FaultMonitor:
         """Check that hands told to "close" or "open" move until their gaps (2,) reach the target, others hold still."""
         if told != self._told[0]:
             self._told = told, now_s
-        bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)  # its force must fall first
         hands = zip(SIDES, self._hands, gap_m, pinch_n, strict=True)
         for name, (gap, pinch), gap_now_m, pinch_now_n in hands:
-            gap.update(gap_now_m, now_s)
-            pinch.update(pinch_now_n, now_s)
-            still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
-            done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
-            if told and not done and still_s > bound_s:
-                where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
-                return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
-            if not told and (gap.jitters(now_s) or pinch.jitters(now_s)):
+            jitters = gap.update(gap_now_m, now_s) | pinch.update(pinch_now_n, now_s)
+            if told:
+                # its force must fall first
+                bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)
+                still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
+                done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
+                if not done and still_s > bound_s:
+                    where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
+                    return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
+            elif jitters:
                 return Fault("gripper_jitter", f"the {name} hand turned back {_TURNS} times within {_TURNS_S} s")
         return None
 
@@ -203,7 +205,7 @@ class FaultMonitor:
     def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample against the hands."""
         away_m, away_rad = innovation
-        if self._lasts("held", bool(self._scatter.exceeded(innovation).any()), 2):
+        if self._lasts("held", any(self._scatter.exceeded(innovation)), 2):
             off = f"{1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off"
             return Fault("slip", f"the object is {off} in the hands")
         return None

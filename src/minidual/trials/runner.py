@@ -154,7 +154,7 @@ class Bench:
         world, q = self.world, self.world.q
         self.hands.update(q)
         thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n
-        return (world.time, q, world.tau, np.array(self.hands.p), *thing)
+        return (world.time, q, world.tau, [p.copy() for p in self.hands.p], *thing)
 
 
 _BENCHES: dict[str, Bench] = {}
