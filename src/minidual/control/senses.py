@@ -35,25 +35,16 @@ _FROZEN_SHARE = 0.025
 _KEPT = 64
 """Applied torques kept, in steps: the longest time from a loss to its detection."""
 
-_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV = range(8)
+_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV, _Q_USABLE, _V_USABLE = range(10)
 
 
-@kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS, VECTOR, VECTOR))
+@kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
 def compare(
-    q: Array,
-    v: Array,
-    tau: Array,
-    dt: float,
-    mismatch: float,
-    frozen_s: float,
-    tau_moves: Array,
-    kept: Array,
-    q_usable: Array,
-    v_usable: Array,
+    q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
 ) -> float:
-    """Update `kept` (8, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
+    """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
-    Returns the largest ratio to a bound; infinite for values that are not finite. Fills q_usable, v_usable if all are.
+    Its last rows are q, v if all are usable. Returns the largest ratio to a bound; infinite for values that are not finite.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
@@ -72,7 +63,7 @@ def compare(
         elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= frozen_s:
             worst = max(worst, abs(tau[j] - kept[_TAU, j]) / tau_moves[j])
     if worst <= 1.0:
-        q_usable[:], v_usable[:] = q, v
+        kept[_Q_USABLE], kept[_V_USABLE] = q, v
     return worst
 
 
@@ -98,13 +89,14 @@ class JointSense:
     def reset(self) -> None:
         """Trust everything again; start at the next measurement."""
         n = self._robot.dof
-        self.q, self.v = self._usable = np.array(self._robot.home), np.zeros(n)
         self.lost: npt.NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
         self.why = ""
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self._kept, self._started, self._any_lost = np.zeros((8, n)), False, False
+        self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
+        self.q, self.v = self._kept[_Q_USABLE:]
+        self.q[:] = self._robot.home
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
@@ -125,7 +117,7 @@ class JointSense:
         else:
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
-            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept, *self._usable) <= 1.0
+            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         if self._any_lost:

@@ -13,7 +13,7 @@ import numpy as np
 from minidual import emergency
 from minidual.config.control import SupervisorConfig
 from minidual.control import reflexes
-from minidual.control.kernels import hand_look
+from minidual.control.kernels import hand_look, note
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.senses import EVERY, ContactSense, Expected, JointSense
 from minidual.control.soft_stop import SupervisedStop
@@ -178,13 +178,16 @@ class Supervisor:
             self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
-        before[:] = applied
+        self._applied = applied.copy()
         return applied.copy()
 
     # Checks --------------------------------------------------------------------------------------------------
 
     def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None) -> Array:
-        self._q[:], self._v[:], self._tau[:] = q, v, tau
+        try:
+            note(q, v, tau, self._rows)
+        except TypeError:  # no arrays of floats
+            self._q[:], self._v[:], self._tau[:] = q, v, tau
         if self._applied is None:
             self._applied = self._before_control(q)
         before_s, self._time_s = self._time_s, time_s

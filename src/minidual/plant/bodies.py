@@ -52,6 +52,15 @@ def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
     return False
 
 
+@kernel(VECTOR(VECTOR, types.int64[::1], types.float64))
+def halves(values: Array, rows: Array, scale: float) -> Array:
+    """Return `scale` times the sum of each hand's two values (2,), at rows (4,)."""
+    sums = np.empty(2)
+    sums[0] = scale * (values[rows[0]] + values[rows[1]])
+    sums[1] = scale * (values[rows[2]] + values[rows[3]])
+    return sums
+
+
 class NamedObject:
     """Reads one object through cached views."""
 

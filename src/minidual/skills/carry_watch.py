@@ -189,10 +189,10 @@ class CarryWatch:
 
     def grippers(self, told: str) -> Fault | None:
         """Check every 4 ms the motion of hands that are told to "open", to "close", or neither ("")."""
-        now_s, margin_m = self._now_s, self._config.faults.gap_margin_m
+        now_s = self._now_s
         if now_s - self._gripped_s < _GRIPPERS_S:
             return None
-        self._gripped_s = now_s
+        self._gripped_s, margin_m = now_s, self._config.faults.gap_margin_m
         target_m = 2.0 * self._world.robot.hand.travel_m - margin_m if told == "open" else self._width_m + margin_m
         return self._monitor.grippers(now_s, told, self._world.gaps_m, self._pinch.tolist(), target_m)
 
