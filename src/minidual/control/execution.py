@@ -83,8 +83,7 @@ class _Execution[C: TimedCommand]:
         if not self._paced:
             if self._k < self._steps:
                 self._k += 1
-                t_s = self._k * self._dt
-                self._t_s = t_s if t_s < self._end_s else self._end_s
+                self._t_s = min(self._k * self._dt, self._end_s)
             return
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S

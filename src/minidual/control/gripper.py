@@ -56,11 +56,9 @@ class Grippers:
     """
 
     def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
-        self._plant = plant
-        self._travel_m = plant.robot.hand.travel_m
+        self._plant, self._travel_m = plant, plant.robot.hand.travel_m
         self._force_n = min(pinch_force_n, plant.grip_max_n)
-        self._step_m = speed_m_per_s * plant.dt
-        self._gain = _COMPLIANCE_M_PER_NS * plant.dt
+        self._step_m, self._gain = speed_m_per_s * plant.dt, _COMPLIANCE_M_PER_NS * plant.dt
         self.fault = ""
         """Which hand lost its grip, or empty."""
         self.reset()
@@ -69,7 +67,6 @@ class Grippers:
         """Start with open hands."""
         self.is_open = [True, True]
         """By command, each hand."""
-        self._told: list[float] = []
         self.forget_grip()
         self._targets = [self._travel_m] * 2
         self.targets_m = np.array(self._targets)
@@ -81,7 +78,6 @@ class Grippers:
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
         self.is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
-        self._told = []
 
     @property
     def wide(self) -> bool:
@@ -90,16 +86,14 @@ class Grippers:
 
     def step(self, command: Array) -> Array:
         """Advance towards command (2,); return finger targets (2,) [m]."""
-        is_open, told = self.is_open, command.tolist()
-        if told != self._told:
-            self._told = told
-            for hand, wanted in enumerate(told):
-                if wanted > OPEN_ABOVE:
-                    if not is_open[hand]:
-                        self._lost[hand], self.fault = 0, ""
-                    is_open[hand] = True
-                elif wanted < CLOSE_BELOW:
-                    is_open[hand] = False
+        is_open = self.is_open
+        for hand, wanted in enumerate(command.tolist()):
+            if wanted > OPEN_ABOVE:
+                if not is_open[hand]:
+                    self._lost[hand], self.fault = 0, ""
+                is_open[hand] = True
+            elif wanted < CLOSE_BELOW:
+                is_open[hand] = False
         targets, step, travel = self._targets, self._step_m, self._travel_m
         if is_open[0] and is_open[1] and targets[0] == travel == targets[1]:
             return self.targets_m
@@ -109,8 +103,7 @@ class Grippers:
                 targets[hand] = min(targets[hand] + step, travel)
                 continue
             way = self._gain * (felt - self._force_n)
-            target = targets[hand] + (step if way > step else -step if way < -step else way)
-            target = min(target, travel)
+            target = min(targets[hand] + (step if way > step else -step if way < -step else way), travel)
             if felt >= _NEAR * self._force_n:
                 if math.isnan(self._held_m[hand]):
                     self._held_m[hand] = float(self._plant.fingers[hand])

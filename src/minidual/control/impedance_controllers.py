@@ -128,9 +128,7 @@ class ObjectImpedanceController(Controller):
 
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
-        law, sensor, execution = self._law, self._sensor, self._execution
-        if law is None or sensor is None:
-            law, sensor = self._ready()
+        (law, sensor), execution = self._ready(), self._execution
         if execution is not None:
             self.desired, self._squeeze_wanted = execution.desired, execution.squeeze_n
             if execution.finished:

@@ -320,7 +320,7 @@ def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
 
 @kernel(types.void(_VIEW, _VIEW, _VIEW, ROWS))
 def note(q: Array, v: Array, tau: Array, rows: Array) -> None:
-    """Fill the first rows (3, n) with q, v and tau: assignments of numpy take twice as long."""
+    """Fill `rows`."""  # assignments of numpy take twice as long
     rows[0], rows[1], rows[2] = q, v, tau
 
 

@@ -44,7 +44,7 @@ def compare(
 ) -> float:
     """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
-    Its last rows are q, v if all are usable. Returns the largest ratio to a bound; infinite for values that are not finite.
+    Last, usable q, v. Returns the largest ratio to a bound; infinite if not finite.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
@@ -266,7 +266,6 @@ class ContactSense:
             late = config.deviation_scale * deviation_rad, config.deviation_s
             self.bounds[name] = np.r_[torques, late, config.contact_scale * force_n]
         self._before, self._mean = np.zeros((2, robot.dof)), np.zeros((3, robot.dof))
-        self._means = tuple(self._mean)
         self._nothing, self.limits = np.zeros(robot.dof), self.bounds["free motion"]
         self.reset()
 
@@ -295,7 +294,7 @@ class ContactSense:
                 joints = self._kinematics.robot.joints_of(arm)
                 self.limits[joints], reference[joints] = math.inf, self._mean[0, joints]
         return observe(
-            self._kinematics.rnea(*self._means),
+            self._kinematics.rnea(*self._mean),
             *(self._mean, applied, newest, round(step_s / self._dt)),
             self._nothing if torque is None else torque,
             self._mean[0] if reference is None else reference,

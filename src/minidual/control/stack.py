@@ -59,8 +59,7 @@ class ControlStack[P: Plant]:
         supervisor: Supervisor | None = None,
         sensor: ObjectSensor | None = None,
     ) -> None:
-        self.plant = plant
-        self.supervisor = supervisor
+        self.plant, self.supervisor = plant, supervisor
         self._config = ArbiterConfig() if config is None else config
         self._speed, self._stale_s = self._config.speed_override, self._config.stale_s
         steps = 1.0 / (rate_hz * plant.dt)
@@ -91,8 +90,7 @@ class ControlStack[P: Plant]:
         """
         if self.supervisor is not None:
             self.supervisor.reset()
-        plant = self.plant
-        q = plant.q
+        plant, q = self.plant, self.plant.q
         self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -119,8 +117,7 @@ class ControlStack[P: Plant]:
         self.arbiter.on_flush = self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
-        self._countdown = 0
-        self._due, self._pending = True, False
+        self._countdown, self._due, self._pending = 0, True, False
         self.grippers.forget_grip()
         self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
         self.reflex: MinidualError | None = None
@@ -347,12 +344,7 @@ class ControlStack[P: Plant]:
                 self._due = self._due or execution.finished
         except Exception as error:
             self.fail(error)
-        try:
-            measured = plant.time, plant.stamp_s, plant.q, plant.v
-        except Exception as error:
-            self.fail(error)
-            measured = self._salvaged()
-        tau, stopped = self._torque(*measured)
+        tau, stopped = self._torque(*self._measured())
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
@@ -366,8 +358,13 @@ class ControlStack[P: Plant]:
         if stopped is not None:
             raise stopped
 
-    def _salvaged(self) -> tuple[float, float | None, Array, Array]:
-        plant, nothing = self.plant, np.full(self._robot.dof, np.nan)
+    def _measured(self) -> tuple[float, float | None, Array, Array]:
+        plant = self.plant
+        try:
+            return plant.time, plant.stamp_s, plant.q, plant.v
+        except Exception as error:
+            self.fail(error)
+        nothing = np.full(self._robot.dof, np.nan)
         time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
         return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
 

@@ -72,21 +72,18 @@ class Supervisor:
         clearance: Clearance | None = None,
         on_reflex: OnReflex | None = None,
     ) -> None:
-        self.config = SupervisorConfig() if config is None else config
-        self.dt_s = dt_s
+        self.config, self.dt_s = SupervisorConfig() if config is None else config, dt_s
         self._kinematics = Kinematics() if kinematics is None else kinematics
         self._robot = self._kinematics.robot
         self.bounds = reflexes.TickBounds(self.config, dt_s, self._robot)
         self._reach = reflexes.Reach(self._kinematics)
         self._sense = JointSense(self._kinematics, self.config, dt_s)
         self._contact, self._hands = ContactSense(self._kinematics, self.config, dt_s), Hands(self._kinematics)
-        self._looked = np.zeros((2, 5))
-        self._expected = Expected()
+        self._looked, self._expected = np.zeros((2, 5)), Expected()
         self.expected: Callable[[], Expected] = Expected
         """What controllers expect of this tick."""
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
-        self._self_distance, self._clearance = self_distance, clearance
-        self._on_reflex = on_reflex
+        self._self_distance, self._clearance, self._on_reflex = self_distance, clearance, on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(reflexes.QUANTITIES), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
@@ -111,15 +108,12 @@ class Supervisor:
         self.reflex = None
         if tau is None:
             self.hold(None)
-        self._deadline_s = math.inf
-        self._time_s = -math.inf
-        self._tick = 0
-        self._next_slow = self._next_ahead = 0
+        self._deadline_s, self._time_s = math.inf, -math.inf
+        self._tick = self._next_slow = self._next_ahead = 0
         self._next_near = math.inf if self._self_distance is None else 0
         self._next_feel = EVERY
         self._applied = None if tau is None else tau.copy()
-        self._rows[:], self._referred = 0.0, False
-        self._looked_tick = -2
+        self._rows[:], self._referred, self._looked_tick = 0.0, False, -2
         self._saturated, self._jumps, self._asked, self._nothing = np.zeros((4, self._robot.dof))
         self._stamp_s, self._usable = math.nan, True
         self._sense.reset()
@@ -169,10 +163,8 @@ class Supervisor:
         a_ref = a_ref if referred else self._nothing
         within = reflexes.excess(rows, before, a_ref, follows, self.bounds.centre, self.bounds.scale) <= 1.0  # not NaN
         stop = self._estop or emergency.pressed()
-        if within and self._usable and not stop and time_s <= self._deadline_s:
-            applied = rows[2]
-        else:
-            applied = self._look_closer(stop)
+        calm = within and self._usable and not stop and time_s <= self._deadline_s
+        applied = rows[2] if calm else self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
             self._next_feel = self._tick + EVERY
             self._feel(time_s if stamp_s is None else stamp_s)

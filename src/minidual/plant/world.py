@@ -60,8 +60,6 @@ class World:
             self._objects[None] = self._objects[self.objects[0]]
         data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
-        self._numbers = memoryview(self._qpos)  # single numbers cost a tenth of an array's
-        self._finger_rows: list[int] = self.finger_joints.qpos.tolist()
         self._finger_ctrl = tuple(np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T))  # strided is slow
         self.recorder: Recorder | None = None
         """For replays."""
@@ -99,8 +97,8 @@ class World:
     @property
     def gaps_m(self) -> tuple[float, float]:
         """Between each hand's fingers [m]."""
-        (a, b, c, d), q = self._finger_rows, self._numbers
-        return q[a] + q[b], q[c] + q[d]
+        left, right = halves(self._qpos, self.finger_joints.qpos, 1.0).tolist()
+        return left, right
 
     @property
     def grip(self) -> Array:

@@ -35,9 +35,8 @@ class CarryWatch:
     def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
         self._world, self._kinematics, self._config, self._sensors = world, kinematics, config, sensors
         self._body, self._width_m = world.scene.object, 2.0 * world.scene.object.half_width_m
-        self._monitor = FaultMonitor(
-            config.faults, dt_s=world.dt, width_m=self._width_m, pinch_n=config.impedance.pinch_n
-        )
+        faults, pinch_n = config.faults, config.impedance.pinch_n
+        self._monitor = FaultMonitor(faults, dt_s=world.dt, width_m=self._width_m, pinch_n=pinch_n)
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
@@ -48,8 +47,8 @@ class CarryWatch:
         rate_hz = config.sensing.pose_rate_hz
         self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else world.dt  # of poses
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
-        self._odd_max_n, self._glitch_n = round(config.faults.persistence_s / world.dt), config.faults.force_glitch_n
-        self._age_max_s, self._creep_m = config.faults.sensor_age_max_s, config.faults.creep_m
+        self._odd_max_n, self._glitch_n = round(faults.persistence_s / world.dt), faults.force_glitch_n
+        self._age_max_s, self._creep_m = faults.sensor_age_max_s, faults.creep_m
         self._posed, self._compared = self._reading.pose.T_world_object.tobytes(), (self._raw.tolist(), world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
@@ -104,14 +103,9 @@ class CarryWatch:
                 self._posed_s = now_s - pose.age_ticks * world.dt
             else:
                 pose, self._reading = None, self._reading._replace(pose=None)
-        if held is None:
-            T = self._resting.T_world_object
-        else:
-            T = held.update(world.q, world.v, *(pose or (None, 0))).T_world_object
-        patient = self._odd_n < self._odd_max_n
-        odd, self._felt_n = smooth(
-            hand_forces, pinch, self._raw, self._felt, self._filter_share, self._glitch_n, patient, T
-        )
+        estimate = self._resting if held is None else held.update(world.q, world.v, *(pose or (None, 0)))
+        how = self._filter_share, self._glitch_n, self._odd_n < self._odd_max_n
+        odd, self._felt_n = smooth(hand_forces, pinch, self._raw, self._felt, *how, estimate.T_world_object)
         self._odd_n = self._odd_n + 1 if odd else 0
         if odd < 2:
             self._forces_s = stamp_s
@@ -176,12 +170,9 @@ class CarryWatch:
         estimate, monitor = self._held, self._monitor
         if estimate is None:
             return None
-        tilt = tilt_rad(estimate.state.T_world_object, self._body)
-        spread_m = estimate.spread_m
+        tilt, spread_m = tilt_rad(estimate.state.T_world_object, self._body), estimate.spread_m
         found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, spread_m, tilt)
-        if self._spread_m is None:
-            self._spread_m = spread_m
-        if abs(spread_m - self._spread_m) > self._creep_m:
+        if self._spread_m is None or abs(spread_m - self._spread_m) > self._creep_m:
             self._ease(spread_m)
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
         weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
@@ -205,6 +196,7 @@ class CarryWatch:
 
         The force felt then is what friction carries, 2 mu times the pinch.
         """
-        wanted, least = self.squeeze_n, _EASE_MARGIN * self._world.scene.task.internal_force_min_n
-        self.grip_limit_n = max(min(wanted, least), min(wanted, _EASED * self._felt_n))
+        if self._spread_m is not None:
+            wanted, least = self.squeeze_n, _EASE_MARGIN * self._world.scene.task.internal_force_min_n
+            self.grip_limit_n = max(min(wanted, least), min(wanted, _EASED * self._felt_n))
         self._spread_m = spread_m

@@ -72,7 +72,7 @@ class _Turns:
         self._turns_s: deque[float] = deque(maxlen=_TURNS)
 
     def update(self, value: float, now_s: float) -> bool:
-        """Take a value; return whether it has turned often of late."""
+        """Take a value; return whether it turns often."""
         step = self._step
         if abs(value - self._at) >= step:
             self._at, self.moved_s = value, now_s
@@ -95,11 +95,10 @@ class FaultMonitor:
         self._config, self._width, self._pinch = config, width_m, pinch_n
         self._least_n, self._least_m = config.lost_pinch_share * pinch_n, width_m - config.gap_margin_m
         self._torque_max, self._squeeze_share = config.motor_torque_n_m, config.squeeze_share
-        self._crept_max_m, self._tilt_max_rad = config.displaced_m, config.tilt_rad
+        self._crept_max_m, self._tilt_max_rad, self._motors_missing = config.displaced_m, config.tilt_rad, False
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
-        self._motors_missing = False
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms with lost motors; latched."""
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
@@ -165,18 +164,16 @@ class FaultMonitor:
         """Check that hands told to "close" or "open" move until their gaps (2,) reach the target, others hold still."""
         if told != self._told[0]:
             self._told = told, now_s
+        bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)  # its force must fall first
         hands = zip(SIDES, self._hands, gap_m, pinch_n, strict=True)
         for name, (gap, pinch), gap_now_m, pinch_now_n in hands:
             jitters = gap.update(gap_now_m, now_s) | pinch.update(pinch_now_n, now_s)
-            if told:
-                # its force must fall first
-                bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)
-                still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
-                done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
-                if not done and still_s > bound_s:
-                    where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
-                    return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
-            elif jitters:
+            still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
+            done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
+            if told and not done and still_s > bound_s:
+                where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
+                return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
+            if jitters and not told:
                 return Fault("gripper_jitter", f"the {name} hand turned back {_TURNS} times within {_TURNS_S} s")
         return None
 

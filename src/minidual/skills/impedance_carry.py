@@ -113,14 +113,11 @@ class ImpedanceCarry:
         Raises:
             Exception: What failed in a sensor, a controller or here, once the arms have stopped.
         """
-        try:
-            self._look()
-        except Exception as error:  # must not take this tick's torque away
-            self.stack.fail(error)
-        try:
-            self._advance()
-        except Exception as error:
-            self.stack.fail(error)
+        for part in (self._look, self._advance):
+            try:
+                part()
+            except Exception as error:  # must not take this tick's torque away
+                self.stack.fail(error)
         if self.fault is None:
             self.stack.affirm(SOURCE)
         try:
@@ -137,16 +134,14 @@ class ImpedanceCarry:
         else:
             self._heed_arbiter()
         self._told = self.stack.applied
-        if self.fault is not None:
-            self._stop_if_due()
+        self._stop_if_due()
         if self._broken is not None and self.done:
             raise self._broken
 
     # Phases ---------------------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        if self.fault is not None:
-            self._stop_if_due()
+        self._stop_if_due()
         if self.phase == "stop":
             if self.world.time - self._began_s > self._stop_s + _STOPPED_S:
                 self._enter("done")
@@ -261,8 +256,7 @@ class ImpedanceCarry:
         if lost is not None:
             self._halt(lost)
             self.stack.switch_off(self.watch.lost_arms)
-        if (fault := self._sensed()) is not None:
-            self._halt(fault)
+        self._halt(self._sensed())
 
     def _sensed(self) -> Fault | None:
         watch, phase = self.watch, self.phase
@@ -280,8 +274,8 @@ class ImpedanceCarry:
         held = phase in ("squeeze", "carry") or (phase in ("stop", "done") and self._law_drives)
         return watch.holding(steady=phase == "carry") if held else None
 
-    def _halt(self, fault: Fault) -> None:
-        if self._halted:
+    def _halt(self, fault: Fault | None) -> None:
+        if fault is None or self._halted:
             return
         self._halted = True
         opens = fault.name in OPENING and self.stack.source == SOURCE
@@ -316,7 +310,7 @@ class ImpedanceCarry:
         self._stop_s = stop_s
 
     def _stop_if_due(self) -> None:
-        if self.phase not in ("stop", "done"):
+        if self.fault is not None and self.phase not in ("stop", "done"):
             self._enter("stop")
 
     def _flushed(self, mode: str) -> None:

@@ -78,12 +78,10 @@ class Judge:
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        self._observing = [
-            (c.name, c.observe) for c in self._conditions if type(c).observe is not SuccessCondition.observe
-        ]
+        seen = [c for c in self._conditions if type(c).observe is not SuccessCondition.observe]
+        self._observing = [(c.name, c.observe) for c in seen]
         self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
-        self._stages = [c for c in self._conditions if c.stage]
-        self._reached = 0
+        self._stages, self._reached = [c for c in self._conditions if c.stage], 0
         self.failures: dict[str, Failure] = {}
         """Violations so far, by name."""
         self._quiet_since: float | None = None

@@ -40,9 +40,7 @@ class ObjectTruth:
     """
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
-        self.name, self.body = name, body
-        self._upright = body.upright
-        self.half_m = body.solids[0].half_m
+        self.name, self.body, self._upright, self.half_m = name, body, body.upright, body.solids[0].half_m
         self._solids = [(p.position_m, p.half_m, p.shape == "cylinder", "xyz".index(p.axis)) for p in body.solids]
         self._world: World | None = None
 
@@ -53,14 +51,12 @@ class ObjectTruth:
         # Plain floats: a success test of arrays costs four times as much.
         x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
-        along = abs(uz if self._upright else uy)  # vertical share of the long axis
-        along = along if along < 1.0 else 1.0
+        along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
         self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
         lowest = math.inf
         for (px, py, pz), half, is_round, axis in self._solids:
             if is_round:
-                along = abs(uz if axis == 2 else uy if axis else ux)
-                along = along if along < 1.0 else 1.0
+                along = min(1.0, abs(uz if axis == 2 else uy if axis else ux))
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
             else:
                 down = abs(ux) * half[0] + abs(uy) * half[1] + abs(uz) * half[2]
@@ -171,8 +167,7 @@ class Level(OfObject):
 
     def observe(self, truth: Truth) -> str:
         tilt = truth[self.object].tilt_rad
-        if tilt > self._largest:
-            self._largest = tilt
+        self._largest = tilt if tilt > self._largest else self._largest
         if tilt > self.limit_rad:
             return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
         return ""
@@ -327,8 +322,7 @@ class Squeezed(OfObject):
         if not item.airborne:
             return ""
         squeeze = item.squeeze_n
-        if squeeze < self._least:
-            self._least = squeeze
+        self._least = min(self._least, squeeze)
         return "" if squeeze > self.limit_n else f"internal force {squeeze:.1f} N, needs > {self.limit_n:.0f}"
 
     def measured(self, truth: Truth) -> dict[str, float]:
@@ -345,8 +339,7 @@ class Rose(OfObject):
     _most: float = 0.0
 
     def observe(self, truth: Truth) -> str:
-        if (clearance_m := truth[self.object].clearance_m) > self._most:
-            self._most = clearance_m
+        self._most = max(self._most, truth[self.object].clearance_m)
         return ""
 
     def holds(self, truth: Truth) -> bool:
@@ -372,9 +365,6 @@ class Arrived(AtEnd):
     limit_m: float
 
     def holds(self, truth: Truth) -> bool:
-        return truth[self.object].distance_m(self.goal) < self.limit_m
-
-    def reached(self, truth: Truth) -> bool:
         return truth[self.object].distance_m(self.goal) < self.limit_m
 
     def end(self, truth: Truth) -> str:

@@ -113,8 +113,7 @@ class Bench:
         seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
         peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), np.array(world.robot.tau_max)
-        finished_s, broken = 0.0, None
-        model, data = world.model, world.data
+        model, data, finished_s, broken = world.model, world.data, 0.0, None
         time_s, qpos, qvel = data.time, data.qpos, data.qvel
         last_q, last_v = qpos.copy(), qvel.copy()
         for step in range(round(self.task.time_limit_s / world.dt)):
