@@ -3,8 +3,7 @@
 After a switch the torque difference fades; after a halt it falls at the drives' rate limit.
 """
 
-from collections.abc import Callable, Sequence
-from typing import cast
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -93,7 +92,7 @@ class ControllerManager:
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
-        tau = self._joined(lambda controller: controller.update(q, v))
+        tau = self._joined([controller.update(q, v) for controller in self._active])
         if self._fade_left:
             tau = self._faded(tau)
         self.tau = tau
@@ -102,21 +101,19 @@ class ControllerManager:
     @property
     def reference(self) -> Array:
         """Last joint references (n,) [rad]."""
-        return self._joined(lambda controller: controller.reference)
+        return self._joined([controller.reference for controller in self._active])
 
     @property
     def acceleration(self) -> Array | None:
         """Last commanded reference acceleration (n,) [rad/s^2], or None."""
-        if any(controller.acceleration is None for controller in self._active):
-            return None
-        return self._joined(lambda controller: cast("Array", controller.acceleration))
+        parts = [a for controller in self._active if (a := controller.acceleration) is not None]
+        return self._joined(parts) if len(parts) == len(self._active) else None
 
-    def _joined(self, part: Callable[[Controller], Array]) -> Array:
-        if len(self._active) == 1:
-            return part(self._active[0])
+    def _joined(self, parts: Sequence[Array]) -> Array:
+        if len(parts) == 1:
+            return parts[0]
         joined = np.empty(self._robot.dof)
-        for controller in self._active:
-            values = part(controller)
+        for controller, values in zip(self._active, parts, strict=True):
             for arm in controller.arms:
                 joints = self._robot.joints_of(arm)
                 joined[joints] = values[joints]

@@ -142,9 +142,9 @@ class JointTrajectoryController(Controller):
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
         if self._executions:
-            braking = any(execution.braking for execution in self._executions)
-            q_ref, v_ref, a_ref = self._trajectory_reference()
-            self.acceleration = None if braking else self._rows[3]
+            braking = [execution for execution in self._executions if execution.braking]
+            q_ref, v_ref, a_ref, planned = self._trajectory_reference()
+            self.acceleration = None if braking else planned
         else:
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
@@ -152,7 +152,10 @@ class JointTrajectoryController(Controller):
         load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
         return self._servo.torque(q, v, q_ref, v_ref, a_ref, load)
 
-    def _trajectory_reference(self) -> tuple[Array, Array, Array]:
+    def _trajectory_reference(self) -> tuple[Array, Array, Array, Array]:
+        execution, (_, k) = next(iter(self._executions.items()))
+        if k < 0 and len(execution.q) == len(self._target) and not execution.finished:  # it drives all joints
+            return execution.q, execution.v, execution.a, execution.a
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
             self._rows[:3] = self._filter.step(self._target)
@@ -173,5 +176,5 @@ class JointTrajectoryController(Controller):
                 ended = True
         if ended:
             self._filter.reset(*self._rows[:2])
-        q, v, a = self._rows[:3].copy()
-        return q, v, a
+        q, v, a, planned = self._rows.copy()
+        return q, v, a, planned

@@ -79,7 +79,7 @@ class _Execution[C: TimedCommand]:
 
     def step(self) -> None:
         """Advance one control step; the first goes to time zero."""
-        self._paced = self._paced or self.pace < 1.0 or self._speed < 1.0 or self.braking
+        self._paced = self._paced or self.pace < 1.0 or self._speed < 1.0 or self._slope_max > 0.0
         if not self._paced:
             if self._k < self._steps:
                 self._k += 1

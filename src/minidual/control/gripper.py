@@ -56,11 +56,9 @@ class Grippers:
     """
 
     def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
-        self._plant = plant
-        self._travel_m = plant.robot.hand.travel_m
+        self._plant, self._travel_m = plant, plant.robot.hand.travel_m
         self._force_n = min(pinch_force_n, plant.grip_max_n)
-        self._step_m = speed_m_per_s * plant.dt
-        self._gain = _COMPLIANCE_M_PER_NS * plant.dt
+        self._step_m, self._gain = speed_m_per_s * plant.dt, _COMPLIANCE_M_PER_NS * plant.dt
         self.fault = ""
         """Which hand lost its grip, or empty."""
         self.reset()
@@ -96,28 +94,26 @@ class Grippers:
                 is_open[hand] = True
             elif wanted < CLOSE_BELOW:
                 is_open[hand] = False
-        targets, step = self._targets, self._step_m
-        if self.wide:
+        targets, step, travel = self._targets, self._step_m, self._travel_m
+        if is_open[0] and is_open[1] and targets[0] == travel == targets[1]:
             return self.targets_m
-        grip = self._plant.grip.tolist()
-        for hand, target in enumerate(targets):
+        for hand, felt in enumerate(self._plant.grip.tolist()):
             if is_open[hand]:
                 self._held_m[hand] = math.nan
-                targets[hand] = min(target + step, self._travel_m)
+                targets[hand] = min(targets[hand] + step, travel)
                 continue
-            if math.isnan(grip[hand]):  # the target stays
-                self._compare(hand, grip[hand])
+            way = self._gain * (felt - self._force_n)
+            target = min(targets[hand] + (step if way > step else -step if way < -step else way), travel)
+            if felt >= _NEAR * self._force_n:
+                if math.isnan(self._held_m[hand]):
+                    self._held_m[hand] = float(self._plant.fingers[hand])
+                targets[hand] = target
                 continue
-            way = self._gain * (grip[hand] - self._force_n)
-            way = step if way > step else -step if way < -step else way
-            target = min(target + way, self._travel_m)
-            if grip[hand] < _NEAR * self._force_n:  # otherwise the target is not far ahead of the fingers
-                target = max(target, float(self._plant.fingers[hand]) - 0.5 * self._travel_m)
-                self._compare(hand, grip[hand])
-            elif math.isnan(self._held_m[hand]):
-                self._held_m[hand] = float(self._plant.fingers[hand])
-            targets[hand] = target
-        self.targets_m = np.array(targets)
+            if not math.isnan(felt):  # else the target stays; it is not far ahead of the fingers
+                targets[hand] = max(target, float(self._plant.fingers[hand]) - 0.5 * travel)
+            self._compare(hand, felt)
+        self.targets_m = self.targets_m.copy()  # a third of the time of `np.array(targets)`
+        self.targets_m[0], self.targets_m[1] = targets
         return self.targets_m
 
     def holds(self, hand: int) -> bool:

@@ -90,7 +90,7 @@ class ObjectImpedance:
         R_tcps_object = [T[:3, :3].T for T in held.T_object_tcps]
         servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_CEILING_N
         data = (K, np.zeros(6), held.mass_kg, *posture, *servo, held.inertia_kg_m2, held.axis, R_tcps_object)
-        self._law = np.array([data], LAW)
+        self._law, self._by_world = np.array([data], LAW), gains.squeeze_axes == "world"
         self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)
         self._hands = Hands(kinematics)
         self._qdd, self.push = np.zeros((2, kinematics.robot.dof))
@@ -127,7 +127,7 @@ class ObjectImpedance:
         """
         hands = self._hands
         hands.update(q)
-        if self.gains.squeeze_axes == "world":
+        if self._by_world:
             self._law["axis"] = measured.T_world_object[:3, :3].T @ self._world_axis
         if not impedance(
             *(self._law, measured.T_world_object, measured.twist),
@@ -266,7 +266,7 @@ class ObjectPath:
         """Return the state at a path time of an object that lies at T_level_object (4, 4) in the level frame."""
         T, motion = np.empty((4, 4)), np.zeros((2, 6))
         on_path(self._poses, self._ends_s, t_s, T_level_object, T, motion)
-        return ObjectState(T, motion[0], motion[1])
+        return tuple.__new__(ObjectState, (T, motion[0], motion[1]))
 
 
 class RestingEstimate:
@@ -327,11 +327,12 @@ class HeldEstimate:
             self._samples_n += 1
             gain = max(1.0 / self._samples_n, self._least_gain)
             T_then = self._history[-1 - age_ticks]
-            self.moved_m, self._sampled_m = float(np.linalg.norm(T_then[:3, 3] - self._sampled_m)), T_then[:3, 3]
+            way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
+            self.moved_m = math.sqrt(way_m @ way_m)
             seen = inverse(T_then) @ sample
             self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
             T, twist = self._follow(q, v)[1:]
-        self.state = ObjectState(T, twist)
+        self.state = tuple.__new__(ObjectState, (T, twist, _STILL))  # ObjectState(...) takes three times as long
         return self.state
 
     def _follow(self, q: Array, v: Array) -> tuple[Array, Array, Array]:

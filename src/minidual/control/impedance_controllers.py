@@ -128,10 +128,10 @@ class ObjectImpedanceController(Controller):
 
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
-        law, sensor = self._ready()
-        if self._execution is not None:
-            self.desired, self._squeeze_wanted = self._execution.desired, self._execution.squeeze_n
-            if self._execution.finished:
+        (law, sensor), execution = self._ready(), self._execution
+        if execution is not None:
+            self.desired, self._squeeze_wanted = execution.desired, execution.squeeze_n
+            if execution.finished:
                 self._execution = None
         if self._squeeze != self._squeeze_wanted:
             self._squeeze += within(self._squeeze_wanted - self._squeeze, -self._squeeze_step, self._squeeze_step)

@@ -318,6 +318,12 @@ def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
     return True
 
 
+@kernel(types.void(_VIEW, _VIEW, _VIEW, ROWS))
+def note(q: Array, v: Array, tau: Array, rows: Array) -> None:
+    """Fill `rows`."""  # assignments of numpy take twice as long
+    rows[0], rows[1], rows[2] = q, v, tau
+
+
 @kernel(_REAL(VECTOR, VECTOR))
 def farthest(a: Array, b: Array) -> float:
     """Return the largest |a - b|; NaN stays."""

@@ -35,16 +35,16 @@ _FROZEN_SHARE = 0.025
 _KEPT = 64
 """Applied torques kept, in steps: the longest time from a loss to its detection."""
 
-_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV = range(8)
+_Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV, _Q_USABLE, _V_USABLE = range(10)
 
 
 @kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
 def compare(
     q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
 ) -> float:
-    """Update `kept` (8, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
+    """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
-    Returns the largest ratio to a bound; infinite for values that are not finite.
+    Last, usable q, v. Returns the largest ratio to a bound; infinite if not finite.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
@@ -62,6 +62,8 @@ def compare(
             kept[_TAU, j] = tau[j]
         elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= frozen_s:
             worst = max(worst, abs(tau[j] - kept[_TAU, j]) / tau_moves[j])
+    if worst <= 1.0:
+        kept[_Q_USABLE], kept[_V_USABLE] = q, v
     return worst
 
 
@@ -79,20 +81,22 @@ class JointSense:
         # Implicit in the damping, as in the simulator: without readings an error grows as a pendulum falls.
         self._model.armature = self._model.armature + dt_s * self._robot.arm.damping
         self._data = self._model.createData()
-        self._config, self._dt = config, dt_s
+        self._config, self._dt, self._age_max_s = config, dt_s, config.measurement_age_max_s
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
+        self._bounds = config.position_mismatch_rad, config.frozen_s, self._tau_moves
         self.reset()
 
     def reset(self) -> None:
         """Trust everything again; start at the next measurement."""
         n = self._robot.dof
-        self.q, self.v = np.array(self._robot.home), np.zeros(n)
         self.lost: npt.NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
         self.why = ""
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self._kept, self._started, self._any_lost = np.zeros((8, n)), False, False
+        self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
+        self.q, self.v = self._kept[_Q_USABLE:]
+        self.q[:] = self._robot.home
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
@@ -101,26 +105,23 @@ class JointSense:
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        config, kept, usable = self._config, self._kept, True
+        kept = self._kept
         self.applied[self.ticks % _KEPT] = tau
         self.ticks += 1
         if not new_s > 0.0:
             q, v = self.q, self.v
             self.age_s += self._dt
-            usable = self.age_s <= config.measurement_age_max_s
+            usable = self.age_s <= self._age_max_s
             if not usable:
                 self._lose(np.ones_like(self.lost), self.age_s)
         else:
-            if not self._started or new_s > config.measurement_age_max_s:  # nothing to compare with
+            if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
-            self.age_s, bounds = 0.0, (config.position_mismatch_rad, config.frozen_s, self._tau_moves)
-            usable = bool(compare(q, v, tau, new_s, *bounds, kept) <= 1.0)
+            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         if self._any_lost:
             self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
-        else:
-            self.q[:], self.v[:] = q, v
         return usable
 
     def _judge(self, q: Array, v: Array, tau: Array, new_s: float) -> None:

@@ -3,6 +3,7 @@
 The arbiter runs at its own rate, and at once for requests, halts and timed commands. Example: docs/control.md.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -58,10 +59,9 @@ class ControlStack[P: Plant]:
         supervisor: Supervisor | None = None,
         sensor: ObjectSensor | None = None,
     ) -> None:
-        self.plant = plant
-        self.supervisor = supervisor
+        self.plant, self.supervisor = plant, supervisor
         self._config = ArbiterConfig() if config is None else config
-        self._speed = self._config.speed_override
+        self._speed, self._stale_s = self._config.speed_override, self._config.stale_s
         steps = 1.0 / (rate_hz * plant.dt)
         self.every = round(steps)
         """Control steps from one regular arbiter tick to the next."""
@@ -90,8 +90,7 @@ class ControlStack[P: Plant]:
         """
         if self.supervisor is not None:
             self.supervisor.reset()
-        plant = self.plant
-        q = plant.q
+        plant, q = self.plant, self.plant.q
         self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -112,12 +111,13 @@ class ControlStack[P: Plant]:
             control_dt_s=self.plant.dt,
             admit=lambda command: self.manager.refuses(command),
         )
+        self.affirm = self.arbiter.affirm
+        """Reports a source as alive; call at the arbiter's rate."""
         self.arbiter.speed = self._speed
         self.arbiter.on_flush = self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
-        self._countdown = 0
-        self._due, self._pending = True, False
+        self._countdown, self._due, self._pending = 0, True, False
         self.grippers.forget_grip()
         self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
         self.reflex: MinidualError | None = None
@@ -133,10 +133,6 @@ class ControlStack[P: Plant]:
         if refusal is None and not isinstance(command, JointCommand):
             self._due = self._pending = True
         return refusal
-
-    def affirm(self, source: str) -> None:
-        """Report a source as alive; call at the arbiter's rate."""
-        self.arbiter.affirm(source)
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
         """Request a source, or "hold".
@@ -342,12 +338,21 @@ class ControlStack[P: Plant]:
         """
         plant = self.plant
         self._stop_ticks -= 1
-        self._attempt(self._step_executions, None)
+        try:  # a closure for `_attempt` would cost more than the call
+            for execution in self.output.executions:
+                execution.step()
+                self._due = self._due or execution.finished
+        except Exception as error:
+            self.fail(error)
         tau, stopped = self._torque(*self._measured())
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
-        fingers_m = self._attempt(lambda: self.grippers.step(self.output.gripper), self.grippers.targets_m)
+        try:
+            fingers_m = self.grippers.step(self.output.gripper)
+        except Exception as error:
+            self.fail(error)
+            fingers_m = self.grippers.targets_m
         plant.command(tau, fingers_m)
         plant.step()
         if stopped is not None:
@@ -355,18 +360,13 @@ class ControlStack[P: Plant]:
 
     def _measured(self) -> tuple[float, float | None, Array, Array]:
         plant = self.plant
-        all_at_once = self._attempt(lambda: (plant.time, plant.stamp_s, plant.q, plant.v), None)
-        if all_at_once is not None:
-            return all_at_once
+        try:
+            return plant.time, plant.stamp_s, plant.q, plant.v
+        except Exception as error:
+            self.fail(error)
         nothing = np.full(self._robot.dof, np.nan)
         time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
         return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
-
-    def _step_executions(self) -> None:
-        for execution in self.output.executions:
-            execution.step()
-            if execution.finished:
-                self._due = True
 
     def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
         if self.supervisor is None:
@@ -376,7 +376,10 @@ class ControlStack[P: Plant]:
                 return self._fall_back(error, q, v), error
         tau, acceleration = self.applied, None
         if self._failed is None:
-            tau, acceleration = self._attempt(lambda: self._asked(time_s, stamp_s, q, v), (tau, None))
+            try:
+                tau, acceleration = self._asked(time_s, stamp_s, q, v)
+            except Exception as error:
+                self.fail(error)
         failed, self._failed = self._failed, None
         try:
             if failed is None:
@@ -392,8 +395,8 @@ class ControlStack[P: Plant]:
     def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
         if self.plant.health:
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
-        age_s, limit_s = np.nan if stamp_s is None else time_s - stamp_s, self._config.stale_s
-        if not abs(age_s) <= limit_s:
+        age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._stale_s
+        if not -limit_s <= age_s <= limit_s:
             remedy = "see that the plant delivers its state; arbiter.stale_s is how old it may be"
             raise PlantError(f"the measurements are {age_s:.3f} s old; limit {limit_s} s", remedy=remedy)
         tau = self.manager.update(q, v)

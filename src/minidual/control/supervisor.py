@@ -13,7 +13,7 @@ import numpy as np
 from minidual import emergency
 from minidual.config.control import SupervisorConfig
 from minidual.control import reflexes
-from minidual.control.kernels import hand_look
+from minidual.control.kernels import hand_look, note
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.senses import EVERY, ContactSense, Expected, JointSense
 from minidual.control.soft_stop import SupervisedStop
@@ -72,21 +72,18 @@ class Supervisor:
         clearance: Clearance | None = None,
         on_reflex: OnReflex | None = None,
     ) -> None:
-        self.config = SupervisorConfig() if config is None else config
-        self.dt_s = dt_s
+        self.config, self.dt_s = SupervisorConfig() if config is None else config, dt_s
         self._kinematics = Kinematics() if kinematics is None else kinematics
         self._robot = self._kinematics.robot
         self.bounds = reflexes.TickBounds(self.config, dt_s, self._robot)
         self._reach = reflexes.Reach(self._kinematics)
         self._sense = JointSense(self._kinematics, self.config, dt_s)
         self._contact, self._hands = ContactSense(self._kinematics, self.config, dt_s), Hands(self._kinematics)
-        self._looked = np.zeros((2, 5))
-        self._expected = Expected()
+        self._looked, self._expected = np.zeros((2, 5)), Expected()
         self.expected: Callable[[], Expected] = Expected
         """What controllers expect of this tick."""
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
-        self._self_distance, self._clearance = self_distance, clearance
-        self._on_reflex = on_reflex
+        self._self_distance, self._clearance, self._on_reflex = self_distance, clearance, on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(reflexes.QUANTITIES), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
@@ -111,15 +108,12 @@ class Supervisor:
         self.reflex = None
         if tau is None:
             self.hold(None)
-        self._deadline_s = math.inf
-        self._time_s = -math.inf
-        self._tick = 0
-        self._next_slow = self._next_ahead = 0
+        self._deadline_s, self._time_s = math.inf, -math.inf
+        self._tick = self._next_slow = self._next_ahead = 0
         self._next_near = math.inf if self._self_distance is None else 0
         self._next_feel = EVERY
         self._applied = None if tau is None else tau.copy()
-        self._rows[:], self._referred = 0.0, False
-        self._looked_tick = -2
+        self._rows[:], self._referred, self._looked_tick = 0.0, False, -2
         self._saturated, self._jumps, self._asked, self._nothing = np.zeros((4, self._robot.dof))
         self._stamp_s, self._usable = math.nan, True
         self._sense.reset()
@@ -128,10 +122,6 @@ class Supervisor:
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
         self._estop = reason  # one assignment is atomic: no lock
-
-    @property
-    def _stop_asked(self) -> str:
-        return self._estop or emergency.pressed()
 
     def fail(self, time_s: float, q: Array, v: Array, why: str, stamp_s: float | None = None) -> Array:
         """Stop the arms; call instead of `guard` when controllers give no torque.
@@ -172,22 +162,24 @@ class Supervisor:
         follows, self._referred = self._referred and referred, referred
         a_ref = a_ref if referred else self._nothing
         within = reflexes.excess(rows, before, a_ref, follows, self.bounds.centre, self.bounds.scale) <= 1.0  # not NaN
-        if within and self._usable and not self._stop_asked and time_s <= self._deadline_s:
-            applied = rows[2]
-        else:
-            applied = self._look_closer()
+        stop = self._estop or emergency.pressed()
+        calm = within and self._usable and not stop and time_s <= self._deadline_s
+        applied = rows[2] if calm else self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
             self._next_feel = self._tick + EVERY
             self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
-        before[:] = applied
+        self._applied = applied.copy()
         return applied.copy()
 
     # Checks --------------------------------------------------------------------------------------------------
 
     def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None) -> Array:
-        self._q[:], self._v[:], self._tau[:] = q, v, tau
+        try:
+            note(q, v, tau, self._rows)
+        except TypeError:  # no arrays of floats
+            self._q[:], self._v[:], self._tau[:] = q, v, tau
         if self._applied is None:
             self._applied = self._before_control(q)
         before_s, self._time_s = self._time_s, time_s
@@ -213,7 +205,7 @@ class Supervisor:
     def _before_control(self, q: Array) -> Array:
         return np.array(self._kinematics.gravity(q if np.isfinite(q).all() else self._robot.home))
 
-    def _look_closer(self) -> Array:
+    def _look_closer(self, stop: str) -> Array:
         q, v, tau, step, a_ref, a_step = self._rows
         bounds = self.bounds
         for what, values in (("measured position", q), ("measured velocity", v), ("torque", tau), ("reference", a_ref)):
@@ -221,8 +213,8 @@ class Supervisor:
             if not finite.all():
                 joint = int(np.argmin(finite))
                 self._trip("not_finite", f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None)
-        if self._stop_asked:
-            self._trip("emergency_stop", self._stop_asked, 1.0, None)
+        if stop:
+            self._trip("emergency_stop", stop, 1.0, None)
         if self._time_s > self._deadline_s:
             silent = self._time_s - self._deadline_s + self.config.stale_s
             self._trip("stale_command", "no command", silent, self.config.stale_s)

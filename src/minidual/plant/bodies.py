@@ -5,7 +5,7 @@ import numpy as np
 from numba.core import types
 
 from minidual.robot.compiled import ROWS, VECTOR, kernel
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array, Robot, pose
 
 ObjectPose = Array | tuple[float, float, float]
 """(4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
@@ -14,9 +14,6 @@ ObjectPose = Array | tuple[float, float, float]
 def contact_sensor(name: str, side: str, finger_link: str) -> str:
     """Return the name of a finger's contact sensor."""
     return f"{name}_{side}_{finger_link}"
-
-
-_IDENTITY = np.eye(4)
 
 
 @kernel(types.void(ROWS, ROWS, VECTOR, *[types.float64[:]] * 2, VECTOR))
@@ -52,6 +49,15 @@ def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
     return False
 
 
+@kernel(VECTOR(VECTOR, types.int64[::1], types.float64))
+def halves(values: Array, rows: Array, scale: float) -> Array:
+    """Return each hand's sum (2,), scaled."""
+    sums = np.empty(2)
+    for hand in range(2):
+        sums[hand] = scale * (values[rows[2 * hand]] + values[rows[2 * hand + 1]])
+    return sums
+
+
 class NamedObject:
     """Reads one object through cached views."""
 
@@ -73,9 +79,7 @@ class NamedObject:
 
     def pose(self) -> Array:
         """Return the pose (4, 4) in the world."""
-        T = _IDENTITY.copy()  # `np.eye` takes five times as long
-        T[:3, :3], T[:3, 3] = self._R, self._p
-        return T
+        return pose(self._R, self._p)
 
     def twist(self) -> Array:
         """Return the twist (6,) at the centre of mass, world axes."""
@@ -83,15 +87,15 @@ class NamedObject:
         self._R.dot(self._omega, twist[3:])  # MuJoCo: v in world axes, w in the body's
         return twist
 
-    def put(self, pose: ObjectPose) -> None:
+    def put(self, where: ObjectPose) -> None:
         """Write a pose; the velocity is kept."""
-        if isinstance(pose, tuple):
-            x, y, yaw = pose
+        if isinstance(where, tuple):
+            x, y, yaw = where
             self.qpos[:3] = (x, y, self._rest_height_m)
             self.qpos[3:] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
         else:
-            self.qpos[:3] = pose[:3, 3]
-            mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
+            self.qpos[:3] = where[:3, 3]
+            mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(where[:3, :3]).ravel())
 
     def look(self) -> Array:
         """Return p (3), the third row of R (3), forces (6), pinches (2) and internal force; overwritten by the next."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.errors import MinidualError, UsageError, unknown_name
-from minidual.plant.bodies import NamedObject, ObjectPose, touching
+from minidual.plant.bodies import NamedObject, ObjectPose, halves, touching
 from minidual.plant.model import GOAL_MARK, build_model, map_joints
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
@@ -102,19 +102,18 @@ class World:
     @property
     def fingers(self) -> Array:
         """See `Plant`."""
-        return 0.5 * np.array(self.gaps_m)
+        return halves(self._qpos, self.finger_joints.qpos, 0.5)
 
     @property
     def gaps_m(self) -> tuple[float, float]:
         """Between each hand's fingers [m]."""
-        a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
-        return a + b, c + d
+        left, right = halves(self._qpos, self.finger_joints.qpos, 1.0).tolist()
+        return left, right
 
     @property
     def grip(self) -> Array:
         """Closing force (2,) [N], last step."""
-        a, b, c, d = self._force[self.finger_joints.ctrl].tolist()
-        return np.array([-0.5 * (a + b), -0.5 * (c + d)])
+        return halves(self._force, self.finger_joints.ctrl, -0.5)
 
     @property
     def gripper(self) -> Array:

@@ -19,7 +19,7 @@ from minidual.tasks.task import tilt_rad
 _GRIPPED = 0.9
 _MOVED_M = 0.0005  # motion of the hands between two poses that the second must show
 _COMPARE_S, _GRIPPERS_S = 0.01, 0.004
-_FORCES = ("the left hand's force", "the right hand's force", "the pinch")
+_FORCES = {"the left hand's force": slice(3), "the right hand's force": slice(3, 6), "the pinch": slice(6, 8)}
 _SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
 _EASED = 0.75  # share of the force felt at slip onset, requested afterwards
 _EASE_MARGIN = 1.1  # lower bound of that request, relative to the task's need
@@ -35,9 +35,8 @@ class CarryWatch:
     def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
         self._world, self._kinematics, self._config, self._sensors = world, kinematics, config, sensors
         self._body, self._width_m = world.scene.object, 2.0 * world.scene.object.half_width_m
-        self._monitor = FaultMonitor(
-            config.faults, dt_s=world.dt, width_m=self._width_m, pinch_n=config.impedance.pinch_n
-        )
+        faults, pinch_n = config.faults, config.impedance.pinch_n
+        self._monitor = FaultMonitor(faults, dt_s=world.dt, width_m=self._width_m, pinch_n=pinch_n)
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
@@ -48,13 +47,14 @@ class CarryWatch:
         rate_hz = config.sensing.pose_rate_hz
         self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else world.dt  # of poses
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
-        self._odd_max_n = round(config.faults.persistence_s / world.dt)
-        self._posed, self._compared = self._reading.pose.T_world_object, (self._raw.copy(), world.time)
+        self._odd_max_n, self._glitch_n = round(faults.persistence_s / world.dt), faults.force_glitch_n
+        self._age_max_s, self._creep_m = faults.sensor_age_max_s, faults.creep_m
+        self._posed, self._compared = self._reading.pose.T_world_object.tobytes(), (self._raw.tolist(), world.time)
         self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
-        self._felt_n = 0.0
+        self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
         self.grip_limit_n = math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
 
@@ -78,7 +78,7 @@ class CarryWatch:
     @property
     def squeeze_n(self) -> float:
         """Requested internal force [N]; reduced on slip."""
-        return min(self._config.impedance.internal_force_n, self.grip_limit_n)
+        return min(self._squeeze_n, self.grip_limit_n)
 
     @property
     def lost_arms(self) -> tuple[int, ...]:
@@ -87,33 +87,28 @@ class CarryWatch:
 
     def read(self) -> tuple[ObjectState, float]:
         """See `ObjectSensor`."""
-        return self.estimate, self._felt_n
+        return (self.estimate if self._held is None else self._held.state), self._felt_n
 
     # Updates -----------------------------------------------------------------------------------------------
 
     def sense(self) -> None:
         """Read and filter the sensors; call once a control step."""
-        world, held, now_s = self._world, self._held, self._world.time
-        self._now_s = now_s
+        world, held = self._world, self._held
+        self._now_s = now_s = world.time
         if now_s > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
-        reading = self._reading
-        pose = reading.pose
+        pose, hand_forces, pinch, stamp_s = self._reading
         if pose is not None:
             if np.isfinite(pose.T_world_object).all():
                 self._posed_s = now_s - pose.age_ticks * world.dt
             else:
-                pose, self._reading = None, reading._replace(pose=None)
-        if held is not None:
-            held.update(world.q, world.v, *(pose or (None, 0)))
-        glitch_n, patient = self._config.faults.force_glitch_n, self._odd_n < self._odd_max_n
-        odd, self._felt_n = smooth(
-            *(reading.hand_forces, reading.pinch, self._raw, self._felt, self._filter_share, glitch_n, patient),
-            (self._resting if held is None else held.state).T_world_object,
-        )
+                pose, self._reading = None, self._reading._replace(pose=None)
+        estimate = self._resting if held is None else held.update(world.q, world.v, *(pose or (None, 0)))
+        how = self._filter_share, self._glitch_n, self._odd_n < self._odd_max_n
+        odd, self._felt_n = smooth(hand_forces, pinch, self._raw, self._felt, *how, estimate.T_world_object)
         self._odd_n = self._odd_n + 1 if odd else 0
         if odd < 2:
-            self._forces_s = reading.stamp_s
+            self._forces_s = stamp_s
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
@@ -138,19 +133,23 @@ class CarryWatch:
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
         now_s, monitor = self._now_s, self._monitor
-        bound_s = self._sensors.delay_ticks * self._world.dt + self._config.faults.sensor_age_max_s
-        found = monitor.silent("pose", now_s - self._posed_s, bound_s + self._period_s)
-        found = found or monitor.silent("usable force", now_s - self._forces_s, bound_s)
+        bound_s, found = self._sensors.delay_ticks * self._world.dt + self._age_max_s, None
+        posed_s, felt_s = now_s - self._posed_s, now_s - self._forces_s
+        if not (posed_s <= bound_s + self._period_s and felt_s <= bound_s):
+            found = monitor.silent("pose", posed_s, bound_s + self._period_s)
+            found = found or monitor.silent("usable force", felt_s, bound_s)
         pose, held = self._reading.pose, self._held
         if pose is not None:
-            same, self._posed = bool((pose.T_world_object == self._posed).all()), pose.T_world_object
+            posed = pose.T_world_object.tobytes()
+            same, self._posed = posed == self._posed, posed
             if held is not None and moving:
                 found = found or monitor.frozen("the pose", same and held.moved_m > _MOVED_M, 2)
         before, compared_s = self._compared
         if now_s - compared_s >= _COMPARE_S:
-            same, self._compared = self._raw == before, (self._raw.copy(), now_s)
-            for name, part in zip(_FORCES, (slice(0, 3), slice(3, 6), slice(6, 8)), strict=True):
-                found = found or monitor.frozen(name, moving and bool(same[part].any()), 3)
+            raw = self._raw.tolist()
+            same, self._compared = [a == b for a, b in zip(raw, before, strict=True)], (raw, now_s)
+            for name, part in _FORCES.items():
+                found = found or monitor.frozen(name, moving and any(same[part]), 3)
         return found
 
     def resting(self) -> Fault | None:
@@ -171,19 +170,20 @@ class CarryWatch:
         estimate, monitor = self._held, self._monitor
         if estimate is None:
             return None
-        tilt = tilt_rad(estimate.state.T_world_object, self._body)
-        found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, estimate.spread_m, tilt)
-        self._ease(estimate.spread_m)
+        tilt, spread_m = tilt_rad(estimate.state.T_world_object, self._body), estimate.spread_m
+        found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, spread_m, tilt)
+        if self._spread_m is None or abs(spread_m - self._spread_m) > self._creep_m:
+            self._ease(spread_m)
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
         weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
         return found or odd or weak
 
     def grippers(self, told: str) -> Fault | None:
         """Check every 4 ms the motion of hands that are told to "open", to "close", or neither ("")."""
-        now_s, margin_m = self._now_s, self._config.faults.gap_margin_m
+        now_s = self._now_s
         if now_s - self._gripped_s < _GRIPPERS_S:
             return None
-        self._gripped_s = now_s
+        self._gripped_s, margin_m = now_s, self._config.faults.gap_margin_m
         target_m = 2.0 * self._world.robot.hand.travel_m - margin_m if told == "open" else self._width_m + margin_m
         return self._monitor.grippers(now_s, told, self._world.gaps_m, self._pinch.tolist(), target_m)
 
@@ -196,10 +196,7 @@ class CarryWatch:
 
         The force felt then is what friction carries, 2 mu times the pinch.
         """
-        if self._spread_m is None:
-            self._spread_m = spread_m
-        if abs(spread_m - self._spread_m) > self._config.faults.creep_m:
-            wanted = self.squeeze_n
-            least = _EASE_MARGIN * self._world.scene.task.internal_force_min_n
+        if self._spread_m is not None:
+            wanted, least = self.squeeze_n, _EASE_MARGIN * self._world.scene.task.internal_force_min_n
             self.grip_limit_n = max(min(wanted, least), min(wanted, _EASED * self._felt_n))
-            self._spread_m = spread_m
+        self._spread_m = spread_m

@@ -46,20 +46,20 @@ class _Scatter:
     """RMS scatter (distance [m], angle [rad]) of a resting object's readings, at least `least` (2,)."""
 
     def __init__(self, least: Sequence[float]) -> None:
-        self._least = np.array(least)
-        self._squares, self._count = np.zeros((2, 2))
+        self._parts = [(least_of, 0.0, 0) for least_of in least]  # with the sum of squares, and of how many
 
-    def exceeded(self, away: Sequence[float]) -> npt.NDArray[np.bool_]:
+    def exceeded(self, away: Sequence[float]) -> list[bool]:
         """Return which of away (2,) noise does not explain, such as NaN."""
-        learnt = _SCATTERS * np.sqrt(self._squares / np.maximum(self._count, 1.0))
-        limit = np.where(self._count < _LEARNT, 4.0 * self._least, np.maximum(self._least, learnt))
-        return ~(np.asarray(away) <= limit)
+        return [
+            not x <= (4.0 * least if n < _LEARNT else max(least, _SCATTERS * math.sqrt(squares / n)))
+            for x, (least, squares, n) in zip(away, self._parts, strict=True)
+        ]
 
     def learn(self, away: Sequence[float]) -> None:
         """Add a reading of an unmoved object, without outliers."""
-        usual = ~self.exceeded(away)
-        self._squares[usual] += np.square(away)[usual]
-        self._count += usual
+        for k, odd in enumerate(self.exceeded(away)):
+            least, squares, n = self._parts[k]
+            self._parts[k] = (least, squares, n) if odd else (least, squares + away[k] * away[k], n + 1)
 
 
 class _Turns:
@@ -71,19 +71,20 @@ class _Turns:
         self.moved_s = -math.inf
         self._turns_s: deque[float] = deque(maxlen=_TURNS)
 
-    def update(self, value: float, now_s: float) -> None:
-        """Take a value."""
-        if abs(value - self._at) >= self._step:
+    def update(self, value: float, now_s: float) -> bool:
+        """Take a value; return whether it turns often."""
+        step = self._step
+        if abs(value - self._at) >= step:
             self._at, self.moved_s = value, now_s
-        self._high, self._low = max(self._high, value), min(self._low, value)
-        falls = self._way >= 0 and self._high - value >= self._step
-        if falls or (self._way <= 0 and value - self._low >= self._step):
+        if value > self._high:
+            self._high = value
+        if value < self._low:
+            self._low = value
+        falls = self._way >= 0 and self._high - value >= step
+        if falls or (self._way <= 0 and value - self._low >= step):
             if self._way:
                 self._turns_s.append(now_s)
             self._way, self._high, self._low = -1 if falls else 1, value, value
-
-    def jitters(self, now_s: float) -> bool:
-        """Whether it has turned often of late."""
         return len(self._turns_s) == _TURNS and now_s - self._turns_s[0] < _TURNS_S
 
 
@@ -92,10 +93,12 @@ class FaultMonitor:
 
     def __init__(self, config: CarryFaultConfig, *, dt_s: float, width_m: float, pinch_n: float) -> None:
         self._config, self._width, self._pinch = config, width_m, pinch_n
+        self._least_n, self._least_m = config.lost_pinch_share * pinch_n, width_m - config.gap_margin_m
+        self._torque_max, self._squeeze_share = config.motor_torque_n_m, config.squeeze_share
+        self._crept_max_m, self._tilt_max_rad, self._motors_missing = config.displaced_m, config.tilt_rad, False
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
         self._spread_m: float | None = None
-        self._motors_missing = False
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms with lost motors; latched."""
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
@@ -112,13 +115,13 @@ class FaultMonitor:
 
     def motors(self, commanded: Array, applied: Array) -> Fault | None:
         """Compare commanded and applied torques (n,); updates `lost`."""
-        if farthest(commanded, applied) <= self._config.motor_torque_n_m and not self._motors_missing:
+        if farthest(commanded, applied) <= self._torque_max and not self._motors_missing:
             return None
         missing = np.abs(commanded - applied).reshape(2, -1).max(axis=1)
-        self._motors_missing = not bool((missing <= self._config.motor_torque_n_m).all())
+        self._motors_missing = not bool((missing <= self._torque_max).all())
         found: list[str] = []
         for arm, name in enumerate(SIDES):  # check both: drives can share a supply
-            if self._lasts(f"motor {name}", not missing[arm] <= self._config.motor_torque_n_m):
+            if self._lasts(f"motor {name}", not missing[arm] <= self._torque_max):
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
         return Fault("lost_arm", "; ".join(found)) if found else None
@@ -137,7 +140,7 @@ class FaultMonitor:
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""
-        away = bool(self._scatter.exceeded(innovation).any())
+        away = any(self._scatter.exceeded(innovation))
         self._scatter.learn(innovation)
         if self._lasts("resting", away, 2):
             return Fault("knocked_away", f"the object is {1e3 * innovation[0]:.0f} mm from where it lay")
@@ -164,14 +167,13 @@ class FaultMonitor:
         bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)  # its force must fall first
         hands = zip(SIDES, self._hands, gap_m, pinch_n, strict=True)
         for name, (gap, pinch), gap_now_m, pinch_now_n in hands:
-            gap.update(gap_now_m, now_s)
-            pinch.update(pinch_now_n, now_s)
+            jitters = gap.update(gap_now_m, now_s) | pinch.update(pinch_now_n, now_s)
             still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
             done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
             if told and not done and still_s > bound_s:
                 where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
                 return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
-            if not told and (gap.jitters(now_s) or pinch.jitters(now_s)):
+            if jitters and not told:
                 return Fault("gripper_jitter", f"the {name} hand turned back {_TURNS} times within {_TURNS_S} s")
         return None
 
@@ -179,36 +181,35 @@ class FaultMonitor:
         self, pinch_n: Sequence[float], gap_m: Sequence[float], spread_m: float, tilt_rad: float
     ) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
-        config = self._config
-        least_n, least_m = config.lost_pinch_share * self._pinch, self._width - config.gap_margin_m
+        least_n, least_m, tilt_max_rad = self._least_n, self._least_m, self._tilt_max_rad
         if self._spread_m is None:
             self._spread_m = spread_m
         crept = abs(spread_m - self._spread_m)
         firm = pinch_n[0] >= least_n <= pinch_n[1] and gap_m[0] >= least_m <= gap_m[1]
-        if firm and crept <= config.displaced_m and tilt_rad <= config.tilt_rad and not self._counts:
+        if firm and crept <= self._crept_max_m and tilt_rad <= tilt_max_rad and not self._counts:
             return None
         for name, pinch, gap in zip(SIDES, pinch_n, gap_m, strict=True):
             if self._lasts(f"pinch {name}", not pinch >= least_n):
                 return Fault("object_lost", f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N")
             if self._lasts(f"held gap {name}", not gap >= least_m, 3):
                 return Fault("object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm")
-        if self._lasts("spread", not crept <= config.displaced_m, 1):  # encoders: one reading suffices
+        if self._lasts("spread", not crept <= self._crept_max_m, 1):  # encoders: one reading suffices
             return Fault("slip", f"the hands have moved {1e3 * crept:.1f} mm along the object")
-        if self._lasts("tilt", not tilt_rad <= config.tilt_rad):
+        if self._lasts("tilt", not tilt_rad <= tilt_max_rad):
             return Fault("tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg")
         return None
 
     def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample against the hands."""
         away_m, away_rad = innovation
-        if self._lasts("held", bool(self._scatter.exceeded(innovation).any()), 2):
+        if self._lasts("held", any(self._scatter.exceeded(innovation)), 2):
             off = f"{1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off"
             return Fault("slip", f"the object is {off} in the hands")
         return None
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""
-        weak = not felt_n >= self._config.squeeze_share * wanted_n
+        weak = not felt_n >= self._squeeze_share * wanted_n
         if (weak or self._counts) and self._lasts("squeeze", weak):
             return Fault("slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N")
         return None

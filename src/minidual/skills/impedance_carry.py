@@ -135,7 +135,7 @@ class ImpedanceCarry:
             self._heed_arbiter()
         self._told = self.stack.applied
         self._stop_if_due()
-        if self.done and self._broken is not None:
+        if self._broken is not None and self.done:
             raise self._broken
 
     # Phases ---------------------------------------------------------------------------------------------
@@ -145,7 +145,7 @@ class ImpedanceCarry:
         if self.phase == "stop":
             if self.world.time - self._began_s > self._stop_s + _STOPPED_S:
                 self._enter("done")
-        elif not self.done:
+        elif self.phase != "done":
             try:
                 next(self._cycle)
             except StopIteration:
@@ -284,7 +284,7 @@ class ImpedanceCarry:
 
     def _heed_arbiter(self) -> None:
         stack = self.stack
-        if self.done or (stack.output is self._heeded and len(stack.refusals) == self._refusals_seen):
+        if (stack.output is self._heeded and len(stack.refusals) == self._refusals_seen) or self.done:
             return
         self._heeded = stack.output
         news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)

@@ -78,10 +78,10 @@ class Judge:
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        self._observing = [c for c in self._conditions if type(c).observe is not SuccessCondition.observe]
+        seen = [c for c in self._conditions if type(c).observe is not SuccessCondition.observe]
+        self._observing = [(c.name, c.observe) for c in seen]
         self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
-        self._stages = [c for c in self._conditions if c.stage]
-        self._reached = 0
+        self._stages, self._reached = [c for c in self._conditions if c.stage], 0
         self.failures: dict[str, Failure] = {}
         """Violations so far, by name."""
         self._quiet_since: float | None = None
@@ -102,10 +102,10 @@ class Judge:
         truth = self.truth
         truth.refresh(world)
         now = truth.time
-        for condition in self._observing:
-            detail = condition.observe(truth)
-            if detail and condition.name not in self._muted:
-                self.failures.setdefault(condition.name, Failure(condition.name, now, detail))
+        for name, observe in self._observing:
+            detail = observe(truth)
+            if detail and name not in self._muted:
+                self.failures.setdefault(name, Failure(name, now, detail))
         while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
             self._reached += 1
         for condition in self._final:

@@ -40,9 +40,7 @@ class ObjectTruth:
     """
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
-        self.name, self.body = name, body
-        self._axis = 2 if body.upright else 1
-        self.half_m = body.solids[0].half_m
+        self.name, self.body, self._upright, self.half_m = name, body, body.upright, body.solids[0].half_m
         self._solids = [(p.position_m, p.half_m, p.shape == "cylinder", "xyz".index(p.axis)) for p in body.solids]
         self._world: World | None = None
 
@@ -51,27 +49,24 @@ class ObjectTruth:
         if world is not self._world:
             self._world, self._object = world, world.truth(self.name)
         # Plain floats: a success test of arrays costs four times as much.
-        x, y, z, *up, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
+        x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
-        along = min(1.0, abs(up[self._axis]))  # vertical share of the long axis
-        self.tilt_rad = math.acos(along) if self.body.upright else math.asin(along)
-        self.clearance_m = z + self._lowest_m(up)
-        self.airborne = self.clearance_m > AIRBORNE_M
-
-    def _lowest_m(self, up: Sequence[float]) -> float:
-        lowest, (ux, uy, uz) = math.inf, up
-        for (x, y, z), half, is_round, axis in self._solids:
+        along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
+        self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
+        lowest = math.inf
+        for (px, py, pz), half, is_round, axis in self._solids:
             if is_round:
-                along = min(1.0, abs(up[axis]))
+                along = min(1.0, abs(uz if axis == 2 else uy if axis else ux))
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
             else:
                 down = abs(ux) * half[0] + abs(uy) * half[1] + abs(uz) * half[2]
-            low = ux * x + uy * y + uz * z - down
+            low = ux * px + uy * py + uz * pz - down
             if not low >= lowest:  # true for NaN
                 lowest = low
-        return lowest
+        self.clearance_m = z + lowest
+        self.airborne = self.clearance_m > AIRBORNE_M
 
-    def distance_m(self, xy: tuple[float, float]) -> float:
+    def distance_m(self, xy: Sequence[float]) -> float:
         """Return the horizontal distance of its centre."""
         return math.hypot(self.xyz[0] - xy[0], self.xyz[1] - xy[1])
 
@@ -172,7 +167,7 @@ class Level(OfObject):
 
     def observe(self, truth: Truth) -> str:
         tilt = truth[self.object].tilt_rad
-        self._largest = max(self._largest, tilt)
+        self._largest = tilt if tilt > self._largest else self._largest
         if tilt > self.limit_rad:
             return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
         return ""
@@ -226,7 +221,7 @@ class Held(OfObject):
     slip_m: float = 0.02
     hand: int | None = None
     _least: float = math.inf
-    _let_go: tuple[float, float] | None = None
+    _let_go: tuple[float, float, float] | None = None
 
     def _pinch(self, truth: Truth) -> tuple[int, float]:
         left, right = pinch = truth[self.object].pinch
@@ -240,11 +235,13 @@ class Held(OfObject):
         if not item.airborne and self._let_go is None:
             return ""
         hand, pinch = self._pinch(truth)
-        if item.airborne:
-            self._least = min(self._least, pinch)
-        if pinch > self.limit_n or self._let_go is None:
-            self._let_go = item.xyz[:2]
-        if pinch > self.limit_n or not (item.airborne or item.distance_m(self._let_go) > self.slip_m):
+        if item.airborne and pinch < self._least:
+            self._least = pinch
+        if pinch > self.limit_n:
+            self._let_go = item.xyz
+            return ""
+        self._let_go = self._let_go or item.xyz
+        if not (item.airborne or item.distance_m(self._let_go) > self.slip_m):
             return ""
         who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
         moving = "" if item.airborne else f" while it moves {1e3 * item.distance_m(self._let_go):.0f} mm on the table"
@@ -366,6 +363,9 @@ class Arrived(AtEnd):
     stage = True
     goal: tuple[float, float]
     limit_m: float
+
+    def holds(self, truth: Truth) -> bool:
+        return truth[self.object].distance_m(self.goal) < self.limit_m
 
     def end(self, truth: Truth) -> str:
         error = truth[self.object].distance_m(self.goal)

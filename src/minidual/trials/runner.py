@@ -33,8 +33,6 @@ from minidual.workers import in_workers
 
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
-_STATE = mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
-"""What is kept of a complete state."""
 # Errors that end a trial, with the failure name.
 _BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
 
@@ -94,22 +92,22 @@ class Bench:
         seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
         peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), np.array(world.robot.tau_max)
-        finished_s, broken = 0.0, None
-        model, data = world.model, world.data
-        last = np.empty(mujoco.mj_stateSize(model, _STATE))
-        mujoco.mj_getState(model, data, last, _STATE)
+        model, data, finished_s, broken = world.model, world.data, 0.0, None
+        time_s, qpos, qvel = data.time, data.qpos, data.qvel
+        last_q, last_v = qpos.copy(), qvel.copy()
         for step in range(round(self.task.time_limit_s / world.dt)):
             try:
                 method.step()
             except tuple(_BROKEN) as error:
-                mujoco.mj_setState(model, data, last, _STATE)  # a diverged world has been reset
+                data.time, qpos[:], qvel[:] = time_s, last_q, last_v  # a diverged world has been reset
                 mujoco.mj_forward(model, data)
                 broken = Failure(_BROKEN[type(error)], world.time, error.message)
                 judge.truth.refresh(world)
                 rows = rows or [self._sample(seen)]
                 break
-            mujoco.mj_getState(model, data, last, _STATE)
+            last_q, last_v = qpos.copy(), qvel.copy()  # half the time of writing into an array
             judge.observe(world)
+            time_s = judge.truth.time
             ratio = strain(world.tau, tau_max, saturated, SATURATED)
             peak = peak if ratio <= peak or peak != peak else ratio  # NaN stays
             if ratio >= SATURATED:
@@ -139,7 +137,7 @@ class Bench:
         world, q = self.world, self.world.q
         self.hands.update(q)
         thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n, seen.airborne
-        return (world.time, q, world.tau, np.array(self.hands.p), *thing)
+        return (world.time, q, world.tau, [p.copy() for p in self.hands.p], *thing)
 
 
 _BENCHES: dict[str, Bench] = {}
