@@ -256,11 +256,9 @@ class PlanningScene:
     @cached_property
     def _moved_by(self) -> dict[str, tuple[str, int]]:
         """(side, number of joints that move it) by part; equal within a rigid piece."""
-        links = links_of(self.robot)
-        moved = {name: (link.side, link.joints_before) for name, link in links.items()}
-        return (
-            moved | {o.name: ("", 0) for o in self.obstacles} | {held.name: moved[held.link] for held in self.attached}
-        )
+        moved = {name: (link.side, link.joints_before) for name, link in links_of(self.robot).items()}
+        moved |= {obstacle.name: ("", 0) for obstacle in self.obstacles}
+        return moved | {held.name: moved[held.link] for held in self.attached}
 
     def with_obstacles(self, *shapes: Shape) -> PlanningScene:
         """Return a copy with more obstacles."""

@@ -40,8 +40,7 @@ class _Shape:
 
     def lengths(self) -> list[float]:
         """Return all lengths [m]."""
-        own = (getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m"))
-        return np.hstack([*own]).tolist()
+        return np.hstack([getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m")]).tolist()
 
     @property
     def T_parent_shape(self) -> Array:
@@ -57,19 +56,17 @@ class Box(_Shape):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Shape):
+class _Round(_Shape):
+    radius_m: float = 0.05
+    length_m: float = 0.1
+
+
+class Cylinder(_Round):
     """A cylinder along z."""
 
-    radius_m: float = 0.05
-    length_m: float = 0.1
 
-
-@dataclass(frozen=True)
-class Capsule(_Shape):
+class Capsule(_Round):
     """A cylinder with half-sphere ends."""
-
-    radius_m: float = 0.05
-    length_m: float = 0.1
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,7 @@ class Code:
 
     def changes(self, now: Code) -> list[str]:
         """Return the modules that differ."""
-        names = self.modules.keys() | now.modules.keys()
-        return sorted(name for name in names if self.modules.get(name) != now.modules.get(name))
+        return sorted(name for name, _, _ in changes(self.modules, now.modules))
 
 
 @dataclass(frozen=True)
@@ -181,19 +180,13 @@ def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
     """Return the code that the targets ("module:attribute") reach; `known` if its files are unchanged."""
     if known is not None and known.modules and _sources(known.modules) == known.sources:
         return known
-    modules: dict[str, str] = {}
-    for target in targets:
-        modules |= _reach(target)
-    modules = dict(sorted(modules.items()))
+    modules = dict(sorted(item for target in targets for item in _reach(target).items()))
     return Code(modules, _sources(modules))
 
 
 def _sources(modules: Iterable[str]) -> str:
-    total = hashlib.sha256()
-    for name in modules:
-        for path in _files(name):
-            total.update(hashlib.sha256(path.read_bytes()).digest())
-    return total.hexdigest()
+    digests = [hashlib.sha256(path.read_bytes()).digest() for name in modules for path in _files(name)]
+    return hashlib.sha256(b"".join(digests)).hexdigest()
 
 
 @cache
@@ -255,7 +248,7 @@ def _reached(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            match = _TARGET.fullmatch(node.value)
-            if match:
-                yield match[1]
+        elif (
+            isinstance(node, ast.Constant) and isinstance(node.value, str) and (match := _TARGET.fullmatch(node.value))
+        ):
+            yield match[1]

@@ -132,12 +132,9 @@ class Gate:
 
     def code_changes(self, name: str) -> dict[str, list[str]]:
         """Return {upstream stage: modules changed since its verdict}."""
-        found: dict[str, list[str]] = {}
-        for upstream, verdict in self.verdicts(name).items():
-            made_by = verdict.fingerprint.code
-            if changed := made_by.changes(self.table[upstream].code(made_by)):
-                found[upstream] = changed
-        return found
+        made_by = {upstream: verdict.fingerprint.code for upstream, verdict in self.verdicts(name).items()}
+        found = {upstream: code.changes(self.table[upstream].code(code)) for upstream, code in made_by.items()}
+        return {upstream: changed for upstream, changed in found.items() if changed}
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""

@@ -111,9 +111,7 @@ class Verdict:
         return {**body, "digest": digest(body)}
 
 
-@cache
-def _adapter() -> TypeAdapter[Verdict]:
-    return TypeAdapter(Verdict)
+_adapter = cache(TypeAdapter[Verdict])  # made when it is needed: it takes milliseconds
 
 
 def verdict_from_json(record: dict[str, Any]) -> Verdict:
@@ -123,7 +121,7 @@ def verdict_from_json(record: dict[str, Any]) -> Verdict:
     if record.get("digest") != digest({key: record[key] for key in record if key != "digest"}):
         raise DataError("its content does not match its digest: it was edited after it was written")
     try:
-        verdict = _adapter().validate_python(record)
+        verdict = _adapter(Verdict).validate_python(record)
     except (ValueError, TypeError) as error:
         raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
     for key, says, derived in changes(_by_name(record), _by_name(verdict.to_json())):

@@ -169,8 +169,7 @@ class LinearPlanner:
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
         hands = [(line, self._ik[arm]) for arm, line in lines.items()]
         off = [line.off(ik.tcp_pose(trajectory.q[k, ik.joints]), float(way[k])) for k in rows for line, ik in hands]
-        worst_m, worst_rad = np.max(off, axis=0).tolist()
-        return worst_m, worst_rad
+        return tuple(np.max(off, axis=0).tolist())
 
 
 def _cut_short(group: str, fraction: float, reason: str) -> LinearMoveError:

@@ -119,15 +119,10 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
 
 
 @functools.cache
-def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
+def materials(address: str) -> dict[str, tuple[float, ...]]:
     """Return named rgba colours."""
-    colours = {}
-    for material in _document(address).iter("material"):
-        colour = material.find("color")
-        if colour is not None:
-            r, g, b, a = map(float, colour.attrib["rgba"].split())
-            colours[material.attrib["name"]] = (r, g, b, a)
-    return colours
+    found = [(m.attrib["name"], m.find("color")) for m in _document(address).iter("material")]
+    return {name: tuple(map(float, c.attrib["rgba"].split())) for name, c in found if c is not None}
 
 
 @functools.cache
@@ -159,12 +154,9 @@ def collision_links(robot: Robot) -> tuple[str, ...]:
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     """Return pairs that never touch, by SRDF files and arm model."""
     known = {e.attrib["name"] for e in arm_elements(arm) if e.tag == "link"}
-    pairs: dict[tuple[str, str], None] = {}
-    for address in filter(None, (arm.srdf, arm.hand.srdf)):
-        for element in ET.parse(file_at(address)).getroot().iter("disable_collisions"):
-            pairs[element.attrib["link1"], element.attrib["link2"]] = None
-    pairs.update(dict.fromkeys(arm.never_touch))
-    return tuple(pair for pair in pairs if known.issuperset(pair))
+    roots = [ET.parse(file_at(address)).getroot() for address in (arm.srdf, arm.hand.srdf) if address]
+    told = [(e.attrib["link1"], e.attrib["link2"]) for root in roots for e in root.iter("disable_collisions")]
+    return tuple(pair for pair in dict.fromkeys([*told, *arm.never_touch]) if known.issuperset(pair))
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
@@ -206,7 +198,7 @@ def mujoco_urdf(robot: Robot) -> str:
 
 FACES_PER_ARM = 9000
 """Target triangles per arm (the Panda's files: 134,300), for rendering on a CPU."""
-_Colour = tuple[float, float, float, float]
+_Colour = tuple[float, ...]
 VisualMesh = tuple[str, npt.NDArray[np.float32], npt.NDArray[np.int32], _Colour]
 """One single-colour mesh: link without side prefix, vertices (V, 3) [m], faces (F, 3), rgba in 0..1."""
 _SHRINK_MAX_M = 0.01  # a link that shrinks by more was cut

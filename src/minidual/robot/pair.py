@@ -98,10 +98,8 @@ class ArmModel:
     def __post_init__(self) -> None:
         """Raise ValueError for limits of wrong length."""
         for name in ("home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max"):
-            if len(getattr(self, name)) != len(self.joints):
-                raise ValueError(
-                    f"arm '{self.name}': {name} has {len(getattr(self, name))} of {len(self.joints)} entries"
-                )
+            if (n := len(getattr(self, name))) != len(self.joints):
+                raise ValueError(f"arm '{self.name}': {name} has {n} of {len(self.joints)} entries")
 
 
 def _of_both(values: tuple[float, ...]) -> Array:

@@ -154,9 +154,6 @@ class HandsIK:
 def _apart(A: Array, B: Array) -> tuple[float, float]:
     """Return the largest distance [m] and angle [rad] of poses (m, 4, 4)."""
     R = np.swapaxes(A[:, :3, :3], 1, 2) @ B[:, :3, :3]
-    sine = 0.5 * np.linalg.norm(
-        np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]), axis=0
-    )
-    cosine = 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0)
-    angles = np.arctan2(sine, cosine)
+    vee = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]])
+    angles = np.arctan2(0.5 * np.linalg.norm(vee, axis=0), 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
     return float(np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1).max()), float(angles.max())

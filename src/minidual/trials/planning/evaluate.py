@@ -197,8 +197,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
     # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
     halfway = hands.strays(between, objects)
-    worst_m, worst_rad = np.max([at_samples, halfway], axis=0).tolist()
-    return worst_m, worst_rad
+    return tuple(np.max([at_samples, halfway], axis=0).tolist())
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
