@@ -166,11 +166,11 @@ def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> 
     for depth, section in enumerate(sections):
         known: Any = resolved.get(section)
         resolved = cast(dict[str, Any], known) if isinstance(known, dict) else {}
-        is_section = bool(_keys_at(sections[: depth + 1]))
-        inner: Any = place.setdefault(section, {} if is_section else copy.deepcopy(resolved))
-        document.origins.setdefault(".".join(sections[: depth + 1]), override.text)
+        above = sections[: depth + 1]
+        dotted = ".".join(above)
+        inner: Any = place.setdefault(section, {} if _keys_at(above) else copy.deepcopy(resolved))
+        document.origins.setdefault(dotted, override.text)
         if not isinstance(inner, dict):
-            dotted = ".".join(sections[: depth + 1])
             raise ConfigError(f"{override.text}: {dotted} is a single value and has no keys")
         place = cast(dict[str, Any], inner)
     place[key] = override.value
@@ -229,8 +229,7 @@ def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> s
         if fields:
             models = [found for field in fields for found in _models_in(field.annotation)]
         elif isinstance(part, str):  # a member of a union by its tag, or an entry of a mapping
-            tagged = [m for m in models if any(f.default == part for f in m.model_fields.values())]
-            models = tagged or models
+            models = [m for m in models if any(f.default == part for f in m.model_fields.values())] or models
     return {name for model in models for name in model.model_fields}
 
 

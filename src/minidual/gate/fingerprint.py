@@ -84,9 +84,9 @@ class Fingerprint:
 
     def differences(self, now: Fingerprint) -> list[str]:
         """Return why a verdict with this fingerprint is stale."""
-        reasons = self.choices(now)
-        for name, then, _ in changes(self.inputs, now.inputs):
-            reasons.append(f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}")
+        inputs = changes(self.inputs, now.inputs)
+        told = [f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}" for name, then, _ in inputs]
+        reasons = [*self.choices(now), *told]
         for name, then, current in changes(self.upstream, now.upstream):
             if current is None:
                 reasons.append(f"the verdict of upstream stage {name} is gone")

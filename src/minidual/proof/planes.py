@@ -63,11 +63,7 @@ def _turned(R: Array, a: Any) -> Vector:
 
 @inlined
 def _turned_back(R: Array, a: Any) -> Vector:
-    return (
-        R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
-        R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
-        R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2],
-    )
+    return _dot(R[:, 0], a), _dot(R[:, 1], a), _dot(R[:, 2], a)
 
 
 @inlined

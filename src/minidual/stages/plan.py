@@ -137,9 +137,8 @@ def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
                 executions.append(execute(trajectory, world))
             task.advance(note="driven")
     write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
-    lines = list[str]()
-    for name, done in outcomes.items():
-        lines += [f"held move {o.move.index} of the {name} seed failed: {o.message}" for o in done if not o.ok]
+    failed = [(name, o) for name, done in outcomes.items() for o in done if not o.ok]
+    lines = [f"held move {o.move.index} of the {name} seed failed: {o.message}" for name, o in failed]
     return outcomes, executions, [*lines, *undriven]
 
 

@@ -134,10 +134,8 @@ def run_benchmark(
             if reason:
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
-            rows: list[TrialMetrics] = []
-            for result in run_trials(
-                method, given, [*map(trial, range(n))], workers=workers, condition=name, watch=watch
-            ):
+            rows, asked = list[TrialMetrics](), [*map(trial, range(n))]
+            for result in run_trials(method, given, asked, workers=workers, condition=name, watch=watch):
                 rows.append(result)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")

@@ -46,10 +46,8 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """Return visible meshes, merged by body and colour for speed."""
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for geom in range(model.ngeom):
-        if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
-            continue
-        mesh = _mesh(model, geom)
-        if mesh is None:
+        hidden = int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0
+        if hidden or (mesh := _mesh(model, geom)) is None:
             continue
         mesh.apply_transform(pose(rotation_from_quat(model.geom_quat[geom]), model.geom_pos[geom]))
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
@@ -82,12 +80,6 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     return None
 
 
-def floor_height(model: mujoco.MjModel) -> float | None:
-    """Return the first plane's height [m]."""
-    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-    return float(model.geom_pos[planes[0], 2]) if len(planes) else None
-
-
 class Scene:
     """Scene of a model with visual meshes; resets the server's scene."""
 
@@ -100,10 +92,10 @@ class Scene:
         scene = server.scene
         scene.reset()
         self._light()
-        height = floor_height(model)
-        if height is not None:
+        planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+        if len(planes):
             corners = _FLOOR_HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
-            faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, height)
+            faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, float(model.geom_pos[planes[0], 2]))
             scene.add_mesh_simple("/floor", corners, faces, color=_FLOOR_RGB, position=position, cast_shadow=False)
         drawn = {mesh.body for mesh in self._meshes}
         rest = mujoco.MjData(model)
