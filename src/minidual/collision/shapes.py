@@ -8,7 +8,7 @@ Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along z
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -145,8 +145,7 @@ def grown(shape: Shape, by_m: float) -> Shape:
             )
 
 
-@dataclass(frozen=True)
-class Pairs:
+class Pairs(NamedTuple):
     """Pairs of parts; engines take these or a `PlanningScene`."""
 
     robot: Robot
@@ -154,8 +153,7 @@ class Pairs:
     solids: tuple[Attached, ...] = ()
 
 
-@dataclass(frozen=True)
-class PairDistance:
+class PairDistance(NamedTuple):
     """Two parts; distance negative in penetration."""
 
     first: str

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, NamedTuple, cast, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -21,8 +21,7 @@ SHIPPED_FOLDER = Path(__file__).resolve().parent.parent / "configs"
 DEFAULT_PROFILE = "standard"
 
 
-@dataclass(frozen=True)
-class Override:
+class Override(NamedTuple):
     """A command-line value; `text` is what was typed."""
 
     path: str

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from minidual import emergency
 from minidual.config.loader import LoadedConfig
@@ -25,8 +25,7 @@ class StageCrashedError(MinidualError):
     exit_code = ExitCode.INTERNAL
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """State of a stage after a command, and whether it ran."""
 
     state: StageState

@@ -5,8 +5,7 @@ Joints are found by `actuator_trnid`: ids and names are unreliable.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,8 +21,7 @@ from minidual.robot.pair import DUAL_PANDA, Array, Robot
 IntArray = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class JointAddresses:
+class JointAddresses(NamedTuple):
     """Indices of joints, each (n,)."""
 
     qpos: IntArray

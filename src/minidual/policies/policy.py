@@ -5,9 +5,8 @@ The runtime runs `n_action_steps` of each chunk, then blends in the next: they d
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,8 +136,7 @@ class PolicyRuntime:
         return np.ascontiguousarray(image)
 
 
-@dataclass(frozen=True)
-class EmittedActions:
+class EmittedActions(NamedTuple):
     """Actions predicted on recorded observations; NaN for other arms.
 
     Attributes:

@@ -6,8 +6,7 @@ link lengths plus the part's radius.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -24,8 +23,7 @@ _BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """Vertices (n, 3) [m] in a joint's frame; rows of `planes.SOLID`, counted from 0, of `planes.PART` and reach."""
 
     vertices: Array

@@ -8,9 +8,8 @@ import functools
 import importlib.metadata
 import itertools
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +22,7 @@ _PREFIX = "cmeel.prefix/share"
 """Data folder of cmeel wheels."""
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """One link of an arm or hand.
 
     Attributes:

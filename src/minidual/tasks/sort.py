@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -152,8 +153,7 @@ class _Placed(success.SuccessCondition):
         return sum(all(part.holds(truth) for part in parts) for parts in self._ends) >= self._count
 
 
-@dataclass(frozen=True)
-class _Job:
+class _Job(NamedTuple):
     name: str
     arm: str
     y_from: float

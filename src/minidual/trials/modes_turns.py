@@ -1,7 +1,7 @@
 """Turns of the mode demonstration: planned motion, a scripted leader, the trained policy."""
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ class SwitchError(MinidualError):
     exit_code = ExitCode.ACCEPTANCE_FAILED
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """One mode's turn; `drive` is called when the switch is confirmed."""
 
     mode: str

@@ -6,7 +6,7 @@ The steps are safe, force, stiffness (docs/carry.md). Each is five carries; the 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -87,8 +87,7 @@ class TuningStep:
         }
 
 
-@dataclass(frozen=True)
-class Tuning:
+class Tuning(NamedTuple):
     """The gains and every step."""
 
     force_n: float

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from minidual.errors import DataError
 from minidual.gate.check import Check, Rows, checks_of
@@ -21,8 +21,7 @@ _KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".mp
 EMBED_BYTES = 1_500_000
 
 
-@dataclass(frozen=True)
-class Banner:
+class Banner(NamedTuple):
     """A warning; kind "tainted", "smoke", "fail" or "note"."""
 
     kind: str
@@ -63,8 +62,7 @@ def _at_its_best(check: Check) -> bool:
     return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)
 
 
-@dataclass(frozen=True)
-class Medium:
+class Medium(NamedTuple):
     """A picture or film.
 
     Attributes:

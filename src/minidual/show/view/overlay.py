@@ -1,6 +1,7 @@
 """State shown with the scene."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from minidual.robot.pair import Array
 
@@ -8,8 +9,7 @@ ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
 """Colours of left arm, right arm and object."""
 
 
-@dataclass(frozen=True)
-class Arrow:
+class Arrow(NamedTuple):
     """A force [N] at `start` (3,) [m], world frame; rgb 0 to 255."""
 
     start: Array
@@ -17,8 +17,7 @@ class Arrow:
     rgb: tuple[int, int, int]
 
 
-@dataclass(frozen=True)
-class PathLine:
+class PathLine(NamedTuple):
     """A polyline (N, 3), N >= 2, world [m]; `name` is unique in its preview."""
 
     name: str
@@ -63,8 +62,7 @@ class Overlay:
     preview: Preview = NO_PREVIEW
 
 
-@dataclass(frozen=True)
-class Slider:
+class Slider(NamedTuple):
     """A value that viewers may set; `group` is its folder."""
 
     group: str

@@ -1,8 +1,7 @@
 """Browser scene: built once, then updated."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,8 +26,7 @@ _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
 _FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 
 
-@dataclass(frozen=True)
-class BodyMesh:
+class BodyMesh(NamedTuple):
     """Triangles of one colour in body frame [m]; body 0 is the world."""
 
     body: int

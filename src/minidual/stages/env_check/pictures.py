@@ -1,7 +1,7 @@
 """Camera checks of `env-check`."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 from OpenGL import GL
@@ -12,8 +12,7 @@ from minidual.plant.world import World
 from minidual.show.figures.canvas import sheet
 
 
-@dataclass(frozen=True)
-class CameraCheck:
+class CameraCheck(NamedTuple):
     """What the cameras see.
 
     Attributes:

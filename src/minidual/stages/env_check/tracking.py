@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -247,8 +247,7 @@ def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list
     return rows
 
 
-@dataclass(frozen=True)
-class CommandLatency:
+class CommandLatency(NamedTuple):
     """Latency of commands.
 
     Attributes:
@@ -298,8 +297,7 @@ def _steps_until_torque(rig: Rig) -> int:
     return 3 * rig.period
 
 
-@dataclass(frozen=True)
-class StopResponse:
+class StopResponse(NamedTuple):
     """Response of moving arms to an emergency stop.
 
     Attributes:
