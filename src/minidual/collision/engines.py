@@ -46,8 +46,7 @@ class CoalEngine:
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)
-        hits = pin.computeCollisionsInParallel(1, self._pool, columns, True, False)
-        return np.array(hits, dtype=bool).ravel()
+        return np.array(pin.computeCollisionsInParallel(1, self._pool, columns, True, False), dtype=bool).ravel()
 
 
 @functools.cache

@@ -82,8 +82,7 @@ class BuiltAcm:
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache, or build them (1 s) if it lacks the model or is damaged."""
     model = model_hash(robot)
-    root = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual")
-    path = root / f"acm-{model[:20]}.json"
+    path = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual") / f"acm-{model[:20]}.json"
     with contextlib.suppress(DataError, OSError, ValueError, TypeError):
         digest, _, content = regular_file(path, _CACHE_BYTES_MAX).read_text(encoding="utf-8").partition("\n")
         if digest == _digest(model, content):

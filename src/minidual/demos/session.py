@@ -139,8 +139,7 @@ class TeleopSession:
             reading = leader.read(elapsed_s)
             if reading is not None:
                 target = follower_target(world.robot, self.config.mirror, reading[0])
-                command = JointCommand(target, reading[1], joints[0], k)
-                stack.propose(SOURCE, command)
+                stack.propose(SOURCE, JointCommand(target, reading[1], joints[0], k))
             out = stack.arbitrate()
             tick = Tick(*joints, images, out.q_target, out.gripper)
             self._move(judge, 1)

@@ -157,8 +157,7 @@ class LinearPlanner:
             keep = len(Q) - 2**back_off + 1
             if keep < 4:
                 break
-            curve = _Curve(marks[:keep], Q[:keep])
-            trajectory, way = time_path(curve, group, self._limits, self._kinematics, limits)
+            trajectory, way = time_path(_Curve(marks[:keep], Q[:keep]), group, self._limits, self._kinematics, limits)
             proof = engines.verify(trajectory)
             if proof.ok:
                 return LinearMove(trajectory, proof, float(marks[keep - 1] / marks[-1]), reason), way

@@ -222,8 +222,7 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
             named = None if material is None else colours.get(material.attrib["name"])
             for colour, vertices, faces in _coloured(Path(mesh.attrib["filename"]), named):
                 parts.append((link.attrib["name"], colour, (vertices * scale) @ R.T + xyz, faces))
-    total = sum(len(faces) for *_, faces in parts)
-    reduction = max(0.0, 1.0 - FACES_PER_ARM / total)
+    reduction = max(0.0, 1.0 - FACES_PER_ARM / sum(len(faces) for *_, faces in parts))
     visuals: list[VisualMesh] = []
     for name, of_link in itertools.groupby(parts, key=lambda part: part[0]):
         _, colours_of, vertices, faces = zip(*of_link, strict=True)

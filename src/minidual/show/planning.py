@@ -91,8 +91,7 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Outcomes) -> 
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:
             title, note = f"plan, {group}, query {first.query.index}", f"planned in {1e3 * first.total_s:.0f} ms"
-            found = first.result.trajectory
-            play(view, Poser(config, first.query.scene), found, title, rounds_n=1, note=note)
+            play(view, Poser(config, first.query.scene), first.result.trajectory, title, rounds_n=1, note=note)
 
 
 def write_paths(path: Path, config: SceneConfig, outcomes: Outcomes) -> None:

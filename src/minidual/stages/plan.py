@@ -85,8 +85,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, pr
     }
     goal_s, names = _GOAL_S[group], {"core_share": core_share, "blocked_n": blocked_n, "queries_n": len(outcomes)}
     names |= {"excellent_s": _EXCELLENT_S[group], "goal_s": goal_s}
-    reached = "reached" if median < goal_s else "missed"
-    return worded("plan", rows, f"{prefix}{group}.", reached=reached, **names)
+    return worded("plan", rows, f"{prefix}{group}.", reached="reached" if median < goal_s else "missed", **names)
 
 
 def common_checks(

@@ -93,5 +93,4 @@ def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...
     """Return the conditions; the yaw of a bottle does not matter."""
     found = (c for c in transported(task, trial, both=False) if not isinstance(c, success.Turned))
     level, held, carried, rose, *rest = found
-    exchanged = success.Exchanged(task.carried, task.scene.task.pinch_min_n)
-    return level, held, carried, rose, exchanged, *rest
+    return level, held, carried, rose, success.Exchanged(task.carried, task.scene.task.pinch_min_n), *rest

@@ -43,8 +43,7 @@ def sort(config: Config) -> Task:
     marks = tuple(mark for colour in COLOURS for mark in _bin(colour))
     bodies = {"scene.object": cubes[0], "scene.more": tuple(cubes[1:]), "scene.marks": marks}
     config = preset(config, {**bodies, **_ROWS["values"]})
-    down = pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m))
-    grasps = dict.fromkeys(SIDES, down)
+    grasps = dict.fromkeys(SIDES, pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m)))
     return Task(
         name="sort",
         instruction="Put the red cubes into the red bin on the left and the blue ones into the blue bin on the right.",

@@ -95,8 +95,7 @@ def teleop(stack: ControlStack[World], operator: ScriptedOperator, target: Trial
     def drive() -> Steps:
         trial = Trial("modes", 0, {world.objects[0]: placement(level_part(world.object_pose()))}, target.start)
         plan = operator.plan(trial, seed=seed, rate_hz=rate_hz)
-        over = operator.phases()["approach"][1]
-        first = round(over * rate_hz)
+        first = round(operator.phases()["approach"][1] * rate_hz)
         there, back = between(world.q, plan.q[first]), between(plan.q[-1], world.robot.home)
         q = np.vstack([there, plan.q[first:], back, np.tile(back[-1], (round(_LEADER_REST_S * rate_hz), 1))])
         opening = np.ones((len(q), 2))

@@ -284,8 +284,7 @@ class HeldWork:
         return found
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:
-        checker = self._checker(goals[0], effort.padding_m)
-        return HeldSpace(self._hands, self._path.chart, checker, effort.step_scale)
+        return HeldSpace(self._hands, self._path.chart, self._checker(goals[0], effort.padding_m), effort.step_scale)
 
     def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""

@@ -88,9 +88,8 @@ def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Med
         path = folder / name
         if not path.is_file():
             raise DataError(f"artefact {name} of stage {stage} is gone: {path}")
-        kind = _KINDS[path.suffix]
         if path.stat().st_size <= EMBED_BYTES:
-            source = f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+            source = f"data:{_KINDS[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
         else:
             source = f"media/{stage}-{name}"
             (page_folder / "media").mkdir(exist_ok=True)
