@@ -93,8 +93,7 @@ def is_stale(path: Path) -> bool:
 
     A living process with its id is another one if it started after the last write.
     """
-    match = _PARTIAL.match(path.name)
-    if match is None:
+    if (match := _PARTIAL.match(path.name)) is None:
         return False
     import psutil  # 40 ms that a plan does not need
 

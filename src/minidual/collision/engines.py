@@ -151,8 +151,7 @@ class MujocoEngine:
 
         least_m: bounds by body (nbody, nbody).
         """
-        count = self.contact_count(q, within_m)
-        if not count:
+        if not (count := self.contact_count(q, within_m)):
             return "none", within_m, 0.0
         contact = self.data.contact
         bodies, distances = self.model.geom_bodyid[contact.geom[:count]], contact.dist[:count]

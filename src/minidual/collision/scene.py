@@ -199,8 +199,7 @@ class PlanningScene:
         if self.allowed is None:
             object.__setattr__(self, "allowed", acm_report(self.robot).acm)
         names = self.names
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
+        if twice := sorted({n for n in names if names.count(n) > 1}):
             raise UsageError(
                 f"the scene holds the name '{twice[0]}' twice; links, obstacles and attached objects "
                 "share one set of names"

@@ -121,8 +121,7 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
         chain = " -> ".join(item.name for item in (*below, path))
         raise ConfigError(f"{path.name}: profiles extend each other in a circle: {chain}")
     document = read_document(path)
-    base_name = document.tree.pop("extends", None)
-    if base_name is None:
+    if (base_name := document.tree.pop("extends", None)) is None:
         return document, (path,)
     where = document.origins.pop("extends")
     if not isinstance(base_name, str):
@@ -224,8 +223,7 @@ def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> s
     """Return the keys of the models at a typed or pydantic location; empty for a value."""
     models: list[type[BaseModel]] = [root]
     for part in location:
-        fields = [model.model_fields[part] for model in models if part in model.model_fields]
-        if fields:
+        if fields := [model.model_fields[part] for model in models if part in model.model_fields]:
             models = [found for field in fields for found in _models_in(field.annotation)]
         elif isinstance(part, str):  # a member of a union by its tag, or an entry of a mapping
             models = [m for m in models if any(f.default == part for f in m.model_fields.values())] or models

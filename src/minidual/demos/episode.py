@@ -137,8 +137,7 @@ def _images(
     if cameras is None and sorted(stored) != sorted(meta.cameras):
         detail = f"the file declares cameras {_list(meta.cameras)} and stores {_list(stored)}"
         faults.append(EpisodeFault("cameras_wrong", detail))
-    absent = [camera for camera in cameras or () if camera not in stored]
-    if absent:
+    if absent := [camera for camera in cameras or () if camera not in stored]:
         faults.append(EpisodeFault("cameras_wrong", f"no camera {_list(absent)}; there are {_list(meta.cameras)}"))
     wanted = [camera for camera in meta.cameras if camera in stored and (cameras is None or camera in cameras)]
     return {c: _array(file, schema.image_key(c), (ticks, -1, -1, 3), np.uint8, faults) for c in wanted}

@@ -105,8 +105,7 @@ class Fingerprint:
         before = {"machine": self.machine, "library": self.libraries}
         after = {"machine": now.machine, "library": now.libraries}
         warnings += [f"{n.replace('.', ' ', 1)}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
-        changed = self.code.changes(now.code)
-        if changed:
+        if changed := self.code.changes(now.code):
             more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
             warnings.append(f"made by other code: {', '.join(changed[:3])}{more} changed since")
         return warnings
@@ -205,8 +204,7 @@ def _reach(target: str) -> dict[str, str]:
 
 @cache
 def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
-    files = _files(name)
-    if not files:
+    if not (files := _files(name)):
         return None
     tree = _Strip().visit(ast.parse(files[0].read_bytes()))
     table = repr(rows_beside(str(files[0]))) if files[1:] else ""
@@ -216,8 +214,7 @@ def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
 
 @cache
 def _spec(name: str) -> ModuleSpec | None:
-    parent = name.rpartition(".")[0]
-    if not parent:
+    if not (parent := name.rpartition(".")[0]):
         return importlib.util.find_spec(name)
     above = _spec(parent)
     folders = above.submodule_search_locations if above else None

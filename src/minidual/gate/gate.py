@@ -195,8 +195,7 @@ class Gate:
             *verdict.fingerprint.circumstances(now),
             *(f"{path} is not one of its artefacts" for path in extra if "/" not in path),
         ]
-        attempt = self.store.attempt(name)
-        if attempt is not None:
+        if (attempt := self.store.attempt(name)) is not None:
             warnings.append(f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})")
         return StageState(name, state, tuple(reasons), tuple(warnings), verdict, sha256, folder)
 
@@ -207,7 +206,6 @@ class Gate:
         if attempt is not None:
             began = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
             return StageState(name, "incomplete", (f"{began}, {attempt.message or 'still running'}",))
-        closed = self.closed_by(name)
-        if closed:
+        if closed := self.closed_by(name):
             return StageState(name, "blocked", tuple(f"{item.name} is {item.state}" for item in closed))
         return StageState(name, "missing", ("it has not run",))

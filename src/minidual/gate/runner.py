@@ -177,8 +177,7 @@ class Runner:
                 previous = gate.state(name)
                 made = previous.verdict.artefacts if previous.verdict else {}
                 keep_old = bool(entry.keeps or strays(self.store.stage_folder(name), made))
-                kept = self.store.publish(name, verdict, keep_old=keep_old)
-                if kept is not None:
+                if (kept := self.store.publish(name, verdict, keep_old=keep_old)) is not None:
                     self.progress.note(f"the earlier {name} is kept in {kept}")
         except KeyboardInterrupt as stop:
             self.store.abandon(name, "interrupted", str(stop) or "interrupted at the keyboard")

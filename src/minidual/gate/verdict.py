@@ -47,8 +47,7 @@ class Waiver:
 
 def derive_status(checks: Sequence[Check]) -> Status:
     """Return "pass", "fail", or "error" if no check has a limit."""
-    results = [check.passed for check in checks if check.passed is not None]
-    if not results:
+    if not (results := [check.passed for check in checks if check.passed is not None]):
         return "error"
     return "pass" if all(results) else "fail"
 
@@ -79,8 +78,7 @@ class Verdict:
 
     def __post_init__(self) -> None:
         names = [check.name for check in self.checks]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"stage {self.stage} returned check '{twice[0]}' twice")
 
     @property

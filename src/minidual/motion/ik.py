@@ -290,8 +290,7 @@ def pose_goals(
                 q[arms[side].joints] = part
             combined.append(q)
         combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
-        free = list(itertools.islice(filter(engine.solids.free, combined), goals_n))
-        if free:
+        if free := list(itertools.islice(filter(engine.solids.free, combined), goals_n)):
             return free
         if not any(new.values()):
             require_free(engine, combined[0], "goal")

@@ -98,8 +98,7 @@ def write_paths(path: Path, config: SceneConfig, outcomes: Outcomes) -> None:
     """Draw each group's longest solved trajectory, if possible one that needed a search."""
     shown: list[tuple[str, Any]] = []
     for group, done in outcomes.items():
-        solved = [(o, o.result) for o in done if o.result is not None]
-        if solved:
+        if solved := [(o, o.result) for o in done if o.result is not None]:
             o, result = max(solved, key=lambda pair: (not pair[1].direct, pair[1].trajectory.duration_s))
             title = f"{group}, query {o.query.index}: planned in {1e3 * o.total_s:.0f} ms, lasts {result.trajectory.duration_s:.2f} s"
             shown += zip((title, ""), _renders(config, o.query.scene, result.trajectory), strict=True)
@@ -172,8 +171,7 @@ def write_times(outcomes: Outcomes, path: Path, median_max_s: Mapping[str, float
             median = float(np.median(solved))
             spread.plot([median, median], ends, color=INK, lw=2)
             spread.annotate(f"{median:.1f} ms", (median, row + 0.33), ha="center", va="bottom", fontsize=9)
-        limit = median_max_s[group]
-        if limit is not None:
+        if (limit := median_max_s[group]) is not None:
             spread.plot([limit * 1e3] * 2, ends, color=LIMIT, lw=1.6, ls="--")
     spread.set_xscale("log")
     spread.xaxis.set_major_formatter("{x:g}")

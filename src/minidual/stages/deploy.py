@@ -107,8 +107,7 @@ def run(context: StageContext) -> StageResult:
     checks += _looks(context, checkpoints[0], starts["held_out"][0])
     clear_m = make_task(config).scene.task.clear_height_m
     undisturbed = [r for name in starts for r in results[name]]
-    errors = [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
-    if errors:
+    if errors := [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
 

@@ -48,8 +48,7 @@ def run(context: StageContext) -> StageResult:
     moves, executions, undriven = run_held(context)
     checks, every = list[Check](), list[Outcome]()
     for prefix, ending, of in (("", "", outcomes), ("second_seed.", "_second_seed", second)):
-        asked = [o for done in of.values() for o in done]
-        if asked:
+        if asked := [o for done in of.values() for o in done]:
             write_csv(folder / f"queries{ending}.csv", [o.row() for o in asked])
             checks += [check for group, done in of.items() for check in group_checks(group, done, config, prefix)]
         every += asked

@@ -130,8 +130,7 @@ def run_benchmark(
     for method in methods:
         for name, n in trials_n.items():
             under, (given, trial) = condition(name), drawn[name]
-            reason = _why_not(method, name, inputs)
-            if reason:
+            if reason := _why_not(method, name, inputs):
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
             rows, asked = list[TrialMetrics](), [*map(trial, range(n))]
@@ -192,8 +191,7 @@ def _starts(trials: Sequence[TrialMetrics], method: str, under: str) -> _Starts:
 
 
 def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) -> list[dict[str, Cell]]:
-    shared = sorted(one.keys() & two.keys())
-    if not shared:
+    if not (shared := sorted(one.keys() & two.keys())):
         return []
     won = [(one[i].success, two[i].success) for i in shared]
     both, first, second, neither = (won.count((a, b)) for a in (True, False) for b in (True, False))

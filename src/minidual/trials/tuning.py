@@ -164,8 +164,7 @@ class Tuner:
         if not step.torque_ratio_max < _SAFE_TORQUE:
             share = f"{100 * step.torque_ratio_max:.0f} %"
             raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
-        failed = [c for c in step.carries if not c.success and c.failure != _SQUEEZED]
-        if failed:
+        if failed := [c for c in step.carries if not c.success and c.failure != _SQUEEZED]:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
 
     def _step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:

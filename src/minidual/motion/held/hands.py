@@ -38,8 +38,7 @@ class HandsIK:
         q = np.full(len(q_near), np.nan)
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             part = None if wish is None else wish[arm.joints]
-            solved = arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)
-            if solved is not None:
+            if (solved := arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)) is not None:
                 q[arm.joints] = solved
         return q
 

@@ -208,8 +208,7 @@ class HeldWork:
                 except PlanningError as error:
                     self.notes.append(f"no more postures at the goal: {error.message}")
             try:
-                points = self.search(method, goals, effort, attempt)
-                if points is not None:
+                if (points := self.search(method, goals, effort, attempt)) is not None:
                     rng = stream(self._query.seed, "held/shorten", attempt)
                     space = self._space([points[-1, Q]], effort)
                     return self.rounded(shorten(space, points, rng, _SHORTEN_ROUNDS_N), method)
@@ -268,8 +267,7 @@ class HeldWork:
             if len(found) >= wanted_n:
                 break
             inside = np.clip(goal, robot.q_lower + _LIMIT_ROOM_RAD, robot.q_upper - _LIMIT_ROOM_RAD)
-            q = self._hands.solve(T_goal, inside)
-            if q is None:
+            if (q := self._hands.solve(T_goal, inside)) is None:
                 continue
             relaxed = self._hands.relaxed(T_goal, q)
             q = relaxed if engines.solids.free(relaxed) else q
@@ -325,8 +323,7 @@ class HeldWork:
         def solve(marks: Array, Ts_world_object: Array) -> Array:
             solved = smooth.at(marks)[:, Q] / JOINT_WEIGHT_M
             for k, T in enumerate(Ts_world_object):
-                q = self._hands.solve(T, solved[k])
-                if q is None:
+                if (q := self._hands.solve(T, solved[k])) is None:
                     x, y, z = T[:3, 3]
                     raise ClosedChainError(f"the hands cannot hold the object at ({x:.3f}, {y:.3f}, {z:.3f}) m")
                 solved[k] = q

@@ -127,8 +127,7 @@ def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Seque
                 spread = (0.5 + k * 0.618033988749895) % 1.0
                 y, mark = i + 0.36 * (spread - 0.5), "o" if success else "x"
                 axes.plot(value, y, mark, color=colour, **look)
-            won = [value for success, value in mine if success]
-            if won:
+            if won := [value for success, value in mine if success]:
                 axes.plot([statistics.median(won)] * 2, [i - 0.32, i + 0.32], color=INK, linewidth=2.2)
         if largest > 0.15 * limit:
             label = f"excellent {indicator.excellent_text}"
