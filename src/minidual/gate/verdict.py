@@ -153,12 +153,9 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
 
 def build_manifest(folder: Path) -> dict[str, Artefact]:
     """Return {relative posix path: Artefact} of all files."""
-    manifest: dict[str, Artefact] = {}
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        name = path.relative_to(folder).as_posix()
-        if name not in (VERDICT_FILE, ATTEMPT_FILE):
-            manifest[name] = Artefact(file_sha256(path), path.stat().st_size)
-    return manifest
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    own = [name for name in files if name not in (VERDICT_FILE, ATTEMPT_FILE)]
+    return {name: Artefact(file_sha256(files[name]), files[name].stat().st_size) for name in own}
 
 
 def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:

@@ -70,12 +70,8 @@ class Effort:
 
     def after_no_path(self) -> Self:
         """Return less padding, for narrow passages, and more state checks."""
-        return replace(
-            self,
-            padding_m=0.5 * self.padding_m,
-            checks_n=min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX)),
-            fruitless_n=self.fruitless_n + 1,
-        )
+        checks_n = min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX))
+        return replace(self, padding_m=0.5 * self.padding_m, checks_n=checks_n, fruitless_n=self.fruitless_n + 1)
 
     def after_no_proof(self) -> Self:
         """Return `more_padding` and finer steps."""

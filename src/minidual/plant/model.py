@@ -53,12 +53,9 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
                     remedy="check the joint's prefix, and that an actuator's transmission drives it",
                 )
     index = np.array([joints[name] for name in names])
-    addresses = JointAddresses(
-        model.jnt_qposadr[index].astype(np.int64),
-        model.jnt_dofadr[index].astype(np.int64),
-        np.array([actuators[name] for name in names]),
-    )
-    for name, index in zip(names, addresses.ctrl, strict=True):
+    qpos, qvel = (addresses[index].astype(np.int64) for addresses in (model.jnt_qposadr, model.jnt_dofadr))
+    ctrl = np.array([actuators[name] for name in names])
+    for name, index in zip(names, ctrl, strict=True):
         is_servo = int(model.actuator_biastype[index]) != int(mujoco.mjtBias.mjBIAS_NONE)
         if is_servo == torque:
             have, need = ("a position servo", "a torque motor") if torque else ("a torque motor", "a position servo")
@@ -68,7 +65,7 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
             )
         if torque and float(model.actuator_gear[index, 0]) * float(model.actuator_gainprm[index, 0]) != 1.0:
             raise UsageError(f"actuator '{model.actuator(int(index)).name}' scales its torque; gear x gain must be 1")
-    return addresses
+    return JointAddresses(qpos, qvel, ctrl)
 
 
 _LOOK = rows_beside(__file__)

@@ -17,7 +17,7 @@ from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import Plausible
 from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
-CELL_PX = 8
+CELL_PX, _SAMPLES_N = 8, 256
 Limits = tuple[Array, Array]
 """Lower and upper (n,) [rad]."""
 
@@ -151,13 +151,11 @@ class EmittedActions(NamedTuple):
     inference_hz: float
 
 
-def exercise_checkpoint(
-    checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
-) -> EmittedActions:
-    """Run `checkpoint` on `samples` evenly spaced ticks, without clamping."""
+def exercise_checkpoint(checkpoint: Path, demos: Demonstrations, robot: Robot, device: str = "cpu") -> EmittedActions:
+    """Run `checkpoint` on evenly spaced ticks, without clamping."""
     runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0)
     chunks = []
-    for row in np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64):
+    for row in np.linspace(0, len(demos) - 1, min(_SAMPLES_N, len(demos))).astype(np.int64):
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
         chunks.append(runtime.predict_chunk(images, demos.state[row].astype(np.float64)))
     raw = np.concatenate(chunks)

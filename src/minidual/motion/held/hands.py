@@ -141,12 +141,9 @@ class HandsIK:
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
         """Return the largest error of grasps or between hands ([m], [rad]) at Q (m, n)."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
+        grasped_left, grasped_right = (Ts_world_object @ grasp for grasp in self.grasps)
         T_left_right = inverse(self.grasps[0]) @ self.grasps[1]
-        pairs = (
-            (left, Ts_world_object @ self.grasps[0]),
-            (right, Ts_world_object @ self.grasps[1]),
-            (right, left @ T_left_right),
-        )
+        pairs = (left, grasped_left), (right, grasped_right), (right, left @ T_left_right)
         return tuple(np.max([_apart(a, b) for a, b in pairs], axis=0).tolist())
 
 

@@ -178,12 +178,9 @@ class Report:
         given, waivers = self.given, self.waivers
         verdicts = given.verdicts.values()
         gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
-        opened = [
-            f"gate of {waiver.stage}, {moment(waiver.at)}: “{waiver.reason}” ("
-            + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
-            + ")"
-            for waiver in waivers
-        ]
+        blocked = [joined([f"{stage} was {state}" for stage, state in w.blocking.items()]) for w in waivers]
+        by_hand = zip(waivers, blocked, strict=True)
+        opened = [f"gate of {w.stage}, {moment(w.at)}: “{w.reason}” ({states})" for w, states in by_hand]
         failed = [f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False]
         changed = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
         wiring = "Few trials and little training show that the parts fit together. The rates prove nothing else."
