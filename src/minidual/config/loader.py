@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, cast, get_args
 
@@ -38,8 +37,7 @@ def parse_override(text: str) -> Override:
     return Override(path, parse_value(value, f"--set {text}", path), f"--set {text}")
 
 
-@dataclass(frozen=True)
-class LoadedConfig:
+class LoadedConfig(NamedTuple):
     """A validated configuration with its origins."""
 
     config: Config

@@ -3,7 +3,7 @@
 For the jerk, resampling and a zero-phase low-pass make it independent of the rate.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ JERK_FILTER = (
 """The filter in words."""
 
 
-@dataclass(frozen=True)
-class EpisodeQuality:
+class EpisodeQuality(NamedTuple):
     """Measures of one recording.
 
     Attributes:

@@ -8,9 +8,9 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -80,8 +80,7 @@ def usable_workers(job: Job, workers: int) -> int:
     return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """All attempts in order."""
 
     attempts: tuple[Attempt, ...]

@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,8 +50,7 @@ def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Arra
     return np.clip(q, robot.q_lower + margin, robot.q_upper - margin) if q.any() else q
 
 
-@dataclass(frozen=True)
-class Tick:
+class Tick(NamedTuple):
     """What was measured at one tick, and the command that followed; names and shapes as in the schema."""
 
     timestamps: float

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from minidual.config.loader import LoadedConfig
 from minidual.errors import DataError, GateClosedError, UsageError
@@ -16,8 +16,7 @@ from minidual.gate.verdict import CONFIG_FILE, Verdict, manifest_changes, strays
 State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
 
 
-@dataclass(frozen=True)
-class StageState:
+class StageState(NamedTuple):
     """State of a stage.
 
     Attributes:

@@ -3,9 +3,9 @@
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
-from typing import Self, TypedDict, Unpack
+from typing import NamedTuple, Self, TypedDict, Unpack
 
 import numpy as np
 
@@ -59,8 +59,7 @@ _PADDING_MAX_M = 0.02
 _PATIENCE = 1.5
 
 
-@dataclass(frozen=True)
-class Effort:
+class Effort(NamedTuple):
     """Settings of the next attempt: padding, check step, state checks until it gives up."""
 
     padding_m: float
@@ -71,11 +70,11 @@ class Effort:
     def after_no_path(self) -> Self:
         """Return less padding, for narrow passages, and more state checks."""
         checks_n = min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX))
-        return replace(self, padding_m=0.5 * self.padding_m, checks_n=checks_n, fruitless_n=self.fruitless_n + 1)
+        return self._replace(padding_m=0.5 * self.padding_m, checks_n=checks_n, fruitless_n=self.fruitless_n + 1)
 
     def after_no_proof(self) -> Self:
         """Return `more_padding` and finer steps."""
-        return replace(self, padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
+        return self._replace(padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
         """Return the first planner for four failed searches, then the fallbacks in turn."""

@@ -6,8 +6,8 @@ corner meets both straight pieces, twice continuously differentiable.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,8 +85,7 @@ _OF_SEGMENT = 0.45
 _TERMS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothPath:
+class SmoothPath(NamedTuple):
     """Curve q(s), (d,), s in [0, length].
 
     Attributes:

@@ -1,7 +1,7 @@
 """Straight tcp motion, until a pose is out of reach, an arm would jump, or something collides."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -26,8 +26,7 @@ _BACK_OFFS = 6
 _STILL_M = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class LinearMove:
+class LinearMove(NamedTuple):
     """A proven straight move, possibly partial.
 
     Attributes:

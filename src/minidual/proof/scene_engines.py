@@ -11,7 +11,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core import types
@@ -158,8 +158,7 @@ class Verification:
     samples_n: int
 
 
-@dataclass(frozen=True)
-class Audit:
+class Audit(NamedTuple):
     """Result of dense sampling.
 
     Attributes:

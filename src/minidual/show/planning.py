@@ -3,7 +3,6 @@
 import itertools
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,7 @@ def play(view: View, poser: Poser, trajectory: Trajectory, title: str, *, rounds
     """
     end = poser.place(trajectory.q[-1]).qpos.copy()
     words = Overlay(title=title, mode="moveit", source="planner", state="played, not simulated")
-    words = replace(words, preview=replace(tcp_preview(poser.kinematics, trajectory.q), ghosts=(end,)))
+    words = words._replace(preview=tcp_preview(poser.kinematics, trajectory.q)._replace(ghosts=(end,)))
     view.open(poser.model)
     for done in itertools.count(1):
         status = ", ".join(text for text in (note, f"{trajectory.duration_s:.2f} s of motion, round {done}") if text)
@@ -79,7 +78,7 @@ def play(view: View, poser: Poser, trajectory: Trajectory, title: str, *, rounds
             t = time.monotonic() - began
             if view.due():
                 shown_s = min(t, trajectory.duration_s)
-                view.update(poser.place(trajectory.sample(t)[0]), replace(words, time_s=shown_s, status=status))
+                view.update(poser.place(trajectory.sample(t)[0]), words._replace(time_s=shown_s, status=status))
             time.sleep(0.005)
         if done == rounds_n or not view.alive:
             return

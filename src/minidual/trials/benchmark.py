@@ -6,9 +6,9 @@ median difference.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,7 @@ _Starts = dict[int, TrialMetrics]
 type Draw = Callable[[int], Trial]
 
 
-@dataclass(frozen=True)
-class BenchmarkCell:
+class BenchmarkCell(NamedTuple):
     """One method under one condition.
 
     Attributes:
@@ -209,8 +208,7 @@ def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) 
     return [{k: NO_PAIR if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}]
 
 
-@dataclass(frozen=True)
-class Robustness:
+class Robustness(NamedTuple):
     """A method under one condition.
 
     Attributes:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -71,8 +72,7 @@ def scene_holding(
     return scene
 
 
-@dataclass(frozen=True, eq=False)
-class HeldQuery:
+class HeldQuery(NamedTuple):
     """What to plan for a held object.
 
     Attributes:

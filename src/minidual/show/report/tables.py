@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from minidual.registry import rows_beside
 from minidual.trials.conditions import CLEAN
@@ -148,8 +148,7 @@ class Cell:
         return judged and measure is not None and indicator.is_excellent(measure.value)
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One condition with a cell per method."""
 
     condition: str
@@ -165,8 +164,7 @@ class Row:
         return mine.value == (max if indicator.more_is_better else min)(found)
 
 
-@dataclass(frozen=True)
-class Tables:
+class Tables(NamedTuple):
     """Methods by conditions of one task, the undisturbed row first.
 
     Attributes:

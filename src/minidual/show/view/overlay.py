@@ -1,6 +1,5 @@
 """State shown with the scene."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from minidual.robot.pair import Array
@@ -25,8 +24,7 @@ class PathLine(NamedTuple):
     rgb: tuple[int, int, int]
 
 
-@dataclass(frozen=True, eq=False)
-class Preview:
+class Preview(NamedTuple):
     """A plan. Reuse the object: views redraw only another one.
 
     Attributes:
@@ -40,8 +38,7 @@ class Preview:
 NO_PREVIEW = Preview()
 
 
-@dataclass(frozen=True)
-class Overlay:
+class Overlay(NamedTuple):
     """State at one instant. Empty text and None are not shown.
 
     Attributes:

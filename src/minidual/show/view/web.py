@@ -7,7 +7,6 @@ import io
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import mujoco
 import viser
@@ -118,7 +117,7 @@ class WebView:
             return
         self._closed, self.alive = True, False
         with contextlib.suppress(Exception):  # the page also notices the closed connection
-            self.panel.show(replace(self._overlay, status="ended: the command has finished"))
+            self.panel.show(self._overlay._replace(status="ended: the command has finished"))
             self._server.flush()
             if self._server.get_clients():
                 time.sleep(_FAREWELL_S)
