@@ -108,8 +108,7 @@ class Mesh(_Shape):
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 
-@dataclass(frozen=True)
-class Attached:
+class Attached(NamedTuple):
     """An object moving with `link`; `touch_links` may touch it."""
 
     shape: Shape

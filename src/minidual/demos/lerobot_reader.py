@@ -203,7 +203,8 @@ def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]
                 raise ValueError(f"its pictures are {frame.height} x {frame.width}, declared {size[0]} x {size[1]}")
             if count > expected:
                 break
-            yield frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
+            shown: Any = frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
+            yield shown
     if count != expected:
         held = f"more than {expected}" if count > expected else count
         raise DataError(f"{path} holds {held} frames; the table has {expected} rows for it", remedy=_AGAIN)

@@ -3,7 +3,6 @@
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from time import perf_counter
 from typing import NamedTuple, Self, TypedDict, Unpack
 
@@ -25,8 +24,7 @@ from minidual.robot.pair import DUAL_PANDA, Array, Robot
 PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
 
 
-@dataclass(frozen=True, eq=False)
-class PlanResult:
+class PlanResult(NamedTuple):
     """A proven plan.
 
     Attributes:

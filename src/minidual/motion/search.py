@@ -81,11 +81,9 @@ class EdgeChecker:
         self.checks_n += min(free_n + 1, len(Q))
         return free_n == len(Q)
 
-    def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
-        """Return whether the edge (dof,) is free, checked every `step_rad`; a itself is not."""
-        count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
-        if count == 0:
-            return True
+    def edge_free(self, a: Array, b: Array) -> bool:
+        """Return whether the edge (dof,) is free, checked every `step_rad` of the checker; a itself is not."""
+        count = math.ceil(np.abs(b - a).max() / self.step_rad)
         return self.all_free(a + bisection_order(count)[:, None] * (b - a))
 
 

@@ -10,7 +10,6 @@ Limits are checked midway between samples too, torque at every fourth sample.
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -136,8 +135,7 @@ CLEARANCE_MAX_M = 0.04
 """Largest clearance reported."""
 
 
-@dataclass(frozen=True)
-class Verification:
+class Verification(NamedTuple):
     """Certificate and use of limits.
 
     Attributes:

@@ -126,14 +126,12 @@ def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
 
 def watch_recording(view: View | None) -> Observe | None:
     """Return the `observe` argument of `record`; None without a view."""
-    if view is None:
-        return None
+    return None if view is None else functools.partial(_demonstration, view)
 
-    def observe(rig: Rig, index: int) -> AbstractContextManager[None]:
-        narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
-        return watched(view, rig.world, narrate)
 
-    return observe
+def _demonstration(view: View, rig: Rig, index: int) -> AbstractContextManager[None]:
+    narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
+    return watched(view, rig.world, narrate)
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:

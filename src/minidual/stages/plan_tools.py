@@ -146,7 +146,7 @@ def _document(group: str, result: PlanResult, targets: Targets) -> dict[str, Any
         "duration_s": result.trajectory.duration_s,
         **{name: getattr(result, name) for name in ("total_s", "times_s", "attempts_n", "direct", "notes")},
         "q_goal_rad": result.q_goal.tolist(),
-        "proof": dataclasses.asdict(result.verification),
+        "proof": result.verification._asdict(),
         "digest": result.trajectory.digest(),
         "files": {name: str(path) for name, path in targets.items() if path is not None},
     }

@@ -6,7 +6,6 @@ median difference.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -94,7 +93,7 @@ def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: Me
 def under_condition(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> tuple[MethodInputs, Draw]:
     """Return the inputs under a condition, and the draw of its trials."""
     under = condition(name)
-    given = replace(inputs, config=under.config_under(inputs.config))
+    given = inputs._replace(config=under.config_under(inputs.config))
     task = make_task(given.config)
     return given, lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
 

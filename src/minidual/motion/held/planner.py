@@ -6,7 +6,7 @@ import itertools
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -152,21 +152,20 @@ def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
     return fine_curve(hands, path, solve)
 
 
-@dataclass(frozen=True)
-class _Effort:
+class _Effort(NamedTuple):
     padding_m: float
     step_scale: float = 1.0
     checks_n: int = 600
 
     def after_no_path(self) -> _Effort:
         """Return less padding and more state checks."""
-        return replace(self, padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
+        return self._replace(padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
 
     def after(self, error: PlanningError) -> _Effort:
         """Return finer steps, and more padding for a path that is not proven."""
         unproven = isinstance(error, NotFreeError | TimingError)
         padding_m = more_padding(self.padding_m) if unproven else self.padding_m
-        return replace(self, step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
+        return self._replace(step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
 
 
 class HeldWork:

@@ -28,7 +28,6 @@ _FAREWELL_S = 0.3
 class _Server(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing."""
-        del verbose
 
 
 class WebView:

@@ -152,12 +152,11 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     """
     planner = Planner(scene)
     engine, robot = planner.engines().engine, planner.robot
-    lower, upper = robot.q_lower, robot.q_upper
     rng = stream(seed, "plan/engine-agreement")
     half = states_n // 2
-    uniform = rng.uniform(lower, upper, (half, robot.dof))
+    uniform = rng.uniform(robot.q_lower, robot.q_upper, (half, robot.dof))
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
-    Q = np.vstack([uniform, np.clip(near_home, lower, upper)])
+    Q = np.vstack([uniform, np.clip(near_home, robot.q_lower, robot.q_upper)])
     return float(np.mean(engine("mujoco").collisions(Q) == engine("coal").collisions(Q)))
 
 
