@@ -139,9 +139,8 @@ def grown(shape: Shape, by_m: float) -> Shape:
         case Mesh():
             # Minkowski sum with a cube that contains the ball: every vertex moves to the cube's eight corners.
             corners = by_m * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-            return replace(
-                shape, pieces=tuple((v[:, None] + corners).reshape(-1, 3).tobytes() for v in shape.vertices())
-            )
+            pieces = [(vertices[:, None] + corners).reshape(-1, 3) for vertices in shape.vertices()]
+            return replace(shape, pieces=tuple(piece.tobytes() for piece in pieces))
 
 
 class Pairs(NamedTuple):

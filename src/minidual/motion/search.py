@@ -103,9 +103,7 @@ class _Motion(ob.MotionValidator):
 def bounded_space(lower: Array, upper: Array) -> Any:
     """Return OMPL's space within limits (d,)."""
     space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
-    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
-        bounds.setLow(i, low)
-        bounds.setHigh(i, high)
+    bounds.low, bounds.high = lower.tolist(), upper.tolist()
     space.setBounds(bounds)
     return space
 

@@ -120,9 +120,7 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
         spec.joint(name).armature = robot.hand.finger_armature_kg
     for arm in robot.sides:
         fingers = robot.hand_links(arm)[1:]
-        for body in spec.bodies:
-            if not body.name.startswith(f"{arm}_"):
-                continue
+        for body in [body for body in spec.bodies if body.name.startswith(f"{arm}_")]:
             for index, geom in enumerate(body.geoms):
                 geom.name = f"{body.name}_collision{index}"
                 geom.group = GROUP_COLLISION

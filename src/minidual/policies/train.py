@@ -105,9 +105,8 @@ class _Loop:
         count = min(VALIDATION_ROWS, len(validation_rows))
         self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
-        self.optimiser = torch.optim.AdamW(
-            self.parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-        )
+        rate, decay = config.learning_rate, config.weight_decay
+        self.optimiser = torch.optim.AdamW(self.parameters, lr=rate, weight_decay=decay, fused=True)
         self.average = [p.detach().clone() for p in self.parameters]
         self.state = _State()
         self.progress = None if job.resume_dir is None else job.resume_dir / PROGRESS_FILE

@@ -8,7 +8,7 @@ Quaternions are wxyz. The world's origin is on the table top between the bases; 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +24,7 @@ SIDES: tuple[str, str] = ("left", "right")
 GRIPPERS_N = len(SIDES)
 
 
-@dataclass(frozen=True)
-class HandModel:
+class HandModel(NamedTuple):
     """A parallel gripper; names have no side prefix.
 
     Attributes:

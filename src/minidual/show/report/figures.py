@@ -10,7 +10,6 @@ import re
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -143,9 +142,8 @@ def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Seque
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
     """Return the figures of success under each condition, and of the undisturbed trials."""
-    methods = {
-        cell.method: COLOURS[k % len(COLOURS)] for k, cell in enumerate(tables.clean.cells) if cell.state != "spared"
-    }
-    shown = INDICATORS[1:] if tables.own else [replace(indicator, excellent=None) for indicator in INDICATORS[1:]]
+    cells = enumerate(tables.clean.cells)
+    methods = {cell.method: COLOURS[k % len(COLOURS)] for k, cell in cells if cell.state != "spared"}
+    shown = INDICATORS[1:] if tables.own else [indicator._replace(excellent=None) for indicator in INDICATORS[1:]]
     drawn = [success_figure(tables.rows), *(strip_figure(indicator, methods, trials) for indicator in shown)]
     return [figure for figure in drawn if figure is not None]

@@ -13,8 +13,7 @@ from minidual.trials.statistics import holm
 _UNSEEN = 0.0005  # smaller displayed values are rounding error
 
 
-@dataclass(frozen=True)
-class Indicator:
+class Indicator(NamedTuple):
     """One column of the comparison (tables.yaml).
 
     Attributes:

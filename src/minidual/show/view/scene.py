@@ -1,6 +1,6 @@
 """Browser scene: built once, then updated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -23,6 +23,14 @@ _FLAT_M = 0.002  # thinner meshes cast no shadow, which would blur table marks
 _GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
 _GHOST_RGB, _FLOOR_RGB, _FOG_RGB = (70, 160, 255), (214, 220, 228), (255, 255, 255)
 _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
+_KIND = mujoco.mjtGeom
+_SOLIDS: dict[mujoco.mjtGeom, Callable[[Array], trimesh.Trimesh]] = {
+    _KIND.mjGEOM_BOX: lambda size: trimesh.creation.box(extents=2.0 * size),
+    _KIND.mjGEOM_CYLINDER: lambda size: trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=40),
+    _KIND.mjGEOM_CAPSULE: lambda size: trimesh.creation.capsule(2.0 * size[1], size[0], count=[24, 24]),
+    _KIND.mjGEOM_SPHERE: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(size[0]),
+    _KIND.mjGEOM_ELLIPSOID: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(size),
+}
 _FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 
 
@@ -60,22 +68,12 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
-    match kind:
-        case mujoco.mjtGeom.mjGEOM_MESH:
-            mesh = model.mesh(int(model.geom_dataid[geom]))
-            vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
-            faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
-            return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return trimesh.creation.box(extents=2.0 * size)
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=40)
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=[24, 24])
-        case mujoco.mjtGeom.mjGEOM_SPHERE | mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            ball = trimesh.creation.icosphere(subdivisions=3)
-            return ball.apply_scale(size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
-    return None
+    if kind == _KIND.mjGEOM_MESH:
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
+        faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
+        return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
+    return _SOLIDS[kind](size) if kind in _SOLIDS else None
 
 
 class Scene:
@@ -165,9 +163,8 @@ class Scene:
         points = np.array([[a.start, a.start + _ARROW_M_PER_N * a.force] for a in shown], dtype=np.float32)
         colours = np.array([a.rgb for a in shown], dtype=np.uint8)
         if self._arrows is None or len(self._arrows.points) != len(points):
-            self._arrows = self._server.scene.add_arrows(
-                "/forces", points, colours, shaft_radius=0.006, head_radius=0.014, head_length=0.03
-            )
+            size = {"shaft_radius": 0.006, "head_radius": 0.014, "head_length": 0.03}
+            self._arrows = self._server.scene.add_arrows("/forces", points, colours, **size)
         else:
             self._arrows.points, self._arrows.colors = points, colours
 
