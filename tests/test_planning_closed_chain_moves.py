@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -125,7 +124,7 @@ def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
     assert worst[0] < 1e-4
     assert worst[1] < np.deg2rad(0.05)
     # Oracle: forward kinematics at random times against the constraint.
-    constraint = GraspConstraint(inverse(GRASPS[0]) @ GRASPS[1])
+    constraint = GraspConstraint(inverse(GRASPS[0]) @ GRASPS[1], Kinematics())
     times = np.random.default_rng(0).uniform(0.0, over_the_wall.duration_s, 400)
     off = np.array([constraint.value_and_jacobian(q)[0] for q in over_the_wall.sample_many(times)[0]])
     assert np.linalg.norm(off[:, :3], axis=1).max() < 1e-4
@@ -367,7 +366,7 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
     end = planner.plan(asked).q[-1]
     work = HeldWork(planner.planner, asked, 60.0)  # its state checks end it, not a busy machine
     effort = _Effort(0.0, checks_n=1500)
-    assert work.search(method, [end + 0.3], replace(effort, checks_n=50), 1) is None
+    assert work.search(method, [end + 0.3], effort._replace(checks_n=50), 1) is None
     points = work.search(method, [end + 0.3, end], effort, 1)
     assert np.abs(points[-1, Q] - end).max() < 1e-3
     hands, chart = HandsIK(GRASPS, DUAL_PANDA), ObjectChart(START[:3, :3])

@@ -31,7 +31,7 @@ T_LEFT_RIGHT = inverse(GRASPS[0]) @ GRASPS[1]
 
 @pytest.fixture(scope="module")
 def constraint():
-    return GraspConstraint(T_LEFT_RIGHT)
+    return GraspConstraint(T_LEFT_RIGHT, Kinematics())
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_value_vanishes_where_the_hands_hold_and_only_there(constraint, q_held):
 
 def test_a_relative_pose_that_is_none_is_named():
     with pytest.raises(UsageError, match="relative pose of the hands holds a value that is not finite"):
-        GraspConstraint(np.full((4, 4), np.nan))
+        GraspConstraint(np.full((4, 4), np.nan), Kinematics())
 
 
 def test_ompl_gets_the_same_numbers(constraint, q_held):

@@ -355,7 +355,7 @@ def test_a_motion_that_touches_a_joint_limit_is_refused_where_the_supervisor_wou
     gap = Gap(lambda q: ("", 1.0), REACH_M, 0.015)
     gap.check(carried.segments)
     (moving, *_) = (segment for segment in carried.segments if segment.verification is not None)
-    at_the_limit = replace(moving, verification=replace(moving.verification, limit_margin_rad=0.002))
+    at_the_limit = replace(moving, verification=moving.verification._replace(limit_margin_rad=0.002))
     with pytest.raises(Failure, match=r"a joint comes to 2\.0 mrad from its limit") as caught:
         gap.check([moving, at_the_limit])
     assert caught.value.reason == "at_limit"

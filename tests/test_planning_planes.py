@@ -110,7 +110,7 @@ def test_kinematics_are_those_of_pinocchio(engines):
 def test_the_solids_are_what_mujoco_compiled(scene, arm):
     """Along random directions every part goes as far in the one as in the other: the hulls are the same."""
     robot = Robot(ARM_MODELS[arm])
-    held = dataclasses.replace(scene.attached[0], link="left_panda_hand")
+    held = scene.attached[0]._replace(link="left_panda_hand")
     scene = PlanningScene(scene.obstacles, (held,), robot=robot)
     engines = SceneEngines(scene)
     rng = np.random.default_rng(1)

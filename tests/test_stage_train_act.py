@@ -110,4 +110,4 @@ def test_a_checkpoint_is_judged_as_it_predicts(
     monkeypatch.setattr(policy, "load_policy", lambda *_: Wide(dim, value))
     emitted = exercise_checkpoint(tmp_path, demos, DUAL_PANDA)
     assert emitted.targets_n == dim
-    assert failing(emitted=dataclasses.asdict(emitted)) == failed
+    assert failing(emitted=emitted._asdict()) == failed

@@ -44,7 +44,7 @@ def _view(**words: object) -> tuple[WebView, list[str]]:
     view = make_view("web", ViewConfig(port=unused_port(), **words), say=said.append)  # type: ignore[arg-type]
     assert isinstance(view, WebView)
     view.open(mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='0.1'/></worldbody></mujoco>"))
-    view.offer([Slider("a", "x", -1.0, 1.0, 0.25)])
+    view.panel.offer([Slider("a", "x", -1.0, 1.0, 0.25)])
     return view, said
 
 
@@ -85,7 +85,7 @@ def _connect(address: str, **words: object) -> ClientConnection:
 
 def _move(view: WebView, client: ClientConnection, value: object, **more: object) -> None:
     """Send what the page sends when its slider moves."""
-    message = {"type": "GuiUpdateMessage", "uuid": view._panel._sliders[0][0]._impl.uuid, "updates": {"value": value}}
+    message = {"type": "GuiUpdateMessage", "uuid": view.panel._sliders[0][0]._impl.uuid, "updates": {"value": value}}
     client.send(msgspec.msgpack.encode(message | more))
 
 
@@ -139,7 +139,7 @@ def test_a_port_of_an_ssh_tunnel_and_the_cookie_are_as_good_as_the_address(shown
     own = Origin(f"http://127.0.0.1:{view.port}")
     with _connect(base, origin=own, additional_headers={"Cookie": cookie}) as client:
         _move(view, client, 0.5)
-        assert _soon(lambda: view.slider_values()[0] == 0.5)
+        assert _soon(lambda: view.panel.values()[0] == 0.5)
     assert said[2:] == []
 
 
@@ -156,10 +156,10 @@ def test_pages_on_other_machines_only_look_unless_they_are_allowed(monkeypatch: 
                 _move(view, client, 0.5)
                 assert _soon(lambda view=view: bool(view._server.get_clients()))  # it sees
                 client.send(msgspec.msgpack.encode(CAMERA))
-                assert _soon(lambda view=view: view.slider_values()[0] == 0.5, 20.0 if allowed else 0.3) == allowed
+                assert _soon(lambda view=view: view.panel.values()[0] == 0.5, 20.0 if allowed else 0.3) == allowed
             with _connect(str(view.url)) as client:  # this machine, and what comes through ssh
                 _move(view, client, -0.75)
-                assert _soon(lambda view=view: view.slider_values()[0] == -0.75)
+                assert _soon(lambda view=view: view.panel.values()[0] == -0.75)
             for host, code in ((socket.gethostname(), 200), ("192.0.2.1", 200), ("evil.example", 403)):
                 assert _status(str(view.url), Host=f"{host}:{view.port}") == code
             assert _status(f"http://127.0.0.1:{view.port}/", Host=f"127.0.0.1:{view.port}") == 403
@@ -178,7 +178,7 @@ def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
     for _ in range(10):
         with socket.create_connection(("127.0.0.1", view.port), timeout=30) as wire:
             wire.sendall(rng.bytes(300))
-    uuid = view._panel._sliders[0][0]._impl.uuid
+    uuid = view.panel._sliders[0][0]._impl.uuid
     change = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": 0.9}}
     wrong = [
         change | {"updates": {"value": "<script>"}},
@@ -207,11 +207,11 @@ def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
                 _move(view, client, "end")
             except ConnectionClosed:  # too long a frame
                 assert len(frame) > 2**16
-    assert view.slider_values()[0] == 0.25
+    assert view.panel.values()[0] == 0.25
     with _connect(str(view.url)) as client:
         _move(view, client, 0.5)
-        assert _soon(lambda: view.slider_values()[0] == 0.5)
-    assert view._panel._sliders[0][0]._impl.removed is False
+        assert _soon(lambda: view.panel.values()[0] == 0.5)
+    assert view.panel._sliders[0][0]._impl.removed is False
     shown_text = capfd.readouterr()
     assert (shown_text.out, shown_text.err) == ("", "")
     assert {record.name for record in caplog.records if record.levelname != "DEBUG"} <= {guard._LOGGER.name}

@@ -203,14 +203,14 @@ def test_clients_that_vanish_do_not_hold_the_run_up(view: WebView) -> None:
 
 
 def test_sliders_give_their_values(view: WebView) -> None:
-    assert view.slider_values().shape == (0,)
-    view.offer([Slider("a", "x", -1.0, 1.0, 0.25), Slider("a", "y", 0.0, 1.0, 1.0)])
-    assert view.slider_values().tolist() == [0.25, 1.0]
-    view._panel._sliders[0][0].value = -0.5
-    assert view.slider_values().tolist() == [-0.5, 1.0]
+    assert view.panel.values().shape == (0,)
+    view.panel.offer([Slider("a", "x", -1.0, 1.0, 0.25), Slider("a", "y", 0.0, 1.0, 1.0)])
+    assert view.panel.values().tolist() == [0.25, 1.0]
+    view.panel._sliders[0][0].value = -0.5
+    assert view.panel.values().tolist() == [-0.5, 1.0]
     for sent, kept in ((float("nan"), -0.5), (float("inf"), -0.5), (1e9, None)):  # anybody can send anything
-        view._panel._sliders[0][0].value = sent
-        value = view.slider_values()[0]
+        view.panel._sliders[0][0].value = sent
+        value = view.panel.values()[0]
         assert value == kept if kept is not None else value <= 10.0
 
 

@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -93,8 +93,7 @@ def is_stale(path: Path) -> bool:
 
     A living process with its id is another one if it started after the last write.
     """
-    match = _PARTIAL.match(path.name)
-    if match is None:
+    if (match := _PARTIAL.match(path.name)) is None:
         return False
     import psutil  # 40 ms that a plan does not need
 
@@ -106,11 +105,12 @@ def is_stale(path: Path) -> bool:
         return False
 
 
-def remove_stale(path: Path) -> None:
-    """Remove stale temporary files of `path`."""
-    for left in path.parent.glob(f".{path.name}.*.partial"):
-        if is_stale(left):
-            remove(left)
+def remove_stale(paths: Iterable[Path]) -> list[Path]:
+    """Remove the stale ones; return them."""
+    stale = [path for path in paths if is_stale(path)]
+    for path in stale:
+        remove(path)
+    return stale
 
 
 def remove(path: Path) -> None:

@@ -46,9 +46,8 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
     config = session.loaded.with_overrides(overrides(tool.options, typed)).config
     folder = session.store.folder
-    lock = nullcontext()
-    if tool.moves:  # so that `stop` finds it
-        lock = run_lock(folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock")
+    found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock"
+    lock = run_lock(*found_by_stop) if tool.moves else nullcontext()
     with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
         context = ToolContext(
             config=config,

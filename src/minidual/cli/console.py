@@ -91,8 +91,7 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
     for check in checks:
         limit = f"{check.op} {with_unit(check.limit, check.unit)}" if check.op else ""
         why = check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")
-        observed = with_unit(check.observed, check.unit)
-        row = [check.name, observed, limit, check.margin_text(), result[check.passed]]
+        row = [check.name, with_unit(check.observed, check.unit), limit, check.margin_text(), result[check.passed]]
         table.add_row(*row, *([why] if explained else []))
     return table
 
@@ -157,8 +156,7 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
             checks = f"{sum(results)}/{len(results)}"
             took = f"{verdict.duration_s:.1f} s"
             remarks += [label(verdict), *state.warnings]
-        text = Text("\n".join(filter(None, remarks)))
-        table.add_row(state.name, state_text(state.state), checks, took, text)
+        table.add_row(state.name, state_text(state.state), checks, took, Text("\n".join(filter(None, remarks))))
     console.print(table)
     _lines(console, [following])
 

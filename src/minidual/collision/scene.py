@@ -82,8 +82,7 @@ class BuiltAcm:
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache, or build them (1 s) if it lacks the model or is damaged."""
     model = model_hash(robot)
-    root = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual")
-    path = root / f"acm-{model[:20]}.json"
+    path = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual") / f"acm-{model[:20]}.json"
     with contextlib.suppress(DataError, OSError, ValueError, TypeError):
         digest, _, content = regular_file(path, _CACHE_BYTES_MAX).read_text(encoding="utf-8").partition("\n")
         if digest == _digest(model, content):
@@ -200,8 +199,7 @@ class PlanningScene:
         if self.allowed is None:
             object.__setattr__(self, "allowed", acm_report(self.robot).acm)
         names = self.names
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
+        if twice := sorted({n for n in names if names.count(n) > 1}):
             raise UsageError(
                 f"the scene holds the name '{twice[0]}' twice; links, obstacles and attached objects "
                 "share one set of names"
@@ -256,11 +254,9 @@ class PlanningScene:
     @cached_property
     def _moved_by(self) -> dict[str, tuple[str, int]]:
         """(side, number of joints that move it) by part; equal within a rigid piece."""
-        links = links_of(self.robot)
-        moved = {name: (link.side, link.joints_before) for name, link in links.items()}
-        return (
-            moved | {o.name: ("", 0) for o in self.obstacles} | {held.name: moved[held.link] for held in self.attached}
-        )
+        moved = {name: (link.side, link.joints_before) for name, link in links_of(self.robot).items()}
+        moved |= {obstacle.name: ("", 0) for obstacle in self.obstacles}
+        return moved | {held.name: moved[held.link] for held in self.attached}
 
     def with_obstacles(self, *shapes: Shape) -> PlanningScene:
         """Return a copy with more obstacles."""

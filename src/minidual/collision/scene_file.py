@@ -73,8 +73,7 @@ def load_mesh(
     """
     mesh = _read(path, name)
     mesh.apply_scale(scale)
-    extent = float(np.max(mesh.extents))
-    if not _EXTENT_MIN_M <= extent <= _EXTENT_MAX_M:
+    if not _EXTENT_MIN_M <= float(np.max(mesh.extents)) <= _EXTENT_MAX_M:
         raise UsageError(
             f"mesh '{name}' ({path.name}) measures {' x '.join(f'{v:.4g}' for v in mesh.extents)} m at scale {scale:g}; "
             f"its longest side must be from {_EXTENT_MIN_M} to {_EXTENT_MAX_M} m",

@@ -8,7 +8,7 @@ Sizes are full lengths [m], quaternions wxyz. Cylinders and capsules lie along z
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,7 @@ class _Shape:
 
     def lengths(self) -> list[float]:
         """Return all lengths [m]."""
-        own = (getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m"))
-        return np.hstack([*own]).tolist()
+        return np.hstack([getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m")]).tolist()
 
     @property
     def T_parent_shape(self) -> Array:
@@ -57,19 +56,17 @@ class Box(_Shape):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Shape):
+class _Round(_Shape):
+    radius_m: float = 0.05
+    length_m: float = 0.1
+
+
+class Cylinder(_Round):
     """A cylinder along z."""
 
-    radius_m: float = 0.05
-    length_m: float = 0.1
 
-
-@dataclass(frozen=True)
-class Capsule(_Shape):
+class Capsule(_Round):
     """A cylinder with half-sphere ends."""
-
-    radius_m: float = 0.05
-    length_m: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -111,8 +108,7 @@ class Mesh(_Shape):
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 
-@dataclass(frozen=True)
-class Attached:
+class Attached(NamedTuple):
     """An object moving with `link`; `touch_links` may touch it."""
 
     shape: Shape
@@ -143,13 +139,11 @@ def grown(shape: Shape, by_m: float) -> Shape:
         case Mesh():
             # Minkowski sum with a cube that contains the ball: every vertex moves to the cube's eight corners.
             corners = by_m * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-            return replace(
-                shape, pieces=tuple((v[:, None] + corners).reshape(-1, 3).tobytes() for v in shape.vertices())
-            )
+            pieces = [(vertices[:, None] + corners).reshape(-1, 3) for vertices in shape.vertices()]
+            return replace(shape, pieces=tuple(piece.tobytes() for piece in pieces))
 
 
-@dataclass(frozen=True)
-class Pairs:
+class Pairs(NamedTuple):
     """Pairs of parts; engines take these or a `PlanningScene`."""
 
     robot: Robot
@@ -157,8 +151,7 @@ class Pairs:
     solids: tuple[Attached, ...] = ()
 
 
-@dataclass(frozen=True)
-class PairDistance:
+class PairDistance(NamedTuple):
     """Two parts; distance negative in penetration."""
 
     first: str

@@ -5,9 +5,8 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, NamedTuple, cast, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -21,8 +20,7 @@ SHIPPED_FOLDER = Path(__file__).resolve().parent.parent / "configs"
 DEFAULT_PROFILE = "standard"
 
 
-@dataclass(frozen=True)
-class Override:
+class Override(NamedTuple):
     """A command-line value; `text` is what was typed."""
 
     path: str
@@ -39,8 +37,7 @@ def parse_override(text: str) -> Override:
     return Override(path, parse_value(value, f"--set {text}", path), f"--set {text}")
 
 
-@dataclass(frozen=True)
-class LoadedConfig:
+class LoadedConfig(NamedTuple):
     """A validated configuration with its origins."""
 
     config: Config
@@ -122,8 +119,7 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
         chain = " -> ".join(item.name for item in (*below, path))
         raise ConfigError(f"{path.name}: profiles extend each other in a circle: {chain}")
     document = read_document(path)
-    base_name = document.tree.pop("extends", None)
-    if base_name is None:
+    if (base_name := document.tree.pop("extends", None)) is None:
         return document, (path,)
     where = document.origins.pop("extends")
     if not isinstance(base_name, str):
@@ -166,11 +162,11 @@ def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> 
     for depth, section in enumerate(sections):
         known: Any = resolved.get(section)
         resolved = cast(dict[str, Any], known) if isinstance(known, dict) else {}
-        is_section = bool(_keys_at(sections[: depth + 1]))
-        inner: Any = place.setdefault(section, {} if is_section else copy.deepcopy(resolved))
-        document.origins.setdefault(".".join(sections[: depth + 1]), override.text)
+        above = sections[: depth + 1]
+        dotted = ".".join(above)
+        inner: Any = place.setdefault(section, {} if _keys_at(above) else copy.deepcopy(resolved))
+        document.origins.setdefault(dotted, override.text)
         if not isinstance(inner, dict):
-            dotted = ".".join(sections[: depth + 1])
             raise ConfigError(f"{override.text}: {dotted} is a single value and has no keys")
         place = cast(dict[str, Any], inner)
     place[key] = override.value
@@ -225,12 +221,10 @@ def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> s
     """Return the keys of the models at a typed or pydantic location; empty for a value."""
     models: list[type[BaseModel]] = [root]
     for part in location:
-        fields = [model.model_fields[part] for model in models if part in model.model_fields]
-        if fields:
+        if fields := [model.model_fields[part] for model in models if part in model.model_fields]:
             models = [found for field in fields for found in _models_in(field.annotation)]
         elif isinstance(part, str):  # a member of a union by its tag, or an entry of a mapping
-            tagged = [m for m in models if any(f.default == part for f in m.model_fields.values())]
-            models = tagged or models
+            models = [m for m in models if any(f.default == part for f in m.model_fields.values())] or models
     return {name for model in models for name in model.model_fields}
 
 

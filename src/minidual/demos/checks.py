@@ -1,8 +1,8 @@
 """Checks of an episode's arrays; they yield every `EpisodeFault` instead of raising."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,7 @@ LIMIT_TOLERANCE_RAD = 1e-3
 REMEDIES: dict[str, str] = rows_beside(__file__, "remedies.yaml")
 
 
-@dataclass(frozen=True)
-class EpisodeFault:
+class EpisodeFault(NamedTuple):
     """One fault; `name` is stable."""
 
     name: str

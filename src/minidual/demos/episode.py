@@ -137,13 +137,10 @@ def _images(
     if cameras is None and sorted(stored) != sorted(meta.cameras):
         detail = f"the file declares cameras {_list(meta.cameras)} and stores {_list(stored)}"
         faults.append(EpisodeFault("cameras_wrong", detail))
-    absent = [camera for camera in cameras or () if camera not in stored]
-    if absent:
+    if absent := [camera for camera in cameras or () if camera not in stored]:
         faults.append(EpisodeFault("cameras_wrong", f"no camera {_list(absent)}; there are {_list(meta.cameras)}"))
-    images: dict[str, NDArray[np.uint8]] = {}
-    for camera in (c for c in meta.cameras if c in stored and (cameras is None or c in cameras)):
-        images[camera] = _array(file, schema.image_key(camera), (ticks, -1, -1, 3), np.uint8, faults)
-    return images
+    wanted = [camera for camera in meta.cameras if camera in stored and (cameras is None or camera in cameras)]
+    return {c: _array(file, schema.image_key(c), (ticks, -1, -1, 3), np.uint8, faults) for c in wanted}
 
 
 def _array(file: h5py.File, key: str, shape: tuple[int, ...], dtype: type, faults: list[EpisodeFault]) -> NDArray[Any]:

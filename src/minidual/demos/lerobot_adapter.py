@@ -54,7 +54,7 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
     if out_dir.exists():
         raise UsageError(f"{out_dir} exists already", remedy="remove it or choose another folder")
     durable.make_folder(out_dir.parent)
-    durable.remove_stale(out_dir)
+    durable.remove_stale(out_dir.parent.glob(f".{out_dir.name}.*.partial"))
     try:
         with durable.replacing(out_dir) as partial:
             written = _write_dataset(partial, out_dir.name, first, paths, robot)

@@ -183,8 +183,7 @@ def _reading(what: Path | str) -> AbstractContextManager[None]:
 
 
 def _read_parquet(root: Path, folder: str) -> Any:
-    paths = sorted((root / folder).glob("chunk-*/file-*.parquet"))
-    if not paths:
+    if not (paths := sorted((root / folder).glob("chunk-*/file-*.parquet"))):
         raise DataError(f"{root} holds no parquet tables under {folder}", remedy=_AGAIN)
     tables: list[Any] = []
     for path in paths:

@@ -3,7 +3,7 @@
 For the jerk, resampling and a zero-phase low-pass make it independent of the rate.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ JERK_FILTER = (
 """The filter in words."""
 
 
-@dataclass(frozen=True)
-class EpisodeQuality:
+class EpisodeQuality(NamedTuple):
     """Measures of one recording.
 
     Attributes:
@@ -125,5 +124,4 @@ def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_
     # Central third difference: (q[+2] - 2 q[+1] + 2 q[-1] - q[-2]) / (2 dt^3).
     third = (smooth[4:] - 2.0 * smooth[3:-1] + 2.0 * smooth[1:-3] - smooth[:-4]) * (0.5 * rate**3)
     trim = round(TRIM_S * rate) - 2
-    jerk = third[trim:-trim]
-    return float(np.sqrt(np.mean(np.sum(jerk**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(third[trim:-trim] ** 2, axis=1))))

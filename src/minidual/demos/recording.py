@@ -8,9 +8,9 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -54,9 +54,7 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
         changed = sorted(key for key in before.keys() | inputs.keys() if before.get(key) != inputs.get(key))
         note = f"an interrupted recording with other inputs ({', '.join(changed)}) was moved to {target}"
     elif begun:
-        halves = [half for half in folder.glob("*/.*.partial") if durable.is_stale(half)]
-        for half in halves:
-            durable.remove(half)
+        halves = durable.remove_stale(folder.glob("*/.*.partial"))
         done = len(list((folder / KEPT).glob("*.hdf5")))
         note = f"an interrupted recording is continued: {done} demonstrations are there"
         note += "".join(f"; removed {half.name}, which is half-written" for half in halves)
@@ -80,8 +78,7 @@ def usable_workers(job: Job, workers: int) -> int:
     return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """All attempts in order."""
 
     attempts: tuple[Attempt, ...]

@@ -5,7 +5,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +120,7 @@ class Attempt:
         row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
         row |= dict.fromkeys(MEASURES, float("nan")) | dict(self.measures)
         row["file"] = self.path.name if self.path and self.quality else ""
-        row |= dict.fromkeys(EpisodeQuality.__dataclass_fields__, "") if self.quality is None else asdict(self.quality)
+        row |= dict.fromkeys(EpisodeQuality._fields, "") if self.quality is None else self.quality._asdict()
         return {key: round(value, 6) if isinstance(value, float) else value for key, value in row.items()}
 
 
@@ -199,7 +199,7 @@ class Rig:
         name = f"episode_{trial.index:06d}.hdf5"
         with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
             try:
-                result = self.lead(trial, lambda tick: writer.append(**vars(tick)))
+                result = self.lead(trial, lambda tick: writer.append(**tick._asdict()))
             except (SimulationDivergedError, PlanningError) as error:
                 return self._concluded(Attempt(trial, False, error.message.splitlines()[0]), began)
             said = {"completion_s": result.outcome.duration_s}

@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from minidual.errors import DataError
 from minidual.robot.pair import GRIPPERS_N
@@ -33,8 +33,7 @@ MAX_SYNC_S = 0.020
 _PLAIN = {"success": bool, "sim": bool, "fps": float, "task": str, "seed": int}  # attributes that are not JSON
 
 
-@dataclass(frozen=True)
-class Field:
+class Field(NamedTuple):
     """One float64 array; `axes` are those of a row."""
 
     name: str

@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,8 +50,7 @@ def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Arra
     return np.clip(q, robot.q_lower + margin, robot.q_upper - margin) if q.any() else q
 
 
-@dataclass(frozen=True)
-class Tick:
+class Tick(NamedTuple):
     """What was measured at one tick, and the command that followed; names and shapes as in the schema."""
 
     timestamps: float
@@ -117,8 +117,7 @@ class TeleopSession:
         world, stack, period_s = self.world, self.stack, 1.0 / self.config.rate_hz
         judge = begin(world, task, trial)
         stack.reset()
-        first = leader.read(0.0)
-        if first is not None:
+        if (first := leader.read(0.0)) is not None:
             check_start(world.robot, self.config.mirror, first[0], world.q)
         self._hand_over(judge)
         # The judge applies the task's own limit to people too.
@@ -136,11 +135,9 @@ class TeleopSession:
             joints = world.stamp_s, world.time, world.q, world.v, world.gripper
             images = self._pictures()
             before = time.perf_counter()
-            reading = leader.read(elapsed_s)
-            if reading is not None:
+            if (reading := leader.read(elapsed_s)) is not None:
                 target = follower_target(world.robot, self.config.mirror, reading[0])
-                command = JointCommand(target, reading[1], joints[0], k)
-                stack.propose(SOURCE, command)
+                stack.propose(SOURCE, JointCommand(target, reading[1], joints[0], k))
             out = stack.arbitrate()
             tick = Tick(*joints, images, out.q_target, out.gripper)
             self._move(judge, 1)

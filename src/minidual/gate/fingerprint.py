@@ -48,8 +48,7 @@ class Code:
 
     def changes(self, now: Code) -> list[str]:
         """Return the modules that differ."""
-        names = self.modules.keys() | now.modules.keys()
-        return sorted(name for name in names if self.modules.get(name) != now.modules.get(name))
+        return sorted(name for name, _, _ in changes(self.modules, now.modules))
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,9 @@ class Fingerprint:
 
     def differences(self, now: Fingerprint) -> list[str]:
         """Return why a verdict with this fingerprint is stale."""
-        reasons = self.choices(now)
-        for name, then, _ in changes(self.inputs, now.inputs):
-            reasons.append(f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}")
+        inputs = changes(self.inputs, now.inputs)
+        told = [f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}" for name, then, _ in inputs]
+        reasons = [*self.choices(now), *told]
         for name, then, current in changes(self.upstream, now.upstream):
             if current is None:
                 reasons.append(f"the verdict of upstream stage {name} is gone")
@@ -106,8 +105,7 @@ class Fingerprint:
         before = {"machine": self.machine, "library": self.libraries}
         after = {"machine": now.machine, "library": now.libraries}
         warnings += [f"{n.replace('.', ' ', 1)}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
-        changed = self.code.changes(now.code)
-        if changed:
+        if changed := self.code.changes(now.code):
             more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
             warnings.append(f"made by other code: {', '.join(changed[:3])}{more} changed since")
         return warnings
@@ -154,10 +152,9 @@ def installed_version(name: str) -> str | None:
 
 
 def _commit() -> str | None:
-    package = Path(minidual.__file__).parent
 
     def git(*words: str) -> str:
-        command = ["git", "-C", str(package), *words]
+        command = ["git", "-C", str(Path(minidual.__file__).parent), *words]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
@@ -171,9 +168,8 @@ def _commit() -> str | None:
 
 def _processor() -> str:
     with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
+        if named := re.search("^model name.*?:(.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE):
+            return named[1].strip()
     return platform.processor()
 
 
@@ -181,19 +177,13 @@ def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
     """Return the code that the targets ("module:attribute") reach; `known` if its files are unchanged."""
     if known is not None and known.modules and _sources(known.modules) == known.sources:
         return known
-    modules: dict[str, str] = {}
-    for target in targets:
-        modules |= _reach(target)
-    modules = dict(sorted(modules.items()))
+    modules = dict(sorted(item for target in targets for item in _reach(target).items()))
     return Code(modules, _sources(modules))
 
 
 def _sources(modules: Iterable[str]) -> str:
-    total = hashlib.sha256()
-    for name in modules:
-        for path in _files(name):
-            total.update(hashlib.sha256(path.read_bytes()).digest())
-    return total.hexdigest()
+    digests = [hashlib.sha256(path.read_bytes()).digest() for name in modules for path in _files(name)]
+    return hashlib.sha256(b"".join(digests)).hexdigest()
 
 
 @cache
@@ -212,8 +202,7 @@ def _reach(target: str) -> dict[str, str]:
 
 @cache
 def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
-    files = _files(name)
-    if not files:
+    if not (files := _files(name)):
         return None
     tree = _Strip().visit(ast.parse(files[0].read_bytes()))
     table = repr(rows_beside(str(files[0]))) if files[1:] else ""
@@ -223,8 +212,7 @@ def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
 
 @cache
 def _spec(name: str) -> ModuleSpec | None:
-    parent = name.rpartition(".")[0]
-    if not parent:
+    if not (parent := name.rpartition(".")[0]):
         return importlib.util.find_spec(name)
     above = _spec(parent)
     folders = above.submodule_search_locations if above else None
@@ -255,7 +243,7 @@ def _reached(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            match = _TARGET.fullmatch(node.value)
-            if match:
-                yield match[1]
+        elif (
+            isinstance(node, ast.Constant) and isinstance(node.value, str) and (match := _TARGET.fullmatch(node.value))
+        ):
+            yield match[1]

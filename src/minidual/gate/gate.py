@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from minidual.config.loader import LoadedConfig
 from minidual.errors import DataError, GateClosedError, UsageError
@@ -16,8 +16,7 @@ from minidual.gate.verdict import CONFIG_FILE, Verdict, manifest_changes, strays
 State = Literal["pass", "fail", "error", "stale", "missing", "incomplete", "blocked"]
 
 
-@dataclass(frozen=True)
-class StageState:
+class StageState(NamedTuple):
     """State of a stage.
 
     Attributes:
@@ -132,12 +131,9 @@ class Gate:
 
     def code_changes(self, name: str) -> dict[str, list[str]]:
         """Return {upstream stage: modules changed since its verdict}."""
-        found: dict[str, list[str]] = {}
-        for upstream, verdict in self.verdicts(name).items():
-            made_by = verdict.fingerprint.code
-            if changed := made_by.changes(self.table[upstream].code(made_by)):
-                found[upstream] = changed
-        return found
+        made_by = {upstream: verdict.fingerprint.code for upstream, verdict in self.verdicts(name).items()}
+        found = {upstream: code.changes(self.table[upstream].code(code)) for upstream, code in made_by.items()}
+        return {upstream: changed for upstream, changed in found.items() if changed}
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
@@ -198,8 +194,7 @@ class Gate:
             *verdict.fingerprint.circumstances(now),
             *(f"{path} is not one of its artefacts" for path in extra if "/" not in path),
         ]
-        attempt = self.store.attempt(name)
-        if attempt is not None:
+        if (attempt := self.store.attempt(name)) is not None:
             warnings.append(f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})")
         return StageState(name, state, tuple(reasons), tuple(warnings), verdict, sha256, folder)
 
@@ -210,7 +205,6 @@ class Gate:
         if attempt is not None:
             began = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
             return StageState(name, "incomplete", (f"{began}, {attempt.message or 'still running'}",))
-        closed = self.closed_by(name)
-        if closed:
+        if closed := self.closed_by(name):
             return StageState(name, "blocked", tuple(f"{item.name} is {item.state}" for item in closed))
         return StageState(name, "missing", ("it has not run",))

@@ -21,8 +21,7 @@ LOCK_FILE = ".lock"
 @contextmanager
 def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[None]:
     """Hold the lock `name` of a run folder; UsageError if another process does."""
-    stream = _acquired(folder, name)
-    if stream is None:
+    if (stream := _acquired(folder, name)) is None:
         raise UsageError(
             f"run '{folder.name}' is being written by {lock_holder(folder) or 'another process'}",
             remedy=f"wait for it to end, or work in another run with --run NAME (this one is {folder})",

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from minidual import emergency
 from minidual.config.loader import LoadedConfig
@@ -25,8 +25,7 @@ class StageCrashedError(MinidualError):
     exit_code = ExitCode.INTERNAL
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """State of a stage after a command, and whether it ran."""
 
     state: StageState
@@ -178,8 +177,7 @@ class Runner:
                 previous = gate.state(name)
                 made = previous.verdict.artefacts if previous.verdict else {}
                 keep_old = bool(entry.keeps or strays(self.store.stage_folder(name), made))
-                kept = self.store.publish(name, verdict, keep_old=keep_old)
-                if kept is not None:
+                if (kept := self.store.publish(name, verdict, keep_old=keep_old)) is not None:
                     self.progress.note(f"the earlier {name} is kept in {kept}")
         except KeyboardInterrupt as stop:
             self.store.abandon(name, "interrupted", str(stop) or "interrupted at the keyboard")

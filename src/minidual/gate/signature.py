@@ -25,8 +25,7 @@ _PUBLIC = re.compile(r"[a-z][\w@.-]+ AAAA[A-Za-z0-9+/]+=*")
 
 
 def _keygen(*words: str | Path, content: bytes) -> subprocess.CompletedProcess[bytes]:
-    program = shutil.which("ssh-keygen")
-    if program is None:
+    if (program := shutil.which("ssh-keygen")) is None:
         raise EnvironmentMissingError(
             "signatures need the program ssh-keygen", remedy="install OpenSSH's client (Debian: openssh-client)"
         )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from minidual.config.base import limits
 from minidual.config.loader import Override
@@ -18,8 +18,7 @@ from minidual.gate.stage import StageFunction, ToolFunction
 from minidual.registry import Registry, load_target
 
 
-@dataclass(frozen=True)
-class Option:
+class Option(NamedTuple):
     """Option of a command.
 
     Attributes:

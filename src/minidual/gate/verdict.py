@@ -47,8 +47,7 @@ class Waiver:
 
 def derive_status(checks: Sequence[Check]) -> Status:
     """Return "pass", "fail", or "error" if no check has a limit."""
-    results = [check.passed for check in checks if check.passed is not None]
-    if not results:
+    if not (results := [check.passed for check in checks if check.passed is not None]):
         return "error"
     return "pass" if all(results) else "fail"
 
@@ -79,8 +78,7 @@ class Verdict:
 
     def __post_init__(self) -> None:
         names = [check.name for check in self.checks]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"stage {self.stage} returned check '{twice[0]}' twice")
 
     @property
@@ -111,9 +109,7 @@ class Verdict:
         return {**body, "digest": digest(body)}
 
 
-@cache
-def _adapter() -> TypeAdapter[Verdict]:
-    return TypeAdapter(Verdict)
+_adapter = cache(TypeAdapter[Verdict])  # made when it is needed: it takes milliseconds
 
 
 def verdict_from_json(record: dict[str, Any]) -> Verdict:
@@ -123,7 +119,7 @@ def verdict_from_json(record: dict[str, Any]) -> Verdict:
     if record.get("digest") != digest({key: record[key] for key in record if key != "digest"}):
         raise DataError("its content does not match its digest: it was edited after it was written")
     try:
-        verdict = _adapter().validate_python(record)
+        verdict = _adapter(Verdict).validate_python(record)
     except (ValueError, TypeError) as error:
         raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
     for key, says, derived in changes(_by_name(record), _by_name(verdict.to_json())):
@@ -157,12 +153,9 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
 
 def build_manifest(folder: Path) -> dict[str, Artefact]:
     """Return {relative posix path: Artefact} of all files."""
-    manifest: dict[str, Artefact] = {}
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        name = path.relative_to(folder).as_posix()
-        if name not in (VERDICT_FILE, ATTEMPT_FILE):
-            manifest[name] = Artefact(file_sha256(path), path.stat().st_size)
-    return manifest
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    own = [name for name in files if name not in (VERDICT_FILE, ATTEMPT_FILE)]
+    return {name: Artefact(file_sha256(files[name]), files[name].stat().st_size) for name in own}
 
 
 def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:

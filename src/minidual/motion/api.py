@@ -3,9 +3,8 @@
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Self, TypedDict, Unpack
+from typing import NamedTuple, Self, TypedDict, Unpack
 
 import numpy as np
 
@@ -25,8 +24,7 @@ from minidual.robot.pair import DUAL_PANDA, Array, Robot
 PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
 
 
-@dataclass(frozen=True, eq=False)
-class PlanResult:
+class PlanResult(NamedTuple):
     """A proven plan.
 
     Attributes:
@@ -59,8 +57,7 @@ _PADDING_MAX_M = 0.02
 _PATIENCE = 1.5
 
 
-@dataclass(frozen=True)
-class Effort:
+class Effort(NamedTuple):
     """Settings of the next attempt: padding, check step, state checks until it gives up."""
 
     padding_m: float
@@ -70,16 +67,12 @@ class Effort:
 
     def after_no_path(self) -> Self:
         """Return less padding, for narrow passages, and more state checks."""
-        return replace(
-            self,
-            padding_m=0.5 * self.padding_m,
-            checks_n=min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX)),
-            fruitless_n=self.fruitless_n + 1,
-        )
+        checks_n = min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX))
+        return self._replace(padding_m=0.5 * self.padding_m, checks_n=checks_n, fruitless_n=self.fruitless_n + 1)
 
     def after_no_proof(self) -> Self:
         """Return `more_padding` and finer steps."""
-        return replace(self, padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
+        return self._replace(padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
         """Return the first planner for four failed searches, then the fallbacks in turn."""

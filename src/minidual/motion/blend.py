@@ -6,8 +6,8 @@ corner meets both straight pieces, twice continuously differentiable.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,8 +85,7 @@ _OF_SEGMENT = 0.45
 _TERMS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothPath:
+class SmoothPath(NamedTuple):
     """Curve q(s), (d,), s in [0, length].
 
     Attributes:
@@ -150,8 +149,7 @@ def _corners(path: Array, radius: float) -> tuple[Array, Array, Array]:
 def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float) -> bool:
     count = max(2, int(np.ceil(2.0 * d / step_rad)))
     x = np.linspace(0.0, 1.0, count + 1)[1:-1, None]
-    Q = vertex - d * u1 + 2.0 * d * (u1 * x + (u2 - u1) * (x**3 - 0.5 * x**4))
-    return checker.all_free(Q)
+    return checker.all_free(vertex - d * u1 + 2.0 * d * (u1 * x + (u2 - u1) * (x**3 - 0.5 * x**4)))
 
 
 def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> SmoothPath:

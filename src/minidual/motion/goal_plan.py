@@ -237,12 +237,9 @@ class GoalPlanner:
     def _frame(self, name: str, q_start: Array, scene: PlanningScene) -> Array:
         if name == "world":
             return np.eye(4)
-        for shape in scene.obstacles:
-            if shape.name == name:
-                return shape.T_parent_shape
-        for held in scene.attached:
-            if held.name == name:
-                return self._frame(held.link, q_start, scene) @ held.shape.T_parent_shape
+        for solid in scene.solids:
+            if solid.name == name:
+                return self._frame(solid.link, q_start, scene) @ solid.shape.T_parent_shape
         model, data = self.planner.kinematics.model, self.planner.kinematics.data
         links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
         if name not in links:

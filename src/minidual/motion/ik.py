@@ -3,7 +3,7 @@
 import functools
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ _REST_ITERATIONS, _REST_STEP_MAX_RAD, _REST_DAMPING = 60, 0.2, 1e-9
 _REST_TOLERANCE_RAD, _REST_MARGIN_RAD = 1e-5, 0.02
 
 
-@dataclass(frozen=True)
-class IKSolution:
+class IKSolution(NamedTuple):
     """Joints q (n,) of one arm and the error."""
 
     q: Array
@@ -291,8 +290,7 @@ def pose_goals(
                 q[arms[side].joints] = part
             combined.append(q)
         combined.sort(key=lambda q: float(np.linalg.norm(q - q_start)))
-        free = list(itertools.islice(filter(engine.solids.free, combined), goals_n))
-        if free:
+        if free := list(itertools.islice(filter(engine.solids.free, combined), goals_n)):
             return free
         if not any(new.values()):
             require_free(engine, combined[0], "goal")

@@ -1,7 +1,7 @@
 """Straight tcp motion, until a pose is out of reach, an arm would jump, or something collides."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -26,8 +26,7 @@ _BACK_OFFS = 6
 _STILL_M = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class LinearMove:
+class LinearMove(NamedTuple):
     """A proven straight move, possibly partial.
 
     Attributes:
@@ -157,8 +156,7 @@ class LinearPlanner:
             keep = len(Q) - 2**back_off + 1
             if keep < 4:
                 break
-            curve = _Curve(marks[:keep], Q[:keep])
-            trajectory, way = time_path(curve, group, self._limits, self._kinematics, limits)
+            trajectory, way = time_path(_Curve(marks[:keep], Q[:keep]), group, self._limits, self._kinematics, limits)
             proof = engines.verify(trajectory)
             if proof.ok:
                 return LinearMove(trajectory, proof, float(marks[keep - 1] / marks[-1]), reason), way
@@ -169,8 +167,7 @@ class LinearPlanner:
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
         hands = [(line, self._ik[arm]) for arm, line in lines.items()]
         off = [line.off(ik.tcp_pose(trajectory.q[k, ik.joints]), float(way[k])) for k in rows for line, ik in hands]
-        worst_m, worst_rad = np.max(off, axis=0).tolist()
-        return worst_m, worst_rad
+        return tuple(np.max(off, axis=0).tolist())
 
 
 def _cut_short(group: str, fraction: float, reason: str) -> LinearMoveError:

@@ -81,11 +81,9 @@ class EdgeChecker:
         self.checks_n += min(free_n + 1, len(Q))
         return free_n == len(Q)
 
-    def edge_free(self, a: Array, b: Array, step_rad: float | None = None) -> bool:
-        """Return whether the edge (dof,) is free, checked every `step_rad`; a itself is not."""
-        count = math.ceil(np.abs(b - a).max() / (step_rad or self.step_rad))
-        if count == 0:
-            return True
+    def edge_free(self, a: Array, b: Array) -> bool:
+        """Return whether the edge (dof,) is free, checked every `step_rad` of the checker; a itself is not."""
+        count = math.ceil(np.abs(b - a).max() / self.step_rad)
         return self.all_free(a + bisection_order(count)[:, None] * (b - a))
 
 
@@ -105,9 +103,7 @@ class _Motion(ob.MotionValidator):
 def bounded_space(lower: Array, upper: Array) -> Any:
     """Return OMPL's space within limits (d,)."""
     space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
-    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
-        bounds.setLow(i, low)
-        bounds.setHigh(i, high)
+    bounds.low, bounds.high = lower.tolist(), upper.tolist()
     space.setBounds(bounds)
     return space
 

@@ -5,8 +5,7 @@ Joints are found by `actuator_trnid`: ids and names are unreliable.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,8 +21,7 @@ from minidual.robot.pair import DUAL_PANDA, Array, Robot
 IntArray = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class JointAddresses:
+class JointAddresses(NamedTuple):
     """Indices of joints, each (n,)."""
 
     qpos: IntArray
@@ -55,12 +53,9 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
                     remedy="check the joint's prefix, and that an actuator's transmission drives it",
                 )
     index = np.array([joints[name] for name in names])
-    addresses = JointAddresses(
-        model.jnt_qposadr[index].astype(np.int64),
-        model.jnt_dofadr[index].astype(np.int64),
-        np.array([actuators[name] for name in names]),
-    )
-    for name, index in zip(names, addresses.ctrl, strict=True):
+    qpos, qvel = (addresses[index].astype(np.int64) for addresses in (model.jnt_qposadr, model.jnt_dofadr))
+    ctrl = np.array([actuators[name] for name in names])
+    for name, index in zip(names, ctrl, strict=True):
         is_servo = int(model.actuator_biastype[index]) != int(mujoco.mjtBias.mjBIAS_NONE)
         if is_servo == torque:
             have, need = ("a position servo", "a torque motor") if torque else ("a torque motor", "a position servo")
@@ -70,7 +65,7 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
             )
         if torque and float(model.actuator_gear[index, 0]) * float(model.actuator_gainprm[index, 0]) != 1.0:
             raise UsageError(f"actuator '{model.actuator(int(index)).name}' scales its torque; gear x gain must be 1")
-    return addresses
+    return JointAddresses(qpos, qvel, ctrl)
 
 
 _LOOK = rows_beside(__file__)
@@ -125,9 +120,7 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
         spec.joint(name).armature = robot.hand.finger_armature_kg
     for arm in robot.sides:
         fingers = robot.hand_links(arm)[1:]
-        for body in spec.bodies:
-            if not body.name.startswith(f"{arm}_"):
-                continue
+        for body in [body for body in spec.bodies if body.name.startswith(f"{arm}_")]:
             for index, geom in enumerate(body.geoms):
                 geom.name = f"{body.name}_collision{index}"
                 geom.group = GROUP_COLLISION

@@ -51,8 +51,7 @@ class Camera(AbstractContextManager["Camera"]):
     def picture(self, data: mujoco.MjData, camera: str) -> Image:
         """Return the image (H, W, 3) of `camera`."""
         self._update(data, camera)
-        image = self._renderer.render()
-        return _shrunk(image, self._supersample)
+        return _shrunk(self._renderer.render(), self._supersample)
 
     def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
         """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""

@@ -164,6 +164,7 @@ def replay(
         if on_step is not None:
             on_step(world)
     then, now = recording.libraries, versions()
+    differ = [name for name in now if then.get(name) != now[name]]
     return Replayed(
         from_s=start + first * recording.dt_s,
         to_s=start + done * recording.dt_s,
@@ -172,11 +173,7 @@ def replay(
         largest_deviation=largest,
         deviates=deviates,
         model_changed=tuple(changed),
-        versions_differ=tuple(
-            {"name": name, "was": then.get(name, "none"), "is": now[name]}
-            for name in now
-            if then.get(name) != now[name]
-        ),
+        versions_differ=tuple({"name": name, "was": then.get(name, "none"), "is": now[name]} for name in differ),
         first=tuple(signs.values()),
         ended=ended,
     )

@@ -100,8 +100,7 @@ def load_demonstrations(
         UsageError: Unknown camera.
     """
     tables = read_dataset(root)
-    wanted = sorted(cameras or tables.cameras)
-    images = {camera: tables.images(camera, progress, folder=folder) for camera in wanted}
+    images = {camera: tables.images(camera, progress, folder=folder) for camera in sorted(cameras or tables.cameras)}
     return Demonstrations(images, tables.state, tables.action, tables.episode_index)
 
 

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,8 +81,7 @@ class TrainResult:
     curve: list[LossRow] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class Training:
+class Training(NamedTuple):
     """What to train a policy on; `resume_dir` keeps an interrupted training."""
 
     demos: Demonstrations

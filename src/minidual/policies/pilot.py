@@ -50,8 +50,7 @@ def _taken(picture: Picture, name: str, world: World) -> Image:
     try:
         image, stamp_s = picture(name)
     except Exception as error:  # drivers raise anything
-        why = f"{type(error).__name__}: {error}"
-        raise PolicyStoppedError("camera_failed", camera=name, error=why) from error
+        raise PolicyStoppedError("camera_failed", camera=name, error=f"{type(error).__name__}: {error}") from error
     age_s = world.time - stamp_s
     if not -PICTURE_AGE_MAX_S <= age_s <= PICTURE_AGE_MAX_S:
         raise PolicyStoppedError("stale_picture", camera=name, age_s=age_s, limit_s=PICTURE_AGE_MAX_S)

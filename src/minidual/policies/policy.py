@@ -5,9 +5,8 @@ The runtime runs `n_action_steps` of each chunk, then blends in the next: they d
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,7 @@ from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import Plausible
 from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
-CELL_PX = 8
-Limits = tuple[Array, Array]
-"""Lower and upper (n,) [rad]."""
+CELL_PX, _SAMPLES_N = 8, 256
 
 
 class PolicyRuntime:
@@ -35,7 +32,12 @@ class PolicyRuntime:
     """
 
     def __init__(
-        self, policy: ChunkPolicy, *, n_action_steps: int = 25, blend_ticks: int = 8, limits: Limits | None = None
+        self,
+        policy: ChunkPolicy,
+        *,
+        n_action_steps: int = 25,
+        blend_ticks: int = 8,
+        limits: tuple[Array, Array] | None = None,
     ) -> None:
         self.policy, self.joints_n, self.cameras = policy, policy.dim - GRIPPERS_N, policy.cameras
         if not 1 <= n_action_steps <= policy.chunk_size:
@@ -137,8 +139,7 @@ class PolicyRuntime:
         return np.ascontiguousarray(image)
 
 
-@dataclass(frozen=True)
-class EmittedActions:
+class EmittedActions(NamedTuple):
     """Actions predicted on recorded observations; NaN for other arms.
 
     Attributes:
@@ -153,13 +154,11 @@ class EmittedActions:
     inference_hz: float
 
 
-def exercise_checkpoint(
-    checkpoint: Path, demos: Demonstrations, robot: Robot, *, samples: int = 256, device: str = "cpu"
-) -> EmittedActions:
-    """Run `checkpoint` on `samples` evenly spaced ticks, without clamping."""
+def exercise_checkpoint(checkpoint: Path, demos: Demonstrations, robot: Robot, device: str = "cpu") -> EmittedActions:
+    """Run `checkpoint` on evenly spaced ticks, without clamping."""
     runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0)
     chunks = []
-    for row in np.linspace(0, len(demos) - 1, min(samples, len(demos))).astype(np.int64):
+    for row in np.linspace(0, len(demos) - 1, min(_SAMPLES_N, len(demos))).astype(np.int64):
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
         chunks.append(runtime.predict_chunk(images, demos.state[row].astype(np.float64)))
     raw = np.concatenate(chunks)

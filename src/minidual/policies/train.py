@@ -53,9 +53,8 @@ class _State:
 def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult, Trained]:
     """Train the policy built from statistics; see `PolicyKind.train`."""
     demos, config, seed = job.demos, job.config, job.seed
-    training, validation = split_episodes(
-        list(demos.episode_bounds()), config.validation_fraction, stream(seed, "train.split")
-    )
+    episodes, rng = list(demos.episode_bounds()), stream(seed, "train.split")
+    training, validation = split_episodes(episodes, config.validation_fraction, rng)
     rows = demos.rows_of(training)
     stats = dataset_statistics(demos, rows, config.std_floor)
     devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
@@ -106,9 +105,8 @@ class _Loop:
         count = min(VALIDATION_ROWS, len(validation_rows))
         self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
-        self.optimiser = torch.optim.AdamW(
-            self.parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-        )
+        rate, decay = config.learning_rate, config.weight_decay
+        self.optimiser = torch.optim.AdamW(self.parameters, lr=rate, weight_decay=decay, fused=True)
         self.average = [p.detach().clone() for p in self.parameters]
         self.state = _State()
         self.progress = None if job.resume_dir is None else job.resume_dir / PROGRESS_FILE

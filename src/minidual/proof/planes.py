@@ -63,11 +63,7 @@ def _turned(R: Array, a: Any) -> Vector:
 
 @inlined
 def _turned_back(R: Array, a: Any) -> Vector:
-    return (
-        R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
-        R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
-        R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2],
-    )
+    return _dot(R[:, 0], a), _dot(R[:, 1], a), _dot(R[:, 2], a)
 
 
 @inlined
@@ -174,18 +170,6 @@ def _on_triangle(a: Vector, b: Vector, c: Vector) -> Vector:
 
 
 @inlined
-def _outside(a: Vector, b: Vector, c: Vector, inner: Vector) -> bool:
-    """Return whether the origin is not strictly on the triangle's inner side."""
-    normal = _cross(_minus(b, a), _minus(c, a))
-    return not -_dot(normal, a) * _dot(normal, _minus(inner, a)) > 0.0
-
-
-@inlined
-def _mix(weights: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
-    return _plus(_plus(_times(weights[0], a), _times(weights[1], b)), _times(weights[2], c))
-
-
-@inlined
 def _nearest(S: Array, count: int) -> tuple[int, Vector]:
     """Return (count, point), the simplex's nearest point to the origin, and drop unneeded rows."""
     weights = (1.0, 0.0, 0.0)
@@ -202,9 +186,11 @@ def _nearest(S: Array, count: int) -> tuple[int, Vector]:
         for face in range(4):
             r, s, t = (1 if face == 0 else 0), (2 if face <= 1 else 1), (3 if face <= 2 else 2)
             a, b, c = _vector(S[r]), _vector(S[s]), _vector(S[t])
-            if _outside(a, b, c, _vector(S[face])):
+            normal = _cross(_minus(b, a), _minus(c, a))
+            # The origin is not strictly on the face's inner side.
+            if not -_dot(normal, a) * _dot(normal, _minus(_vector(S[face]), a)) > 0.0:
                 here = _on_triangle(a, b, c)
-                point = _mix(here, a, b, c)
+                point = _plus(_plus(_times(here[0], a), _times(here[1], b)), _times(here[2], c))
                 square = _dot(point, point)
                 if square < least:
                     least, weights, i, j, k = square, here, r, s, t
@@ -356,8 +342,7 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
             total += away
             off[c] = max(off[c], away)
     if not total < np.inf:  # `max` drops NaN, the sum does not
-        for c in range(q.shape[1]):
-            off[c] = np.inf
+        off[:] = np.inf
 
 
 @inlined

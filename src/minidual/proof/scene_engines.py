@@ -10,8 +10,7 @@ Limits are checked midway between samples too, torque at every fourth sample.
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core import types
@@ -136,8 +135,7 @@ CLEARANCE_MAX_M = 0.04
 """Largest clearance reported."""
 
 
-@dataclass(frozen=True)
-class Verification:
+class Verification(NamedTuple):
     """Certificate and use of limits.
 
     Attributes:
@@ -158,8 +156,7 @@ class Verification:
     samples_n: int
 
 
-@dataclass(frozen=True)
-class Audit:
+class Audit(NamedTuple):
     """Result of dense sampling.
 
     Attributes:

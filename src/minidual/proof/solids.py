@@ -6,26 +6,23 @@ link lengths plus the part's radius.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.engines import convex_solids, robot_geometry
+from minidual.collision.engines import BOX_CORNERS, convex_solids, robot_geometry
 from minidual.collision.scene import PlanningScene
 from minidual.proof import planes
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics, hinges
 from minidual.robot.pair import SIDES, Array, Robot
 
-_BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """Vertices (n, 3) [m] in a joint's frame; rows of `planes.SOLID`, counted from 0, of `planes.PART` and reach."""
 
     vertices: Array
@@ -167,7 +164,7 @@ def _corners(shape: Any) -> tuple[Array, float, float]:
         case coal.Cylinder():
             return _ENDS * shape.halfLength, 0.0, shape.radius
         case coal.Box():
-            return _BOX_CORNERS * shape.halfSide, 0.0, 0.0
+            return BOX_CORNERS * shape.halfSide, 0.0, 0.0
         case coal.ConvexBase():
             return np.array(shape.points()), 0.0, 0.0
         case _:

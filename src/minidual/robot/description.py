@@ -8,9 +8,8 @@ import functools
 import importlib.metadata
 import itertools
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +22,7 @@ _PREFIX = "cmeel.prefix/share"
 """Data folder of cmeel wheels."""
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """One link of an arm or hand.
 
     Attributes:
@@ -119,15 +117,10 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
 
 
 @functools.cache
-def materials(address: str) -> dict[str, tuple[float, float, float, float]]:
+def materials(address: str) -> dict[str, tuple[float, ...]]:
     """Return named rgba colours."""
-    colours = {}
-    for material in _document(address).iter("material"):
-        colour = material.find("color")
-        if colour is not None:
-            r, g, b, a = map(float, colour.attrib["rgba"].split())
-            colours[material.attrib["name"]] = (r, g, b, a)
-    return colours
+    found = [(m.attrib["name"], m.find("color")) for m in _document(address).iter("material")]
+    return {name: tuple(map(float, c.attrib["rgba"].split())) for name, c in found if c is not None}
 
 
 @functools.cache
@@ -159,12 +152,9 @@ def collision_links(robot: Robot) -> tuple[str, ...]:
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     """Return pairs that never touch, by SRDF files and arm model."""
     known = {e.attrib["name"] for e in arm_elements(arm) if e.tag == "link"}
-    pairs: dict[tuple[str, str], None] = {}
-    for address in filter(None, (arm.srdf, arm.hand.srdf)):
-        for element in ET.parse(file_at(address)).getroot().iter("disable_collisions"):
-            pairs[element.attrib["link1"], element.attrib["link2"]] = None
-    pairs.update(dict.fromkeys(arm.never_touch))
-    return tuple(pair for pair in pairs if known.issuperset(pair))
+    roots = [ET.parse(file_at(address)).getroot() for address in (arm.srdf, arm.hand.srdf) if address]
+    told = [(e.attrib["link1"], e.attrib["link2"]) for root in roots for e in root.iter("disable_collisions")]
+    return tuple(pair for pair in dict.fromkeys([*told, *arm.never_touch]) if known.issuperset(pair))
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
@@ -206,7 +196,7 @@ def mujoco_urdf(robot: Robot) -> str:
 
 FACES_PER_ARM = 9000
 """Target triangles per arm (the Panda's files: 134,300), for rendering on a CPU."""
-_Colour = tuple[float, float, float, float]
+_Colour = tuple[float, ...]
 VisualMesh = tuple[str, npt.NDArray[np.float32], npt.NDArray[np.int32], _Colour]
 """One single-colour mesh: link without side prefix, vertices (V, 3) [m], faces (F, 3), rgba in 0..1."""
 _SHRINK_MAX_M = 0.01  # a link that shrinks by more was cut
@@ -232,8 +222,7 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
             named = None if material is None else colours.get(material.attrib["name"])
             for colour, vertices, faces in _coloured(Path(mesh.attrib["filename"]), named):
                 parts.append((link.attrib["name"], colour, (vertices * scale) @ R.T + xyz, faces))
-    total = sum(len(faces) for *_, faces in parts)
-    reduction = max(0.0, 1.0 - FACES_PER_ARM / total)
+    reduction = max(0.0, 1.0 - FACES_PER_ARM / sum(len(faces) for *_, faces in parts))
     visuals: list[VisualMesh] = []
     for name, of_link in itertools.groupby(parts, key=lambda part: part[0]):
         _, colours_of, vertices, faces = zip(*of_link, strict=True)

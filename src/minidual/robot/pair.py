@@ -8,7 +8,7 @@ Quaternions are wxyz. The world's origin is on the table top between the bases; 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +24,7 @@ SIDES: tuple[str, str] = ("left", "right")
 GRIPPERS_N = len(SIDES)
 
 
-@dataclass(frozen=True)
-class HandModel:
+class HandModel(NamedTuple):
     """A parallel gripper; names have no side prefix.
 
     Attributes:
@@ -98,10 +97,8 @@ class ArmModel:
     def __post_init__(self) -> None:
         """Raise ValueError for limits of wrong length."""
         for name in ("home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max"):
-            if len(getattr(self, name)) != len(self.joints):
-                raise ValueError(
-                    f"arm '{self.name}': {name} has {len(getattr(self, name))} of {len(self.joints)} entries"
-                )
+            if (n := len(getattr(self, name))) != len(self.joints):
+                raise ValueError(f"arm '{self.name}': {name} has {n} of {len(self.joints)} entries")
 
 
 def _of_both(values: tuple[float, ...]) -> Array:
@@ -232,10 +229,7 @@ def rotation_log(R: Array) -> Array:
 def rotation_from_quat(quat_wxyz: Array) -> Array:
     """Return the rotation."""
     w, x, y, z = quat_wxyz  # not Pinocchio: a command that asks for tasks need not import it
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    first = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    second = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    third = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return np.array([first, second, third])

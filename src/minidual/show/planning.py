@@ -3,7 +3,6 @@
 import itertools
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,7 @@ def play(view: View, poser: Poser, trajectory: Trajectory, title: str, *, rounds
     """
     end = poser.place(trajectory.q[-1]).qpos.copy()
     words = Overlay(title=title, mode="moveit", source="planner", state="played, not simulated")
-    words = replace(words, preview=replace(tcp_preview(poser.kinematics, trajectory.q), ghosts=(end,)))
+    words = words._replace(preview=tcp_preview(poser.kinematics, trajectory.q)._replace(ghosts=(end,)))
     view.open(poser.model)
     for done in itertools.count(1):
         status = ", ".join(text for text in (note, f"{trajectory.duration_s:.2f} s of motion, round {done}") if text)
@@ -79,7 +78,7 @@ def play(view: View, poser: Poser, trajectory: Trajectory, title: str, *, rounds
             t = time.monotonic() - began
             if view.due():
                 shown_s = min(t, trajectory.duration_s)
-                view.update(poser.place(trajectory.sample(t)[0]), replace(words, time_s=shown_s, status=status))
+                view.update(poser.place(trajectory.sample(t)[0]), words._replace(time_s=shown_s, status=status))
             time.sleep(0.005)
         if done == rounds_n or not view.alive:
             return
@@ -91,16 +90,14 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Outcomes) -> 
         first = next((o for o in done if o.result is not None), None)
         if view is not None and first is not None and first.result is not None:
             title, note = f"plan, {group}, query {first.query.index}", f"planned in {1e3 * first.total_s:.0f} ms"
-            found = first.result.trajectory
-            play(view, Poser(config, first.query.scene), found, title, rounds_n=1, note=note)
+            play(view, Poser(config, first.query.scene), first.result.trajectory, title, rounds_n=1, note=note)
 
 
 def write_paths(path: Path, config: SceneConfig, outcomes: Outcomes) -> None:
     """Draw each group's longest solved trajectory, if possible one that needed a search."""
     shown: list[tuple[str, Any]] = []
     for group, done in outcomes.items():
-        solved = [(o, o.result) for o in done if o.result is not None]
-        if solved:
+        if solved := [(o, o.result) for o in done if o.result is not None]:
             o, result = max(solved, key=lambda pair: (not pair[1].direct, pair[1].trajectory.duration_s))
             title = f"{group}, query {o.query.index}: planned in {1e3 * o.total_s:.0f} ms, lasts {result.trajectory.duration_s:.2f} s"
             shown += zip((title, ""), _renders(config, o.query.scene, result.trajectory), strict=True)
@@ -173,8 +170,7 @@ def write_times(outcomes: Outcomes, path: Path, median_max_s: Mapping[str, float
             median = float(np.median(solved))
             spread.plot([median, median], ends, color=INK, lw=2)
             spread.annotate(f"{median:.1f} ms", (median, row + 0.33), ha="center", va="bottom", fontsize=9)
-        limit = median_max_s[group]
-        if limit is not None:
+        if (limit := median_max_s[group]) is not None:
             spread.plot([limit * 1e3] * 2, ends, color=LIMIT, lw=1.6, ls="--")
     spread.set_xscale("log")
     spread.xaxis.set_major_formatter("{x:g}")

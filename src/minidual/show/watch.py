@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -45,8 +45,7 @@ def overlay(world: World, words: Overlay) -> Overlay:
     forces = np.sum([thing.forces() for thing in objects], axis=0)
     hands = zip(world.robot.tcp_names, forces, ARM_RGB, strict=True)
     left, right = np.max([thing.pinch() for thing in objects], axis=0)
-    return replace(
-        words,
+    return words._replace(
         time_s=world.time,
         pinch_n=(float(left), float(right)),
         internal_n=max(thing.internal_force() for thing in objects),
@@ -119,7 +118,7 @@ def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
             if isinstance(stack, ControlStack):
                 narrate = StackNarrator(stack, bench.kinematics, title, lambda: (method.phase, method.aborted))
             else:  # the method computes torques itself
-                narrate = lambda: replace(words, state=method.phase, status=method.aborted or "")  # noqa: E731
+                narrate = lambda: words._replace(state=method.phase, status=method.aborted or "")  # noqa: E731
         watcher(world)
 
     return hook
@@ -127,14 +126,12 @@ def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
 
 def watch_recording(view: View | None) -> Observe | None:
     """Return the `observe` argument of `record`; None without a view."""
-    if view is None:
-        return None
+    return None if view is None else functools.partial(_demonstration, view)
 
-    def observe(rig: Rig, index: int) -> AbstractContextManager[None]:
-        narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
-        return watched(view, rig.world, narrate)
 
-    return observe
+def _demonstration(view: View, rig: Rig, index: int) -> AbstractContextManager[None]:
+    narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
+    return watched(view, rig.world, narrate)
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:

@@ -70,8 +70,7 @@ def run(context: StageContext) -> StageResult:
         "success_low": summary["success_low"],
         "goal_error_max_m": float(np.max([m.goal_error_m for m in results])),
         "pinch_force_min_n": float(np.min([m.pinch_force_min_n for m in results])),
-        "duration_median_s": summary["duration_median_s"],
-        "jerk_rms_median": summary["jerk_rms_median"],
+        **{name: summary[name] for name in ("duration_median_s", "jerk_rms_median")},
     }
     checks = carry_checks(results, config.carry.limits, task.scene.task)
     checks += worded("carry", reported, jerk_filter=JERK_FILTER)

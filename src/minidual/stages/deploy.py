@@ -60,8 +60,7 @@ def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, set
     """Return the checks; without `settings.judge_success` the rate is only reported (smoke)."""
     rows: Rows = {
         "success_rate": (held_out["success_rate"], ">", settings.success_rate_min if settings.judge_success else None),
-        "success_low": held_out["success_low"],
-        "success_high": held_out["success_high"],
+        **{name: held_out[name] for name in ("success_low", "success_high")},
         "trials": (held_out.trials_n, ">=", settings.trials),
         "held_out_starts_seen": (seen_n, "==", 0),
         "inference_hz": (inference_hz, ">", settings.inference_hz_min),
@@ -107,8 +106,7 @@ def run(context: StageContext) -> StageResult:
     checks += _looks(context, checkpoints[0], starts["held_out"][0])
     clear_m = make_task(config).scene.task.clear_height_m
     undisturbed = [r for name in starts for r in results[name]]
-    errors = [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]
-    if errors:
+    if errors := [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
 

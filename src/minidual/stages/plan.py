@@ -48,8 +48,7 @@ def run(context: StageContext) -> StageResult:
     moves, executions, undriven = run_held(context)
     checks, every = list[Check](), list[Outcome]()
     for prefix, ending, of in (("", "", outcomes), ("second_seed.", "_second_seed", second)):
-        asked = [o for done in of.values() for o in done]
-        if asked:
+        if asked := [o for done in of.values() for o in done]:
             write_csv(folder / f"queries{ending}.csv", [o.row() for o in asked])
             checks += [check for group, done in of.items() for check in group_checks(group, done, config, prefix)]
         every += asked
@@ -85,8 +84,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, pr
     }
     goal_s, names = _GOAL_S[group], {"core_share": core_share, "blocked_n": blocked_n, "queries_n": len(outcomes)}
     names |= {"excellent_s": _EXCELLENT_S[group], "goal_s": goal_s}
-    reached = "reached" if median < goal_s else "missed"
-    return worded("plan", rows, f"{prefix}{group}.", reached=reached, **names)
+    return worded("plan", rows, f"{prefix}{group}.", reached="reached" if median < goal_s else "missed", **names)
 
 
 def common_checks(
@@ -137,9 +135,8 @@ def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
                 executions.append(execute(trajectory, world))
             task.advance(note="driven")
     write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
-    lines = list[str]()
-    for name, done in outcomes.items():
-        lines += [f"held move {o.move.index} of the {name} seed failed: {o.message}" for o in done if not o.ok]
+    failed = [(name, o) for name, done in outcomes.items() for o in done if not o.ok]
+    lines = [f"held move {o.move.index} of the {name} seed failed: {o.message}" for name, o in failed]
     return outcomes, executions, [*lines, *undriven]
 
 

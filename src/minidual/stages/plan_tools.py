@@ -69,8 +69,7 @@ def _scene(context: ToolContext, robot: Robot) -> tuple[PlanningScene, list[str]
 def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     GROUP_ARMS[group]  # refuses an unknown name
     config = context.config
-    robot = robot_from(config.robot)
-    scene, notes = _scene(context, robot)
+    scene, notes = _scene(context, robot_from(config.robot))
     planner = GoalPlanner(Planner(scene, config.plan.planner), config.semantics)
     q_home = planner.states.joints("home", "both_arms", planner.robot.home)
     start = goal_of(context.options.get("from", "home"), planner.states)
@@ -134,8 +133,7 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
-    far = clearance_m >= CLEARANCE_MAX_M
-    text = f"{'at least ' if far else ''}{clearance_m * 1e3:.1f} mm"
+    text = f"{'at least ' if clearance_m >= CLEARANCE_MAX_M else ''}{clearance_m * 1e3:.1f} mm"
     return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
 
 
@@ -146,7 +144,7 @@ def _document(group: str, result: PlanResult, targets: Targets) -> dict[str, Any
         "duration_s": result.trajectory.duration_s,
         **{name: getattr(result, name) for name in ("total_s", "times_s", "attempts_n", "direct", "notes")},
         "q_goal_rad": result.q_goal.tolist(),
-        "proof": dataclasses.asdict(result.verification),
+        "proof": result.verification._asdict(),
         "digest": result.trajectory.digest(),
         "files": {name: str(path) for name, path in targets.items() if path is not None},
     }

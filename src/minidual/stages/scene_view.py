@@ -63,12 +63,12 @@ def view_scene(context: ToolContext) -> ToolResult:
     world, kinematics = World(task_config(context.config).scene, robot), Kinematics(robot)
     stack, brake, sequence = ControlStack(world, kinematics, context.config.arbiter), Brake(1.0), itertools.count(1)
     stack.request(_SOURCE)
-    view.offer(joint_sliders(robot))
+    view.panel.offer(joint_sliders(robot))
     narrate = StackNarrator(stack, kinematics, "the scene, moved by the sliders")
     with interruptions() as stop, watched(view, world, narrate):
         began = time.monotonic()
         while view.alive and not stop.is_set() and time.monotonic() - began < for_s:
-            *joints, left, right = view.slider_values()
+            *joints, left, right = view.panel.values()
             target = np.clip(joints, robot.q_lower, robot.q_upper)
             stack.propose(_SOURCE, JointCommand(target, np.array([left, right]), world.time, next(sequence)))
             for _ in range(round(_SLICE_S / world.dt)):

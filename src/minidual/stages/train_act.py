@@ -23,10 +23,8 @@ def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConf
         "targets_n": (emitted.targets_n, "==", robot.dof + GRIPPERS_N),
         "train_s": (result.train_s, "<=", config.train_s_max),
         "steps_done": (result.steps, "==", result.steps_asked),
-        "samples_per_s": result.samples_per_s,
-        "parameters": result.parameters,
-        "overshoot_max_rad": emitted.overshoot_max_rad,
-        "inference_hz": emitted.inference_hz,
+        **{name: getattr(result, name) for name in ("samples_per_s", "parameters")},
+        **{name: getattr(emitted, name) for name in ("overshoot_max_rad", "inference_hz")},
     }
     held_out = {name: getattr(result, name) for name in ("validation_l1", "validation_keyframe_rad")}
     return worded("train-act", {**rows, **{name: value for name, value in held_out.items() if value is not None}})

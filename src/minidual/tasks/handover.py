@@ -1,6 +1,5 @@
 """Handover: the hand on the bottle's side fetches it, the other takes it in the air."""
 
-import itertools
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -14,12 +13,8 @@ from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, plac
 
 _VALUES = rows_beside(__file__)
 # Exchange poses if the left hand gives.
-_MEETINGS = tuple(
-    pose(rot_z(yaw), xyz)
-    for xyz, yaw in itertools.product(
-        ((0.56, -0.03, 0.30), (0.50, 0.0, 0.36), (0.52, -0.12, 0.36), (0.56, -0.10, 0.30)), (0.1, 0.4, -0.2)
-    )
-)
+_MEETINGS_M = ((0.56, -0.03, 0.30), (0.50, 0.0, 0.36), (0.52, -0.12, 0.36), (0.56, -0.10, 0.30))
+_MEETINGS = tuple(pose(rot_z(yaw), xyz) for xyz in _MEETINGS_M for yaw in (0.1, 0.4, -0.2))
 # Places on the table for another grasp.
 _ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
 # Hand pointing along the bottle's x axis, closing along y: across the giver's fingers, which else give way.
@@ -93,5 +88,4 @@ def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...
     """Return the conditions; the yaw of a bottle does not matter."""
     found = (c for c in transported(task, trial, both=False) if not isinstance(c, success.Turned))
     level, held, carried, rose, *rest = found
-    exchanged = success.Exchanged(task.carried, task.scene.task.pinch_min_n)
-    return level, held, carried, rose, exchanged, *rest
+    return level, held, carried, rose, success.Exchanged(task.carried, task.scene.task.pinch_min_n), *rest

@@ -19,7 +19,6 @@ def with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _ROWS: dict[str, dict[str, dict[str, Any]]] = rows_beside(__file__)
-OBJECTS: Registry[Mapping[str, Any]] = Registry("object", group="minidual.objects")
-for _name, _row in _ROWS["objects"].items():
-    OBJECTS.add(_name, with_pinch(_row))
+_OBJECTS = {name: with_pinch(row) for name, row in _ROWS["objects"].items()}
+OBJECTS: Registry[Mapping[str, Any]] = Registry("object", _OBJECTS, group="minidual.objects")
 MOTIONS: Registry[Mapping[str, Any]] = Registry("motion", _ROWS["motions"], group="minidual.motions")

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,8 +43,7 @@ def sort(config: Config) -> Task:
     marks = tuple(mark for colour in COLOURS for mark in _bin(colour))
     bodies = {"scene.object": cubes[0], "scene.more": tuple(cubes[1:]), "scene.marks": marks}
     config = preset(config, {**bodies, **_ROWS["values"]})
-    down = pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m))
-    grasps = dict.fromkeys(SIDES, down)
+    grasps = dict.fromkeys(SIDES, pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m)))
     return Task(
         name="sort",
         instruction="Put the red cubes into the red bin on the left and the blue ones into the blue bin on the right.",
@@ -152,8 +152,7 @@ class _Placed(success.SuccessCondition):
         return sum(all(part.holds(truth) for part in parts) for parts in self._ends) >= self._count
 
 
-@dataclass(frozen=True)
-class _Job:
+class _Job(NamedTuple):
     name: str
     arm: str
     y_from: float

@@ -6,9 +6,8 @@ median difference.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +35,7 @@ _Starts = dict[int, TrialMetrics]
 type Draw = Callable[[int], Trial]
 
 
-@dataclass(frozen=True)
-class BenchmarkCell:
+class BenchmarkCell(NamedTuple):
     """One method under one condition.
 
     Attributes:
@@ -95,7 +93,7 @@ def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: Me
 def under_condition(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> tuple[MethodInputs, Draw]:
     """Return the inputs under a condition, and the draw of its trials."""
     under = condition(name)
-    given = replace(inputs, config=under.config_under(inputs.config))
+    given = inputs._replace(config=under.config_under(inputs.config))
     task = make_task(given.config)
     return given, lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
 
@@ -130,14 +128,11 @@ def run_benchmark(
     for method in methods:
         for name, n in trials_n.items():
             under, (given, trial) = condition(name), drawn[name]
-            reason = _why_not(method, name, inputs)
-            if reason:
+            if reason := _why_not(method, name, inputs):
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
-            rows: list[TrialMetrics] = []
-            for result in run_trials(
-                method, given, [*map(trial, range(n))], workers=workers, condition=name, watch=watch
-            ):
+            rows, asked = list[TrialMetrics](), [*map(trial, range(n))]
+            for result in run_trials(method, given, asked, workers=workers, condition=name, watch=watch):
                 rows.append(result)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")
@@ -194,8 +189,7 @@ def _starts(trials: Sequence[TrialMetrics], method: str, under: str) -> _Starts:
 
 
 def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) -> list[dict[str, Cell]]:
-    shared = sorted(one.keys() & two.keys())
-    if not shared:
+    if not (shared := sorted(one.keys() & two.keys())):
         return []
     won = [(one[i].success, two[i].success) for i in shared]
     both, first, second, neither = (won.count((a, b)) for a in (True, False) for b in (True, False))
@@ -213,8 +207,7 @@ def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) 
     return [{k: NO_PAIR if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}]
 
 
-@dataclass(frozen=True)
-class Robustness:
+class Robustness(NamedTuple):
     """A method under one condition.
 
     Attributes:

@@ -7,10 +7,9 @@ A method drives a world through one trial: `step()` until `done`, without readin
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
@@ -57,8 +56,7 @@ class Method(Protocol):
 type Factory = Callable[[World, Kinematics, Trial], Method]
 
 
-@dataclass(frozen=True)
-class MethodInputs:
+class MethodInputs(NamedTuple):
     """Inputs of a factory; `trained`: the checkpoint's task, empty for the configured one."""
 
     config: Config
@@ -67,8 +65,7 @@ class MethodInputs:
     trained: str = ""
 
 
-@dataclass(frozen=True)
-class MethodSpec:
+class MethodSpec(NamedTuple):
     """One row of the table.
 
     Attributes:
@@ -96,7 +93,7 @@ class MethodSpec:
 
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
-        return load_target(self.target)(replace(inputs, config=changed(inputs.config, self.settings)))
+        return load_target(self.target)(inputs._replace(config=changed(inputs.config, self.settings)))
 
 
 _CANNOT: dict[str, Callable[[Task, str], str]] = {

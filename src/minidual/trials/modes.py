@@ -28,8 +28,7 @@ def parse_modes(text: str) -> tuple[str, ...]:
     Raises:
         UsageError: Unknown or no mode, or one twice in sequence.
     """
-    modes = tuple(m.strip() for m in text.split(",") if m.strip())
-    if not modes:
+    if not (modes := tuple(m.strip() for m in text.split(",") if m.strip())):
         raise UsageError("no mode named", remedy=f"--modes {','.join(DEFAULT_MODES)}")
     for before, mode in zip(("", *modes), modes, strict=False):
         if mode not in SOURCES:

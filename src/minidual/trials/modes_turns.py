@@ -1,7 +1,7 @@
 """Turns of the mode demonstration: planned motion, a scripted leader, the trained policy."""
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ class SwitchError(MinidualError):
     exit_code = ExitCode.ACCEPTANCE_FAILED
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """One mode's turn; `drive` is called when the switch is confirmed."""
 
     mode: str
@@ -96,8 +95,7 @@ def teleop(stack: ControlStack[World], operator: ScriptedOperator, target: Trial
     def drive() -> Steps:
         trial = Trial("modes", 0, {world.objects[0]: placement(level_part(world.object_pose()))}, target.start)
         plan = operator.plan(trial, seed=seed, rate_hz=rate_hz)
-        over = operator.phases()["approach"][1]
-        first = round(over * rate_hz)
+        first = round(operator.phases()["approach"][1] * rate_hz)
         there, back = between(world.q, plan.q[first]), between(plan.q[-1], world.robot.home)
         q = np.vstack([there, plan.q[first:], back, np.tile(back[-1], (round(_LEADER_REST_S * rate_hz), 1))])
         opening = np.ones((len(q), 2))

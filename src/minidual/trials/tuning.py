@@ -6,7 +6,7 @@ The steps are safe, force, stiffness (docs/carry.md). Each is five carries; the 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -87,8 +87,7 @@ class TuningStep:
         }
 
 
-@dataclass(frozen=True)
-class Tuning:
+class Tuning(NamedTuple):
     """The gains and every step."""
 
     force_n: float
@@ -165,8 +164,7 @@ class Tuner:
         if not step.torque_ratio_max < _SAFE_TORQUE:
             share = f"{100 * step.torque_ratio_max:.0f} %"
             raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
-        failed = [c for c in step.carries if not c.success and c.failure != _SQUEEZED]
-        if failed:
+        if failed := [c for c in step.carries if not c.success and c.failure != _SQUEEZED]:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
 
     def _step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:

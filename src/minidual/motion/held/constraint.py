@@ -32,8 +32,7 @@ _CALLS_A_CHECK = 20
 class GraspConstraint(ob.Constraint):
     """F(q) = 0 holds the right tcp at T_left_right (4, 4) in the left."""
 
-    def __init__(self, T_left_right: Array, kinematics: Kinematics | None = None) -> None:
-        kinematics = kinematics or Kinematics()
+    def __init__(self, T_left_right: Array, kinematics: Kinematics) -> None:
         super().__init__(kinematics.robot.dof, 6, _OMPL_TOLERANCE)
         self._kinematics, self.robot = kinematics, kinematics.robot
         grasp = pin.SE3(check_pose(T_left_right, "the relative pose of the hands"))

@@ -38,8 +38,7 @@ class HandsIK:
         q = np.full(len(q_near), np.nan)
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             part = None if wish is None else wish[arm.joints]
-            solved = arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)
-            if solved is not None:
+            if (solved := arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)) is not None:
                 q[arm.joints] = solved
         return q
 
@@ -142,21 +141,15 @@ class HandsIK:
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
         """Return the largest error of grasps or between hands ([m], [rad]) at Q (m, n)."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
+        grasped_left, grasped_right = (Ts_world_object @ grasp for grasp in self.grasps)
         T_left_right = inverse(self.grasps[0]) @ self.grasps[1]
-        pairs = (
-            (left, Ts_world_object @ self.grasps[0]),
-            (right, Ts_world_object @ self.grasps[1]),
-            (right, left @ T_left_right),
-        )
+        pairs = (left, grasped_left), (right, grasped_right), (right, left @ T_left_right)
         return tuple(np.max([_apart(a, b) for a, b in pairs], axis=0).tolist())
 
 
 def _apart(A: Array, B: Array) -> tuple[float, float]:
     """Return the largest distance [m] and angle [rad] of poses (m, 4, 4)."""
     R = np.swapaxes(A[:, :3, :3], 1, 2) @ B[:, :3, :3]
-    sine = 0.5 * np.linalg.norm(
-        np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]), axis=0
-    )
-    cosine = 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0)
-    angles = np.arctan2(sine, cosine)
+    vee = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]])
+    angles = np.arctan2(0.5 * np.linalg.norm(vee, axis=0), 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
     return float(np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1).max()), float(angles.max())

@@ -6,7 +6,8 @@ import itertools
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -71,8 +72,7 @@ def scene_holding(
     return scene
 
 
-@dataclass(frozen=True, eq=False)
-class HeldQuery:
+class HeldQuery(NamedTuple):
     """What to plan for a held object.
 
     Attributes:
@@ -152,21 +152,20 @@ def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
     return fine_curve(hands, path, solve)
 
 
-@dataclass(frozen=True)
-class _Effort:
+class _Effort(NamedTuple):
     padding_m: float
     step_scale: float = 1.0
     checks_n: int = 600
 
     def after_no_path(self) -> _Effort:
         """Return less padding and more state checks."""
-        return replace(self, padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
+        return self._replace(padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
 
     def after(self, error: PlanningError) -> _Effort:
         """Return finer steps, and more padding for a path that is not proven."""
         unproven = isinstance(error, NotFreeError | TimingError)
         padding_m = more_padding(self.padding_m) if unproven else self.padding_m
-        return replace(self, step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
+        return self._replace(step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
 
 
 class HeldWork:
@@ -208,8 +207,7 @@ class HeldWork:
                 except PlanningError as error:
                     self.notes.append(f"no more postures at the goal: {error.message}")
             try:
-                points = self.search(method, goals, effort, attempt)
-                if points is not None:
+                if (points := self.search(method, goals, effort, attempt)) is not None:
                     rng = stream(self._query.seed, "held/shorten", attempt)
                     space = self._space([points[-1, Q]], effort)
                     return self.rounded(shorten(space, points, rng, _SHORTEN_ROUNDS_N), method)
@@ -268,8 +266,7 @@ class HeldWork:
             if len(found) >= wanted_n:
                 break
             inside = np.clip(goal, robot.q_lower + _LIMIT_ROOM_RAD, robot.q_upper - _LIMIT_ROOM_RAD)
-            q = self._hands.solve(T_goal, inside)
-            if q is None:
+            if (q := self._hands.solve(T_goal, inside)) is None:
                 continue
             relaxed = self._hands.relaxed(T_goal, q)
             q = relaxed if engines.solids.free(relaxed) else q
@@ -284,8 +281,7 @@ class HeldWork:
         return found
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:
-        checker = self._checker(goals[0], effort.padding_m)
-        return HeldSpace(self._hands, self._path.chart, checker, effort.step_scale)
+        return HeldSpace(self._hands, self._path.chart, self._checker(goals[0], effort.padding_m), effort.step_scale)
 
     def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""
@@ -326,8 +322,7 @@ class HeldWork:
         def solve(marks: Array, Ts_world_object: Array) -> Array:
             solved = smooth.at(marks)[:, Q] / JOINT_WEIGHT_M
             for k, T in enumerate(Ts_world_object):
-                q = self._hands.solve(T, solved[k])
-                if q is None:
+                if (q := self._hands.solve(T, solved[k])) is None:
                     x, y, z = T[:3, 3]
                     raise ClosedChainError(f"the hands cannot hold the object at ({x:.3f}, {y:.3f}, {z:.3f}) m")
                 solved[k] = q

@@ -70,8 +70,7 @@ class HeldSpace:
         joints = np.empty((count + 1, len(step) - 6))
         joints[0], joints[-1] = a[Q], b[Q]
         for share in bisection_order(count)[1:]:  # the first is b
-            z = self.solved_free(a + share * step)
-            if z is None:
+            if (z := self.solved_free(a + share * step)) is None:
                 return False
             joints[round(share * count)] = z[Q]
         jumps = np.abs(np.diff(joints, axis=0)).max(axis=1)
@@ -178,8 +177,7 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
         point = tree.points[current]
-        new = _step_towards(space, point, x, None)
-        if new is None:
+        if (new := _step_towards(space, point, x, None)) is None:
             return None
         current = tree.add(new, current)
         if np.array_equal(new[X], x):

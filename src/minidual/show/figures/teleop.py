@@ -15,8 +15,7 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
     """Draw starts of attempts and tests, RMS jerk, and targets of the first demonstration."""
     figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
     for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
-        chosen = [_start(a.trial) for a in attempts if a.kept is kept]
-        if chosen:
+        if chosen := [_start(a.trial) for a in attempts if a.kept is kept]:
             x, y, yaw = np.array(chosen).T
             line = {"headwidth": 0, "headlength": 0, "headaxislength": 0, "width": 0.004, "scale": 18, "pivot": "mid"}
             starts.quiver(y, x, -np.cos(yaw), np.sin(yaw), color=colour, label=f"{label} ({len(chosen)})", **line)

@@ -10,10 +10,9 @@ import re
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.figure import Figure as Canvas
@@ -35,8 +34,7 @@ Trial = dict[str, str]
 """A row of benchmark.csv."""
 
 
-@dataclass(frozen=True)
-class Figure:
+class Figure(NamedTuple):
     """One figure; `name` is the file stem."""
 
     name: str
@@ -128,8 +126,7 @@ def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Seque
                 spread = (0.5 + k * 0.618033988749895) % 1.0
                 y, mark = i + 0.36 * (spread - 0.5), "o" if success else "x"
                 axes.plot(value, y, mark, color=colour, **look)
-            won = [value for success, value in mine if success]
-            if won:
+            if won := [value for success, value in mine if success]:
                 axes.plot([statistics.median(won)] * 2, [i - 0.32, i + 0.32], color=INK, linewidth=2.2)
         if largest > 0.15 * limit:
             label = f"excellent {indicator.excellent_text}"
@@ -145,9 +142,8 @@ def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Seque
 
 def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
     """Return the figures of success under each condition, and of the undisturbed trials."""
-    methods = {
-        cell.method: COLOURS[k % len(COLOURS)] for k, cell in enumerate(tables.clean.cells) if cell.state != "spared"
-    }
-    shown = INDICATORS[1:] if tables.own else [replace(indicator, excellent=None) for indicator in INDICATORS[1:]]
+    cells = enumerate(tables.clean.cells)
+    methods = {cell.method: COLOURS[k % len(COLOURS)] for k, cell in cells if cell.state != "spared"}
+    shown = INDICATORS[1:] if tables.own else [indicator._replace(excellent=None) for indicator in INDICATORS[1:]]
     drawn = [success_figure(tables.rows), *(strip_figure(indicator, methods, trials) for indicator in shown)]
     return [figure for figure in drawn if figure is not None]

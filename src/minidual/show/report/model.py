@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from minidual.errors import DataError
 from minidual.gate.check import Check, Rows, checks_of
@@ -21,8 +21,7 @@ _KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".mp
 EMBED_BYTES = 1_500_000
 
 
-@dataclass(frozen=True)
-class Banner:
+class Banner(NamedTuple):
     """A warning; kind "tainted", "smoke", "fail" or "note"."""
 
     kind: str
@@ -63,8 +62,7 @@ def _at_its_best(check: Check) -> bool:
     return check.margin == 0.0 or (share and check.op in (">", ">=") and check.observed == 1.0)
 
 
-@dataclass(frozen=True)
-class Medium:
+class Medium(NamedTuple):
     """A picture or film.
 
     Attributes:
@@ -90,9 +88,8 @@ def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Med
         path = folder / name
         if not path.is_file():
             raise DataError(f"artefact {name} of stage {stage} is gone: {path}")
-        kind = _KINDS[path.suffix]
         if path.stat().st_size <= EMBED_BYTES:
-            source = f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+            source = f"data:{_KINDS[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
         else:
             source = f"media/{stage}-{name}"
             (page_folder / "media").mkdir(exist_ok=True)
@@ -181,12 +178,9 @@ class Report:
         given, waivers = self.given, self.waivers
         verdicts = given.verdicts.values()
         gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
-        opened = [
-            f"gate of {waiver.stage}, {moment(waiver.at)}: “{waiver.reason}” ("
-            + joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
-            + ")"
-            for waiver in waivers
-        ]
+        blocked = [joined([f"{stage} was {state}" for stage, state in w.blocking.items()]) for w in waivers]
+        by_hand = zip(waivers, blocked, strict=True)
+        opened = [f"gate of {w.stage}, {moment(w.at)}: “{w.reason}” ({states})" for w, states in by_hand]
         failed = [f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False]
         changed = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
         wiring = "Few trials and little training show that the parts fit together. The rates prove nothing else."

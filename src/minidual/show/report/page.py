@@ -91,7 +91,7 @@ def document(report: Report) -> dict[str, Any]:
     head |= {"acceptance": report.state == "pass", "profile": given.profile, "seed": given.seed}
     return {
         **head,
-        "banners": [asdict(banner) for banner in report.banners],
+        "banners": [banner._asdict() for banner in report.banners],
         "checks": [check.to_json() for check in report.shown_checks],
         "made_with": {n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made},
         "total_s": report.total_s,

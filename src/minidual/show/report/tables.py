@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from minidual.registry import rows_beside
 from minidual.trials.conditions import CLEAN
@@ -13,8 +13,7 @@ from minidual.trials.statistics import holm
 _UNSEEN = 0.0005  # smaller displayed values are rounding error
 
 
-@dataclass(frozen=True)
-class Indicator:
+class Indicator(NamedTuple):
     """One column of the comparison (tables.yaml).
 
     Attributes:
@@ -148,8 +147,7 @@ class Cell:
         return judged and measure is not None and indicator.is_excellent(measure.value)
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One condition with a cell per method."""
 
     condition: str
@@ -165,8 +163,7 @@ class Row:
         return mine.value == (max if indicator.more_is_better else min)(found)
 
 
-@dataclass(frozen=True)
-class Tables:
+class Tables(NamedTuple):
     """Methods by conditions of one task, the undisturbed row first.
 
     Attributes:

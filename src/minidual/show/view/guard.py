@@ -110,8 +110,7 @@ class Guard:
 
     def _answer(self, connection: _Connection, request: Request, process_request: Any) -> Response | None:
         cookie, peer = f"minidual-{connection.local_address[1]}", str(connection.remote_address[0])
-        why = self._refusal(request, cookie)
-        if why:
+        if why := self._refusal(request, cookie):
             if not self._refused:
                 self._say(f"view: refused a request from {peer}: {why} (later ones are refused without a message)")
             self._refused = True

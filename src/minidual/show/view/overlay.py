@@ -1,6 +1,6 @@
 """State shown with the scene."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from minidual.robot.pair import Array
 
@@ -8,8 +8,7 @@ ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
 """Colours of left arm, right arm and object."""
 
 
-@dataclass(frozen=True)
-class Arrow:
+class Arrow(NamedTuple):
     """A force [N] at `start` (3,) [m], world frame; rgb 0 to 255."""
 
     start: Array
@@ -17,8 +16,7 @@ class Arrow:
     rgb: tuple[int, int, int]
 
 
-@dataclass(frozen=True)
-class PathLine:
+class PathLine(NamedTuple):
     """A polyline (N, 3), N >= 2, world [m]; `name` is unique in its preview."""
 
     name: str
@@ -26,8 +24,7 @@ class PathLine:
     rgb: tuple[int, int, int]
 
 
-@dataclass(frozen=True, eq=False)
-class Preview:
+class Preview(NamedTuple):
     """A plan. Reuse the object: views redraw only another one.
 
     Attributes:
@@ -41,8 +38,7 @@ class Preview:
 NO_PREVIEW = Preview()
 
 
-@dataclass(frozen=True)
-class Overlay:
+class Overlay(NamedTuple):
     """State at one instant. Empty text and None are not shown.
 
     Attributes:
@@ -63,8 +59,7 @@ class Overlay:
     preview: Preview = NO_PREVIEW
 
 
-@dataclass(frozen=True)
-class Slider:
+class Slider(NamedTuple):
     """A value that viewers may set; `group` is its folder."""
 
     group: str

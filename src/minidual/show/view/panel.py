@@ -11,11 +11,7 @@ import numpy as np
 from minidual import emergency
 from minidual.show.view.overlay import ARM_RGB, OBJECT_RGB, Array, Overlay, Slider
 
-_FORCES = (
-    ("pinch, left hand", ARM_RGB[0]),
-    ("pinch, right hand", ARM_RGB[1]),
-    ("squeeze along the object", OBJECT_RGB),
-)
+_FORCES = {"pinch, left hand": ARM_RGB[0], "pinch, right hand": ARM_RGB[1], "squeeze along the object": OBJECT_RGB}
 
 
 def table_html(overlay: Overlay, speed: float | None) -> str:
@@ -30,7 +26,7 @@ def table_html(overlay: Overlay, speed: float | None) -> str:
     ]
     cells = "".join(_row(name, text) for name, text in rows if text)
     if overlay.pinch_n is not None and overlay.internal_n is not None:
-        for (name, rgb), force in zip(_FORCES, (*overlay.pinch_n, overlay.internal_n), strict=True):
+        for (name, rgb), force in zip(_FORCES.items(), (*overlay.pinch_n, overlay.internal_n), strict=True):
             cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero removes the sign of -0.0
     title = f"<b>{html.escape(overlay.title)}</b>" if overlay.title else ""
     return f"<div style='padding:4px 12px;font-size:13px'>{title}<table style='width:100%'>{cells}</table></div>"

@@ -1,8 +1,7 @@
 """Browser scene: built once, then updated."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,11 +23,18 @@ _FLAT_M = 0.002  # thinner meshes cast no shadow, which would blur table marks
 _GHOSTS_MAX, _GHOST_MOVED = 4, 1e-3
 _GHOST_RGB, _FLOOR_RGB, _FOG_RGB = (70, 160, 255), (214, 220, 228), (255, 255, 255)
 _CAMERA, _TARGET, _FOV_RAD = (1.85, -0.85, 0.95), (0.30, 0.10, 0.17), 0.70
+_KIND = mujoco.mjtGeom
+_SOLIDS: dict[mujoco.mjtGeom, Callable[[Array], trimesh.Trimesh]] = {
+    _KIND.mjGEOM_BOX: lambda size: trimesh.creation.box(extents=2.0 * size),
+    _KIND.mjGEOM_CYLINDER: lambda size: trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=40),
+    _KIND.mjGEOM_CAPSULE: lambda size: trimesh.creation.capsule(2.0 * size[1], size[0], count=[24, 24]),
+    _KIND.mjGEOM_SPHERE: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(size[0]),
+    _KIND.mjGEOM_ELLIPSOID: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(size),
+}
 _FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 
 
-@dataclass(frozen=True)
-class BodyMesh:
+class BodyMesh(NamedTuple):
     """Triangles of one colour in body frame [m]; body 0 is the world."""
 
     body: int
@@ -46,10 +52,8 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """Return visible meshes, merged by body and colour for speed."""
     parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for geom in range(model.ngeom):
-        if int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0:
-            continue
-        mesh = _mesh(model, geom)
-        if mesh is None:
+        hidden = int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0
+        if hidden or (mesh := _mesh(model, geom)) is None:
             continue
         mesh.apply_transform(pose(rotation_from_quat(model.geom_quat[geom]), model.geom_pos[geom]))
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
@@ -64,28 +68,12 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
-    match kind:
-        case mujoco.mjtGeom.mjGEOM_MESH:
-            mesh = model.mesh(int(model.geom_dataid[geom]))
-            vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
-            faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
-            return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return trimesh.creation.box(extents=2.0 * size)
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=40)
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=[24, 24])
-        case mujoco.mjtGeom.mjGEOM_SPHERE | mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            ball = trimesh.creation.icosphere(subdivisions=3)
-            return ball.apply_scale(size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
-    return None
-
-
-def floor_height(model: mujoco.MjModel) -> float | None:
-    """Return the first plane's height [m]."""
-    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-    return float(model.geom_pos[planes[0], 2]) if len(planes) else None
+    if kind == _KIND.mjGEOM_MESH:
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
+        faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
+        return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
+    return _SOLIDS[kind](size) if kind in _SOLIDS else None
 
 
 class Scene:
@@ -100,10 +88,10 @@ class Scene:
         scene = server.scene
         scene.reset()
         self._light()
-        height = floor_height(model)
-        if height is not None:
+        planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+        if len(planes):
             corners = _FLOOR_HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
-            faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, height)
+            faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, float(model.geom_pos[planes[0], 2]))
             scene.add_mesh_simple("/floor", corners, faces, color=_FLOOR_RGB, position=position, cast_shadow=False)
         drawn = {mesh.body for mesh in self._meshes}
         rest = mujoco.MjData(model)
@@ -175,9 +163,8 @@ class Scene:
         points = np.array([[a.start, a.start + _ARROW_M_PER_N * a.force] for a in shown], dtype=np.float32)
         colours = np.array([a.rgb for a in shown], dtype=np.uint8)
         if self._arrows is None or len(self._arrows.points) != len(points):
-            self._arrows = self._server.scene.add_arrows(
-                "/forces", points, colours, shaft_radius=0.006, head_radius=0.014, head_length=0.03
-            )
+            size = {"shaft_radius": 0.006, "head_radius": 0.014, "head_length": 0.03}
+            self._arrows = self._server.scene.add_arrows("/forces", points, colours, **size)
         else:
             self._arrows.points, self._arrows.colors = points, colours
 

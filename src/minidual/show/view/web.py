@@ -6,8 +6,7 @@ import getpass
 import io
 import socket
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 
 import mujoco
 import viser
@@ -15,7 +14,7 @@ import viser
 from minidual.config.root import ViewConfig
 from minidual.errors import UsageError
 from minidual.show.view.guard import Guard, is_loopback
-from minidual.show.view.overlay import Array, Overlay, Slider
+from minidual.show.view.overlay import Overlay
 from minidual.show.view.panel import Panel
 from minidual.show.view.scene import Scene
 
@@ -29,7 +28,6 @@ _FAREWELL_S = 0.3
 class _Server(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing."""
-        del verbose
 
 
 class WebView:
@@ -59,7 +57,7 @@ class WebView:
         self.alive = True
         """Whether it is visible."""
         self._closed = False
-        self._panel = Panel(self._server)
+        self.panel = Panel(self._server)
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
         self._overlay = Overlay()
@@ -81,7 +79,7 @@ class WebView:
             f"of this machine, sees the view and {others} its sliders"
         )
         if not config.remote_drives:
-            self._panel.note("only pages on the machine that runs the command move the sliders")
+            self.panel.note("only pages on the machine that runs the command move the sliders")
 
     def open(self, model: mujoco.MjModel) -> None:
         """Replace the shown model, which needs visual meshes; say at the first where."""
@@ -105,20 +103,12 @@ class WebView:
             self._scene.draw_preview(overlay.preview)
             self._overlay, now = overlay, time.monotonic()
             if now >= self._panel_due_s:
-                self._panel.show(overlay)
+                self.panel.show(overlay)
                 self._panel_due_s = now + _PANEL_PERIOD_S
             self._frame_due_s = now + self._period_s * (1.0 if self._server.get_clients() else _UNWATCHED)
         except Exception as error:  # no error may reach the simulation
             self.alive = False
             self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
-
-    def offer(self, sliders: Sequence[Slider]) -> None:
-        """Add sliders."""
-        self._panel.offer(sliders)
-
-    def slider_values(self) -> Array:
-        """Return the values (n,) within bounds."""
-        return self._panel.values()
 
     def close(self) -> None:
         """Mark the page as ended; stop the server."""
@@ -126,7 +116,7 @@ class WebView:
             return
         self._closed, self.alive = True, False
         with contextlib.suppress(Exception):  # the page also notices the closed connection
-            self._panel.show(replace(self._overlay, status="ended: the command has finished"))
+            self.panel.show(self._overlay._replace(status="ended: the command has finished"))
             self._server.flush()
             if self._server.get_clients():
                 time.sleep(_FAREWELL_S)

@@ -1,7 +1,7 @@
 """Camera checks of `env-check`."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 from OpenGL import GL
@@ -12,8 +12,7 @@ from minidual.plant.world import World
 from minidual.show.figures.canvas import sheet
 
 
-@dataclass(frozen=True)
-class CameraCheck:
+class CameraCheck(NamedTuple):
     """What the cameras see.
 
     Attributes:
@@ -36,12 +35,9 @@ def check_cameras(world: World, path: Path | None = None) -> CameraCheck:
     """
     with Camera(world.model, 480, 360, supersample=2) as camera:
         pictures = {name: camera.picture(world.data, name) for name in (*CAMERAS, "overview")}
-        fingers = [
-            camera.bodies_seen(world.data, side).get(finger, 0.0)
-            for side in world.robot.sides
-            for finger in world.robot.hand_links(side)[1:]
-        ]
-        objects = [camera.bodies_seen(world.data, "high").get(name, 0.0) for name in world.objects]
+        seen = {name: camera.bodies_seen(world.data, name) for name in ("high", *world.robot.sides)}
+        fingers = [seen[side].get(f, 0.0) for side in world.robot.sides for f in world.robot.hand_links(side)[1:]]
+        objects = [seen["high"].get(name, 0.0) for name in world.objects]
         renderer = _gl_renderer()
     if path is not None:
         kinds = {"high": "recorded", "left": "wrist, recorded", "right": "wrist, recorded", "overview": "for people"}

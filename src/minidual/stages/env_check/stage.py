@@ -1,8 +1,7 @@
 """Stage `env-check`: test all joints and cameras."""
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,8 +28,7 @@ _REAL_TIME_US = 1000.0
 _CONTRAST_MIN, _OBJECT_SHARE_MIN, _FINGER_SHARE_MIN = 5.0, 0.001, 0.002
 
 
-@dataclass(frozen=True)
-class Measured:
+class Measured(NamedTuple):
     """All measurements of a fully actuated robot.
 
     Attributes:
@@ -163,7 +161,7 @@ def run(context: StageContext) -> StageResult:
 
     versions = {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries}
     data: dict[str, Any] = {"arm": robot.arm.name, "libraries": versions}
-    data |= {"latency": asdict(latency), "emergency_stop": asdict(stop)}
-    data |= {"agreement": agreement, "contacts_home": [list(pair) for pair in contacts], "cameras": asdict(cameras)}
+    data |= {"latency": latency._asdict(), "emergency_stop": stop._asdict()}
+    data |= {"agreement": agreement, "contacts_home": [list(pair) for pair in contacts], "cameras": cameras._asdict()}
     notes = [f"pictures are drawn by {cameras.gl_renderer}", f"the step leaves {step.settled:.1e} rad"]
     return StageResult(checks=[*installed, *measured_checks(measured, config, robot)], data=data, notes=notes)

@@ -5,8 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,8 +96,7 @@ class Rig:
             self.step()
 
 
-@dataclass(frozen=True)
-class Tracking:
+class Tracking(NamedTuple):
     """Reference and measurement of n joints over T steps.
 
     Attributes:
@@ -247,8 +245,7 @@ def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list
     return rows
 
 
-@dataclass(frozen=True)
-class CommandLatency:
+class CommandLatency(NamedTuple):
     """Latency of commands.
 
     Attributes:
@@ -298,8 +295,7 @@ def _steps_until_torque(rig: Rig) -> int:
     return 3 * rig.period
 
 
-@dataclass(frozen=True)
-class StopResponse:
+class StopResponse(NamedTuple):
     """Response of moving arms to an emergency stop.
 
     Attributes:

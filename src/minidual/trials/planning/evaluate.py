@@ -152,12 +152,11 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     """
     planner = Planner(scene)
     engine, robot = planner.engines().engine, planner.robot
-    lower, upper = robot.q_lower, robot.q_upper
     rng = stream(seed, "plan/engine-agreement")
     half = states_n // 2
-    uniform = rng.uniform(lower, upper, (half, robot.dof))
+    uniform = rng.uniform(robot.q_lower, robot.q_upper, (half, robot.dof))
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
-    Q = np.vstack([uniform, np.clip(near_home, lower, upper)])
+    Q = np.vstack([uniform, np.clip(near_home, robot.q_lower, robot.q_upper)])
     return float(np.mean(engine("mujoco").collisions(Q) == engine("coal").collisions(Q)))
 
 
@@ -197,8 +196,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
     # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
     halfway = hands.strays(between, objects)
-    worst_m, worst_rad = np.max([at_samples, halfway], axis=0).tolist()
-    return worst_m, worst_rad
+    return tuple(np.max([at_samples, halfway], axis=0).tolist())
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:

@@ -115,16 +115,14 @@ class HeldMoveGenerator:
                 continue
             for _ in range(4):
                 T_goal = _random_goal(rng, start[0])
-                goal = self._held(rng, engine, T_goal, start[1], _ROOM_M)
-                if goal is None:
+                if (goal := self._held(rng, engine, T_goal, start[1], _ROOM_M)) is None:
                     unreachable += 1
                     continue
                 blocked = self._blocked(engine, start, T_goal)
                 if with_obstacles and not blocked:
                     continue
                 query = HeldQuery(start[1], T_goal, self._grasps, scene, int(rng.integers(2**31)))
-                witness = self._witness(rng, engines, query, start, goal)
-                if witness is None:
+                if (witness := self._witness(rng, engines, query, start, goal)) is None:
                     undecided += 1
                     continue
                 return HeldMove(index, query, start[0], with_obstacles, blocked, witness, undecided, unreachable)

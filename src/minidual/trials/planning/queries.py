@@ -98,8 +98,7 @@ class QueryGenerator:
             PlanningError: None found.
         """
         for attempt in range(first_attempt, first_attempt + _SCENE_TRIES_N):
-            query = self.attempt(group, index, attempt)
-            if query is not None:
+            if (query := self.attempt(group, index, attempt)) is not None:
                 return query
         raise PlanningError(
             f"no query {index} for {group} with {self.obstacles_n} obstacles after {_SCENE_TRIES_N} scenes",
@@ -119,8 +118,7 @@ class QueryGenerator:
             start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not crossed_at_goal)
             if start is None:
                 continue
-            goal = self._configuration(rng, engine, start, arms, crossed and crossed_at_goal)
-            if goal is None:
+            if (goal := self._configuration(rng, engine, start, arms, crossed and crossed_at_goal)) is None:
                 continue
             way = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
             if not _is_kind(kind, arms, set[frozenset[str]]().union(*map(engine.touching_pairs, way))):
@@ -139,8 +137,7 @@ class QueryGenerator:
                 T_world_tcp = random_pose(rng, arm)
                 if crossed:
                     T_world_tcp[1, 3] = (-1.0 if arm == "left" else 1.0) * rng.uniform(0.03, 0.25)
-                solution = self._reach(rng, arm, T_world_tcp)
-                if solution is None:
+                if (solution := self._reach(rng, arm, T_world_tcp)) is None:
                     break
                 q[solvers(self.robot)[arm].joints] = solution
             else:
