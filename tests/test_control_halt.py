@@ -263,6 +263,34 @@ def test_arms_that_take_turns_at_being_off_make_no_step_of_torque(plant: ArmsPla
     assert np.abs(np.diff(plant.torques[began:], axis=0)).max() <= 1.0 + 1e-9
 
 
+@pytest.mark.parametrize("anew", [True, False])
+def test_an_arm_that_fell_is_braked_where_its_power_returns(
+    plant: ArmsPlant, monkeypatch: pytest.MonkeyPatch, anew: bool
+) -> None:
+    """After 150 ms without power the latched stop pulled it back to where it had stood, at 1.96 rad/s; now 0.36."""
+    supervisor = Supervisor(dt_s=1e-3)
+    stack = under_way(plant, supervisor=supervisor)
+    if not anew:  # negative control
+        monkeypatch.setattr(supervisor, "brake_anew", lambda tau: None)
+    supervisor.estop()
+    with pytest.raises(ReflexError, match="emergency_stop"):
+        stack.step()
+    for _ in range(600):
+        stack.step()
+    stack.switch_off((1,))
+    for _ in range(150):
+        stack.step()
+    falling, back = np.sign(plant.v[7:]), []
+    stack.switch_off(())
+    for _ in range(1000):
+        stack.step()
+        back.append(float((-falling * plant.v[7:]).max()))
+    assert (max(back) < 0.5) == anew
+    assert max(back) == pytest.approx(0.36 if anew else 1.96, abs=0.01)
+    assert np.abs(plant.v).max() < 0.01
+    assert np.abs(np.diff(plant.torques[-1150:], axis=0)).max() <= 1.0 + 1e-9
+
+
 # Recovery ---------------------------------------------------------------------------------------------------
 
 
