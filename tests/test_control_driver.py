@@ -37,7 +37,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import TorqueRate
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.errors import UsageError
+from minidual.errors import MinidualError, UsageError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, pose
 from minidual.skills.supervised import SceneClearance
@@ -60,7 +60,7 @@ class Arms(FailingPlant):
         super().__init__(scene)
         model = self._kinematics.model = self._kinematics.model.copy()  # all workspaces share the original
         model.armature = model.armature + self.dt * JOINT_DAMPING
-        self.pushed, self.stuck = np.zeros(DOF), np.zeros(DOF, dtype=bool)
+        self.pushed, self.stuck, self.limp = np.zeros(DOF), np.zeros(DOF, dtype=bool), False
 
     def step(self) -> None:
         told, q = self.tau, self.__dict__["q"]
@@ -70,6 +70,9 @@ class Arms(FailingPlant):
         crawl = 1e-6 * (-1.0) ** self.steps  # readings that stay the same to the bit are frozen, not stuck
         self.v = np.where(self.stuck, crawl, self.__dict__["v"])
         self.q = np.where(self.stuck, q + self.dt * crawl, self.__dict__["q"])
+
+    def command(self, tau: Array, fingers: Array) -> None:
+        super().command(tau, self.fingers if self.limp else fingers)
 
     def touch_nothing(self) -> None:
         self.pushed, self.stuck = np.zeros(DOF), np.zeros(DOF, dtype=bool)
@@ -173,7 +176,8 @@ class Driver:
         for _ in range(REST_TICKS):
             self.tick()
             speed = np.abs(self.v.reshape(2, -1)[self.on]).max(initial=0.0)
-            still = still + 1 if speed < 0.05 else 0
+            # Velocities that freeze near rest damp nothing, and are noticed from 5 mrad in 0.1 s on.
+            still = still + 1 if speed < (0.1 if "v" in self.plant.lies else 0.05) else 0
             if still == STILL_TICKS:
                 return
         raise AssertionError(f"{self.stack.reflex}: not at rest, {speed:.2f} rad/s")
@@ -240,7 +244,7 @@ class Driver:
                 hand.law.held = InHand("part", off, np.eye(4), float(self.rng.uniform(0.0, 0.5)))
 
     def switch_off(self) -> None:
-        """The motors of an arm die; power may return while the arms are in their range, or change sides."""
+        """The motors of an arm die; power may return within the limits of the joints, or change sides."""
         if self.plant.steps == 0:
             return
         arms, then = {int(self.rng.integers(2)), *np.flatnonzero(~self.on).tolist()}, self.rng.integers(4)
@@ -250,7 +254,7 @@ class Driver:
         for _ in range(int(self.rng.integers(1, 100))):
             self.tick()
         q = self.plant.__dict__["q"]
-        if then > 0 and ((q > Q_LOWER) & (q < Q_UPPER)).all():
+        if then > 0 and ((q > Q_LOWER) & (q < Q_UPPER) & (np.abs(self.v) < V_MAX)).all():
             arms = {0, 1} - arms if then == 1 else set()
             self.excuse(0, 1)
             self.excuse(*arms, until_s=np.inf)
@@ -315,8 +319,9 @@ class Driver:
         stack, ways = self.stack, (np.eye(DOF)[1] + np.eye(DOF)[8], np.eye(DOF)[7] - np.eye(DOF)[0])
         if stack.source is None or stack.reflex is not None or self.plant.lies or not self.on.all():
             return
+        self._try(lambda: stack.switch_controllers(SETS[self.rng.integers(2)]))
         here = np.clip(stack.output.q_target, Q_LOWER, Q_UPPER)
-        motion = move(here, np.clip(here + 0.9 * ways[self.rng.integers(2)], Q_LOWER, Q_UPPER), 0.9)
+        motion = move(here, np.clip(here + 1.5 * ways[self.rng.integers(2)], Q_LOWER, Q_UPPER), 1.4)
         self.sequence += 1
         stack.propose(stack.source, TrajectoryCommand(motion, np.ones(2), self.plant.time, self.sequence))
         for k in range(1000):
@@ -329,8 +334,12 @@ class Driver:
                 assert distance > bound - 0.004, f"{pair}: {distance:.4f} m"
 
     def grip(self) -> None:
-        """Both hands feel something between their fingers; if they do already, it is gone."""
-        self.plant.grip = np.full(2, 0.0 if self.plant.grip.any() else 60.0)
+        """Both hands feel something between their fingers; then it is gone, or their drives fail."""
+        plant = self.plant
+        for plant.grip, plant.limp in ((np.full(2, 60.0), False), (np.zeros(2), self.rng.random() < 0.7)):
+            for _ in range(30):
+                self.tick()
+        plant.limp = False
 
     def bias(self) -> None:
         """An encoder jumps."""
@@ -374,6 +383,8 @@ RARE: dict[str, Any] = {
     **{name: getattr(Driver, name) for name in ("blind", "freeze", "clock", "fail", "silence", "listener")},
     **{name: getattr(Driver, name) for name in ("push", "grip", "bias")},
     **{name: getattr(Driver, name) for name in ("override", "dive", "switch_off")},
+    "dive again": Driver.dive,
+    "push again": Driver.push,
     "ask": Driver.request,
     "ask again": Driver.request,
     "recover again": Driver.recover,
@@ -394,12 +405,13 @@ def test_random_episodes_keep_every_rule(driver: Driver) -> None:
 
 def test_arms_driven_at_the_table_and_at_one_another_never_get_there(driver: Driver) -> None:
     driver.rare = FAST
-    driver.play(12, 14, 22)
-    assert driver.seen["stopping_distance"] == 3
+    driver.play(10, 12, 22, 23)
+    assert driver.seen["stopping_distance"] == 5
 
     driver.supervisor._clearance = None  # negative control
-    with pytest.raises(AssertionError, match="with"):
-        driver.play(12, 14, 22)
+    for seed, what in ((10, "with right"), (23, "with table")):
+        with pytest.raises(AssertionError, match=what):
+            driver.play(seed)
 
 
 @pytest.mark.slow
@@ -421,5 +433,5 @@ def test_the_driver_sees_a_torque_that_jumps(driver: Driver, monkeypatch: pytest
 
 def test_the_driver_sees_a_lost_torque(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ControlStack, "_attempt", lambda self, part, otherwise: part())
-    with pytest.raises((AssertionError, ZeroDivisionError, UsageError)):
-        driver.play(*range(5))
+    with pytest.raises((AssertionError, ZeroDivisionError, MinidualError)):
+        driver.play(*range(12))
