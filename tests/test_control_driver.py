@@ -286,9 +286,14 @@ class Driver:
         if self.rng.random() < 0.5:
             self.rest()
             moving = False
+            broken = dict(self.plant.lies)
             self.plant.lies.clear()
             self.distance = lambda q: ("a with b", 1.0)
-        refused = self._try(self.stack.recover)
+            refused = self._try(self.stack.recover)
+            if refused:  # so that no joint loses a second sensor: then only the model holds it
+                self.plant.lies.update(broken)
+        else:
+            refused = self._try(self.stack.recover)
         assert refused or not moving, "recovered in motion"
         self.seen["recovered"] += not refused
 
