@@ -1,7 +1,7 @@
 """Carries disturbed at random: pushes, mass, friction, delays, noise, dropped readings, halts, emergency stops.
 
-In every tick a finite torque near the last one; at the end the arms rest, and the rod lies at its goal or a fault has its
-name.
+The supervisor is that of the trials, with distances, stopping distances and the held rod. In every tick a finite torque
+near the last one; at the end the arms rest, and the rod lies at its goal or a fault has its name.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ import pytest
 from carry_trials import sample_trial
 from panda import TAU_MAX, TAU_RATE_MAX
 
-from minidual.config.control import CarryConfig, SensingConfig
+from minidual.config.control import CarryConfig, SensingConfig, SupervisorConfig
 from minidual.config.seeds import stream
-from minidual.control.supervisor import Supervisor
 from minidual.plant.protocol import Reading
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.supervised import trial_supervisor
 
 BODIES = ("rod", "left_panda_hand", "right_panda_hand", "left_panda_link4", "right_panda_link4")
 REST_TICKS, PUSHED_TICKS, GOAL_M = 600, 1000, 0.03
@@ -64,7 +65,8 @@ class Disturbed:
         world.model.geom_friction[:, 0] *= rng.uniform(0.5, 1.3)
         mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
         self.sensors = DroppingSensors(world, sensing, stream(seed, "sensing/driver", 0))
-        self.supervisor = Supervisor(dt_s=world.dt)
+        shapes = (thing_of(world.scene.object).shape,)
+        self.supervisor = trial_supervisor(SupervisorConfig(), world.dt, world.robot, shapes=shapes)
         config = CarryConfig(sensing=sensing)
         self.carry = ImpedanceCarry(
             world, Kinematics(), config, self.trial, sensors=self.sensors, supervisor=self.supervisor

@@ -13,6 +13,7 @@ from test_control_controllers import hand_over, move, stack_on, trajectory
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.impedance import ObjectPath, ObjectState, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
@@ -335,3 +336,19 @@ def test_without_a_supervisor_the_error_is_the_callers(plant: FailingPlant) -> N
         stack.step()
     with pytest.raises(UsageError):
         stack.fail(UsageError("a source gave up"))
+
+
+@pytest.mark.parametrize("names", [("left_hand", "right_hand"), ("left_arm", "right_arm")])
+def test_arms_that_are_not_measured_may_not_switch_their_controllers(
+    plant: FailingPlant, names: tuple[str, ...]
+) -> None:
+    """The law of a hand raised numpy's "Eigenvalues did not converge"; a joint controller started at NaN."""
+    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+    stack.step()
+    plant.lies["q"] = lambda q: q * np.nan
+    with pytest.raises(ControllerSwitchError, match="not_ready: the arms are not measured"):
+        stack.switch_controllers(names)
+    assert stack.manager.active == ("both_arms",)
+    plant.lies.clear()
+    stack.switch_controllers(names)
+    assert stack.manager.active == names

@@ -36,10 +36,14 @@ class Scripted(ChunkPolicy):
         return np.array(rows)
 
 
-def _fly(world: World, target: Callable[[int], np.ndarray], picture: Picture, seconds: float = 3.0) -> PolicyPilot:
+def _pilot(world: World, target: Callable[[int], np.ndarray], picture: Picture) -> PolicyPilot:
     runtime = PolicyRuntime(Scripted(target), n_action_steps=CHUNK, blend_ticks=0, limits=(Q_LOWER, Q_UPPER))
     supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
-    pilot = PolicyPilot(ControlStack(world, Kinematics(), supervisor=supervisor), runtime, picture)
+    return PolicyPilot(ControlStack(world, Kinematics(), supervisor=supervisor), runtime, picture)
+
+
+def _fly(world: World, target: Callable[[int], np.ndarray], picture: Picture, seconds: float = 3.0) -> PolicyPilot:
+    pilot = _pilot(world, target, picture)
     while not pilot.done and world.time < seconds:
         pilot.step()
     return pilot
@@ -61,14 +65,25 @@ OUTPUTS: dict[str, Callable[[int], np.ndarray]] = {
 }
 
 
-@pytest.mark.parametrize("name", OUTPUTS)
-def test_a_broken_output_stops_the_trial_by_name(world: World, name: str) -> None:
-    """Zeros drove both arms 2.29 rad, 1e6 rad was followed to the limit, alternating targets shook for ever."""
-    pilot = _fly(world, OUTPUTS[name], _seen(world))
+@pytest.mark.parametrize(
+    ("name", "most_rad", "at_s"), [("all_zero", 1e-6, 0.05), ("out_of_bounds", 1e-6, 0.45), ("oscillation", 0.01, 0.25)]
+)
+def test_a_broken_output_stops_the_trial_by_name(world: World, name: str, most_rad: float, at_s: float) -> None:
+    """Zeros drove both arms 2.29 rad, 1e6 rad was followed to the limit, alternating targets shook for ever.
+
+    Now the arms stay where they are; under alternating targets (0.08 rad) the joint moves 8 mrad.
+    """
+    pilot = _pilot(world, OUTPUTS[name], _seen(world))
+    moved, named_s = 0.0, np.inf
+    while not pilot.done and world.time < 3.0:
+        pilot.step()
+        moved = max(moved, float(np.abs(world.q - HOME).max()))
+        named_s = min(named_s, world.time if pilot.aborted else np.inf)
     assert pilot.aborted is not None
     assert pilot.aborted.startswith(f"{name}: ")
     assert pilot.stack.reflex is None
-    assert np.abs(world.q - HOME).max() < 0.05
+    assert moved < most_rad
+    assert named_s < at_s
     assert np.abs(world.v).max() < 0.05
     assert pilot.stack.source is None
 

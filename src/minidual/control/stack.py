@@ -174,6 +174,8 @@ class ControlStack[P: Plant]:
         if self.executing:
             remedy = 'wait for its end, or request("hold")'
             raise ControllerSwitchError("under_way", "a timed command is under way", remedy=remedy)
+        if not np.isfinite(self.plant.q).all():
+            raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
         self.manager.switch(names, self.plant.q, self.plant.v)
         self._due = True
 
@@ -205,7 +207,9 @@ class ControlStack[P: Plant]:
         """Ramp these arms' torque to zero until reset; replaces an earlier call. Dead drives may return."""
         if self._off is None:
             self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
-        self._off.arms = tuple(arms)
+        returned, self._off.arms = set(self._off.arms) - set(arms), tuple(arms)
+        if returned and self.supervisor is not None:
+            self.supervisor.brake_anew(self.applied)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""

@@ -134,6 +134,11 @@ class Supervisor:
             self._trip("controller_failed", why, 1.0, None)
         return self._stopping(q, v, stamp_s)
 
+    def brake_anew(self, tau: Array) -> None:
+        """Let a latched stop begin again where the arms are, from applied torques tau (n,) [Nm]."""
+        if self.reflex is not None:
+            self._stop.begin(self._sense.q, self._sense.v, tau)
+
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`; a `reset` without torques forgets it."""
         if self._clearance is not None:
