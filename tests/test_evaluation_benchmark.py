@@ -171,8 +171,8 @@ def test_a_cell_with_too_few_trials_or_none_or_without_a_reason_fails(asked: lis
     cells = table()
     key = ("moveit", "push +x")
     assert failing([c for k, c in cells.items() if k != key]) == {"cells_settled"}
-    assert failing({**cells, key: dataclasses.replace(cells[key], asked_n=5)}.values()) == {"cells_settled"}
-    for empty in (dataclasses.replace(cells[key], summary=None), dataclasses.replace(cells[key], why_not="tired")):
+    assert failing({**cells, key: cells[key]._replace(asked_n=5)}.values()) == {"cells_settled"}
+    for empty in (cells[key]._replace(summary=None), cells[key]._replace(why_not="tired")):
         assert failing({**cells, key: empty}.values()) == {"cells_settled"}
     assert failing([]) == {"cells_settled"}
 
@@ -205,7 +205,7 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     summary = cells[key].summary
     assert summary is not None
     bad = dataclasses.replace(summary, numbers={**summary.numbers, name: math.nan})
-    broken = {**cells, key: dataclasses.replace(cells[key], summary=bad)}
+    broken = {**cells, key: cells[key]._replace(summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
     (check,) = [c for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED)) if not c.passed and c.op]
     assert f"impedance under push +x: {name}" in check.why
@@ -218,7 +218,7 @@ def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) ->
     assert summary is not None
     none = {n: math.nan for n in summary.numbers if n.startswith(("duration", "path", "internal", "pinch"))}
     lost = dataclasses.replace(summary, successes_n=0, numbers={**summary.numbers, "success_rate": 0.0, **none})
-    cell = dataclasses.replace(cells[key], summary=lost)
+    cell = cells[key]._replace(summary=lost)
     assert failing({**cells, key: cell}.values()) == set()
     assert cell.record()["duration_median_s"] == "nan"
 

@@ -87,7 +87,7 @@ def test_three_of_twenty_is_at_the_limit_and_two_is_not(outcomes):
     rows = found()
     assert rows["friction 0.3"].drop == pytest.approx(0.15)
     for drop in (0.15, 0.1499999999999999, 0.15000000000000002):
-        assert not dataclasses.replace(rows["friction 0.3"], drop=drop).holds
+        assert not rows["friction 0.3"]._replace(drop=drop).holds
     assert rows["push +x"].holds
     assert "trial 0" in rows["push +x"].example
     assert "lost it" in rows["push +x"].example

@@ -1,6 +1,5 @@
 """Queries in, proven trajectories or named errors out."""
 
-import dataclasses
 import typing
 
 import numpy as np
@@ -173,13 +172,13 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     def refuse_first(trajectory):
         calls.append(trajectory)
         report = verify(trajectory)
-        return report if len(calls) > 1 else dataclasses.replace(report, ok=False, reason="made up")
+        return report if len(calls) > 1 else report._replace(ok=False, reason="made up")
 
     monkeypatch.setattr(verifier, "verify", refuse_first)
     result = post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=3)
     assert result.attempts_n == 2
     assert result.notes == ("proof failed: made up",)
-    monkeypatch.setattr(verifier, "verify", lambda t: dataclasses.replace(verify(t), ok=False, reason="no"))
+    monkeypatch.setattr(verifier, "verify", lambda t: verify(t)._replace(ok=False, reason="no"))
     with pytest.raises(NoPathInTimeError, match="proof failed: no"):
         post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3)
 

@@ -61,7 +61,7 @@ def q_start(planner):
 
 def query(q_start, goal=GOAL, obstacles=(), **change):
     scene = scene_holding(PlanningScene().with_obstacles(*obstacles), ROD, HELD, rests_on=())
-    return dataclasses.replace(HeldQuery(q_start, goal, GRASPS, scene, seed=3), **change)
+    return HeldQuery(q_start, goal, GRASPS, scene, seed=3)._replace(**change)
 
 
 def failing(checks):

@@ -132,7 +132,7 @@ def common(outcomes, agreement=1.0, repeatable=True, failed_n=0):
 
 def test_audit_checks_can_fail(outcomes):
     def names(**change):
-        return common([dataclasses.replace(outcomes[0], audit=dataclasses.replace(AUDIT, **change))])
+        return common([dataclasses.replace(outcomes[0], audit=AUDIT._replace(**change))])
 
     assert names() == set()
     assert names(collisions_n=1) == {"proof.audit_collisions"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import json
 import platform
 from pathlib import Path
@@ -259,7 +258,7 @@ class TestMapping:
     def test_two_swapped_commands_are_found(self, world, kinematics, a, b):
         ctrl = world.joints.ctrl.copy()
         ctrl[[a, b]] = ctrl[[b, a]]
-        world.joints = dataclasses.replace(world.joints, ctrl=ctrl)
+        world.joints = world.joints._replace(ctrl=ctrl)
         expected = list(range(DOF))
         expected[a], expected[b] = b, a
         assert measure.torque_pulse_mapping(world, Supervisor(), kinematics) == tuple(expected)
@@ -389,7 +388,7 @@ class TestResponses:
             measured[:, 5] += sign * 0.1 * (1.0 - np.exp(-t / 0.05) * np.cos(40.0 * t))
             beyond = sign * (measured[:, 5] - target[5])
             step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, HOME)
-            still = dataclasses.replace(step, measured=np.tile(HOME, (1000, 1)))
+            still = step._replace(measured=np.tile(HOME, (1000, 1)))
             row = joint_responses(DUAL_PANDA, [step] * DOF, step)[5]
             assert row["overshoot_rad"] == pytest.approx(beyond.max(), rel=1e-9)
             assert row["step_rad"] == pytest.approx(sign * 0.1)

@@ -42,10 +42,7 @@ EMITTED = EmittedActions(in_limits=1.0, overshoot_max_rad=0.0, targets_n=16, inf
 
 def failing(result: dict[str, Any] | None = None, emitted: dict[str, Any] | None = None) -> set[str]:
     checks = train_checks(
-        dataclasses.replace(RESULT, **(result or {})),
-        dataclasses.replace(EMITTED, **(emitted or {})),
-        TrainConfig(),
-        DUAL_PANDA,
+        dataclasses.replace(RESULT, **(result or {})), EMITTED._replace(**(emitted or {})), TrainConfig(), DUAL_PANDA
     )
     return {check.name for check in checks if check.passed is False}
 

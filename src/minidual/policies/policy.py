@@ -17,7 +17,10 @@ from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import Plausible
 from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
-CELL_PX, _SAMPLES_N = 8, 256
+CELL_PX = 8
+_SAMPLES_N = 256
+Limits = tuple[Array, Array]
+"""Lower and upper (n,) [rad]."""
 
 
 class PolicyRuntime:
@@ -32,12 +35,7 @@ class PolicyRuntime:
     """
 
     def __init__(
-        self,
-        policy: ChunkPolicy,
-        *,
-        n_action_steps: int = 25,
-        blend_ticks: int = 8,
-        limits: tuple[Array, Array] | None = None,
+        self, policy: ChunkPolicy, *, n_action_steps: int = 25, blend_ticks: int = 8, limits: Limits | None = None
     ) -> None:
         self.policy, self.joints_n, self.cameras = policy, policy.dim - GRIPPERS_N, policy.cameras
         if not 1 <= n_action_steps <= policy.chunk_size:
