@@ -157,7 +157,7 @@ def test_the_button_of_the_view_presses(capsys: pytest.CaptureFixture[str]) -> N
             client.send(msgspec.msgpack.encode(CAMERA))
             _until(lambda: bool(view._server.get_clients()))
             assert emergency.pressed() == ""
-            button: Any = view._panel._stop
+            button: Any = view.panel._stop
             message = {"type": "GuiUpdateMessage", "uuid": button._impl.uuid, "updates": {"value": True}}
             client.send(msgspec.msgpack.encode(message))
             _until(lambda: emergency.pressed() == "button of the view")
