@@ -43,6 +43,7 @@ class Still:
 
     def __init__(self, away_rad: float) -> None:
         self.cameras: dict[str, tuple[int, int]] = {}
+        self.times_s: list[float] = []
         self._action = np.r_[HOME + away_rad, 1.0, 1.0]
 
     def reset(self) -> None: ...
