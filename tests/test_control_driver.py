@@ -437,6 +437,9 @@ def test_the_driver_sees_a_torque_that_jumps(driver: Driver, monkeypatch: pytest
 
 
 def test_the_driver_sees_a_lost_torque(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ControlStack, "_attempt", lambda self, part, otherwise: part())
+    def lose(self: ControlStack, error: Exception) -> None:
+        raise error
+
+    monkeypatch.setattr(ControlStack, "fail", lose)
     with pytest.raises((AssertionError, ZeroDivisionError, MinidualError)):
         driver.play(*range(12))
