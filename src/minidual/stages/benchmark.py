@@ -98,7 +98,7 @@ def run(context: StageContext) -> StageResult:
             data[task] = benchmark_data(cells, trials, seed)
             if failed := first_failures(trials):
                 name = f"failures-{task}.png"
-                captions[name] = f"{task}: the first failures of each kind, {len(failed)} trials"
+                captions[name] = f"{task}: failed trials, the first of each kind"
                 draw_failures([(*_again(given, t), t) for t in failed], folder / name)
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
