@@ -456,3 +456,13 @@ def test_the_floor_rests_or_drives_one_plan_wherever_the_object_is() -> None:
     for name in ("pose noise x3", "delay 20 ms", "light -30 %"):
         assert all(CONDITIONS[name].why_not(method, Config()) for method in ("hold", "replay"))
         assert not CONDITIONS["mass +50 %"].why_not("replay", Config())
+
+
+def test_a_method_gets_the_settings_of_its_task_even_from_a_plain_configuration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[Config] = []
+    monkeypatch.setattr(methods, "load_target", lambda _: lambda inputs: given.append(inputs.config))
+    Bench("hold", MethodInputs(Config(task="handover"), SEED))
+    assert given[0] == make_task(Config(task="handover")).config
+    assert given[0].plan.planner.padding_m != Config().plan.planner.padding_m

@@ -58,7 +58,7 @@ class Bench:
         self.world = World(self.task.scene, robot, model=model)
         self.kinematics = Kinematics(robot)
         self.hands = Hands(self.kinematics)
-        self.factory = self.spec.factory(inputs)
+        self.factory = self.spec.factory(inputs._replace(config=self.task.config))  # with the settings of the task
 
     def run(self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook = lambda world, method: None) -> Judged:
         """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
