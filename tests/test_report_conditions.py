@@ -21,6 +21,7 @@ from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 from minidual.show.report.tables import Tables, tabulate
 from minidual.stages.registry import STAGES
+from minidual.trials.benchmark import limits_of
 from minidual.trials.conditions import CLEAN
 
 
@@ -59,6 +60,20 @@ def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> No
     assert moved.middle == pytest.approx(still.middle + 0.5)
     assert moved.low <= moved.middle <= moved.high
     assert (cells["act", "delay 20 ms"].state, cells["act", "delay 20 ms"].why) == ("spared", "act reads no force")
+
+
+def test_a_cell_says_what_is_promised_and_nothing_where_nothing_is(given: StageContext, tmp_path: Path) -> None:
+    report, text = built(given, tmp_path)
+    limits = {(c.method, c.condition): c.limit for c in report.tables[samples.TASK].cells}
+    assert limits["impedance", CLEAN] == "more than 80%"
+    assert limits["impedance", "push +x"] == "15 points lost (carry --perturb)"
+    assert (limits["moveit", "push +x"], limits["act", "push +x"]) == ("", "")
+    assert text.count("limit: 15 points lost") == sum("lost" in limit for limit in limits.values())
+    asked = given.config.deploy.model_copy(update={"condition_rate_min": {"room": 0.85}})
+    config = given.config.model_copy(update={"deploy": asked})
+    assert limits_of(config, samples.TASK, "act", "room") == "85% or more (deploy)"
+    assert limits_of(config, "handover", "act", "room") == ""
+    assert limits_of(config, "handover", "impedance", "push +x") == ""
 
 
 def _drop(*path: str) -> Callable[[dict[str, Any]], None]:

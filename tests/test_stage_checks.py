@@ -22,9 +22,9 @@ from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
 from minidual.stages.config_checks import check_deploy
-from minidual.stages.deploy import deploy_checks, deploy_starts, seed_rates, set_checks
+from minidual.stages.deploy import deploy_checks, deploy_starts, farthest, seed_rates, set_checks
 from minidual.stages.train_act import training_seeds
-from minidual.tasks.task import make_task
+from minidual.tasks.task import make_task, placement
 from minidual.trials.metrics import TrialMetrics, summarise
 
 TASK = Config().scene.task
@@ -147,6 +147,19 @@ def test_deploy_fails_if_the_policy_succeeds_without_seeing_the_object(missed_n:
     assert len(checks) == 1, "other seeds' rates are not of interest"
     (unjudged,) = set_checks("object hidden", summary, [0.0], DeployConfig(judge_success=False))
     assert unjudged.op is None
+
+
+@pytest.mark.parametrize("name", ["rod_carry", "sort"])
+def test_the_object_is_hidden_where_going_to_the_middle_fails(name: str) -> None:
+    task = make_task(Config(task=name))
+    trials = [task.trial(3, "hidden", index) for index in range(40)]
+    xy = np.array([[placement(start)[:2] for start in trial.start.values()] for trial in trials])
+    off_m = np.linalg.norm(xy - xy.mean(axis=0), axis=2).sum(axis=1)
+    chosen = [trial.index for trial in farthest(trials, 5)]
+    assert len(set(chosen)) == 5
+    assert off_m[chosen].min() >= np.delete(off_m, chosen).max()
+    if name == "rod_carry":
+        assert off_m[chosen].min() > 2 * task.scene.task.goal_tolerance_m, "blind grasps end off the goal"
 
 
 def test_a_limit_of_deploy_needs_its_condition() -> None:

@@ -23,7 +23,7 @@ from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.task import Trial, make_task, placement
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
@@ -79,7 +79,7 @@ def run(context: StageContext) -> StageResult:
     for name in config.deploy.conditions:
         task, widen = make_task(config), CONDITIONS[name].widen
         sets[name] = name, [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]]
-    sets.setdefault(HIDDEN, (HIDDEN, starts["held_out"][: config.deploy.hidden_trials]))
+    sets.setdefault(HIDDEN, (HIDDEN, farthest(starts["held_out"], config.deploy.hidden_trials)))
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
     results: dict[str, list[TrialMetrics]] = {name: [] for name in sets}
     with context.progress.task("policy trials", len(checkpoints) * sum(len(t) for _, t in sets.values())) as bar:
@@ -87,7 +87,7 @@ def run(context: StageContext) -> StageResult:
             for name, (under, trials) in sets.items():
                 for result in run_trials(METHOD, given, trials, workers=context.workers, condition=under, watch=watch):
                     # The tables list the undisturbed sets as conditions, too, and count on from policy to policy.
-                    index = k * len(trials) + result.index
+                    index = k * (1 + max(t.index for t in trials)) + result.index
                     results[name].append(replace(result, condition=name, index=index))
                     bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")
     write_csv(context.folder / "trials.csv", [r.to_row() for rows in results.values() for r in rows])
@@ -109,6 +109,16 @@ def run(context: StageContext) -> StageResult:
     if errors := [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]:
         checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
     return StageResult(checks=checks, data=data)
+
+
+def farthest(trials: Sequence[Trial], n: int) -> list[Trial]:
+    """Return the `n` trials whose objects start farthest from the middle of all.
+
+    A policy that goes to the middle without looking succeeds where the object lies near it: in 13 of 100 trials.
+    """
+    xy = np.array([[placement(start)[:2] for start in trial.start.values()] for trial in trials])
+    off_m = np.linalg.norm(xy - xy.mean(axis=0), axis=2).sum(axis=1)
+    return [trials[k] for k in np.argsort(-off_m, kind="stable")[:n]]
 
 
 def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settings: DeployConfig) -> list[Check]:

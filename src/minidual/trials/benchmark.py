@@ -251,6 +251,17 @@ def promised(trials_n: int) -> dict[str, int]:
     return {name: trials_n for name, row in CONDITIONS.items() if row.promised}
 
 
+def limits_of(config: Config, task: str, method: str, name: str) -> str:
+    """Return the limit that the product promises for a cell, as text; empty where it promises nothing."""
+    if name == CLEAN:
+        least = config.benchmark.success_rate_min.get(method)
+        return "" if least is None else f"more than {least:.0%}"
+    if method == "impedance" and task == "rod_carry" and CONDITIONS[name].promised:
+        return f"{100 * DROP_MAX:.0f} points lost (carry --perturb)"
+    asked = config.deploy.condition_rate_min.get(name)
+    return f"{asked:.0%} or more (deploy)" if method == "act" and task == config.task and asked is not None else ""
+
+
 def robustness(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], rate_min: float) -> list[Robustness]:
     """Return what each condition costs one method, whose undisturbed rate must reach `rate_min`."""
     rates = {c.condition: c.summary["success_rate"] for c in cells if c.summary is not None}

@@ -4,6 +4,7 @@ Equal verdicts give equal bytes: neither clock nor machine is read.
 """
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from minidual.show.report import wording
 from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.model import Medium, Report, collect_media
 from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate, three_digits
-from minidual.trials.benchmark import trials_asked
+from minidual.trials.benchmark import limits_of, trials_asked
 from minidual.trials.measures import MEASURES
 from minidual.trials.methods import METHODS
 
@@ -47,7 +48,14 @@ def build_report(given: StageContext, folder: Path) -> Report:
         asked = trials_asked(given.config).items()
         own = next(iter(trials_asked(given.config)))
         tables = {
-            task: tabulate(wanted.methods, tuple(under), data.get(task, {}), own=task == own) for task, under in asked
+            task: tabulate(
+                wanted.methods,
+                tuple(under),
+                data.get(task, {}),
+                own=task == own,
+                limit=partial(limits_of, given.config, task),
+            )
+            for task, under in asked
         }
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
         figures = {

@@ -1,7 +1,7 @@
 """Indicators that compare methods, and the table of methods by conditions; missing numbers are listed."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -99,6 +99,7 @@ class Cell:
         failures: (reason, trials), most frequent first.
         stopped: Failed trials that the method itself stopped.
         further: Values of MEASURES; None where one does not apply.
+        limit: What is promised; empty: nothing.
     """
 
     method: str
@@ -111,6 +112,7 @@ class Cell:
     failures: tuple[tuple[str, int], ...] = ()
     stopped: int = 0
     further: Mapping[str, float | None] = field(default_factory=dict)
+    limit: str = ""
 
     @property
     def success(self) -> Measure | None:
@@ -211,10 +213,17 @@ def corrected(rows: Sequence[Pair]) -> list[Pair]:
     return [{**row, "p_holm": p, "shown": p < CERTAIN} for row, p in zip(rows, ps, strict=True)]
 
 
-def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[str, Any], *, own: bool = True) -> Tables:
+def tabulate(
+    methods: Sequence[str],
+    conditions: Sequence[str],
+    data: Mapping[str, Any],
+    *,
+    own: bool = True,
+    limit: Callable[[str, str], str] = lambda _method, _condition: "",
+) -> Tables:
     """Return the table of required `methods` and `conditions`; CLEAN is always included.
 
-    `data`: see `benchmark_data`.
+    `data`: see `benchmark_data`. `limit` says what is promised for a method under a condition.
     """
     records = {CLEAN: ("nothing disturbs the trial", data.get("methods", {}))}
     for name in (name for name in conditions if name != CLEAN):
@@ -225,13 +234,17 @@ def tabulate(methods: Sequence[str], conditions: Sequence[str], data: Mapping[st
     pairs = data.get("comparisons", [])
     clean, disturbed = (corrected([p for p in pairs if (p["condition"] == CLEAN) is c]) for c in (True, False))
     rows = (
-        Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m))) for m in methods))
+        Row(
+            name,
+            summary,
+            tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m)), limit(m, name)) for m in methods),
+        )
         for name, (summary, mine) in records.items()
     )
     return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]], own)
 
 
-def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | None) -> Cell:
+def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | None, limit: str) -> Cell:
     if record.get("applies") is False and record.get("why"):
         return Cell(method, condition, "spared", why=record["why"])
     trials, failures = finite(record.get("trials")), record.get("failures", {})
@@ -245,6 +258,7 @@ def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | N
         failures=tuple(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         stopped=record.get("stopped_n", 0),
         further={name: finite(record.get("measures", {}).get(name)) for name in MEASURES},
+        limit=limit,
     )
 
 
