@@ -20,13 +20,25 @@ from minidual.motion.blend import blended_path
 from minidual.motion.ik import solvers
 from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import time_path
+from minidual.plant.world import World
 from minidual.registry import Registry
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import DUAL_PANDA, SIDES
+from minidual.tasks.task import make_task, pose_of
 from scripts.bench import __main__ as bench
 from scripts.bench import hard, peers
 from scripts.bench.peers import Roboplan, Run
-from scripts.bench.queries import GROUP, SETS, DrawnQuery, PosedQuery, RigidHands, draw, out_of_reach, posed
+from scripts.bench.queries import (
+    GROUP,
+    SETS,
+    DrawnQuery,
+    PosedQuery,
+    RigidHands,
+    draw,
+    first_grasps,
+    out_of_reach,
+    posed,
+)
 from scripts.bench.tables import BenchInputs, BenchTable
 
 SEED = 20260
@@ -108,6 +120,40 @@ class TestDraws:
         boxes = [shape for shape in draw(SETS["clutter"], SEED, 4).scene.obstacles if shape.name != "table"]
         assert len(boxes) == 20
         assert sum(box.position_m[2] == pytest.approx(0.5 * box.size_m[2]) for box in boxes) >= 10
+
+    @pytest.mark.parametrize("name", [name for name, of in SETS.items() if of.task])
+    def test_the_objects_of_a_task_stand_where_its_trial_puts_them(self, name) -> None:
+        """Oracle: the task's own world, in MuJoCo."""
+        task = make_task(Config(task=name))
+        for index in range(3):
+            drawn, trial = draw(SETS[name], SEED, index), task.trial(SEED, f"bench/{name}", index)
+            world = World(task.scene)
+            world.reset(poses=trial.start)
+            seen = {}
+            for shape in drawn.scene.obstacles:
+                seen.setdefault(shape.name.rpartition(" ")[0], []).append(shape)
+            for body in task.objects:
+                assert seen[body][0].position_m == pytest.approx(world.object_pose(body)[:3, 3], abs=1e-9)
+                assert len(seen[body]) == len(task.objects[body].body.solids)
+
+    def test_hands_go_over_the_grasps_of_a_task(self) -> None:
+        task = make_task(Config(task="pot_lift"))
+        drawn, trial = draw(SETS["pot_lift"], SEED, 1), task.trial(SEED, "bench/pot_lift", 1)
+        pot = task.objects[task.carried]
+        for arm in SIDES:
+            grasp = pose_of(pot.body, trial.start[task.carried]) @ pot.grasps[arm]
+            assert drawn.goal[arm][:3, :3] == pytest.approx(grasp[:3, :3])
+            assert drawn.goal[arm][:3, 3] - grasp[:3, 3] == pytest.approx([0.0, 0.0, 0.08])
+        (giver,) = first_hands("handover", 0)
+        assert giver in SIDES, "the taker's grasp is not on the table"
+        assert set(first_hands("insertion", 0)) == set(SIDES)
+
+
+def first_hands(name, index) -> list[str]:
+    task = make_task(Config(task=name))
+    trial = task.trial(SEED, f"bench/{name}", index)
+    objects = {key: pose_of(item.body, trial.start[key]) for key, item in task.objects.items()}
+    return list(first_grasps(task, trial, objects, np.random.default_rng(0)))
 
 
 class TestInfeasible:

@@ -1,4 +1,4 @@
-"""Unfiltered planning queries, drawn by seed: a shelf, a gate for a held rod, crossing hands, 20 boxes.
+"""Unfiltered planning queries, drawn by seed: a shelf, a gate for a held rod, crossing hands, 20 boxes, the tasks' scenes.
 
 One draw of hand poses is one query, whatever comes of it: no draw is repeated, and no planner is asked. What a draw
 has no posture for is counted. `infeasible` tells where that is proven: a hand is farther from its shoulder than the arm
@@ -22,17 +22,19 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
 from minidual.collision.shapes import Box, Shape
+from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
-from minidual.motion.held.planner import scene_holding
+from minidual.motion.held.planner import placed, scene_holding
 from minidual.motion.ik import pose_goals
 from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, inverse, pose, rot_x, rot_z
-from minidual.skills.cycle import thing_of
-from minidual.tasks.task import grasp_offsets
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, inverse, pose, rot_x, rot_z
+from minidual.skills.cycle import around, shape_of, thing_of
+from minidual.skills.phases import PHASES, raised
+from minidual.tasks.task import Task, Trial, grasp_offsets, make_task, pose_of
 
 GROUP = "both_arms"
 _RESTARTS_SCALE = 4
@@ -92,17 +94,21 @@ class Boxes:
 
 @dataclass(frozen=True)
 class QuerySet:
-    """What a set draws: regions of start and goal, extra boxes; with `rod` the regions are the rod's."""
+    """What a set draws: regions of start and goal, extra boxes; with `rod` the regions are the rod's.
+
+    With `task` the task's objects stand where a trial puts them, and hands that take one first go over their grasps.
+    """
 
     name: str
     start: tuple[Region, ...]
     goal: tuple[Region, ...]
     boxes: Boxes | None = None
     rod: bool = False
+    task: str = ""
 
     @property
     def scene_file(self) -> Path:
-        """What stands there in every query."""
+        """What stands there in every query, but for `task`."""
         return Path(__file__).with_name("sets") / f"{self.name}.yaml"
 
 
@@ -171,10 +177,48 @@ def _standing(file: Path, *, rod: bool) -> PlanningScene:
     return scene
 
 
+@cache
+def _task(name: str) -> Task:
+    return make_task(Config(task=name))
+
+
+def first_grasps(task: Task, trial: Trial, objects: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    """Return T_world_tcp (4, 4) over the grasp of each hand that takes an object off the table."""
+    steps = task.steps if task.arrange is None else next(iter(task.arrange(task, trial, objects)))
+    over, taken = dict[str, Array](), set[str]()
+    for step in (step for step in steps if step.phase == "approach"):
+        names = step.objects or (task.carried,) * len(step.hands)
+        reached = [
+            (hand, name) for hand, name in zip(step.hands, names, strict=False) if not {hand, name} & {*over, *taken}
+        ]
+        for hand, name in reached:
+            grasps = step.grasps or (task.objects[name].grasps[hand],)
+            over[hand] = raised(objects[name] @ grasps[rng.integers(len(grasps))], PHASES["approach"].rise_m)
+        taken |= {name for _, name in reached}
+    return over
+
+
+def _standing_in(task: Task, objects: Mapping[str, Array]) -> PlanningScene:
+    bodies = {name: task.objects[name].body for name in objects}
+    shapes = (
+        placed(shape_of(f"{name} {k}", part), objects[name])
+        for name, body in bodies.items()
+        for k, part in enumerate(body.solids)
+    )
+    return around(task.scene, DUAL_PANDA).with_obstacles(*shapes)
+
+
 def draw(of: QuerySet, seed: int, index: int) -> DrawnQuery:
     """Return query `index` of a set."""
     rng = stream(seed, f"bench/{of.name}", index)
-    scene = _standing(of.scene_file, rod=of.rod)
+    over = dict[str, Array]()
+    if of.task:
+        task = _task(of.task)
+        trial = task.trial(seed, f"bench/{of.name}", index)
+        objects = {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()}
+        scene, over = _standing_in(task, objects), first_grasps(task, trial, objects, rng)
+    else:
+        scene = _standing(of.scene_file, rod=of.rod)
     if of.boxes is not None:
         scene = scene.with_obstacles(*of.boxes.draw(rng))
     ends: list[dict[str, Array]] = []
@@ -185,7 +229,8 @@ def draw(of: QuerySet, seed: int, index: int) -> DrawnQuery:
             ends.append({arm: T_world_rod @ grasp for arm, grasp in rod_grasps().items()})
         else:
             ends.append({arm: regions[rng.integers(len(regions))].draw(rng, mirrored=arm == "right") for arm in SIDES})
-    return DrawnQuery(of, index, subseed(seed, f"bench/{of.name}/plan", index), scene, ends[0], ends[1], T_world_rod)
+    goal = {**ends[1], **over}
+    return DrawnQuery(of, index, subseed(seed, f"bench/{of.name}/plan", index), scene, ends[0], goal, T_world_rod)
 
 
 def posed(drawn: DrawnQuery, planner: Planner) -> PosedQuery:

@@ -38,14 +38,19 @@ _OF_HANDS = {"descend": descend, "close": close, "open": open_hands, "retreat": 
 def thing_of(body: ObjectConfig) -> Thing:
     """Return the planner's object."""
     part, *others = body.solids
-    x, y, z = part.size_m
     if others:
         pieces = tuple(_corners(part).tobytes() for part in body.solids)
         return Thing(Mesh(body.name, (0.0, 0.0, 0.0), pieces=pieces), upright=body.upright)
+    return Thing(shape_of(body.name, part), upright=body.upright)
+
+
+def shape_of(name: str, part: PartConfig) -> Box | Cylinder:
+    """Return a part as the planner's shape."""
     if part.shape == "box":
-        return Thing(Box(body.name, (0.0, 0.0, 0.0), size_m=part.size_m), upright=body.upright)
+        return Box(name, part.position_m, size_m=part.size_m)
+    x, y, z = part.size_m
     quat, length_m = (IDENTITY, z) if part.axis == "z" else (_ALONG_Y, y)
-    return Thing(Cylinder(body.name, (0.0, 0.0, 0.0), quat, x / 2, length_m), upright=body.upright)
+    return Cylinder(name, part.position_m, quat, x / 2, length_m)
 
 
 def _corners(part: PartConfig) -> Array:
