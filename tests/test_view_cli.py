@@ -10,11 +10,15 @@ from pipeline_toys import Toy
 
 from minidual.cli.app import run_command_line
 from minidual.config.loader import load_config
+from minidual.config.root import Config
 from minidual.errors import ExitCode
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
+from minidual.plant.world import World
+from minidual.stages import scene_view
 from minidual.stages.registry import STAGES, TOOLS
+from minidual.tasks.task import TASKS, make_task
 
 MOVES_ARMS = {"env-check", "plan", "carry", "teleop-record", "deploy", "benchmark"}
 
@@ -104,6 +108,22 @@ def test_the_scene_shows_itself_for_the_time_asked_for(tmp_path: Path, capsys: p
     assert run_command_line(["view", "--view", "none"], STAGES, TOOLS) == ExitCode.USAGE
     assert "needs a view" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())  # a tool that only shows writes nothing
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_scene_of_every_task_is_shown(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[World] = []
+
+    def world(*given: Any) -> World:
+        shown.append(World(*given))
+        return shown[-1]
+
+    monkeypatch.setattr(scene_view, "World", world)
+    words = ["view", "--task", name, "--for-s", "0.1", "--runs-dir", str(tmp_path), "--view-port", str(unused_port())]
+    assert run_command_line(words, STAGES, TOOLS) == ExitCode.PASS
+    (scene,) = shown
+    assert scene.time > 0.0
+    assert set(scene.objects) == set(make_task(Config(task=name)).objects)
 
 
 def test_an_aside_that_shows_nothing_refuses_a_view(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
