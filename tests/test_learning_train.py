@@ -14,6 +14,7 @@ from late import late
 from pydantic import ValidationError
 from test_learning_demonstrations import tiny
 
+from minidual import emergency
 from minidual.config.learning import TrainConfig
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.policies.demonstrations import Demonstrations
@@ -120,8 +121,110 @@ def test_progress_of_another_training_is_not_used(demos: Demonstrations, tmp_pat
         config = TrainConfig(**{**SMALL, "approach_weight": 1.0})
     else:
         demos = tiny(seed=1)
+    before = (tmp_path / "progress" / "progress.pt").read_bytes()
+    (tmp_path / "progress" / "other").mkdir()
     result = train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress")
-    assert (result.resumed_from_step, result.set_aside) == (0, None)
+    assert result.resumed_from_step == 0
+    assert result.set_aside is not None
+    assert result.set_aside.parent == tmp_path / "set-aside"
+    assert result.set_aside.name.startswith("train-act.other-progress-")
+    assert result.set_aside.read_bytes() == before
+    assert (tmp_path / "progress" / "other").is_dir(), "only the file is moved"
+
+
+def test_an_interrupted_training_says_where_the_one_before_is_and_that_goes_on(
+    demos: Demonstrations, tmp_path: Path
+) -> None:
+    """It was lost: the second Ctrl-C replaced its progress."""
+    config, progress = TrainConfig(**SMALL), tmp_path / "progress"
+    train(demos, config, 5, tmp_path / "whole")
+    for learning_rate in (config.learning_rate, 0.1):
+        changed = TrainConfig(**{**SMALL, "learning_rate": learning_rate})
+        with pytest.raises(KeyboardInterrupt) as caught:
+            train(demos, changed, 5, tmp_path / "cut", resume_dir=progress, advance=interrupt)
+    (moved,) = (tmp_path / "set-aside").iterdir()
+    assert str(caught.value) == f"interrupted; an earlier training's progress is in {moved}"
+    moved.replace(progress / "progress.pt")
+    assert train(demos, config, 5, tmp_path / "cut", resume_dir=progress).resumed_from_step == 1
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+
+
+def test_settings_without_influence_on_the_weights_do_not_end_a_training(demos: Demonstrations, tmp_path: Path) -> None:
+    config = TrainConfig(**SMALL, dropout=0.1)
+    free = {"seeds_n": 3, "log_every_steps": 1, "validate_every_steps": 1, "checkpoint_every_steps": 1}
+    changed = TrainConfig(**{**SMALL, **free, "time_limit_s": 900.0, "loss_ratio_max": 0.9}, dropout=0.1)
+    train(demos, config, 5, tmp_path / "whole")
+    train(demos, changed, 5, tmp_path / "changed")
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "changed"))
+    with pytest.raises(KeyboardInterrupt):
+        train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
+    result = train(demos, changed, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    assert (result.resumed_from_step, result.set_aside) == (1, None)
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+
+
+def test_the_emergency_stop_ends_a_training_which_goes_on_later(demos: Demonstrations, tmp_path: Path) -> None:
+    """It trained to the end, and the finished training was thrown away."""
+    config = TrainConfig(**SMALL)
+    whole = train(demos, config, 5, tmp_path / "whole")
+    try:
+        with pytest.raises(emergency.EmergencyStop):
+            train(
+                demos,
+                config,
+                5,
+                tmp_path / "cut",
+                resume_dir=tmp_path / "progress",
+                advance=lambda *_: emergency.press("test"),
+            )
+    finally:
+        emergency.release()
+    assert not (tmp_path / "cut").exists()
+    resumed = train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    assert (resumed.resumed_from_step, resumed.curve) == (1, whole.curve)
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+
+
+def at_call(count: int, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `function`, interrupted after its `count`-th call."""
+    calls = iter(range(count, -1, -1))
+
+    def interrupted(*args: Any, **options: Any) -> Any:
+        result = function(*args, **options)
+        if next(calls, 0) == 1:
+            raise KeyboardInterrupt
+        return result
+
+    return interrupted
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("predict_action_chunk", 1),  # validation after step 2: the average is in the policy
+        ("LossRow", 1),  # step 2 is not in the curve yet
+        ("step", 3),  # step 3 is applied and not counted
+        ("get_ema_multi_avg_fn", 3),
+    ],
+)
+def test_an_interruption_within_a_step_leaves_the_progress_of_a_whole_one(
+    demos: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, count: int
+) -> None:
+    """The progress held the averaged weights, or those of a step that was done again."""
+    from minidual.policies import train as loop
+    from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
+
+    config = TrainConfig(**SMALL, checkpoint_every_steps=2)
+    whole = train(demos, config, 5, tmp_path / "whole")
+    place = {"predict_action_chunk": SpatialActPolicy, "step": torch.optim.AdamW}.get(name, loop)
+    with monkeypatch.context() as patch:
+        patch.setattr(place, name, at_call(count, getattr(place, name)))
+        with pytest.raises(KeyboardInterrupt):
+            train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    resumed = train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    assert resumed.resumed_from_step == 2
+    assert resumed.curve == whole.curve
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
 
 def truncated(path: Path) -> None:
@@ -159,7 +262,8 @@ def test_damaged_progress_is_set_aside_and_training_starts_anew(
     assert (result.resumed_from_step, result.steps) == (0, config.steps)
     assert result.set_aside is not None
     assert result.set_aside.parent == tmp_path / "set-aside"
-    assert (result.set_aside / "progress.pt").exists()
+    assert result.set_aside.name.startswith("train-act.damaged-progress-")
+    assert result.set_aside.exists()
 
 
 def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_learning_rate(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import shutil
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,12 +12,19 @@ from typing import Any
 import learning_world
 import numpy as np
 import pytest
+from test_learning_demonstrations import tiny
+from test_learning_train import SMALL
 
+from minidual import emergency
 from minidual.config.learning import TrainConfig
+from minidual.config.root import Config
+from minidual.gate.fingerprint import Code
+from minidual.gate.stage import Progress, StageContext, StageResult
 from minidual.policies import policy
 from minidual.policies.kinds import ChunkPolicy, TrainResult
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import DUAL_PANDA
+from minidual.stages import train_act
 from minidual.stages.train_act import train_checks
 
 RESULT = TrainResult(
@@ -108,3 +116,107 @@ def test_a_checkpoint_is_judged_as_it_predicts(
     emitted = exercise_checkpoint(tmp_path, demos, DUAL_PANDA)
     assert emitted.targets_n == dim
     assert failing(emitted=emitted._asdict()) == failed
+
+
+class Stage:
+    """Runs of train-act in one run folder, interrupted when training number `stop_in` is exercised (0: not)."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.said, self.stop_in = folder, list[str](), 0
+        monkeypatch.setattr(train_act, "load_demonstrations", lambda *_, **__: tiny())
+        monkeypatch.setattr(train_act, "exercise_checkpoint", self.exercise)
+        monkeypatch.setattr(train_act, "draw_loss", lambda *_: None)
+
+    def exercise(self, *_: Any, **__: Any) -> EmittedActions:
+        self.stop_in -= 1
+        if self.stop_in == 0:
+            raise KeyboardInterrupt
+        return EMITTED
+
+    def run(self, stop_in: int = 0, **settings: Any) -> StageResult:
+        self.stop_in = stop_in
+        folder = self.folder / ".train-act.tmp"
+        folder.mkdir()
+        context = StageContext(
+            config=Config(train=TrainConfig(**{**SMALL, **settings})),
+            seed=5,
+            profile="standard",
+            folder=folder,
+            upstream={"teleop-record": self.folder},
+            progress=Progress(self.said.append),
+        )
+        try:
+            return train_act.run(context)
+        finally:
+            shutil.rmtree(folder)
+
+    def moved(self) -> list[str]:
+        """Names in set-aside, without their times."""
+        return sorted(path.name.partition("-20")[0] for path in (self.folder / "set-aside").glob("*"))
+
+    def kept(self) -> list[str]:
+        return sorted(str(path.relative_to(self.folder)) for path in self.folder.glob(".train-act.*"))
+
+
+@pytest.fixture
+def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Stage:
+    return Stage(tmp_path, monkeypatch)
+
+
+@pytest.mark.torch
+def test_every_interrupted_seed_goes_on_and_nothing_is_left(stage: Stage) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        stage.run(stop_in=2, seeds_n=2)
+    notes = stage.run(seeds_n=2).notes
+    assert "continued an interrupted training from step 4" in notes
+    assert "seed_2.continued an interrupted training from step 4" in notes
+    assert (stage.kept(), stage.moved()) == ([], [])
+
+
+@pytest.mark.torch
+def test_progress_of_other_settings_is_kept_in_the_run_for_every_seed(stage: Stage) -> None:
+    """That of the second seed was moved into a folder that the stage deletes, or moved with that of the first."""
+    with pytest.raises(KeyboardInterrupt):
+        stage.run(stop_in=2, seeds_n=2)
+    notes = stage.run(seeds_n=2, learning_rate=0.01).notes
+    assert stage.moved() == ["train-act.other-progress"] * 2
+    named = [Path(note.rpartition(" ")[2]) for note in notes if "did not fit" in note]
+    assert len(named) == 2
+    assert all(path.parent == stage.folder / "set-aside" and path.is_file() for path in named)
+
+
+@pytest.mark.torch
+def test_a_damaged_file_of_one_seed_leaves_the_others(stage: Stage) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        stage.run(stop_in=2, seeds_n=2)
+    first, _ = sorted(stage.folder.rglob("progress.pt"), key=lambda path: (len(path.parts), path))
+    first.write_bytes(b"")
+    notes = stage.run(seeds_n=2).notes
+    assert stage.moved() == ["train-act.damaged-progress"]
+    assert "seed_2.continued an interrupted training from step 4" in notes
+
+
+@pytest.mark.torch
+def test_a_training_does_not_go_on_under_other_code(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    modules = train_act.code_of(["minidual.policies.act:train"]).modules
+    assert {"minidual.policies.act", "minidual.policies.train", "minidual.policies.batches"} <= modules.keys()
+    with pytest.raises(KeyboardInterrupt):
+        stage.run(stop_in=2, seeds_n=2)
+    monkeypatch.setattr(train_act, "code_of", lambda _: Code({**modules, "minidual.policies.batches": "changed"}))
+    notes = stage.run(seeds_n=2).notes
+    assert not any("continued" in note for note in notes)
+    assert stage.moved() == ["train-act.progress"] * 2
+    assert sum("a training of other code is now in" in line for line in stage.said) == 2
+    assert all(list(path.glob("progress.pt")) for path in (stage.folder / "set-aside").iterdir())
+
+
+@pytest.mark.torch
+def test_a_finished_training_survives_the_emergency_stop(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train_act, "draw_loss", lambda *_: emergency.press("test"))
+    try:
+        with pytest.raises(emergency.EmergencyStop):
+            stage.run()
+    finally:
+        emergency.release()
+    monkeypatch.setattr(train_act, "draw_loss", lambda *_: None)
+    assert "continued an interrupted training from step 4" in stage.run().notes

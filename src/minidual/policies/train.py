@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from minidual import durable
+from minidual import durable, emergency
 from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
 from minidual.demos.lerobot_reader import Rows
@@ -65,8 +65,10 @@ def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult
         resumed = loop.resume()
         try:
             stopped_by = loop.run(job.advance)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as stop:
             loop.save()
+            if loop.set_aside is not None:  # no result will tell
+                stop.args = (f"{str(stop) or 'interrupted'}; an earlier training's progress is in {loop.set_aside}",)
             raise
         finally:
             loop.shares.close()
@@ -108,7 +110,8 @@ class _Loop:
         rate, decay = config.learning_rate, config.weight_decay
         self.optimiser = torch.optim.AdamW(self.parameters, lr=rate, weight_decay=decay, fused=True)
         self.average = [p.detach().clone() for p in self.parameters]
-        self.state = _State()
+        # consistent: weights, moving average, optimiser and state are those of one step
+        self.state, self.consistent = _State(), True
         self.progress = None if job.resume_dir is None else job.resume_dir / PROGRESS_FILE
         self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
 
@@ -126,13 +129,15 @@ class _Loop:
         config, state = self.config, self.state
         self.policy.train()
         if state.step:
+            self._log_if_due()  # interrupted before it was
             advance(state.step, state.recent[-1][0] if state.recent else state.curve[-1].loss)
         last = time.perf_counter()
         while state.step < config.steps:
+            emergency.check()
             loss = self._step(state.step)
             state.step += 1
-            if state.step % config.log_every_steps == 0 or state.step == config.steps:
-                self._log()
+            self.consistent = True
+            self._log_if_due()
             now = time.perf_counter()
             state.spent_s, last = state.spent_s + now - last, now
             if state.step % config.checkpoint_every_steps == 0 or state.step == config.steps:
@@ -160,6 +165,7 @@ class _Loop:
                 f"{self.config.learning_rate / 3:.1g}",
             )
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
+        self.consistent = False
         self.optimiser.step()
         if self.config.ema_decay > 0:
             # Short memory at first, so that the random initial weights leave the average.
@@ -176,9 +182,14 @@ class _Loop:
         rows = draw_weighted(self.rows, self.cumulative_weights, self.config.batch_size, rng)
         return seed, self.batches.training(rows, rng)
 
+    def _log_if_due(self) -> None:
+        if self.state.step % self.config.log_every_steps == 0 or self.state.step == self.config.steps:
+            self._log()
+
     def _log(self) -> None:
         state, config = self.state, self.config
-        if not state.recent:
+        if state.curve and state.curve[-1].step == state.step:
+            state.recent.clear()  # an interruption may have come before it
             return
         keyframes = [k for _, _, k in state.recent if k is not None]
         logged = state.curve[-1].step if state.curve else 0
@@ -195,20 +206,24 @@ class _Loop:
         if not len(self.validation_rows):
             return None, None
         current = [p.detach().clone() for p in self.parameters]
-        self.use_averaged_weights()
         l1: list[float] = []
         keyframe: list[torch.Tensor] = []
-        for start in range(0, len(self.validation_rows), 64):
-            batch = self.batches.clean(self.validation_rows[start : start + 64])
-            observation = {k: v for k, v in batch.items() if k.startswith("observation.")}
-            chunk = self.policy.predict_action_chunk(observation)
-            l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
-            if getattr(self.policy.config, "keyframe_weight", 0.0) > 0:
-                error = (self.policy.model(observation)[2] - batch["keyframe"]).abs()
-                error = error * self.stats["action"]["std"].to(error.device)
-                keyframe.append(error[..., : self.joints_n].mean(-1)[batch["keyframe_is_valid"]])
-        self._set_weights(current)
-        self.policy.train()
+        self.consistent = False
+        try:
+            self.use_averaged_weights()
+            for start in range(0, len(self.validation_rows), 64):
+                batch = self.batches.clean(self.validation_rows[start : start + 64])
+                observation = {k: v for k, v in batch.items() if k.startswith("observation.")}
+                chunk = self.policy.predict_action_chunk(observation)
+                l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
+                if getattr(self.policy.config, "keyframe_weight", 0.0) > 0:
+                    error = (self.policy.model(observation)[2] - batch["keyframe"]).abs()
+                    error = error * self.stats["action"]["std"].to(error.device)
+                    keyframe.append(error[..., : self.joints_n].mean(-1)[batch["keyframe_is_valid"]])
+        finally:
+            self._set_weights(current)
+            self.policy.train()
+            self.consistent = True
         errors = torch.cat(keyframe) if keyframe else torch.zeros(0)
         return float(np.mean(l1)), float(errors.mean()) if errors.numel() else None
 
@@ -223,7 +238,8 @@ class _Loop:
             parameter.copy_(value)
 
     def save(self) -> None:
-        if self.progress is None:
+        """Write the progress, unless it is cut within a step: then the last written one stands."""
+        if self.progress is None or not self.consistent:
             return
         record = {
             "fingerprint": self.fingerprint,
@@ -239,16 +255,20 @@ class _Loop:
             partial.write_bytes(hashlib.sha256(content.getbuffer()).digest() + content.getbuffer())
 
     def resume(self) -> int:
-        """Load matching progress and return its step; move damaged progress to `set-aside` beside its folder."""
+        """Load matching progress and return its step; move any other file to `set-aside` beside its folder."""
         if self.progress is None or not self.progress.exists():
             return 0
         content = self.progress.read_bytes() if self.progress.is_file() else b""
         # The checksum comes first: a damaged file would fail anywhere below, or later in training.
-        if hashlib.sha256(content[DIGEST_BYTES:]).digest() != content[:DIGEST_BYTES]:
-            self.set_aside = durable.set_aside(self.progress.parent, "train-act.progress")
-            return 0
-        saved = torch.load(io.BytesIO(content[DIGEST_BYTES:]), map_location=self.config.device, weights_only=True)
-        if saved["fingerprint"] != self.fingerprint:
+        digest, rest = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+        intact = hashlib.sha256(rest).digest() == digest
+        saved = torch.load(io.BytesIO(rest), map_location=self.config.device, weights_only=True) if intact else {}
+        if saved.get("fingerprint") != self.fingerprint:
+            # only the file: other work may lie in its folder
+            place = self.progress.parent.with_name("set-aside")
+            durable.make_folder(place)
+            name = f"train-act.{'other' if intact else 'damaged'}-progress"
+            self.set_aside = self.progress.rename(place / f"{name}-{durable.now_text('%Y%m%d-%H%M%S-%f')}.pt")
             return 0
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])
@@ -290,7 +310,8 @@ class _Loop:
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, policy: Any) -> str:
     """Return a hash of what determines the weights (images sampled)."""
     digest = hashlib.sha256()
-    settings = config.model_dump(exclude={"time_limit_s", "loss_ratio_max", "actions_in_limits_min", "train_s_max"})
+    free = {"seeds_n", "log_every_steps", "validate_every_steps", "checkpoint_every_steps", "time_limit_s"}
+    settings = config.model_dump(exclude=free | {"loss_ratio_max", "actions_in_limits_min", "train_s_max"})
     layout = [(name, list(values.shape)) for name, values in policy.state_dict().items()]
     digest.update(json.dumps([seed, settings, layout, torch.__version__], sort_keys=True).encode())
     for array in (demos.state, demos.action, demos.episode_index):

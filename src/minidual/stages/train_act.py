@@ -4,9 +4,12 @@ import shutil
 from dataclasses import replace
 from typing import Any
 
+from minidual import durable, emergency
 from minidual.config.learning import TrainConfig
 from minidual.config.seeds import subseed
+from minidual.gate.canonical import digest
 from minidual.gate.check import Check, Rows
+from minidual.gate.fingerprint import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv, write_train_json
@@ -38,9 +41,13 @@ def run(context: StageContext) -> StageResult:
     with context.progress.task("reading frames") as task:
         dataset = context.upstream["teleop-record"] / "lerobot"
         demos = load_demonstrations(dataset, config.cameras, task.advance, folder=context.folder)
-    # Kept outside the temporary folder, so that an interrupted training resumes. A fingerprint of data, settings and
-    # seed prevents reuse by another training.
-    resume = context.folder.parent / ".train-act.progress"
+    # Kept outside the temporary folder, so that an interrupted training resumes. Its name prevents reuse by other code,
+    # a fingerprint of data, settings and seed in the file reuse by another training.
+    code = digest(code_of([f"{type(kind).__module__}:train"]).modules)[:8]
+    places = [context.folder.with_suffix(f".progress-{code}-{k + 1}") for k in range(config.seeds_n)]
+    for old in sorted(context.folder.parent.glob(f"{context.folder.stem}.progress*")):
+        if not old.name.startswith(f"{context.folder.stem}.progress-{code}"):
+            context.progress.note(f"a training of other code is now in {durable.set_aside(old, 'train-act.progress')}")
     checks, all_records, notes = list[Check](), list[dict[str, Any]](), list[str]()
     for k, seed in enumerate(training_seeds(context.seed, config.seeds_n)):
         folder = context.folder if k == 0 else context.folder / f"seed-{k + 1}"
@@ -50,8 +57,7 @@ def run(context: StageContext) -> StageResult:
             def advance(steps: int, loss: float) -> None:
                 task.advance(steps, f"loss {loss:.4f}")
 
-            place = resume if k == 0 else resume / f"seed-{k + 1}"
-            result = kind.train(Training(demos, config, seed, place, advance), folder / "checkpoint")
+            result = kind.train(Training(demos, config, seed, places[k], advance), folder / "checkpoint")
         emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
         write_loss_csv(result.curve, folder / "loss.csv")
         draw_loss(result, folder / "loss.png")
@@ -69,10 +75,12 @@ def run(context: StageContext) -> StageResult:
         if result.resumed_from_step:
             notes.append(f"{prefix}continued an interrupted training from step {result.resumed_from_step}")
         if result.set_aside:
-            notes.append(f"the progress of an interrupted training was damaged; it was moved to {result.set_aside}")
+            notes.append(f"{prefix}an interrupted training did not fit; its progress was moved to {result.set_aside}")
     if config.seeds_n == 1:
         notes.append("one training is one draw; `make learn` trains three seeds and compares them")
-    shutil.rmtree(resume, ignore_errors=True)
+    emergency.check()  # the progress goes last: a stopped stage publishes nothing
+    for place in places:
+        shutil.rmtree(place, ignore_errors=True)
     return StageResult(checks=checks, data={**all_records[0], "seeds": all_records[1:]}, notes=notes)
 
 
