@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 
@@ -13,6 +14,8 @@ from pipeline_toys import Bench
 
 import minidual
 from minidual.cli.app import run_command_line
+from minidual.cli.process import interrupt
+from minidual.errors import DataError
 from minidual.gate.table import StageEntry
 from minidual.stages.registry import STAGES, TOOLS
 
@@ -143,6 +146,60 @@ def test_interrupt_exits_130_with_one_line(cli):
     assert (code, out) == (130, "")
     assert err.strip().splitlines()[-1].startswith("minidual: interrupted")
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("made", [ValueError("Error building a serializer"), DataError("pot.xml is truncated")])
+def test_interrupt_that_a_stage_turns_into_an_error_of_its_own_exits_130(cli, monkeypatch, made):
+    """Before, exit 70 and "please report it", or exit 2."""
+    monkeypatch.setattr(interrupt, "raised", False)
+
+    def greedy(context):
+        try:
+            interrupt(signal.SIGINT, None)
+        except KeyboardInterrupt:
+            raise made from None
+
+    cli.bench.first.behaviour = greedy
+    code, out, err = cli("first")
+    assert (code, out) == (130, "")
+    assert err.strip().splitlines()[-1].startswith("minidual: interrupted; nothing half-written counts")
+    assert not list(cli.bench.store.folder.glob("crash-*.txt"))
+    state = cli.bench.gate().state("first")
+    assert state.state == "incomplete"
+    assert "interrupted at the keyboard" in state.why()
+
+
+@pytest.mark.parametrize(
+    ("remedy", "said"),
+    [
+        ("minidual second", "minidual second{}"),
+        ("retrain it: minidual second --force; or wait", "retrain it: minidual second --force{}; or wait"),
+        ("(minidual first checks collisions)", "(minidual first{} checks collisions)"),
+        ("minidual first --set plan.queries_n=...", "minidual first{} --set plan.queries_n=..."),
+        ("minidual run --until second, or minidual status", "minidual run --until second{}, or minidual status{}"),
+        ("minidual first --force, then: minidual second{}", "minidual first --force{}, then: minidual second{}"),
+        ("replay it with the minidual 1.0 that made it", "replay it with the minidual 1.0 that made it"),
+        ("minidual first-aid", "minidual first-aid"),
+    ],
+)
+def test_commands_of_a_remedy_act_on_the_run_that_failed(cli, remedy, said):
+    """Before, they acted on run `standard`."""
+    flags = f" --run xarm --runs-dir {shlex.quote(str(cli.bench.root))} --set seed=4"
+
+    def fail(context):
+        raise DataError("the policy is damaged", remedy=remedy.format(flags))
+
+    cli.bench.first.behaviour = fail
+    _, _, err = cli("first", "--run", "xarm", "--set", "seed=4")
+    assert f"  remedy: {said.format(*[flags] * 2)}\n" in err
+    _, document = cli.json("first", "--run", "xarm", "--set", "seed=4")
+    assert document["error"]["remedy"] == said.format(*[flags] * 2)
+
+
+def test_a_remedy_stays_as_it_is_in_the_run_of_its_profile(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run_command_line(["second"], Bench(tmp_path).table) == 3
+    assert "  remedy: minidual first\n" in capsys.readouterr().err
 
 
 def test_corrupt_verdict_names_file_and_command(cli):

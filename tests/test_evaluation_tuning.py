@@ -7,6 +7,7 @@ from minidual.config.loader import load_config
 from minidual.config.root import Config, changed
 from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import tune
+from minidual.tasks.task import task_config
 from minidual.trials import tuning
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.tuning import (
@@ -103,8 +104,8 @@ def test_tuning_sees_starts_of_its_own_stream(plant):
     assert len({start for _, start in plant["starts"]}) == tuning.CARRIES_N
 
 
-def tool_context(config, folder):
-    return ToolContext(config=config, seed=3, profile="standard", run_folder=folder, name="carry-tune")
+def tool_context(config, folder, shipped="standard"):
+    return ToolContext(config=config, seed=3, profile="mine", run_folder=folder, name="carry-tune", shipped=shipped)
 
 
 def test_the_profile_that_is_written_loads(plant, tmp_path):
@@ -131,6 +132,30 @@ def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
     assert loaded.carry.object == "glass"
     assert loaded.carry.impedance.pinch_n == 33.0
     assert loaded.scene.object.friction == 0.45
+
+
+@pytest.mark.parametrize("extends", ["extends: standard\n", "extends: smoke\n", ""])
+def test_the_profile_keeps_all_that_ones_own_profile_says(plant, tmp_path, extends):
+    """Before, it kept `scene` and `carry`: gains of another arm, tuned with another arbiter, were given to Pandas."""
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(
+        f"{extends}seed: 7\nworkers: 1\nview: {{port: 9000}}\nrobot: {{arm: xarm7}}\narbiter: {{speed_override: 0.5}}\n"
+        "deploy: {trials: 3}\nscene: {object: {friction: 0.5}}\n"
+    )
+    loaded = load_config(str(mine), ["carry.object=glass"])
+    context = tool_context(loaded.config, tmp_path / "my runs", loaded.shipped)
+    result = tune(context)
+    context.publish()
+    written = tmp_path / "my runs" / "carry-tune" / "tuned.yaml"
+    assert f"use it: minidual run --until carry --profile '{written}'" in result.notes
+    tuned, given = load_config(str(written)), loaded.config
+    of_the_run = {name: getattr(tuned.config, name) for name in ("seed", "workers", "view")}
+    motion = {"carry.motion": task_config(given).carry.motion}
+    assert tuned.config == changed(given, {**of_the_run, **motion, **result.data["settings"]})
+    assert tuned.reference() == loaded.reference()
+    assert of_the_run == {name: getattr(load_config(loaded.shipped or "standard").config, name) for name in of_the_run}
+    # The friction is the default, and was set: a glass does not bring its own.
+    assert task_config(tuned.config).scene.object.friction == task_config(given).scene.object.friction == 0.5
 
 
 def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):

@@ -14,7 +14,7 @@ import pytest
 from pipeline_toys import Bench
 
 from minidual.errors import ExitCode, UsageError
-from minidual.gate.lock import lock_holder
+from minidual.gate.lock import lock_holder, run_lock
 
 TOYS = Path(__file__).with_name("pipeline_toys.py")
 
@@ -69,6 +69,15 @@ def test_killed_stage_is_incomplete_and_the_rerun_mends_it(bench, sleeper):
     assert bench.runner().run("first").exit_code == ExitCode.PASS
     assert bench.states() == ["pass", "missing", "blocked"]
     assert not (bench.store.folder / ".first.tmp").exists()
+
+
+def test_a_killed_attempt_does_not_run_on_while_another_command_holds_the_lock(bench, sleeper):
+    os.kill(sleeper.pid, signal.SIGKILL)
+    sleeper.wait()
+    with run_lock(bench.store.folder, "minidual second"):
+        attempt = bench.store.attempt("first")
+        assert (attempt.state, attempt.pid) == ("interrupted", sleeper.pid)
+        assert "the process was killed" in bench.gate().state("first").why()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

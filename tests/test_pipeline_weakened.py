@@ -48,6 +48,14 @@ def test_a_shipped_profile_asks_for_itself(profile):
             "benchmark.success_rate_min={}",
             "benchmark.success_rate_min is {}, the profile asks for {'moveit'",
         ),
+        (
+            "benchmark",
+            "benchmark.tasks=[rod_carry]",
+            "benchmark.tasks is {'rod_carry': 50}, the profile asks for {'pot_lift': 20, 'handover': 20, 'insertion': 20, ",
+        ),
+        ("benchmark", "benchmark.tasks=[pot_lift,handover,insertion,sort]", "benchmark.own_task is False"),
+        ("benchmark", "benchmark.further_tasks={}", "benchmark.tasks is {}, the profile asks for {'pot_lift': 20"),
+        ("benchmark", "benchmark.further_tasks.sort=19", "'sort': 19}, the profile asks for"),
         ("deploy", "deploy.judge_success=false", "deploy.judge_success is False, the profile asks for True"),
         ("env-check", "env_check.sine_amplitude_rad=0.01", "env_check.sine_amplitude_rad is 0.01"),
         ("env-check", "env_check.step_rad=0.05", "env_check.step_rad is 0.05, the profile asks for 0.3"),
@@ -65,7 +73,15 @@ def test_less_is_said(stage, override, line):
 
 
 @pytest.mark.parametrize(
-    "override", ["deploy.trials=200", "benchmark.conditions=[all]", "carry.limits.tilt_max_rad=0.01"]
+    "override",
+    [
+        "deploy.trials=200",
+        "benchmark.conditions=[all]",
+        "carry.limits.tilt_max_rad=0.01",
+        "benchmark.tasks=[sort,insertion,handover,pot_lift,rod_carry]",
+        "benchmark.further_tasks.sort=21",
+        "task=handover",
+    ],
 )
 def test_more_is_no_less(override):
     loaded = load_config("standard", [override])

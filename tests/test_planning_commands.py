@@ -218,6 +218,27 @@ def furnished():
     )
 
 
+@pytest.mark.parametrize(
+    ("write", "broken"), [(Trajectory.write_csv, "numpy.savetxt"), (Trajectory.write_json, "pathlib.Path.write_text")]
+)
+def test_a_file_cut_off_is_no_shorter_trajectory(swing, tmp_path, monkeypatch, write, broken):
+    """Before, the first rows stood in the file, in place of the earlier one."""
+    path = tmp_path / "trajectory"
+    write(swing, path, JOINT_NAMES)
+    whole = path.read_bytes()
+
+    def cut_off(*given, **_more):
+        (file,) = (word for word in given if isinstance(word, Path))
+        file.write_bytes(whole[: len(whole) // 2])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(broken, cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        write(swing, path, JOINT_NAMES)
+    assert path.read_bytes() == whole
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_what_is_shown_is_where_the_plan_says(scene, furnished, swing):
     """Oracle: the shown model's bodies against forward kinematics, its obstacles against the scene."""
     poser = Poser(scene, furnished)

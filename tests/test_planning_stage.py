@@ -13,7 +13,7 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import GroupTimes, HeldMovesConfig, PlanConfig, PlannerConfig
 from minidual.config.root import Config
-from minidual.config.scene import RobotConfig
+from minidual.config.scene import ObjectConfig, PhysicsConfig, RobotConfig, SceneConfig, TaskConfig
 from minidual.errors import ConfigError, DataError, UsageError
 from minidual.gate.stage import StageContext
 from minidual.motion.api import Planner
@@ -90,6 +90,19 @@ def test_parameters_hold_the_planner_but_not_the_workers():
     )
     assert a != b
     assert STAGES["plan"].parameters(Config(workers=1)) == STAGES["plan"].parameters(Config(workers=2))
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        SceneConfig(physics=PhysicsConfig(finger_kp_n_per_m=4000.0)),
+        SceneConfig(more=(ObjectConfig(name="post"),)),
+        SceneConfig(object=ObjectConfig(friction=0.4)),
+        SceneConfig(task=TaskConfig(lift_height_m=0.1)),
+    ],
+)
+def test_the_world_in_which_held_moves_are_driven_is_part_of_the_fingerprint(scene):
+    assert STAGES["plan"].parameters(Config(scene=scene)) != STAGES["plan"].parameters(Config())
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from recording_toys import TICKS, ToyRig, hang_in_conversion, job
 
 from minidual.cli.app import run_command_line
 from minidual.config.learning import TeleopConfig
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.config.scene import SceneConfig
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
@@ -164,6 +164,25 @@ def test_an_episode_may_change_rooms(tmp_path: Path, shared_model: None, monkeyp
     assert [stay == {before} for stay in shown] == [True, False, False, True, False, False]
     assert len(set.union(*shown)) == 5
     assert look() == before
+
+
+def test_the_goal_mark_stays_when_the_room_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = _job(tmp_path)
+    teleop = job.teleop.model_copy(update={"room_change_s": 0.2})
+    rig = Rig(dataclasses.replace(job, teleop=teleop, rooms=rooms(["room", "clean", "room"])), ())
+    goal = (0.5, -0.33, 0.2)
+    trial = dataclasses.replace(job.trial(0), goal={job.task.carried: goal})
+    seen: list[np.ndarray] = []
+
+    def run(*_given: Any, on_tick: Any) -> None:
+        rig.world.mark_goal(*goal)  # as `begin` does
+        for _ in range(40):
+            seen.append(rig.world.model.geom("goal_mark").pos[:2].copy())
+            on_tick(None)
+
+    monkeypatch.setattr(rig.session, "run", run)
+    rig.lead(trial, lambda *_: None)
+    assert np.array(seen) == pytest.approx(np.tile(goal[:2], (40, 1)))
 
 
 def test_only_what_changes_the_model_can_be_recorded_under() -> None:
@@ -460,6 +479,15 @@ def test_what_determines_a_recording_is_what_its_verdict_depends_on() -> None:
     assert entry.keeps == PARTS
     assert {"minidual.demos.session", "minidual.skills.operator", "minidual.plant.world"} <= inputs["code"].keys()
     assert not any(name.startswith("minidual.show") for name in inputs["code"]), "a new figure changes no episode"
+
+
+def test_a_recording_depends_on_the_planner_of_its_leader(tmp_path: Path) -> None:
+    """A handover is demonstrated as it is planned: one with other settings is another recording."""
+    other = changed(CONFIG, {"plan.planner.padding_m": 0.01, "plan.queries_n": 7})
+    claim(tmp_path, recording_inputs(CONFIG), "old")
+    (tmp_path / "episodes").mkdir()
+    assert "is continued" in claim(tmp_path, recording_inputs(changed(CONFIG, {"plan.queries_n": 7})), "old")
+    assert "with other inputs (plan.planner)" in claim(tmp_path, recording_inputs(other), "old")
 
 
 _TYPED = (

@@ -59,6 +59,7 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
             view=view,
             run_folder=folder,
             name=tool.name,
+            shipped=session.loaded.shipped,
             command=session.typed.command,
         )
         context.begin()

@@ -53,12 +53,16 @@ class Typed:
     debug: Annotated[bool, _every("--debug", help="Show tracebacks.")] = False
 
     def command(self, words: str) -> str:
-        """Return "minidual <words>" with the options that select run and result."""
+        """Return "minidual <words>" with `flags`."""
+        return f"minidual {words}{self.flags}"
+
+    @property
+    def flags(self) -> str:
+        """Typed options that select run and result, after a space, or empty."""
         profile = None if self.profile == "standard" else self.profile
         given = [("--profile", profile), ("--run", self.run), ("--runs-dir", self.runs_dir), ("--seed", self.seed)]
         given += [("--set", setting) for setting in self.settings or ()]
-        flags = shlex.join(word for flag, value in given if value is not None for word in (flag, str(value)))
-        return f"minidual {words} {flags}".rstrip()
+        return "".join(f" {flag} {shlex.quote(str(value))}" for flag, value in given if value is not None)
 
 
 class Session:
@@ -94,7 +98,8 @@ class Session:
         progress = ConsoleProgress(self.people)
         if view is not None and self.loaded.config.workers > 1:
             progress.note("what is watched runs in this process: one worker for this run")
-        return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view)
+        command = self.typed.command
+        return Runner(self.table, self.store, self.loaded, progress, command, view, lambda: interrupt.raised)
 
     @contextmanager
     def view(self, values: Mapping[str, Any], default: str = "none") -> Generator[View | None]:
@@ -166,11 +171,11 @@ class Session:
             return int(body(self))
         except KeyboardInterrupt as error:
             return self._interrupted(error, str(error))
-        except MinidualError as error:
-            return self._fail(error, error.message, error.remedy, error.exit_code)
         except Exception as error:
             if interrupt.raised:
                 return self._interrupted(error)
+            if isinstance(error, MinidualError):
+                return self._fail(error, error.message, error.remedy, error.exit_code)
             message = f"internal error: {type(error).__name__}: {error}"
             try:
                 message += f"; traceback in {self.store.write_crash('cli', error)}"
@@ -185,10 +190,17 @@ class Session:
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
         if self.typed.debug:
             _print_error("".join(traceback.format_exception(error)))
+        remedy = remedy and self._in_this_run(remedy)
         kind = {"kind": type(error).__name__, "message": message, "remedy": remedy}
         self.finish({"error": kind, "exit_code": int(code)}, ())
         _print_error(f"minidual: {message}" + (f"\n  remedy: {remedy}" if remedy else ""))
         return int(code)
+
+    def _in_this_run(self, remedy: str) -> str:
+        """Return `remedy` with the typed options in each command that lacks them: it would act on another run."""
+        names = "|".join(map(re.escape, [*self.table, "run", "status", "explain"]))
+        words = rf"\bminidual ((?:{names})(?![\w-])(?: --force| --until [\w-]+)*+)(?!{re.escape(self.typed.flags)})"
+        return re.sub(words, lambda found: self.typed.command(found[1]), remedy)
 
 
 def _print_error(text: str) -> None:

@@ -22,7 +22,7 @@ class StrictModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, validate_default=True)
 
-    def demands(self) -> dict[str, float]:
+    def demands(self) -> dict[str, Any]:
         """Return what several fields together ask for; less than in the shipped profile is no acceptance."""
         return {}
 

@@ -57,10 +57,14 @@ class LoadedConfig(NamedTuple):
         config = validate_document(document, Config)
         return LoadedConfig(config, self.profile, self.sources, (*self.overrides, *overrides), document)
 
+    @property
+    def shipped(self) -> str | None:
+        """Name of the shipped profile that this one is or extends."""
+        return next((path.stem for path in reversed(self.sources) if path.parent == SHIPPED_FOLDER), None)
+
     def reference(self) -> Config:
-        """Return the shipped profile that this one extends."""
-        shipped = [path.stem for path in self.sources if path.parent == SHIPPED_FOLDER]
-        return load_config(shipped[-1] if shipped else DEFAULT_PROFILE).config
+        """Return the shipped profile that this one is held to."""
+        return load_config(self.shipped or DEFAULT_PROFILE).config
 
     def to_yaml(self) -> str:
         """Return resolved YAML, valid for --profile."""

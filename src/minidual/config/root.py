@@ -16,9 +16,9 @@ from minidual.errors import unknown_name
 class BenchmarkConfig(StrictModel):
     """Configuration of `benchmark`."""
 
-    tasks: AtLeast[tuple[str, ...]] = ()
+    tasks: tuple[str, ...] = ()
     """Empty: the run's `task` and `further_tasks`."""
-    further_tasks: AtLeast[dict[str, Annotated[int, Field(ge=1, le=10000)]]] = Field(default={})
+    further_tasks: dict[str, Annotated[int, Field(ge=1, le=10000)]] = Field(default={})
     """Undisturbed trials of each method in other tasks, {task: trials}; at most `trials_n`."""
     methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
     conditions: AtLeast[tuple[str, ...]] = Field(default=("clean",), min_length=1)
@@ -76,6 +76,12 @@ class Config(StrictModel):
     arbiter: ArbiterConfig = ArbiterConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     view: ViewConfig = ViewConfig()
+
+    def demands(self) -> dict[str, Any]:
+        """Return the undisturbed trials of each named or further task, and whether the benchmark has the run's own."""
+        asked = self.benchmark  # `tasks` replaces `further_tasks`: neither says alone what is asked for
+        tasks = dict.fromkeys(asked.tasks, asked.trials_n) or asked.further_tasks
+        return {"benchmark.tasks": tasks, "benchmark.own_task": not asked.tasks or self.task in asked.tasks}
 
 
 def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: bool = False) -> M:

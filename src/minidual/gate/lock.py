@@ -56,7 +56,7 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
 
 def lock_holder(folder: Path) -> str | None:
     """Return the holder, "process 12 (minidual carry, since ...)", or None."""
-    found = _holder(folder / LOCK_FILE)
+    found = held_by(folder / LOCK_FILE)
     return None if found is None else found[1]
 
 
@@ -69,14 +69,14 @@ def lock_holders(folder: Path) -> dict[int, str]:
 
     found: dict[int, str] = {}
     for path in sorted(folder.glob(".*lock")):
-        pid, text = _holder(path) or (0, "")
+        pid, text = held_by(path) or (0, "")
         with suppress(psutil.Error, TypeError):
             if str(path.resolve()) in {opened.path for opened in psutil.Process(pid).open_files()}:
                 found[pid] = text
     return found
 
 
-def _holder(path: Path) -> tuple[int, str] | None:
+def held_by(path: Path) -> tuple[int, str] | None:
     """Return a lock's holder as process id (0 if unreadable) and name; None if nobody holds it."""
     require(path, "file")
     try:

@@ -50,6 +50,7 @@ class Runner:
 
     Attributes:
         command: Turns "plan" into the full command.
+        interrupted: Whether a signal ended the stage, whatever error a library made of it.
         view: For the stages; requires one worker, in this process.
     """
 
@@ -59,6 +60,7 @@ class Runner:
     progress: Progress = field(default_factory=Progress)
     command: Callable[[str], str] = "minidual {}".format
     view: Any = None
+    interrupted: Callable[[], bool] = lambda: False
 
     def run(
         self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
@@ -182,11 +184,14 @@ class Runner:
         except KeyboardInterrupt as stop:
             self.store.abandon(name, "interrupted", str(stop) or "interrupted at the keyboard")
             raise
-        except MinidualError as error:
-            self.store.abandon(name, "error", error.message)
-            raise
         except Exception as error:
-            raise self._crashed(name, error) from error
+            if self.interrupted():
+                self.store.abandon(name, "interrupted", "interrupted at the keyboard")
+            elif isinstance(error, MinidualError):
+                self.store.abandon(name, "error", error.message)
+            else:
+                raise self._crashed(name, error) from error
+            raise
 
     def _crashed(self, name: str, error: Exception) -> StageCrashedError:
         text = f"{name} crashed: {type(error).__name__}: {error}"

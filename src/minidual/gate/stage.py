@@ -143,11 +143,13 @@ class ToolContext(Context):
     Attributes:
         run_folder: Need not exist.
         name: Of its output folder.
+        shipped: Shipped profile that the profile is or extends.
         command: Turns "plan" into the full command.
     """
 
     run_folder: Path
     name: str
+    shipped: str | None = None
     command: Callable[[str], str] = "minidual {}".format
 
     @property

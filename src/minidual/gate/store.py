@@ -26,7 +26,7 @@ from pydantic import TypeAdapter
 from minidual.durable import now_text, read_json, remove, replacing, require, set_aside, sync, write_text
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps
-from minidual.gate.lock import lock_holder, run_lock
+from minidual.gate.lock import LOCK_FILE, held_by, run_lock
 from minidual.gate.verdict import ATTEMPT_FILE, CONFIG_FILE, VERDICT_FILE, Verdict, read_verdict
 
 ASIDE = "set-aside"
@@ -158,7 +158,9 @@ class RunStore:
             attempt = TypeAdapter(Attempt).validate_python(read_json(folder / ATTEMPT_FILE, 1_000_000))
         except (ValueError, DataError):
             return Attempt(stage, "interrupted", 0, "", "killed as it began")
-        if attempt.state == "running" and lock_holder(self.folder) is None:
+        # Another command may hold the lock since; 0 is a holder that is just writing down its process id.
+        holder = held_by(self.folder / LOCK_FILE)
+        if attempt.state == "running" and (holder is None or holder[0] not in (0, attempt.pid)):
             return Attempt(stage, "interrupted", attempt.pid, attempt.started_at, "the process was killed")
         return attempt
 

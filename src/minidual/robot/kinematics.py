@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio import computeJointJacobians, getFrameJacobian, updateFramePlacement
 
+from minidual.durable import replacing, write_text
 from minidual.errors import DataError, UsageError
 from minidual.robot.description import pair_urdf
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
@@ -97,7 +98,7 @@ class Trajectory:
         return h.hexdigest()
 
     def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
-        """Write every `every`-th sample and the last."""
+        """Write every `every`-th sample and the last, atomically."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
         content = {
             "group": self.group,
@@ -107,14 +108,15 @@ class Trajectory:
             "v_rad_per_s": self.v[rows].round(9).tolist(),
             "a_rad_per_s2": self.a[rows].round(9).tolist(),
         }
-        path.write_text(json.dumps(content), encoding="utf-8")
+        write_text(path, json.dumps(content))
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
-        """Write time, q, v, a."""
+        """Write time, q, v, a atomically."""
         header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
         table = np.column_stack([self.times, self.q, self.v, self.a])
         header = ",".join(["time_s", *header])
-        np.savetxt(path, table, "%.9g", ",", "\r\n", header, comments="", encoding="utf-8")
+        with replacing(path) as partial:  # cut off, it would be a shorter trajectory
+            np.savetxt(partial, table, "%.9g", ",", "\r\n", header, comments="", encoding="utf-8")
 
 
 def full_model(robot: Robot) -> tuple[Any, list[int], Array]:

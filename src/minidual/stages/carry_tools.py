@@ -1,8 +1,11 @@
 """Tools of `minidual carry`: disturbed trials and tuning."""
 
+import shlex
+
 import yaml
 
-from minidual.config.loader import DEFAULT_PROFILE, shipped_profiles
+from minidual.config.loader import load_config
+from minidual.config.root import Config
 from minidual.durable import write_csv, write_text
 from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult, markdown
@@ -15,6 +18,8 @@ from minidual.trials.metrics import TrialMetrics
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
 
 PERTURB_TRIALS_N = 20
+_OF_A_RUN = ("seed", "workers", "view")
+"""What a tuned profile leaves to the run."""
 
 
 def perturb(context: ToolContext) -> ToolResult:
@@ -63,13 +68,14 @@ def tune(context: ToolContext) -> ToolResult:
             write_csv(context.output / "tuning.csv", [s.row() for s in tuner.steps])
             context.publish()  # what was tried is what tells why nothing was found
             raise
-    # With the settings given, for which the gains hold.
-    extends = context.profile if context.profile in shipped_profiles() else DEFAULT_PROFILE
-    given = context.config.model_dump(mode="json", include={"scene", "carry"}, exclude_unset=True)
+    # With all settings given, for which the gains hold. What was not set stays so: an object brings its own values.
+    base = load_config(context.shipped).config if context.shipped else Config()
+    own, shipped = (c.model_dump(mode="json", exclude_unset=True) for c in (context.config, base))
+    given = {name: own[name] for name in own if name not in _OF_A_RUN and own[name] != shipped.get(name)}
     carry = {**given.get("carry", {}), "object": config.carry.object, "motion": config.carry.motion}
     found = gains(tuning.force_n, tuning.stiffness_n_per_m)
     carry["impedance"] = {**carry.get("impedance", {}), **found}
-    profile = {"extends": extends, **given, "carry": carry}
+    profile = {**({"extends": context.shipped} if context.shipped else {}), **given, "carry": carry}
     head = (
         f"# Found by `minidual carry --tune`, seed {context.seed}: {tuning.least_force_n:.1f} N is the least squeeze that\n"
         f"# held {CARRIES_N} of {CARRIES_N} carries; see tuning.csv and tuning.png beside this file.\n"
@@ -82,7 +88,7 @@ def tune(context: ToolContext) -> ToolResult:
     notes = [
         f"least squeeze that holds: {tuning.least_force_n:.1f} N",
         f"chosen: {tuning.force_n:.1f} N and {tuning.stiffness_n_per_m:.0f} N/m",
-        f"use it: {context.command('carry')} --profile {context.folder / 'tuned.yaml'}",
+        f"use it: {context.command('run --until carry')} --profile {shlex.quote(str(context.folder / 'tuned.yaml'))}",
     ]
     settings = {f"carry.impedance.{name}": value for name, value in found.items()}
     data = {"settings": settings, "least_force_n": tuning.least_force_n, "steps": steps}

@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from minidual.demos.quality import JERK_FILTER
 from minidual.demos.schema import MAX_SYNC_S
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
+from minidual.gate.canonical import canonical
 from minidual.gate.check import Check, Rows
 from minidual.gate.fingerprint import code_of
 from minidual.gate.stage import StageContext, StageResult
@@ -26,8 +28,8 @@ from minidual.stages.words import worded
 from minidual.tasks.task import make_task
 from minidual.trials.conditions import rooms
 
-READS = ("robot", "task", "teleop", "scene", "arbiter", "supervisor")
-"""Sections that the recording depends on."""
+READS = ("robot", "task", "teleop", "plan.planner", "scene", "arbiter", "supervisor")
+"""Configuration paths that the recording depends on."""
 
 _TESTS_SHOWN = 100
 
@@ -51,7 +53,8 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
 def recording_inputs(config: Config) -> dict[str, Any]:
     """Return what determines the episodes (JSON types)."""
     code = code_of(["minidual.demos.recording:attempts_of", "minidual.trials.conditions:rooms"])
-    return {"seed": config.seed, "code": code.modules, **config.model_dump(mode="json", include=set(READS))}
+    values = {path: canonical(attrgetter(path)(config), path) for path in READS}
+    return {"seed": config.seed, "code": code.modules, **values}
 
 
 def run(context: StageContext) -> StageResult:
