@@ -141,6 +141,17 @@ def test_after_a_reset_it_must_be_told_what_is_held_again(plant: ArmsPlant) -> N
     stack.step()
 
 
+def test_a_request_before_a_halt_is_refused_in_the_same_tick(plant: ArmsPlant) -> None:
+    stack = under_way(plant)
+    stack.request("teleop")
+    stack.halt("moveit")
+    stack.step()
+    assert [(r.source, r.name) for r in stack.refusals] == [("teleop", "superseded")]
+    for _ in range(400):
+        stack.step()
+    assert stack.source is None
+
+
 def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(plant: ArmsPlant) -> None:
     stack = under_way(plant)
     stack.request("teleop")

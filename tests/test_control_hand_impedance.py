@@ -72,6 +72,16 @@ def test_the_spring_acts_at_the_centre_of_compliance_along_the_axes_of_the_objec
         np.testing.assert_allclose(wrench, expected, atol=1e-6)
 
 
+def test_a_load_that_the_other_hand_has_learnt_leaves_this_hand_its_weight() -> None:
+    law, left = law_of(PEG), np.zeros(14)
+    left[:7] = 1.0
+    q_ref = HOME + 0.001
+    bare = law_of(PEG).torque(HOME, STILL, q_ref, STILL, STILL)
+    assert law.torque(HOME, STILL, q_ref, STILL, STILL, left)[RIGHT] == pytest.approx(bare[RIGHT])
+    own = law_of(PEG).torque(HOME, STILL, q_ref, STILL, STILL, np.r_[np.zeros(7), np.full(7, 1e-9)])
+    assert own[RIGHT] != pytest.approx(bare[RIGHT]), "its own load is borne already"
+
+
 def test_force_and_moment_are_bounded_however_far_the_reference_is() -> None:
     held, rng = PEG._replace(T_tcp_planned=PEG.T_tcp_object), np.random.default_rng(4)
     for _ in range(10):

@@ -160,6 +160,15 @@ def test_a_grip_is_lost_when_its_force_falls_and_the_object_is_still_there(
     assert grippers.fault == ""
 
 
+def test_single_bad_readings_with_good_ones_between_do_not_add_up(hands, grippers, monkeypatch):
+    run(hands, grippers, [0.0, 0.0])
+    for _ in range(20):
+        for grip_n in (5.0, 50.0, 50.0):
+            monkeypatch.setattr(Hands, "grip", np.array([grip_n, 50.0]))
+            grippers.step(np.zeros(2))
+    assert grippers.fault == ""
+
+
 def test_a_hand_holds_what_it_has_closed_on_and_feels(hands, grippers):
     hands.half_m[:] = 0.009, 0.0
     assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]

@@ -11,7 +11,9 @@ from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.tasks.task import make_task
+from minidual.tasks.insertion import depth_m
+from minidual.tasks.judge import begin
+from minidual.tasks.task import level_pose, make_task
 from minidual.trials import conditions
 from minidual.trials.conditions import CLEAN, CONDITIONS, DRY_NM, SENSES, Push, condition, parse_conditions
 
@@ -303,6 +305,34 @@ def test_a_darker_room_gives_darker_pictures(visual_model):
         dark = camera.picture(world.data, "high")
     assert 0.6 < dark.mean() / bright.mean() < 0.9
     np.testing.assert_array_equal(camera.picture(world.data, "high"), bright)
+
+
+@pytest.mark.parametrize("factor", [0.87, 1.0, 1.13])
+@pytest.mark.parametrize("deep_m", [0.02, 0.031])
+def test_the_depth_of_a_peg_of_another_size_is_that_of_its_solids(factor, deep_m):
+    """Oracle: the places of the geoms in the simulated world."""
+    task = make_task(Config(task="insertion"))
+    model, trial = build_model(task.scene, visuals=False), task.trial(0, "conditions", 0)
+    world = World(task.scene, model=model)
+    with conditions.Condition("size", "", change=partial(conditions.size, factor=factor)).applied(
+        model, task, trial, RNG
+    ):
+        judge = begin(world, task, trial)
+        world.place("socket", level_pose(0.5, 0.0, 0.3, 0.0))
+        world.place("peg", level_pose(0.5, -0.2, 0.3, 0.0))
+        mujoco.mj_forward(model, world.data)
+        at = lambda name: world.data.geom(name).xpos  # noqa: E731
+        mouth = at("socket_part1")[1] - model.geom("socket_part1").size[1]
+        tip = at("peg")[1] + model.geom("peg").size[1]
+        x, z = at("socket")[[0, 2]] - at("peg")[[0, 2]]
+        world.place("peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z, 0.0))
+        mujoco.mj_forward(model, world.data)
+        judge.observe(world)
+        assert depth_m(judge.truth) == pytest.approx(deep_m, abs=1e-9)
+        world.place("peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z + 0.002 * factor, 0.0))
+        mujoco.mj_forward(model, world.data)
+        judge.observe(world)
+        assert depth_m(judge.truth) == 0.0, "in a wall"
 
 
 @pytest.mark.parametrize("name", ["rod_carry", "handover", "pot_lift", "sort"])

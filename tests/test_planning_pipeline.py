@@ -449,6 +449,20 @@ def test_a_refused_segment_aborts_the_drive_by_name(carried, world):
     assert drive.aborted.startswith("the arbiter stopped phase 'descend' (")
 
 
+@pytest.mark.parametrize("taker", ["hold", "teleop"])
+def test_arms_that_are_taken_over_abort_the_drive(carried, world, taker):
+    world.reset()
+    stack = ControlStack(world, Kinematics())
+    drive = Drive(stack, carried.segments)
+    for step in range(1500):
+        drive.step()
+        if step == 1000:
+            assert drive.aborted is None
+            stack.request(taker)
+    assert drive.done
+    assert drive.aborted == "the arbiter stopped phase 'approach' (the arms were taken over)"
+
+
 def test_one_hand_carries_too(planner, world):
     along_x = lying(0.45, 0.25, np.pi / 2)
     grip = Grip("the middle", {"left": pose(np.eye(3), (0.0, -0.12, 0.0)) @ GRASPS["left"]})

@@ -223,12 +223,12 @@ def pushed_the_last_four_centimetres(s: Script) -> None:
 
 
 CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
-    pushed: ("carried", "carried"),
+    pushed: ("carried", "stood"),
     put_down_then_pushed: ("held", "held"),
-    one_hand_at_2_5_mm: ("held", "carried"),
+    one_hand_at_2_5_mm: ("held", "stood"),
     one_hand_at_10_mm: ("held", "held"),
-    dragged: ("carried", "carried"),
-    dragged_then_lifted_at_the_goal: ("carried", "carried"),
+    dragged: ("carried", "stood"),
+    dragged_then_lifted_at_the_goal: ("carried", "stood"),
     thrown: ("held", "held"),
     turned_86_degrees: ("turned", ""),
     turned_after_its_release: ("turned", ""),

@@ -185,6 +185,20 @@ def test_the_giver_grasps_anew_where_no_exchange_is_reachable(planner: Planner) 
     assert names[6:9] == ["approach left (2)", "descend left (2)", "close left (2)"]
 
 
+def test_a_bottle_that_is_put_down_for_another_grasp_is_handed_over_too(bench: Slack, planner: Planner) -> None:
+    """Driven and judged, as if no direct exchange had been found."""
+    anew = dataclasses.replace(TASK, arrange=lambda *given: list(TASK.arrange(*given))[1:])
+    trial = TASK.trial(1, "plan", TO_THE_RIGHT)
+    judge = begin(bench, anew, trial)
+    stack = ControlStack(
+        bench, Kinematics(), supervisor=trial_supervisor(TASK.config.supervisor, bench.dt, bench.robot)
+    )
+    carry = PlannedCarry(stack, planner, anew, trial, TO_THE_RIGHT)
+    outcome = drive(bench, judge, carry)
+    assert outcome.success, (outcome.reason, carry.aborted)
+    assert "open left" in [stage.name for stage in carry.solution.record.stages]
+
+
 def test_a_step_that_cannot_be_planned_is_refused_by_name() -> None:
     trial = TASK.trial(1, "plan", 0)
     with pytest.raises(UsageError, match=r"no phase 'aproach'.*approach"):

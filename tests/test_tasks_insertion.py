@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from minidual.config.root import Config
-from minidual.config.scene import ObjectConfig
+from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.motion.ik import solvers
@@ -156,6 +156,9 @@ class Thing:
 
     def pose(self) -> np.ndarray:
         return self.T
+
+    def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Any, Any]]:
+        return [(part.position_m, part.half_m) for part in parts]
 
     def look(self) -> np.ndarray:
         return np.r_[self.T[:3, 3], self.T[2, :3], 0.0, self.force, 0.0, 0.0, self.force, 0.0, self.pinch, 0.0]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from minidual.config.root import Config
+from minidual.config.scene import PartConfig
 from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
@@ -203,6 +205,9 @@ class Cube:
 
     def twist(self) -> np.ndarray:
         return np.array([self.speed, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Any, Any]]:
+        return [(part.position_m, part.half_m) for part in parts]
 
     def look(self) -> np.ndarray:
         T, (left, right) = self.pose(), self.pinch

@@ -46,6 +46,9 @@ class Instant:
     def twist(self):
         return np.array([self.speed, 0.0, 0.0, 0.0, 0.0, 0.0])
 
+    def solids(self, parts):
+        return [(part.position_m, part.half_m) for part in parts]
+
     def look(self):
         T, (left, right) = self.pose(), self.pinches if self.touch is None else self.touch
         return np.r_[T[:3, 3], T[2, :3], 0.0, 0.0, left, 0.0, 0.0, right, self.pinches, self.squeeze]

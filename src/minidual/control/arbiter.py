@@ -126,6 +126,9 @@ class CommandArbiter:
         if reason is not None:
             self._refuse(source, *reason)
             gripper = None
+        if self._requested not in (None, HOLD):
+            self._refuse(self._requested, "superseded", "the arms were halted before the switch began")
+            self._requested = None
         self._halt = (source, None if gripper is None else np.array(gripper, dtype=float))
 
     def _mailbox(self, source: str) -> Mailbox:

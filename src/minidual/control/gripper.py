@@ -108,6 +108,7 @@ class Grippers:
                 if math.isnan(self._held_m[hand]):
                     self._held_m[hand] = float(self._plant.fingers[hand])
                 targets[hand] = target
+                self._lost[hand] = 0
                 continue
             if not math.isnan(felt):  # else the target stays; it is not far ahead of the fingers
                 targets[hand] = max(target, float(self._plant.fingers[hand]) - 0.5 * travel)

@@ -201,7 +201,8 @@ class HandImpedance(ComputedTorque):
         late = J @ (v_ref - v)[own]
         self._learnt = np.clip(self._learnt + self._learning * pull, -self._most, self._most)
         f = np.clip(pull + self._learnt, -self._most, self._most) + self._D @ np.r_[late[:3] @ axes, late[3:] @ axes]
-        weight = (held.mass_kg if load is None else 0.0) * _UP  # else learnt while it was held
+        learnt = load is not None and load[own].any()  # while it was held
+        weight = (0.0 if learnt else held.mass_kg) * _UP
         wrench = np.r_[axes @ f[:3] + weight, axes @ f[3:] - np.cross(lever, weight)]
         posture = POSTURE_STIFFNESS_PER_S2 * (q_ref - q)[own] + POSTURE_DAMPING_PER_S * (v_ref - v)[own]
         try:

@@ -145,6 +145,8 @@ class Rig:
         leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
         stay, ticks = round(teleop.room_change_s * teleop.rate_hz), itertools.count(1)
         with closing(leader), ExitStack() as shown:
+            # Leaving a room restores what was there when it was entered.
+            self.world.mark_goal(*placement(trial.goal[self.job.task.carried]))
             shown.enter_context(self.room(trial))
 
             def tick(ticked: Tick) -> None:

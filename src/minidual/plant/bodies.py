@@ -1,12 +1,16 @@
 """True state of an object, and its contacts with the hands."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numba.core import types
 
+from minidual.config.scene import PartConfig
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import Array, Robot, pose
 
+type Vector = tuple[float, float, float]
 ObjectPose = Array | tuple[float, float, float]
 """(4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
 
@@ -67,6 +71,7 @@ class NamedObject:
         position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
         self.qpos, self.qvel = data.qpos[position : position + 7], data.qvel[velocity : velocity + 6]
         self._omega = self.qvel[3:]
+        self._model, self._first = model, int(model.body_geomadr[self.body])
         self._rest_height_m = float(model.qpos0[position + 2])
         self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
         hand = robot.hand
@@ -76,6 +81,15 @@ class NamedObject:
         axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]
         self._seen = np.zeros(15)
         self._look = pads, self._R, self._p, *axes, self._seen
+
+    def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:
+        """Return place and half extents (3,) [m] of its parts as they are now, in its frame."""
+        found = list[tuple[Vector, Vector]]()
+        for geom, part in enumerate(parts, self._first):
+            (x, y, z), (a, b, c) = self._model.geom_pos[geom].tolist(), part.half_m
+            scale = float(self._model.geom_size[geom, 0]) / a
+            found.append(((x, y, z), (scale * a, scale * b, scale * c)))
+        return found
 
     def pose(self) -> Array:
         """Return the pose (4, 4) in the world."""

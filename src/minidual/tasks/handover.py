@@ -85,7 +85,8 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
 
 
 def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
-    """Return the conditions; the yaw of a bottle does not matter."""
-    found = (c for c in transported(task, trial, both=False) if not isinstance(c, success.Turned))
-    level, held, carried, rose, *rest = found
-    return level, held, carried, rose, success.Exchanged(task.carried, task.scene.task.pinch_min_n), *rest
+    """Return the conditions; the yaw of a bottle does not matter, and it may be put down for another grasp."""
+    found = (c for c in transported(task, trial, both=False) if not isinstance(c, success.Turned | success.Carried))
+    level, held, rose, *rest = found
+    stood, exchanged = success.Stood(task.carried), success.Exchanged(task.carried, task.scene.task.pinch_min_n)
+    return level, held, stood, rose, exchanged, *rest

@@ -111,13 +111,17 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
 def depth_m(truth: success.Truth) -> float:
     """Return the depth of the tip [m]; 0 unless the peg is inside the bore from mouth to tip."""
     peg, socket = truth[PEG], truth[SOCKET]
-    if math.dist(peg.xyz, socket.xyz) > _PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M:
+    if math.dist(peg.xyz, socket.xyz) > 1.2 * (_PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M):
         return 0.0
-    T = inverse(socket.T) @ peg.T
-    deep = T.item(1, 3) + T.item(1, 1) * _PEG_LENGTH_M / 2 - _MOUTH_M
-    half, ends = _PEG_M / 2, (_PEG_LENGTH_M / 2, _PEG_LENGTH_M / 2 - deep)
+    # As large as they are in this trial. The socket is a block and four walls around the bore, the first on its -x side.
+    ((middle, (half, length, _), *_),) = peg.solids
+    (block, *_), (wall, thick, *_), *_ = socket.solids
+    T = inverse(socket.T @ pose(np.eye(3), block)) @ peg.T @ pose(np.eye(3), middle)
+    bore, mouth = block[0] - wall[0] - thick[0], wall[1] - thick[1] - block[1]
+    deep = T.item(1, 3) + T.item(1, 1) * length - mouth
+    ends = length, length - deep
     sides = [[abs(p + b * y) + half * (abs(a) + abs(c)) for y in ends] for a, b, c, p in T[[0, 2]].tolist()]
-    return deep if deep > 0.0 and max(map(max, sides)) < _BORE_M / 2 else 0.0
+    return deep if deep > 0.0 and max(map(max, sides)) < bore else 0.0
 
 
 @dataclass

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from minidual.config.scene import ObjectConfig
+from minidual.plant.bodies import Vector
 from minidual.robot.pair import SIDES, Array
 
 if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
@@ -27,12 +28,16 @@ TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
 
 
+type Solid = tuple[Vector, Vector, bool, int]
+
+
 class ObjectTruth:
     """True state of one object.
 
     Attributes:
         xyz: (x, y, z) [m] of its centre.
         tilt_rad: Of its long axis from the horizontal, or from the vertical if upright.
+        solids: Place and half extents (3,) [m] in its frame, whether it is round, and its axis; as they are in the trial.
         clearance_m: Height of its lowest point above the table.
         pinch: Normal force of each hand's weaker finger [N].
         hand_forces: Net force (3,) [N] of each hand.
@@ -41,20 +46,24 @@ class ObjectTruth:
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
         self.name, self.body, self._upright, self.half_m = name, body, body.upright, body.solids[0].half_m
-        self._solids = [(p.position_m, p.half_m, p.shape == "cylinder", "xyz".index(p.axis)) for p in body.solids]
+        self.solids: list[Solid] = []
         self._world: World | None = None
 
     def refresh(self, world: World) -> None:
         """Read the world."""
         if world is not self._world:
             self._world, self._object = world, world.truth(self.name)
+            # A condition may have changed their size.
+            solids = zip(self.body.solids, self._object.solids(self.body.solids), strict=True)
+            self.solids = [(*where, part.shape == "cylinder", "xyz".index(part.axis)) for part, where in solids]
+            self.half_m = self.solids[0][1]
         # Plain floats: a success test of arrays costs four times as much.
         x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
         along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
         self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
         lowest = math.inf
-        for (px, py, pz), half, is_round, axis in self._solids:
+        for (px, py, pz), half, is_round, axis in self.solids:
             if is_round:
                 along = min(1.0, abs(uz if axis == 2 else uy if axis else ux))
                 down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)

@@ -60,8 +60,8 @@ class Drive:
         except ReflexError as error:
             self.aborted = f"phase '{self.phase}': {error.message}"
             self._left = []
-        if self._left and stack.state == ArbiterState.STOPPED:
-            self._abort("the arms were not handed over")
+        if self._left and (stack.state == ArbiterState.STOPPED or (self._proposed and stack.source != SOURCE)):
+            self._abort("the arms were taken over" if self._proposed else "the arms were not handed over")
 
     def _propose_next(self) -> None:
         refused = next((r for r in self.stack.refusals if r.source == SOURCE), None)
