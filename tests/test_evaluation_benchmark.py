@@ -362,6 +362,19 @@ def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
     assert 1e-5 < np.linalg.norm((seen[0] - truth)[:3, 3]) < 0.003, "nobody is told the truth"
 
 
+@pytest.mark.parametrize("name", ["sort", "insertion", "handover"])
+def test_an_object_that_somebody_moved_was_not_pushed_by_the_hands(name: str) -> None:
+    """20 mm is as far as `stood` lets an object slide."""
+    config = make_task(Config(task=name)).config
+    scene = config.scene.model_copy(update={"task": config.scene.task.model_copy(update={"time_limit_s": 1.2})})
+    bench = Bench("hold", MethodInputs(config.model_copy(update={"scene": scene}), SEED))
+    for index in range(4):
+        result, _ = bench.run(bench.task.trial(SEED, "benchmark", index), condition="moved 20 mm")
+        assert result.disturbed
+        assert "stood" not in result.text
+        assert result.measured["impulse_max_ns"] < 0.1, "the jump, 20 mm in 4 ms, is no contact"
+
+
 def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
     bench = Bench("impedance", MethodInputs(Config(), SEED))
     result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0), condition="moved 20 mm")
@@ -451,7 +464,7 @@ def test_the_floor_rests_or_drives_one_plan_wherever_the_object_is() -> None:
         assert run.solution is not None
         plans.append(np.vstack([segment.trajectory.q for segment in run.solution.segments]))
     np.testing.assert_array_equal(*plans)
-    shown = replay.task.trial(SEED, "demonstrations", 0).start["rod"]
+    shown = replay.task.trial(SEED, "demonstrations", 0, widen=Config().teleop.widen).start["rod"]
     assert run.poses["rod"][:2, 3] == pytest.approx(shown[:2]), "where the object was in the demonstration"
     for name in ("pose noise x3", "delay 20 ms", "light -30 %"):
         assert all(CONDITIONS[name].why_not(method, Config()) for method in ("hold", "replay"))

@@ -117,6 +117,11 @@ class Judge:
         elif self._done_at is None and now - self._quiet_since >= REST_S:
             self._done_at = now
 
+    def disturbed(self) -> None:
+        """Tell that somebody has just moved or pushed an object."""
+        for condition in self._conditions:
+            condition.disturbed()
+
     def outcome(self, world: World) -> Outcome:
         """Return the verdict."""
         truth, failures = self.truth, dict(self.failures)

@@ -135,6 +135,9 @@ class SuccessCondition:
         """Return the violation, or ""."""
         return ""
 
+    def disturbed(self) -> None:
+        """Tell that somebody has just moved an object; what was seen before may not hold."""
+
     def holds(self, truth: Truth) -> bool:
         """Return whether the final state is reached."""
         return True
@@ -298,6 +301,9 @@ class Stood(OfObject):
         off = item.distance_m(self._at)
         return f"moved {1e3 * off:.0f} mm on the table, limit {1e3 * self.limit_m:.0f}" if off > self.limit_m else ""
 
+    def disturbed(self) -> None:
+        self._at = None
+
 
 @dataclass
 class Exchanged(AtEnd):
@@ -409,7 +415,7 @@ class Turned(OfObject):
 
 @dataclass
 class Released(AtEnd):
-    """No hand touches it."""
+    """No finger touches it."""
 
     name = "released"
     stage = True
@@ -417,7 +423,7 @@ class Released(AtEnd):
     def end(self, truth: Truth) -> str:
         item = truth[self.object]
         free = max(item.pinch) < TOUCH_N and all(abs(f) <= TOUCH_N for hand in item.hand_forces for f in hand)
-        return "" if free else f"a hand still touches the {self.object}"
+        return "" if free else f"a finger still touches the {self.object}"
 
 
 @dataclass
@@ -444,6 +450,10 @@ class Each(SuccessCondition):
 
     def observe(self, truth: Truth) -> str:
         return self._first([part.observe(truth) for part in self.parts])
+
+    def disturbed(self) -> None:
+        for part in self.parts:
+            part.disturbed()
 
     def holds(self, truth: Truth) -> bool:
         return all(part.holds(truth) for part in self.parts)

@@ -12,6 +12,7 @@ from minidual.robot.pair import Array
 
 LOG_RATE_HZ = 250
 _IMPULSE_ROWS = 5
+_PUT_M_PER_S = 4.0  # no hand and no fall is that fast
 _HELD_N = 1.0
 """Pinch of a hand that holds."""
 
@@ -72,11 +73,12 @@ def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
     span = np.linalg.norm(log.tcp[held, 0] - log.tcp[held, 1], axis=1)
     missed = log.internal_force[held] - wanted_n
     velocity = np.diff(log.position, axis=0) * LOG_RATE_HZ
+    velocity[np.linalg.norm(velocity, axis=1) > _PUT_M_PER_S] = math.nan  # somebody put it there: no contact
     change = np.linalg.norm(velocity[_IMPULSE_ROWS:] - velocity[:-_IMPULSE_ROWS], axis=1)
     return {
         "sync_error_m": float(np.abs(span - span[0]).max()) if len(span) else math.nan,
         "internal_force_error_n": float(np.sqrt(np.mean(missed**2))) if len(missed) else math.nan,
-        "impulse_max_ns": mass_kg * float(change.max()) if len(change) else math.nan,
+        "impulse_max_ns": mass_kg * float(np.nanmax(change)) if len(change) else math.nan,
         "energy_j": float(np.abs(log.tau[1:] * np.diff(log.q, axis=0)).sum()),
         "jerk_50_hz_rms": jerk(log.q, 50.0),
     }

@@ -24,7 +24,7 @@ from minidual.robot.pair import robot_from
 from minidual.tasks.judge import Failure, begin
 from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial, make_task
-from minidual.trials.conditions import CLEAN
+from minidual.trials.conditions import CLEAN, Disturbance
 from minidual.trials.conditions import condition as named_condition
 from minidual.trials.measures import LOG_RATE_HZ, TrialLog, measure
 from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec, check_able
@@ -82,7 +82,7 @@ class Bench:
         write_recording(path, recorder.recording(reason, details=details))
         return result, log
 
-    def _run(self, trial: Trial, disturb: Callable[[World], None] | None, on_step: StepHook) -> Judged:
+    def _run(self, trial: Trial, disturb: Disturbance | None, on_step: StepHook) -> Judged:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
         began_s = time.process_time()
@@ -115,7 +115,10 @@ class Bench:
             if step % every == 0:
                 rows.append(self._sample(seen))
             if disturb is not None:
+                before = disturb.took_place
                 disturb(world)
+                if disturb.took_place and not before:
+                    judge.disturbed()
             on_step(world, method)
             finished_s = finished_s + world.dt if judge.finished else 0.0
             if method.done or finished_s > SETTLED_S:
