@@ -76,7 +76,7 @@ class TrainResult:
     bf16: bool = False
     resumed_from_step: int = 0
     set_aside: Path | None = None
-    """Damaged progress, moved here."""
+    """Damaged progress or that of another training, moved here."""
     stopped_by: str = "steps"
     curve: list[LossRow] = field(default_factory=list)
 
