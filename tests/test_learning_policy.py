@@ -33,7 +33,11 @@ class CountingPolicy(ChunkPolicy):
     def __init__(self, chunk: int, cameras: tuple[str, ...] = ("high",)) -> None:
         self.calls = 0
         self.seen: list[dict[str, Image]] = []
+        self.resets = 0
         self.chunk_size, self.dim, self.cameras = chunk, 16, dict.fromkeys(cameras, (12, 16))
+
+    def reset(self) -> None:
+        self.resets += 1
 
     def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
         self.calls += 1
@@ -325,3 +329,12 @@ def test_loading_a_checkpoint_leaves_no_temporary_file(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     PolicyRuntime.load(checkpoint, n_action_steps=5)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_reset_reaches_the_policy() -> None:
+    runtime, policy = counting()
+    before = policy.resets
+    first(runtime, 12)
+    assert policy.resets == before
+    runtime.reset()
+    assert policy.resets == before + 1

@@ -358,9 +358,7 @@ def test_precision_follows_what_the_processor_computes_natively() -> None:
     if capabilities["architecture"] == "x86_64":
         assert {"avx512_bf16", "amx_tile"} <= capabilities.keys()
     native = bool(capabilities.get("avx512_bf16") or capabilities.get("amx_tile"))
-    assert act.use_bf16(TrainConfig(precision="auto")) is native
-    assert act.use_bf16(TrainConfig(precision="bf16"))
-    assert not act.use_bf16(TrainConfig(precision="fp32"))
+    assert act.native_bf16("cpu") is native
 
 
 def test_cuda_without_a_device_is_an_environment_error(demos: Demonstrations, tmp_path: Path) -> None:
@@ -403,3 +401,43 @@ def test_records_hold_the_curve(demos: Demonstrations, tmp_path: Path) -> None:
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         TrainConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_a_policy_runs_in_the_precision_it_was_trained_in(
+    demos: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the processor has it: emulated, bfloat16 would be slow."""
+    monkeypatch.setattr("minidual.policies.act.native_bf16", lambda device: True)
+    train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    for native in (True, False):
+        monkeypatch.setattr("minidual.policies.act.native_bf16", lambda device, native=native: native)
+        policy = act.SPATIAL_ACT.read(tmp_path / "a").policy
+        assert [encoder.bf16 for encoder in policy.model.backbone] == [native]
+
+
+def test_a_keyframe_is_the_mean_of_the_looks_since_a_gripper_moved(demos: Demonstrations, tmp_path: Path) -> None:
+    train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    policy = act.SPATIAL_ACT.read(tmp_path / "a").policy
+    looks: list[Any] = []
+
+    def look(picture: float, opening: float) -> Any:
+        """Return (mean of the looks, this look)."""
+        state = torch.zeros(1, 16)
+        state[:, -2:] = opening  # [standard deviations]
+        torch.manual_seed(int(picture))
+        batch = {"observation.state": state, "observation.images.cam_high": torch.randn(1, 3, 12, 16)}
+        handle = policy.model.register_forward_hook(lambda module, given, out: looks.append(out[2]))
+        policy.predict_action_chunk(batch)
+        handle.remove()
+        return looks[-1], policy.model(batch)[2]
+
+    first, alone = look(1, 0.9)
+    assert torch.equal(first, alone)
+    second, other = look(2, 0.8)
+    assert (other - alone).abs().max() > 1e-4
+    assert torch.allclose(second, (alone + other) / 2)
+    switched, third = look(3, -0.9)
+    assert torch.allclose(switched, third)
+    policy.reset()
+    again, fourth = look(4, -0.9)
+    assert torch.allclose(again, fourth)

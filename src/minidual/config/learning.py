@@ -10,20 +10,14 @@ _Log = Annotated[float, Field(ge=-5.0, le=5.0)]
 
 
 class OperatorConfig(StrictModel):
-    """Phase durations and accuracy of the scripted operator."""
+    """Accuracy and variety of the scripted operator."""
 
-    approach_s: float = Field(default=1.8, ge=0.5, le=20.0)
-    correct_s: float = Field(default=0.6, ge=0.1, le=20.0)
-    descend_s: float = Field(default=0.9, ge=0.2, le=20.0)
-    lift_s: float = Field(default=0.8, ge=0.2, le=20.0)
-    carry_s: float = Field(default=2.0, ge=0.5, le=20.0)
-    lower_s: float = Field(default=0.8, ge=0.2, le=20.0)
-    retreat_s: float = Field(default=0.5, ge=0.2, le=20.0)
-    rest_s: float = Field(default=0.1, ge=0.02, le=20.0)
-    overlap_s: float = Field(default=0.3, ge=0.0, le=1.0)
+    overlap_s: float = Field(default=0.3, ge=0.0, le=0.6)
     """Overlap of the correction with the approach, and of the descent with the correction."""
     approach_noise_m: float = Field(default=0.010, ge=0.0, le=0.05)
-    """Standard deviation of the position error before the correction."""
+    """Standard deviation of the position error across the object, before the correction."""
+    along_noise_m: float = Field(default=0.025, ge=0.0, le=0.05)
+    """The same along the object, corrected as the hands go down."""
     approach_noise_rad: float = Field(default=0.04, ge=0.0, le=0.2)
     speed_spread: float = Field(default=0.0, ge=0.0, le=0.5)
     """Largest relative change of a phase's duration, drawn for each trial, as the next two."""
@@ -31,13 +25,6 @@ class OperatorConfig(StrictModel):
     """Longest pause before the lift and before the lowering."""
     grasp_spread_m: float = Field(default=0.0, ge=0.0, le=0.05)
     """Largest shift of each hand's grasp along the object."""
-
-    @model_validator(mode="after")
-    def _overlap_fits(self) -> Self:
-        shortest = min(self.approach_s, self.correct_s, self.descend_s)
-        if self.overlap_s > shortest:
-            raise ValueError(f"overlap_s {self.overlap_s} is longer than a phase it joins ({shortest} s)")
-        return self
 
 
 class MirrorConfig(StrictModel):
@@ -147,8 +134,6 @@ class TrainConfig(StrictModel):
     gradient_clip: float = Field(default=1.0, ge=1e-3, le=1e6)
     ema_decay: float = Field(default=0.999, ge=0.0, lt=1.0)
     """Moving average of the weights; 0 switches it off."""
-    precision: Literal["auto", "fp32", "bf16"] = "auto"
-    """Of the convolutions; auto: bf16 where the processor supports it."""
     device: Literal["cpu", "cuda"] = "cpu"
     threads: int = Field(default=2, ge=1, le=256)
     """Torch threads on the CPU."""

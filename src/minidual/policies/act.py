@@ -102,6 +102,8 @@ class ActKind(PolicyKind):
         # Weights to start training from would be downloaded; those of the checkpoint replace them.
         config = draccus.decode(self.config_class, record | {"device": device, "pretrained_backbone_weights": None})
         check_sizes(config)
+        if getattr(config, "bf16", False) and not native_bf16(device):
+            config.bf16 = False  # type: ignore[attr-defined]
         policy = self.policy_class(config)
         policy.load_state_dict(read_tensors(folder / "model.safetensors"))
         policy.to(device)
@@ -118,13 +120,9 @@ class SpatialActKind(ActKind):
     policy_class = SpatialActPolicy
 
     def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a policy of the configured precision."""
-        own = ("keypoints", "keyframe_weight", "context_layers", "standardised_maps")
-        policy = SpatialActPolicy(SpatialActConfig(**{name: getattr(config, name) for name in own}, **common))
-        encoders: Any = policy.model.backbone
-        for encoder in encoders:
-            encoder.bf16 = use_bf16(config)
-        return policy
+        """See `ActKind.make`; convolutions use bfloat16 where the device has it."""
+        settings = config.model_dump(include={"keypoints", "keyframe_weight", "context_layers", "standardised_maps"})
+        return SpatialActPolicy(SpatialActConfig(bf16=native_bf16(config.device), **settings, **common))
 
 
 ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
@@ -186,13 +184,10 @@ def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
     }
 
 
-def use_bf16(config: TrainConfig) -> bool:
-    """Whether convolutions use bfloat16; "auto" needs native support."""
-    if config.precision != "auto":
-        return config.precision == "bf16"
-    if config.device == "cuda":
+def native_bf16(device: str) -> bool:
+    """Whether `device` computes in bfloat16; emulated, it is several times slower than float32."""
+    if device == "cuda":
         return torch.cuda.is_bf16_supported()
-    # Emulated bfloat16 is several times slower than float32.
     can = torch.cpu.get_capabilities()
     return bool(can.get("avx512_bf16") or can.get("amx_tile"))
 
@@ -212,6 +207,10 @@ class TorchChunkPolicy(ChunkPolicy):
             if not key.startswith(IMAGE_PREFIX):
                 raise DataError(f"the checkpoint reads '{key}'; cameras here are named {IMAGE_PREFIX}<name>")
             self.cameras[key.removeprefix(IMAGE_PREFIX)] = (int(feature.shape[1]), int(feature.shape[2]))
+
+    def reset(self) -> None:
+        """See `ChunkPolicy.reset`."""
+        self._trained.policy.reset()
 
     def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return one chunk."""

@@ -35,6 +35,9 @@ class ChunkPolicy(ABC):
     chunk_size: int
     dim: int
 
+    def reset(self) -> None:  # noqa: B027
+        """Forget what was seen: a new episode begins."""
+
     @abstractmethod
     def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return actions (chunk_size, dim): joint targets [rad], then openings.

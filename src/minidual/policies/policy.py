@@ -73,6 +73,7 @@ class PolicyRuntime:
         self._old: Array | None = None
         self._cursor = 0
         self._plausible.reset()
+        self.policy.reset()
 
     def act(self, images: Mapping[str, Image | Callable[[], Image]], state: Array) -> Array:
         """Return this tick's action (dim,): joint targets [rad], then openings.
@@ -158,6 +159,7 @@ def exercise_checkpoint(checkpoint: Path, demos: Demonstrations, robot: Robot, d
     chunks = []
     for row in np.linspace(0, len(demos) - 1, min(_SAMPLES_N, len(demos))).astype(np.int64):
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
+        runtime.reset()
         chunks.append(runtime.predict_chunk(images, demos.state[row].astype(np.float64)))
     raw = np.concatenate(chunks)
     in_limits = overshoot = float("nan")

@@ -214,6 +214,7 @@ class _Loop:
             for start in range(0, len(self.validation_rows), 64):
                 batch = self.batches.clean(self.validation_rows[start : start + 64])
                 observation = {k: v for k, v in batch.items() if k.startswith("observation.")}
+                self.policy.reset()
                 chunk = self.policy.predict_action_chunk(observation)
                 l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
                 if getattr(self.policy.config, "keyframe_weight", 0.0) > 0:

@@ -20,8 +20,9 @@ from minidual.skills.cycle import solve
 from minidual.skills.phases import PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
-_ORDER = ("approach", "correct", "descend", "close", "lift", "carry", "lower", "open", "retreat", "rest")
-_OVERLAPPING, _HOLDING, _PAUSED = ("correct", "descend"), ("close", "open"), ("lift", "lower")
+_LASTS_S = {"approach": 1.8, "correct": 0.6, "descend": 0.9, "close": PHASES["close"].hold_s, "lift": 0.8, "carry": 2.0}
+_LASTS_S |= {"lower": 0.8, "open": PHASES["open"].hold_s, "retreat": 0.5, "rest": 0.1}
+_OVERLAPPING, _PAUSED = ("correct", "descend"), ("lift", "lower")
 # The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
 # as fast.
 _CONFIG, _WRIST_COST = OperatorConfig(), 0.1
@@ -87,25 +88,24 @@ class ScriptedOperator:
     def style(self, seed: int, trial: Trial) -> Style:
         """Draw the style of a trial."""
         rng, config = stream(seed, f"operator-style/{trial.purpose}", trial.index), self.config
-        pace = 1.0 + config.speed_spread * rng.uniform(-1.0, 1.0, len(_ORDER))
+        pace = 1.0 + config.speed_spread * rng.uniform(-1.0, 1.0, len(_LASTS_S))
         pauses = config.pause_s * rng.uniform(0.0, 1.0, len(_PAUSED))
         left, right = config.grasp_spread_m * rng.uniform(-1.0, 1.0, 2)
-        return Style(dict(zip(_ORDER, pace, strict=True)), dict(zip(_PAUSED, pauses, strict=True)), (left, right))
+        return Style(dict(zip(_LASTS_S, pace, strict=True)), dict(zip(_PAUSED, pauses, strict=True)), (left, right))
 
     def phases(self, style: Style = _PLAIN) -> dict[str, tuple[float, float]]:
         """Return {name: (start, end) [s]}."""
         # they overlap over the rod, where a policy without speed or time could learn to wait for ever
         phases, end = {}, 0.0
-        for name in _ORDER:
+        for name, lasts_s in _LASTS_S.items():
             start = end - (self.config.overlap_s if name in _OVERLAPPING else 0.0) + style.pauses_s.get(name, 0.0)
-            lasts_s = PHASES[name].hold_s if name in _HOLDING else getattr(self.config, f"{name}_s")
-            lasts_s *= style.pace.get(name, 1.0)
-            phases[name] = start, (end := start + lasts_s)
+            phases[name] = start, (end := start + lasts_s * style.pace.get(name, 1.0))
         return phases
 
     def approach_error(self, seed: int, trial: Trial) -> Array:
-        """Return the random error (x [m], y [m], yaw [rad]), corrected after the approach."""
-        scale = np.array([self.config.approach_noise_m] * 2 + [self.config.approach_noise_rad])
+        """Return the random error across [m] and along [m] the object and in yaw [rad]."""
+        config = self.config
+        scale = np.array([config.approach_noise_m, config.along_noise_m, config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
         return scale * np.clip(rng.standard_normal(3), -2.0, 2.0)
 
@@ -136,7 +136,10 @@ class ScriptedOperator:
         self, trial: Trial, error: Array, grasps: Sequence[Array], progress: Mapping[str, float]
     ) -> tuple[Array, Array]:
         begin, goal = (np.array(placement(where[self.scene.object.name])) for where in (trial.start, trial.goal))
-        start = begin + error * (1.0 - progress["correct"])
+        # Along the object on the way down: corrected any earlier, the hands would tell a policy where the grasp is, and
+        # its own error would feed itself (docs/learning.md).
+        left = 1.0 - np.array([progress[phase] for phase in ("correct", "descend", "correct")])
+        start = begin + rot_z(begin[2]) @ (error * left)
         x, y, yaw = start + (goal - start) * progress["carry"]
         above = PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
         raised = self.scene.task.lift_height_m * (progress["lift"] - progress["lower"])
@@ -154,9 +157,7 @@ def _between(T_from: Array, T_to: Array, s: float) -> Array:
     return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)
 
 
-def demonstrate_plan(
-    task: Task, trial: Trial, planner: Planner, *, rest_s: float, seed: int, rate_hz: float
-) -> Demonstration:
+def demonstrate_plan(task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float) -> Demonstration:
     """Return the task's plan as a demonstration; TaskFailedError without one."""
     robot = planner.robot
     start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
@@ -170,7 +171,7 @@ def demonstrate_plan(
         times: Array = np.arange(0.0, motion.duration_s, 1.0 / (slower * rate_hz), dtype=float)
         q.append(motion.sample_many(times)[0])
         gripper.append(np.tile(segment.openings, (len(times), 1)))
-    rest = round(rate_hz * rest_s)
+    rest = round(rate_hz * _LASTS_S["rest"])
     q.append(np.tile(segments[-1].trajectory.q[-1], (rest, 1)))
     gripper.append(np.tile(segments[-1].openings, (rest, 1)))
     return Demonstration(rate_hz, np.vstack(q), np.vstack(gripper))

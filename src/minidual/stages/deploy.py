@@ -167,6 +167,7 @@ def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]
     for name, picture in pictures.items():
 
         def targets(image: Image, name: str = name) -> Array:
+            runtime.reset()
             return runtime.predict_chunk({**pictures, name: image}, state)[:, : runtime.joints_n]
 
         changes = occlusion(targets, picture)

@@ -12,7 +12,8 @@ from lerobot.policies.act.configuration_act import ACTConfig
 class SpatialActConfig(ACTConfig):
     """Settings of ACT's transformer and of the keypoint encoder that replaces its resnet.
 
-    `keyframe_weight` > 0 adds a head predicting actions at the first `keyframes` gripper switches.
+    `keyframe_weight` > 0 adds a head predicting actions at the first `keyframes` gripper switches. `bf16`: convolve in
+    bfloat16.
     """
 
     pretrained_backbone_weights: str | None = None
@@ -21,6 +22,7 @@ class SpatialActConfig(ACTConfig):
     standardised_maps: bool = True
     keyframe_weight: float = 1.0
     keyframes: int = 2
+    bf16: bool = False
 
     def transformer(self, **changes: Any) -> ACTConfig:
         """Return the transformer's ACT configuration."""

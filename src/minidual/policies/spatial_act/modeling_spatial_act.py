@@ -7,6 +7,8 @@ Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Co
 bfloat16 resolves a quarter pixel.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -17,8 +19,10 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from torch import Tensor, nn
 
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
+from minidual.robot.pair import GRIPPERS_N
 
 _LEAST_VARIANCE = 1e-6
+_SWITCHED = 1.0  # standard deviations; an opening's two values are about two apart
 Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]
 
 
@@ -62,9 +66,11 @@ class KeypointEncoder(nn.Module):
     `bf16`: convolve in bfloat16.
     """
 
-    def __init__(self, keypoints: int, *, context_layers: int = 0, standardised: bool = False) -> None:
+    def __init__(
+        self, keypoints: int, *, context_layers: int = 0, standardised: bool = False, bf16: bool = False
+    ) -> None:
         super().__init__()
-        self.standardised = standardised
+        self.standardised, self.bf16 = standardised, bf16
         self.features = _rectified(
             nn.Conv2d(3, 32, 5, stride=2, padding=2),
             nn.Conv2d(32, 32, 3, padding=1),
@@ -75,7 +81,6 @@ class KeypointEncoder(nn.Module):
         self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around)) if around else None
         self.heads = nn.Conv2d(64, keypoints, 1)
         self.pool = SpatialSoftmax(keypoints)
-        self.bf16 = False
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -109,7 +114,7 @@ class SpatialActModel(nn.Module):
         assert config.action_feature is not None
         action_dim = config.action_feature.shape[0]
         self.cameras = list(config.image_features)
-        looks = {"context_layers": config.context_layers, "standardised": config.standardised_maps}
+        looks = {"context_layers": config.context_layers, "standardised": config.standardised_maps, "bf16": config.bf16}
         self.backbone = nn.ModuleList([KeypointEncoder(config.keypoints, **looks) for _ in self.cameras])
         keypoint_dim = 3 * config.keypoints * len(self.cameras)
         self.has_keyframe = config.keyframe_weight > 0
@@ -125,13 +130,13 @@ class SpatialActModel(nn.Module):
         inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(keypoint_dim + keyframe_dim,))
         self.act = ACT(config.transformer(input_features=inputs))
 
-    def forward(self, batch: dict[str, Tensor]) -> Parts:
-        """Return action chunk (B, S, A), latent parameters, keyframes (B, K, A) or None."""
+    def forward(self, batch: dict[str, Tensor], filtered: Callable[[Tensor], Tensor] = lambda flat: flat) -> Parts:
+        """Return action chunk (B, S, A), latent parameters, keyframes (B, K, A) or None, `filtered` as (B, K A)."""
         pairs = zip(self.backbone, self.cameras, strict=True)
         token = keypoints = torch.cat([encoder(batch[camera]) for encoder, camera in pairs], dim=1)
         keyframe: Tensor | None = None
         if self.has_keyframe:
-            flat = self.keyframe_linear(keypoints) + self.keyframe_hidden(keypoints)
+            flat = filtered(self.keyframe_linear(keypoints) + self.keyframe_hidden(keypoints))
             token = torch.cat([keypoints, flat], dim=1)
             keyframe = flat.unflatten(1, self.keyframe_shape)
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
@@ -151,6 +156,27 @@ class SpatialActPolicy(ACTPolicy):
         self.config: SpatialActConfig = config
         self.model = SpatialActModel(config)
         self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen: a new episode."""
+        super().reset()
+        self._looks: tuple[Any, int, Any] = 0.0, 0, None
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
+        """Return a chunk (B, S, A), its keyframes the mean of all looks since `reset` or a gripper's last switch.
+
+        The first looks are the clearest: later ones show the hands before the object, and follow them.
+        """
+        self.eval()
+        return self.model(batch, partial(self._mean_look, batch[OBS_STATE][:, -GRIPPERS_N:]))[0]
+
+    def _mean_look(self, openings: Tensor, keyframes: Tensor) -> Tensor:
+        total, count, at_first = self._looks
+        if not count or (openings - at_first).abs().max() > _SWITCHED:
+            total, count, at_first = 0.0, 0, openings
+        self._looks = total + keyframes, count + 1, at_first
+        return self._looks[0] / self._looks[1]
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
         """Return the loss and its parts.
