@@ -67,6 +67,18 @@ def test_solutions_differ_and_repeat(solver):
         assert all(np.abs(q - other).max() > 0.05 for other in first[:i])
 
 
+def test_the_first_solution_is_the_nearest_and_moves_with_the_pose(solver):
+    """A policy that learns from planned motion cannot tell a drawn posture from a picture."""
+    home, rng = HOME[GROUPS[f"{solver.arm}_arm"]], np.random.default_rng(8)
+    T, firsts = solver.tcp_pose(home), []
+    for _ in range(40):
+        T[:3, 3] += (0.002, -0.001, -0.003)
+        first, *others = solver.solutions(T, home, rng, 30)
+        firsts.append(first)
+        assert all(np.linalg.norm(first - home) <= np.linalg.norm(other - home) for other in others)
+    assert np.abs(np.diff(firsts, axis=0)).max() < 0.02
+
+
 def test_unreachable_pose_names_the_residual(solver):
     T = solver.tcp_pose(HOME[GROUPS[f"{solver.arm}_arm"]])
     T[0, 3] += 1.0

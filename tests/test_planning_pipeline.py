@@ -336,7 +336,7 @@ def test_arms_that_come_too_close_are_a_failure_with_the_pair_and_the_gap(planne
 
 def test_a_gap_is_looked_at_as_often_as_it_could_close(carried):
     distance, looks = arm_distance(DUAL_PANDA), []
-    motion = next(s for s in carried.segments if s.phase == "approach")
+    motion = next(s for s in carried.segments if s.phase == "home")
     times = np.arange(0.0, motion.trajectory.duration_s + 0.005, 0.005)
     every = [distance(q)[1] for q in motion.trajectory.sample_many(times)[0]]
     assert min(every) < 0.15  # the arms come nearer than the distance sees

@@ -122,21 +122,24 @@ class ArmIK:
             if reached and np.abs(stay).max() < _REST_TOLERANCE_RAD:
                 break
             q = np.clip(q + np.clip(stay - pinv @ e, -_REST_STEP_MAX_RAD, _REST_STEP_MAX_RAD), lower, upper)
-        # The hand may be on target even where the posture has not converged, for example at the limits.
-        return IKSolution(q, float(np.abs(e[:3]).max()), float(np.abs(e[3:]).max()), bool(np.abs(e).max() < _SMALL))
+        # At limits the hand may be on target though the posture has not converged, or stay away where descent does not.
+        if np.abs(e).max() >= _SMALL:
+            return self.solve(T_world_tcp, q_start)
+        return IKSolution(q, float(np.abs(e[:3]).max()), float(np.abs(e[3:]).max()), True)
 
     def solutions(
         self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, restarts_n: int
     ) -> Iterator[Array]:
-        """Yield distinct solutions (n,) from q_near, home, then random starts.
+        """Yield distinct solutions (n,): the nearest to q_near, then from home and random starts.
 
         Raises:
             IKUnreachableError: None found.
         """
         found: list[Array] = []
         best: IKSolution | None = None
+        first = self.resting(T_world_tcp, q_near, q_near, np.ones(self._n)).q, self._home
         for attempt in range(restarts_n):
-            start = (q_near, self._home)[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper)
+            start = first[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper)
             solution = self.solve(T_world_tcp, start)
             if solution.reached:
                 if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in found):

@@ -28,7 +28,7 @@ from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
-from minidual.skills.reach import GraspUnreachableError, grasp_posture, posture_over
+from minidual.skills.reach import GraspUnreachableError, grasp_posture
 from minidual.tasks.task import Trial, level_part, placement, pose_of
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
@@ -158,8 +158,7 @@ class ImpedanceCarry:
 
     def _phases(self) -> Iterator[None]:
         world, watch, stack = self.world, self.watch, self.stack
-        level = self._lying()
-        q_over = posture_over(world.scene, world.robot, level, PHASES["approach"].rise_m)
+        q_over = self._grasp(world.robot.home, above_m=PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
         stack.request(SOURCE)
         q = world.q

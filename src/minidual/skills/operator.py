@@ -13,9 +13,9 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.control.kernels import minimum_jerk
 from minidual.motion.api import Planner
-from minidual.motion.ik import posture_at
+from minidual.motion.ik import GROUP_ARMS, ArmIK, posture_at, solvers
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, pose, rot_x, rot_z
+from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.cycle import solve
 from minidual.skills.phases import PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
@@ -157,21 +157,42 @@ def _between(T_from: Array, T_to: Array, s: float) -> Array:
     return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)
 
 
-def demonstrate_plan(task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float) -> Demonstration:
-    """Return the task's plan as a demonstration; TaskFailedError without one."""
+def demonstrate_plan(
+    task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float, config: OperatorConfig = _CONFIG
+) -> Demonstration:
+    """Return the task's plan as a demonstration; hands err along what they grasp until they are down.
+
+    Raises:
+        TaskFailedError: There is no plan.
+    """
     robot = planner.robot
     start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
     own = subseed(seed, f"operator/{trial.purpose}", trial.index)
     segments = solve(task, trial, start, planner, own, task.config.supervisor.self_collision_min_m).segments
+    rng = stream(seed, f"operator/{trial.purpose}", trial.index)
+    errors_m = config.along_noise_m * np.clip(rng.standard_normal(len(SIDES)), -2.0, 2.0)
     q, gripper = list[Array](), list[Array]()
     for segment in segments:
         # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.
         motion = segment.trajectory
         slower = max(1.0, float(np.abs(motion.v / robot.v_max).max()) / _SPEED_SHARE)
         times: Array = np.arange(0.0, motion.duration_s, 1.0 / (slower * rate_hz), dtype=float)
-        q.append(motion.sample_many(times)[0])
+        planned = motion.sample_many(times)[0]
+        if segment.phase in ("approach", "descend"):
+            arrived = np.array([minimum_jerk(t / motion.duration_s)[0] for t in times.tolist()])
+            shares = arrived if segment.phase == "approach" else 1.0 - arrived
+            for side in GROUP_ARMS[motion.group]:
+                _shift_along(solvers(robot)[side], planned, shares * errors_m[SIDES.index(side)])
+        q.append(planned)
         gripper.append(np.tile(segment.openings, (len(times), 1)))
     rest = round(rate_hz * _LASTS_S["rest"])
     q.append(np.tile(segments[-1].trajectory.q[-1], (rest, 1)))
     gripper.append(np.tile(segments[-1].openings, (rest, 1)))
     return Demonstration(rate_hz, np.vstack(q), np.vstack(gripper))
+
+
+def _shift_along(arm: ArmIK, q: Array, offsets_m: Array) -> None:
+    """Shift a hand by offsets (T,) along what lies between its fingers; q is (T, n) [rad]."""
+    for row, offset_m in zip(q[:, arm.joints], offsets_m.tolist(), strict=True):
+        shifted = arm.nearest(arm.tcp_pose(row) @ pose(np.eye(3), (offset_m, 0.0, 0.0)), row)
+        row[:] = row if shifted is None else shifted
