@@ -28,9 +28,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
-from minidual.skills.carry_motions import held_motion, joint_move, plan_path
+from minidual.skills.carry_motions import grasp_posture, held_motion, joint_move, plan_path
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
-from minidual.skills.reach import grasp_posture
 from minidual.tasks.task import level_pose, tilt_rad
 
 PHASES = ("approach", "descend", "close", "squeeze", "carry", "unload", "open", "retreat")

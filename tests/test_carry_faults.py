@@ -15,12 +15,12 @@ from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.impedance import ObjectImpedance, SingularPostureError
 from minidual.control.soft_stop import SoftStop, TorqueRate
+from minidual.motion.ik import PoseUnreachableError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills import impedance_carry
 from minidual.skills.faults import CLOSED, OPENING, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.skills.reach import GraspUnreachableError
 
 DETECTED_S = 0.05
 
@@ -488,7 +488,7 @@ def test_a_grasp_that_is_lost_on_the_way_is_a_fault(carry: Carry, phase: str) ->
 
 def grasp_lost(found: Run) -> None:
     def none(*_args: object, **_options: object) -> None:
-        raise GraspUnreachableError("the left hand misses its grasp")
+        raise PoseUnreachableError("the left hand misses its grasp")
 
     impedance_carry.grasp_posture = none
     found.finish()

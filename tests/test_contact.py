@@ -22,8 +22,8 @@ from minidual.motion.ik import posture_at
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
+from minidual.skills.carry_motions import grasp_posture
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.skills.reach import grasp_posture
 from minidual.tasks.task import level_part
 
 Change = Callable[["FaultyWorld"], None]

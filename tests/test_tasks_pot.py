@@ -13,14 +13,14 @@ from minidual.config.root import Config, changed
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.control.impedance_controllers import SLOW_AT
 from minidual.motion.api import Planner
-from minidual.motion.ik import solvers
+from minidual.motion.ik import PoseUnreachableError
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, pose, rot_x, rot_z
+from minidual.skills.carry_motions import grasp_posture, posture_over
 from minidual.skills.cycle import solve, thing_of
 from minidual.skills.phases import State
-from minidual.skills.reach import GraspUnreachableError, grasp_posture
 from minidual.tasks.judge import begin
 from minidual.tasks.success import Truth
 from minidual.tasks.task import level_pose, make_task, placement, pose_of, tilt_rad
@@ -72,8 +72,8 @@ def test_both_hands_reach_the_handles_of_every_draw_and_corner() -> None:
 
 
 def test_force_control_begins_far_from_singular_postures() -> None:
-    """From home, descent bends an arm until a carry slows down; the posture nearest to home does not."""
-    kinematics, (left, right) = Kinematics(DUAL_PANDA), solvers(DUAL_PANDA).values()
+    """From home, descent bends an arm until a carry slows down; such a start gets the posture nearest to home."""
+    kinematics = Kinematics(DUAL_PANDA)
 
     def condition(q: Array) -> float:
         jacobians = kinematics.tcp_jacobians(q)
@@ -81,17 +81,14 @@ def test_force_control_begins_far_from_singular_postures() -> None:
 
     for x, y, yaw, bent in ((0.441, 0.112, 0.505, True), (0.48, 0.12, 0.0, False)):
         level = level_pose(x, y, POT.rest_height_m, yaw)
-        over = grasp_posture(TASK.scene, DUAL_PANDA, level, DUAL_PANDA.home, above_m=0.08)
-        tips = kinematics.tcp_poses(over)
-        descended = [arm.solve(T, DUAL_PANDA.home[arm.joints]).q for arm, T in zip((left, right), tips, strict=True)]
-        tips = kinematics.tcp_poses(grasp_posture(TASK.scene, DUAL_PANDA, level, over))
-        plain = [arm.solve(T, q).q for arm, T, q in zip((left, right), tips, descended, strict=True)]
-        at = [np.concatenate(plain), grasp_posture(TASK.scene, DUAL_PANDA, level, over)]
-        assert np.linalg.norm(over - DUAL_PANDA.home) <= np.linalg.norm(np.concatenate(descended) - DUAL_PANDA.home)
+        plain = grasp_posture(TASK.scene, DUAL_PANDA, level, DUAL_PANDA.home, above_m=0.08)
+        over = posture_over(TASK.scene, DUAL_PANDA, level, 0.08)
+        at = [grasp_posture(TASK.scene, DUAL_PANDA, level, q) for q in (plain, over)]
+        assert np.array_equal(plain, over) != bent
         assert (condition(at[0]) > SLOW_AT[0]) == bent
         assert condition(at[1]) < 25.0
-    with pytest.raises(GraspUnreachableError, match="cannot reach"):
-        grasp_posture(TASK.scene, DUAL_PANDA, level_pose(1.2, 0.0, POT.rest_height_m, 0.0), DUAL_PANDA.home)
+    with pytest.raises(PoseUnreachableError, match="cannot reach"):
+        posture_over(TASK.scene, DUAL_PANDA, level_pose(1.2, 0.0, POT.rest_height_m, 0.0), 0.08)
 
 
 def test_an_arm_frozen_at_home_is_far_above_every_draw() -> None:

@@ -13,14 +13,12 @@ from panda import HOME, Q_LOWER, Q_UPPER, V_MAX
 from recording_toys import ToyRig, job
 
 from minidual.cli.app import run_command_line
-from minidual.config.learning import OperatorConfig
-from minidual.config.root import Config
+from minidual.config.root import Config, changed
 from minidual.demos.leader import LEADERS, LeaderSetup, ScriptedLeader
 from minidual.demos.rig import Job, Rig
-from minidual.motion.api import Planner
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES
-from minidual.skills.operator import Demonstration, ScriptedOperator, demonstrate_plan
+from minidual.skills.operator import Demonstration, ScriptedOperator
 from minidual.skills.pipeline.search import Record, TaskFailedError
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.tasks.task import TASKS, Step, Task, Trial, make_task
@@ -78,7 +76,7 @@ def test_hands_err_along_what_they_grasp_until_they_are_down() -> None:
     """Oracle: the same plan without the error. Hands never err across the fingers, where they would touch."""
     task, trial, _ = sorted_cubes()
     exact, erring = (
-        demonstrate_plan(task, trial, Planner(), seed=SEED, rate_hz=50.0, config=OperatorConfig(along_noise_m=noise_m))
+        demonstrated(make_task(changed(task.config, {"teleop.operator.along_noise_m": noise_m})), trial)
         for noise_m in (0.0, 0.03)
     )
     tips = [np.array([Kinematics().tcp_poses(q) for q in demo.q]) for demo in (exact, erring)]

@@ -1,32 +1,37 @@
-"""What surrounds the law in a carry: a tick of the supervisor alone, and a whole step of a trial."""
+"""What surrounds the law: a tick of the supervisor alone, and a whole step of a trial of each task."""
 
 from __future__ import annotations
 
+import itertools
 import time
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from minidual.config.root import changed
 from minidual.control.joint_control import ComputedTorque
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
 from minidual.skills.supervised import trial_supervisor
 from minidual.stages.env_check.tracking import sine_reference
+from minidual.tasks.task import TASKS, make_task
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
 from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 BLOCK = 50
 STEP_RATIO_MAX = 3.0
-"""A whole step of a carry over bare physics."""
+"""A whole step of a trial over bare physics."""
 TICK_RATIO_MAX, MEAN_RATIO_MAX, WATCHED_RATIO_MAX = 0.5, 0.75, 1.0
 """A tick of the supervisor over bare physics: its median, its mean with the slow looks, and with all distances."""
 _FINGERS_M = np.full(2, 0.04)
 
 
 def measure(inputs: BenchInputs) -> BenchTable:
-    """Time ticks of the supervisor, and all steps of one carry."""
+    """Time ticks of the supervisor, and all steps of one trial of each task."""
     rows: list[BenchRow] = []
     world = World(inputs.config.scene)
     watched = trial_supervisor(inputs.config.supervisor, world.dt, world.robot)
@@ -36,9 +41,9 @@ def measure(inputs: BenchInputs) -> BenchTable:
     ):
         rows.append(tick(name, world, supervisor, limits, inputs.repeats_n))
         inputs.advance(name)
-    rows += carry(inputs)
+    rows += trials(inputs)
     return BenchTable(
-        f"The supervisor's tick and a carry's whole step beside bare mj_step, in turns of {BLOCK}",
+        f"The supervisor's tick and a trial's whole step beside bare mj_step, in turns of {BLOCK}",
         ("median_us", "mean_us", "bare_us", "ratio", "mean_ratio", "tenth_ratio"),
         tuple(rows),
         (
@@ -67,9 +72,21 @@ def tick(name: str, world: World, supervisor: Supervisor, limits: dict[str, floa
     return _row(name, guard_ns, bare_ns, limits)
 
 
-def carry(inputs: BenchInputs) -> list[BenchRow]:
-    """Time all steps of an impedance trial, and those in which the object is held."""
-    bench = Bench("impedance", MethodInputs(inputs.config, inputs.seed))
+def trials(inputs: BenchInputs) -> list[BenchRow]:
+    """Time all steps of one trial of each task by each method that plans or senses, and those with the object held."""
+    rows = []
+    for task, method in itertools.product(TASKS, ("impedance", "moveit")):
+        bench = Bench(method, MethodInputs(make_task(changed(inputs.config, {"task": task})).config, inputs.seed))
+        whole, physics, carried, text = _steps(bench, inputs.seed)
+        inputs.advance(f"{task}, {method}: {text}")
+        rows.append(_row(f"{task}, {method}", whole.tolist(), physics.tolist(), {"ratio": STEP_RATIO_MAX}))
+        if carried.any():
+            rows.append(_row(f"{task}, {method}, while held", whole[carried].tolist(), physics[carried].tolist(), {}))
+    return rows
+
+
+def _steps(bench: Bench, seed: int) -> tuple[Array, Array, NDArray[np.bool_], str]:
+    """Return each step's time [ns] and that of bare physics beside it, whether it belongs to a carry, and the result."""
     bare, step_ns, bare_ns, held = _Bare(bench.world), list[int](), list[int](), list[bool]()
     ended_ns = 0
 
@@ -82,14 +99,9 @@ def carry(inputs: BenchInputs) -> list[BenchRow]:
                 bare_ns.extend(bare.block())
         ended_ns = time.perf_counter_ns()
 
-    result, _ = bench.run(bench.task.trial(inputs.seed, "bench", 0), on_step=on_step)
-    inputs.advance(f"carry: {result.text}")
+    result, _ = bench.run(bench.task.trial(seed, "bench", 0), on_step=on_step)
     n = len(bare_ns)
-    whole, physics, carried = np.array(step_ns[:n]), np.array(bare_ns), np.array(held[:n])
-    return [
-        _row("carry, whole step", whole.tolist(), physics.tolist(), {"ratio": STEP_RATIO_MAX}),
-        _row("carry, whole step while it is held", whole[carried].tolist(), physics[carried].tolist(), {}),
-    ]
+    return np.array(step_ns[:n]), np.array(bare_ns), np.array(held[:n]), result.text
 
 
 class _Bare:

@@ -21,8 +21,7 @@ from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse, pose
-from minidual.skills.carry_motions import held_object
-from minidual.skills.reach import grasp_posture
+from minidual.skills.carry_motions import grasp_posture, held_object
 from minidual.stages.env_check.tracking import sine_reference
 from minidual.tasks.task import level_part
 

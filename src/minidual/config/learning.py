@@ -74,7 +74,7 @@ class AugmentConfig(StrictModel):
     photometric: bool = True
     geometric: bool = True
     light_log: tuple[_Log, _Log] = (-0.6, 0.5)
-    """Range of the logarithm of the light."""
+    """Ends of the range of the logarithm of the light."""
     channel_gain_log: float = Field(default=0.25, ge=0.0, le=2.0)
     channel_mixing: float = Field(default=0.3, ge=0.0, le=1.0)
     offset: float = Field(default=0.08, ge=0.0, le=1.0)
@@ -87,13 +87,6 @@ class AugmentConfig(StrictModel):
     """Of width and height."""
     straight_share: float = Field(default=0.1, ge=0.0, le=1.0)
     """Pictures that keep their place."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        low, high = self.light_log
-        if low > high:
-            raise ValueError(f"light_log is {low} to {high}; the lower value comes first")
-        return self
 
 
 class TrainConfig(StrictModel):

@@ -70,8 +70,7 @@ class ScriptedLeader(Leader):
         if setup.task.together:
             operator = ScriptedOperator(setup.task.scene, config.operator, kinematics=Kinematics(setup.robot))
             return cls(operator.plan(trial, seed=seed, rate_hz=rate_hz))
-        planner, operator = setup.planner, config.operator
-        return cls(demonstrate_plan(setup.task, trial, planner, seed=seed, rate_hz=rate_hz, config=operator))
+        return cls(demonstrate_plan(setup.task, trial, setup.planner, seed=seed, rate_hz=rate_hz))
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
         """Return the plan at `now_s`."""

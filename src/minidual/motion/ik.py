@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, OutOfLimitsError, StartInCollisionError
 from minidual.errors import UsageError, unknown_name
-from minidual.motion.ik_descent import descend, measure, project, tcp_pose
+from minidual.motion.ik_descent import descend, measure, project, rest, tcp_pose
 from minidual.proof.scene_engines import SceneEngines
 from minidual.registry import Registry
 from minidual.robot.compiled import floats
@@ -23,8 +23,11 @@ _DISTINCT_RAD = 0.1
 _SMALL = 1e-4
 _NEAR_ITERATIONS = 8
 _NEAR_STEP_MAX_RAD = 1.0
-_REST_ITERATIONS, _REST_STEP_MAX_RAD, _REST_DAMPING = 60, 0.2, 1e-9
-_REST_TOLERANCE_RAD, _REST_MARGIN_RAD = 1e-5, 0.02
+_REST_MARGIN_RAD = 0.02
+
+
+class PoseUnreachableError(UsageError):
+    """A hand cannot reach a pose."""
 
 
 class IKSolution(NamedTuple):
@@ -105,27 +108,13 @@ class ArmIK:
         return q if project(self._frames, target, q, wish, _NEAR_ITERATIONS, _SMALL, _NEAR_STEP_MAX_RAD) else None
 
     def resting(self, T_world_tcp: Array, q_start: Array, posture: Array, mobility: Array) -> IKSolution:
-        """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch.
-
-        Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4).
-        """
-        lower, upper = self.lower + _REST_MARGIN_RAD, self.upper - _REST_MARGIN_RAD
-        q, reached = np.array(q_start, dtype=float), False
-        damping = _REST_DAMPING * np.eye(6)  # bounds steps near singularities
-        for _ in range(_REST_ITERATIONS):
-            e, J = self.error_and_jacobian(q, T_world_tcp)
-            weighted = J * mobility
-            pinv = np.linalg.solve(weighted @ J.T + damping, weighted).T
-            wish = posture - q
-            stay = wish - pinv @ (J @ wish)
-            reached = bool(np.abs(e).max() < TOLERANCE)
-            if reached and np.abs(stay).max() < _REST_TOLERANCE_RAD:
-                break
-            q = np.clip(q + np.clip(stay - pinv @ e, -_REST_STEP_MAX_RAD, _REST_STEP_MAX_RAD), lower, upper)
+        """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch."""
+        q, target = np.array(q_start, dtype=float), floats(T_world_tcp).reshape(4, 4)
+        limits = np.array([self.lower + _REST_MARGIN_RAD, self.upper - _REST_MARGIN_RAD])
+        rest(self._frames, target, q, floats(posture), floats(mobility), limits)
+        off, residual_m, residual_rad = descend(self._frames, target, q, self.lower, self.upper, 0, TOLERANCE)
         # At limits the hand may be on target though the posture has not converged, or stay away where descent does not.
-        if np.abs(e).max() >= _SMALL:
-            return self.solve(T_world_tcp, q_start)
-        return IKSolution(q, float(np.abs(e[:3]).max()), float(np.abs(e[3:]).max()), True)
+        return IKSolution(q, residual_m, residual_rad, True) if off < _SMALL else self.solve(T_world_tcp, q_start)
 
     def solutions(
         self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, restarts_n: int
@@ -168,13 +157,13 @@ def posture_at(
     """Return q (n,) at both tcp poses (4, 4), near a reference posture (n,) [rad]; independent of history.
 
     Raises:
-        UsageError: A pose is out of reach.
+        PoseUnreachableError: A pose is out of reach.
     """
     q, mobility = np.array(q_start, dtype=float), 1.0 / (np.ones(robot.dof_per_arm) if weights is None else weights)
     for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
         found = arm.resting(T, q[arm.joints], posture[arm.joints], mobility)
         if not found.reached:
-            raise UsageError(
+            raise PoseUnreachableError(
                 f"the {side} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain",
                 remedy="keep the object within reach: a smaller start range, or a start nearer to the arms",
             )

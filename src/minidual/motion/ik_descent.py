@@ -19,6 +19,7 @@ _NEAR_HALF_TURN = math.pi - 1e-3  # above this angle [rad] a rotation's antisymm
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
+_REST_ITERATIONS, _REST_STEP_MAX, _REST_TOLERANCES = 60, 0.2, (1e-7, 1e-5)  # step, pose and posture [m, rad]
 
 Vector = tuple[float, float, float]
 _algebra: Any = map(njit, (vectors.cross, vectors.inner, vectors.solve_gram))
@@ -197,6 +198,34 @@ def descend(
             damping *= _DAMPING_UP
     p = now[3]
     return math.sqrt(cost), math.sqrt(_dot(p, p)), now[5]
+
+
+@kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, ROWS))
+def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array, limits: Array) -> None:
+    """Move q (n,) to the least sum_i (q_i - posture_i)^2 / mobility_i at the pose (4, 4).
+
+    Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4).
+    """
+    n, least = len(q), np.sqrt(mobility)
+    J, y, wish = np.empty((6, n)), np.empty(6), np.empty(n)
+    for _ in range(_REST_ITERATIONS):
+        measured = _measured(frames, target, q)
+        reached, furthest = np.abs(measured[4]).max() < _REST_TOLERANCES[0], 0.0
+        _jacobian(measured, J)
+        y[:] = measured[4]
+        for i in range(n):
+            wish[i] = posture[i] - q[i]
+            for k in range(6):
+                y[k] += J[k, i] * wish[i]
+                J[k, i] *= least[i]
+        if not _solve_gram(J, y, _DAMPING_PROJECT):
+            return
+        for i in range(n):
+            step = wish[i] - least[i] * _inner(J, i, y)
+            furthest = max(furthest, abs(step))
+            q[i] = min(max(q[i] + min(max(step, -_REST_STEP_MAX), _REST_STEP_MAX), limits[0, i]), limits[1, i])
+        if reached and furthest < _REST_TOLERANCES[1]:
+            return
 
 
 @kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64))

@@ -16,7 +16,7 @@ _UNMOVED = np.eye(2, 3)
 
 def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.float32]:
     """Draw maps (n, 3, 4) of colours in 0..255."""
-    light = rng.uniform(*config.light_log, n)
+    light = rng.uniform(min(config.light_log), max(config.light_log), n)
     gains = rng.uniform(-1.0, 1.0, (n, 3)) * config.channel_gain_log
     mixing = rng.uniform(-1.0, 1.0, (n, 3, 3)) * config.channel_mixing
     offset = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3))

@@ -1,4 +1,4 @@
-"""Motions of a carry, as fast as `carry.pace` allows, its internal force, and the object model of controller C.
+"""Grasp postures and motions of a carry, as fast as `carry.pace` allows, its internal force, and the object model of controller C.
 
 Minimum jerk over distance d in time T peaks at speed 1.875 d / T and acceleration 5.7735 d / T^2, so
 
@@ -9,6 +9,7 @@ over object position, yaw and all joints; at least 0.25 s.
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +17,13 @@ import numpy as np
 from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
-from minidual.control.impedance_controllers import SQUEEZE_RATE_N_PER_S
+from minidual.control.impedance_controllers import SLOW_AT, SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
-from minidual.robot.kinematics import Trajectory
+from minidual.motion.ik import PoseUnreachableError, posture_at, solvers
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array, Robot, inverse
-from minidual.skills.phases import PHASES
-from minidual.skills.reach import grasp_posture
-from minidual.tasks.task import level_part, level_pose
+from minidual.skills.phases import PHASES, raised
+from minidual.tasks.task import grasp_offsets, level_part, level_pose
 
 LANDED_S = 0.1
 """Rest time before release."""
@@ -38,13 +39,43 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
     return float(np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))))
 
 
+def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m: float) -> Array:
+    """Return `grasp_posture` from home or, near a singularity, the posture nearest to home."""
+    with suppress(PoseUnreachableError):
+        over = grasp_posture(scene, robot, T_world_level, robot.home, above_m=above_m)
+        postures, jacobians = (over, grasp_posture(scene, robot, T_world_level, over)), Kinematics(robot).tcp_jacobians
+        hands = [J[:, robot.joints_of(arm)] for q in postures for arm, J in enumerate(jacobians(q))]
+        if np.linalg.cond(hands).max() < SLOW_AT[0]:
+            return over
+    left, right = (raised(T_world_level @ T, above_m) for T in grasp_offsets(scene))
+    return posture_at(robot, (left, right), robot.home, robot.home)
+
+
+def grasp_posture(scene: SceneConfig, robot: Robot, T_level: Array, q_near: Array, *, above_m: float = 0.0) -> Array:
+    """Return joints (n,) with both hands `above_m` over their grasps.
+
+    `T_level` is the level object's pose; the search starts at `q_near` to keep the arms' configuration.
+
+    Raises:
+        PoseUnreachableError: No solution near `q_near`.
+    """
+    q = np.array(q_near)
+    for solver, T_object_tcp in zip(solvers(robot).values(), grasp_offsets(scene), strict=True):
+        solution = solver.solve(raised(T_level @ T_object_tcp, above_m), q_near[solver.joints])
+        if not solution.reached:
+            what = f"the {solver.arm} hand misses its grasp by {solution.off}"
+            raise PoseUnreachableError(what, remedy="place the object nearer to the bases, or turn it less")
+        q[solver.joints] = solution.q
+    return q
+
+
 def object_duration_s(
     scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
 ) -> tuple[float, Array]:
     """Return the time [s] of a straight held motion, and the end posture; waypoint times are ignored.
 
     Raises:
-        GraspUnreachableError: A hand cannot follow.
+        PoseUnreachableError: A hand cannot follow.
     """
     a, b = (np.array([*w.xyz_m, w.yaw_rad]) for w in (start, end))
     postures = [q_near]
@@ -132,7 +163,7 @@ def plan_path(
     rest_m: sensed height of the object on the table.
 
     Raises:
-        GraspUnreachableError: A hand cannot follow.
+        PoseUnreachableError: A hand cannot follow.
     """
     x, y, z = T_world_object[:3, 3]
     level = level_part(T_world_object)

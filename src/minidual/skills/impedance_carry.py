@@ -17,18 +17,18 @@ from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError
+from minidual.motion.ik import PoseUnreachableError
 from minidual.plant.protocol import ObjectSensors
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
-from minidual.skills.carry_motions import held_motion, held_object, joint_move, plan_path
+from minidual.skills.carry_motions import grasp_posture, held_motion, held_object, joint_move, plan_path, posture_over
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
-from minidual.skills.reach import GraspUnreachableError, grasp_posture
 from minidual.tasks.task import Trial, level_part, placement, pose_of
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
@@ -150,7 +150,7 @@ class ImpedanceCarry:
                 next(self._cycle)
             except StopIteration:
                 self._enter("done")
-            except (GraspUnreachableError, SingularPostureError) as error:
+            except (PoseUnreachableError, SingularPostureError) as error:
                 name = "singular" if isinstance(error, SingularPostureError) else "unreachable"
                 self._halt(Fault(name, error.message))
             except _RefusedError as error:
@@ -158,7 +158,7 @@ class ImpedanceCarry:
 
     def _phases(self) -> Iterator[None]:
         world, watch, stack = self.world, self.watch, self.stack
-        q_over = self._grasp(world.robot.home, above_m=PHASES["approach"].rise_m)
+        q_over = posture_over(world.scene, world.robot, self._lying(), PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
         stack.request(SOURCE)
         q = world.q

@@ -157,9 +157,7 @@ def _between(T_from: Array, T_to: Array, s: float) -> Array:
     return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)
 
 
-def demonstrate_plan(
-    task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float, config: OperatorConfig = _CONFIG
-) -> Demonstration:
+def demonstrate_plan(task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float) -> Demonstration:
     """Return the task's plan as a demonstration; hands err along what they grasp until they are down.
 
     Raises:
@@ -169,8 +167,8 @@ def demonstrate_plan(
     start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
     own = subseed(seed, f"operator/{trial.purpose}", trial.index)
     segments = solve(task, trial, start, planner, own, task.config.supervisor.self_collision_min_m).segments
-    rng = stream(seed, f"operator/{trial.purpose}", trial.index)
-    errors_m = config.along_noise_m * np.clip(rng.standard_normal(len(SIDES)), -2.0, 2.0)
+    rng, noise_m = stream(seed, f"operator/{trial.purpose}", trial.index), task.config.teleop.operator.along_noise_m
+    errors_m = noise_m * np.clip(rng.standard_normal(len(SIDES)), -2.0, 2.0)
     q, gripper = list[Array](), list[Array]()
     for segment in segments:
         # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.
