@@ -142,7 +142,7 @@ STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD, DAMPING_RATIO = 2000.0, 100.0, 1.0
 FORCE_MAX_N, MOMENT_MAX_NM = 10.0, 1.2
 """Bounds of the spring along and about each axis: beyond the dry friction of a joint."""
 _LEARNING_PER_S = 4.0
-_UP = np.array([0.0, 0.0, 9.81])
+_G = 9.81
 _AT_TCP = np.eye(4)
 _AT_TCP.setflags(write=False)
 
@@ -197,13 +197,15 @@ class HandImpedance(ComputedTorque):
         T, J = self._placed(q)
         axes, lever = T_ref[:3, :3], T[:3, :3] @ held.centre_m
         away = T_ref[:3, 3] + axes @ held.centre_m - T[:3, 3] - lever
-        pull = self._K * np.r_[away @ axes, rotation_log(axes @ T[:3, :3].T) @ axes]
+        pull = self._K * np.concatenate([away @ axes, rotation_log(axes @ T[:3, :3].T) @ axes])
         late = J @ (v_ref - v)[own]
         self._learnt = np.clip(self._learnt + self._learning * pull, -self._most, self._most)
-        f = np.clip(pull + self._learnt, -self._most, self._most) + self._D @ np.r_[late[:3] @ axes, late[3:] @ axes]
-        learnt = load is not None and load[own].any()  # while it was held
-        weight = (0.0 if learnt else held.mass_kg) * _UP
-        wrench = np.r_[axes @ f[:3] + weight, axes @ f[3:] - np.cross(lever, weight)]
+        f = np.clip(pull + self._learnt, -self._most, self._most)
+        f += self._D @ np.concatenate([late[:3] @ axes, late[3:] @ axes])
+        weighed = load is None or not load[own].any()  # else its weight was learnt while it was held
+        w_n = held.mass_kg * _G if weighed else 0.0
+        weight = np.array([0.0, 0.0, w_n, -w_n * lever[1], w_n * lever[0], 0.0])
+        wrench = np.concatenate([axes @ f[:3], axes @ f[3:]]) + weight
         posture = POSTURE_STIFFNESS_PER_S2 * (q_ref - q)[own] + POSTURE_DAMPING_PER_S * (v_ref - v)[own]
         try:
             within = posture - J.T @ np.linalg.solve(J @ J.T, J @ posture)

@@ -163,10 +163,8 @@ def posture_at(
     for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
         found = arm.resting(T, q[arm.joints], posture[arm.joints], mobility)
         if not found.reached:
-            raise PoseUnreachableError(
-                f"the {side} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain",
-                remedy="keep the object within reach: a smaller start range, or a start nearer to the arms",
-            )
+            what = f"the {side} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain"
+            raise PoseUnreachableError(what, remedy="keep it within reach: a smaller start range, or a nearer start")
         q[arm.joints] = found.q
     return q
 

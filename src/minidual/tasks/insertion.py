@@ -114,14 +114,14 @@ def depth_m(truth: success.Truth) -> float:
     if math.dist(peg.xyz, socket.xyz) > 1.2 * (_PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M):
         return 0.0
     # As large as they are in this trial. The socket is a block and four walls around the bore, the first on its -x side.
-    ((middle, (half, length, _), *_),) = peg.solids
-    (block, *_), (wall, thick, *_), *_ = socket.solids
-    T = inverse(socket.T @ pose(np.eye(3), block)) @ peg.T @ pose(np.eye(3), middle)
+    ((middle, (half, length, _), *_),), ((block, *_), (wall, thick, *_), *_) = peg.solids, socket.solids
+    T = inverse(socket.T) @ peg.T
+    T[:3, 3] += T[:3, :3] @ middle - block
     bore, mouth = block[0] - wall[0] - thick[0], wall[1] - thick[1] - block[1]
     deep = T.item(1, 3) + T.item(1, 1) * length - mouth
     ends = length, length - deep
-    sides = [[abs(p + b * y) + half * (abs(a) + abs(c)) for y in ends] for a, b, c, p in T[[0, 2]].tolist()]
-    return deep if deep > 0.0 and max(map(max, sides)) < bore else 0.0
+    sides = (abs(p + b * y) + half * (abs(a) + abs(c)) for a, b, c, p in T[[0, 2]].tolist() for y in ends)
+    return deep if deep > 0.0 and max(sides) < bore else 0.0
 
 
 @dataclass
