@@ -79,6 +79,34 @@ def test_the_first_solution_is_the_nearest_and_moves_with_the_pose(solver):
     assert np.abs(np.diff(firsts, axis=0)).max() < 0.02
 
 
+def test_the_resting_posture_is_the_nearest_in_its_own_metric(solver):
+    """Oracle: the gradient of the cost lies in the rows of the Jacobian, so no motion of the elbow lowers it."""
+    home, mobility = HOME[GROUPS[f"{solver.arm}_arm"]], np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0])
+    T = solver.tcp_pose(home)
+    for shift in ((0.05, 0.1, -0.2), (-0.1, -0.1, 0.1), (0.1, 0.0, 0.1)):
+        T_there = T.copy()
+        T_there[:3, 3] += shift
+        found = solver.resting(T_there, home, home, mobility)
+        _, J = solver.error_and_jacobian(found.q, T_there)
+        gradient = (found.q - home) / mobility
+        along = J.T @ np.linalg.lstsq(J.T, gradient, rcond=None)[0]
+        assert found.reached
+        assert np.abs(solver.tcp_pose(found.q) - T_there).max() < 1e-6
+        assert np.abs(gradient - along).max() < 1e-4
+        elsewhere = solver.solve(T_there, home + [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+        assert elsewhere.reached
+        assert np.sum((elsewhere.q - home) ** 2 / mobility) > np.sum((found.q - home) ** 2 / mobility)
+
+
+def test_where_null_space_steps_end_at_the_limits_descent_still_reaches(solver):
+    home = HOME[GROUPS[f"{solver.arm}_arm"]]
+    poses = [T for T in reachable(solver, 200, seed=9) if solver.solve(T, home).reached]
+    rested = [solver.resting(T, home, home, np.ones(7)) for T in poses]
+    assert len(poses) > 100
+    assert all(found.reached for found in rested)
+    assert max(np.abs(solver.tcp_pose(found.q) - T).max() for found, T in zip(rested, poses, strict=True)) < 1e-3
+
+
 def test_unreachable_pose_names_the_residual(solver):
     T = solver.tcp_pose(HOME[GROUPS[f"{solver.arm}_arm"]])
     T[0, 3] += 1.0
