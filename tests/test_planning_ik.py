@@ -93,7 +93,7 @@ def test_the_resting_posture_is_the_nearest_in_its_own_metric(solver):
         assert found.reached
         assert np.abs(solver.tcp_pose(found.q) - T_there).max() < 1e-6
         assert np.abs(gradient - along).max() < 1e-4
-        elsewhere = solver.solve(T_there, home + [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+        elsewhere = solver.solve(T_there, home + np.eye(7)[2] / 2)
         assert elsewhere.reached
         assert np.sum((elsewhere.q - home) ** 2 / mobility) > np.sum((found.q - home) ** 2 / mobility)
 
