@@ -7,9 +7,11 @@ from panda import GROUPS, HOME
 
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
-from minidual.motion.ik import ArmIK, check_pose
+from minidual.motion.api import Planner
+from minidual.motion.ik import ArmIK, check_pose, pose_goals
 from minidual.robot.kinematics import Kinematics, hinges
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
+from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose
+from minidual.tasks.task import DOWN
 
 
 @pytest.fixture(scope="module", params=["left", "right"])
@@ -67,16 +69,15 @@ def test_solutions_differ_and_repeat(solver):
         assert all(np.abs(q - other).max() > 0.05 for other in first[:i])
 
 
-def test_the_first_solution_is_the_nearest_and_moves_with_the_pose(solver):
+def test_the_posture_for_a_pose_is_the_nearest_and_moves_with_the_pose():
     """A policy that learns from planned motion cannot tell a drawn posture from a picture."""
-    home, rng = HOME[GROUPS[f"{solver.arm}_arm"]], np.random.default_rng(8)
-    T, firsts = solver.tcp_pose(home), []
-    for _ in range(40):
-        T[:3, 3] += (0.002, -0.001, -0.003)
-        first, *others = solver.solutions(T, home, rng, 30)
-        firsts.append(first)
-        assert all(np.linalg.norm(first - home) <= np.linalg.norm(other - home) for other in others)
-    assert np.abs(np.diff(firsts, axis=0)).max() < 0.02
+    engines, rng, goals = Planner().engines(), np.random.default_rng(8), []
+    for k in range(30):
+        hands = {side: pose(DOWN, (0.4 + 0.004 * k, y, 0.1)) for side, y in (("left", 0.25), ("right", -0.32))}
+        nearest, *others = pose_goals("both_arms", HOME, hands, engines, rng, 30, 2)
+        goals.append(nearest)
+        assert all(np.linalg.norm(nearest - HOME) <= np.linalg.norm(q - HOME) for q in others)
+    assert np.abs(np.diff(goals, axis=0)).max() < 0.03
 
 
 def test_the_resting_posture_is_the_nearest_in_its_own_metric(solver):
