@@ -86,6 +86,8 @@ def test_hands_err_along_what_they_grasp_until_they_are_down() -> None:
     held = np.minimum(exact.gripper[1:], exact.gripper[:-1]) < 1.0
     assert np.abs(off[1:, :, 0][held]).max() < 5e-4, "none is left where a hand closes or holds"
     np.testing.assert_array_equal(exact.gripper, erring.gripper)
+    speed = np.abs(np.diff(exact.q, axis=0)) * exact.rate_hz / V_MAX
+    assert 0.3 < speed.max() <= 0.61, "the plan itself keeps its share of the speed"
 
 
 def test_a_trial_is_planned_alike_every_time() -> None:
