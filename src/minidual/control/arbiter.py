@@ -313,8 +313,7 @@ class CommandArbiter:
         align = self.speed * self.config.align_speed_rad_s * dt
         aligning = largest > self.config.switch_step_max_rad or (was_aligning and largest > align)
         if aligning:
-            bound = min(align, self.config.switch_step_max_rad)
-            wanted = self._target + step * min(1.0, bound / largest)
+            wanted = self._target + step * min(1.0, min(align, self.config.switch_step_max_rad) / largest)
         else:
             # The hands do not move while aligning, so that they keep what they hold.
             for arm, command in fresh.items():

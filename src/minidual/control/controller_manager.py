@@ -29,8 +29,7 @@ class ControllerManager:
     """Runs the active controllers."""
 
     def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot) -> None:
-        self._robot = robot
-        self._all = {c.name: c for c in controllers}
+        self._robot, self._all = robot, {c.name: c for c in controllers}
         self._active: tuple[Controller, ...] = ()
         self.active: tuple[str, ...] = ()
         """Names."""

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import ComputedTorque, motor_torque
-from minidual.control.kernels import LAW, follow, impedance, on_path
+from minidual.control.kernels import HAND_LAW, LAW, follow, hand_impedance, impedance, on_path
 from minidual.errors import MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
@@ -170,59 +170,48 @@ class HandImpedance(ComputedTorque):
 
     def __init__(self, kinematics: Kinematics, arm: int, dt_s: float) -> None:
         super().__init__(kinematics)
-        self._arm, self._joints = arm, kinematics.robot.joints_of(arm)
-        self._learning, self._most = _LEARNING_PER_S * dt_s, np.repeat([FORCE_MAX_N, MOMENT_MAX_NM], 3)
+        self._arm, self._joints, self._hands = arm, kinematics.robot.joints_of(arm), Hands(kinematics)
         self.held, self._held = InHand(), InHand()
         self.other: InHand | None = None
         """What the other hand holds, if the reference moves with it; both from the next engagement on."""
         self._other = self.other
-        self._K = np.repeat([STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], 3)
-        self._D, self._learnt = np.zeros((6, 6)), np.zeros(6)
+        K, most = np.repeat([[STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], [FORCE_MAX_N, MOMENT_MAX_NM]], 3, axis=1)
+        posture = POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S
+        own = K, most, np.zeros((6, 6)), np.zeros(3), _AT_TCP, _LEARNING_PER_S * dt_s, *posture
+        self._law, self._learnt = np.array([own], HAND_LAW), np.zeros(6)
 
     def engage(self, q: Array) -> None:
         """Set the damping from q (n,), and forget what was learnt."""
-        self._held, self._other = self.held, self.other
+        held = self._held = self.held
+        self._other, self._learnt = self.other, np.zeros(6)
         T, J = self._placed(q)
         M = self._kinematics.mass_matrix(q)[self._joints, self._joints]
         axes = np.kron(np.eye(2), T[:3, :3])
         squares, modes = np.linalg.eigh(axes.T @ inertia_at_hand(M, J, self._arm) @ axes)
-        half = (modes * np.sqrt(squares)) @ modes.T * np.sqrt(self._K)
-        self._D = DAMPING_RATIO * (half + half.T)
-        self._learnt = np.zeros(6)
+        half = (modes * np.sqrt(squares)) @ modes.T * np.sqrt(self._law["K"][0])
+        self._law["D"], self._law["centre"] = DAMPING_RATIO * (half + half.T), held.centre_m
+        self._law["T_tcp_object"] = held.T_tcp_object
 
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, load: Array | None = None) -> Array:
         """See `ComputedTorque`; of its own arm, or raise SingularPostureError."""
-        held, own = self._held, self._joints
         T_ref = self._wanted(q, q_ref)
-        T, J = self._placed(q)
-        axes, lever = T_ref[:3, :3], T[:3, :3] @ held.centre_m
-        away = T_ref[:3, 3] + axes @ held.centre_m - T[:3, 3] - lever
-        pull = self._K * np.concatenate([away @ axes, rotation_log(axes @ T[:3, :3].T) @ axes])
-        late = J @ (v_ref - v)[own]
-        self._learnt = np.clip(self._learnt + self._learning * pull, -self._most, self._most)
-        f = np.clip(pull + self._learnt, -self._most, self._most)
-        f += self._D @ np.concatenate([late[:3] @ axes, late[3:] @ axes])
-        weighed = load is None or not load[own].any()  # else its weight was learnt while it was held
-        w_n = held.mass_kg * _G if weighed else 0.0
-        weight = np.array([0.0, 0.0, w_n, -w_n * lever[1], w_n * lever[0], 0.0])
-        wrench = np.concatenate([axes @ f[:3], axes @ f[3:]]) + weight
-        posture = POSTURE_STIFFNESS_PER_S2 * (q_ref - q)[own] + POSTURE_DAMPING_PER_S * (v_ref - v)[own]
-        try:
-            within = posture - J.T @ np.linalg.solve(J @ J.T, J @ posture)
-        except np.linalg.LinAlgError as error:
-            raise lost_direction(self._arm) from error
         qdd, push = a_ref.copy(), np.zeros_like(q) if load is None else load.copy()
-        qdd[own] += within
-        push[own] += J.T @ wrench
+        weighed = not push[self._joints].any()  # else its weight was learnt while it was held
+        weight_n = self._held.mass_kg * _G if weighed else 0.0
+        of_hand = self._law, self._hands.views, self._arm, T_ref, weight_n
+        if not hand_impedance(*of_hand, q, v, q_ref, v_ref, self._learnt, qdd, push):
+            raise lost_direction(self._arm)
         return motor_torque(self._kinematics, q, v, qdd, push)
 
     def _wanted(self, q: Array, q_ref: Array) -> Array:
-        tips = self._kinematics.tcp_poses(q_ref)
+        """Return the object's pose (4, 4) that the reference asks for, and update the hands."""
+        tips, hands, away = self._kinematics.tcp_poses(q_ref), self._hands, 1 - self._arm
         T = tips[self._arm] @ self._held.T_tcp_planned
+        hands.update(q)
         if self._other is None:
             return T
-        planned = tips[1 - self._arm] @ self._other.T_tcp_planned
-        return self._kinematics.tcp_poses(q)[1 - self._arm] @ self._other.T_tcp_object @ inverse(planned) @ T
+        T_other = pose(hands.R[away], hands.p[away]) @ self._other.T_tcp_object
+        return T_other @ inverse(tips[away] @ self._other.T_tcp_planned) @ T
 
     def _placed(self, q: Array) -> tuple[Array, Array]:
         """Return the object's pose (4, 4) and the Jacobian (6, n) at the centre of compliance."""

@@ -84,8 +84,7 @@ class JointLoop[P: Plant]:
     def __init__(self, world: P, kinematics: Kinematics) -> None:
         self.world = world
         self.controller = ComputedTorque(kinematics)
-        self.reference = ReferenceFilter(world.dt, kinematics.robot)
-        self.grippers = Grippers(world)
+        self.reference, self.grippers = ReferenceFilter(world.dt, kinematics.robot), Grippers(world)
         self.reset()
 
     def reset(self) -> None:

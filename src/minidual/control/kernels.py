@@ -29,6 +29,14 @@ LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
     ]
 )
 """What `impedance` knows before the first step."""
+HAND_LAW = np.dtype(
+    [
+        *((name, "f8", 6) for name in ("K", "most")),
+        *(("D", "f8", (6, 6)), ("centre", "f8", 3), ("T_tcp_object", "f8", (4, 4)), ("learning", "f8")),
+        *(("posture_stiffness", "f8"), ("posture_damping", "f8")),
+    ]
+)
+"""What `hand_impedance` knows."""
 
 Vector = tuple[float, float, float]
 Elements = Any
@@ -206,6 +214,64 @@ def impedance(
         if not least_norm(J_hand, lacking, qdd[own]):
             return False
     return True
+
+
+@kernel(
+    types.boolean(
+        *(types.Array(from_dtype(HAND_LAW), 1, "C"), _HANDS, types.intp, ROWS, _REAL),
+        *(_VIEW, _VIEW, _VIEW, _VIEW, VECTOR, VECTOR, VECTOR),
+    )
+)
+def hand_impedance(
+    law: Array,
+    hands: Placed,
+    arm: int,
+    T_ref: Array,
+    weight_n: float,
+    q: Array,
+    v: Array,
+    q_ref: Array,
+    v_ref: Array,
+    learnt: Array,
+    qdd: Array,
+    push: Array,
+) -> bool:
+    """Add the part of one hand to qdd (n,) and push (n,), and move `learnt` (6,); see docs/force-control.md.
+
+    law: (1,) of HAND_LAW. Return False if the hand has lost a direction of motion.
+    """
+    s, J, n = law[0], hands[0], len(v) // 2
+    R_tcp, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
+    own = slice(n * arm, n * arm + n)
+    R, J_hand, pull, wrench = np.empty((3, 3)), np.empty((6, n)), np.empty(6), np.empty(6)
+    for i in range(3):
+        for k in range(3):
+            R[i, k] = inner(R_tcp[i], s.T_tcp_object[:3, k])
+    lever = apply(R, s.centre)
+    p = plus(three(p_tcp, 0), plus(apply(R_tcp, s.T_tcp_object[:3, 3]), lever))
+    hand_motion(J[:, own], p, v[own], J_hand)
+    late = np.zeros(6)
+    add_product(late, 1.0, J_hand, v_ref[own])
+    add_product(late, -1.0, J_hand, v[own])
+    axes, late_along = T_ref.T, np.empty(6)
+    pull[:3] = apply(axes, minus(plus(three(T_ref[:, 3], 0), apply(T_ref, s.centre)), p))
+    pull[3:] = apply(axes, turn(T_ref, R))
+    late_along[:3], late_along[3:] = apply(axes, late[:3]), apply(axes, late[3:])
+    for k in range(6):
+        pull[k] *= s.K[k]
+        learnt[k] = within(learnt[k] + s.learning * pull[k], -s.most[k], s.most[k])
+        pull[k] = within(pull[k] + learnt[k], -s.most[k], s.most[k])
+    add_product(pull, 1.0, s.D, late_along)
+    wrench[:3] = plus(apply(T_ref, pull[:3]), (0.0, 0.0, weight_n))
+    wrench[3:] = plus(apply(T_ref, pull[3:]), (-weight_n * lever[1], weight_n * lever[0], 0.0))
+    add_product(push[own], 1.0, J_hand.T, wrench)
+    posture, lacking = np.empty(n), np.zeros(6)
+    for j in range(n):
+        k = n * arm + j
+        posture[j] = s.posture_stiffness * (q_ref[k] - q[k]) + s.posture_damping * (v_ref[k] - v[k])
+        qdd[k] += posture[j]
+    add_product(lacking, -1.0, J_hand, posture)  # only the null space keeps the posture
+    return least_norm(J_hand, lacking, qdd[own])
 
 
 @njit

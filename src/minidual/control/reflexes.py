@@ -72,10 +72,8 @@ class ReflexError(MinidualError):
         look = f"; minidual replay {dump} shows the last second" if dump is not None else ""
         look += f"; the last second was not written: {no_dump}" if no_dump else ""
         super().__init__(reflex.text, remedy=reflex.kind.remedy + look)
-        self.reflex = reflex
-        self.tau = tau
-        self.dump = dump
-        self.no_dump = no_dump
+        self.reflex, self.tau = reflex, tau
+        self.dump, self.no_dump = dump, no_dump
 
 
 QUANTITIES: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")

@@ -57,10 +57,8 @@ class KeyboardLeader(Leader):
         self._start = [T.copy() for T in kinematics.tcp_poses(self._q)]
         self._goal = np.zeros((2, 4))  # x, y, z [m] and yaw [rad] of each hand from its start
         self._offset = np.zeros((2, 4))
-        self._open = np.ones(2)
-        self._selected = 0
-        self._ended = False
-        self._last_s = 0.0
+        self._open, self._selected = np.ones(2), 0
+        self._ended, self._last_s = False, 0.0
 
     @classmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:

@@ -57,8 +57,7 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
     durable.remove_stale(out_dir.parent.glob(f".{out_dir.name}.*.partial"))
     try:
         with durable.replacing(out_dir) as partial:
-            written = _write_dataset(partial, out_dir.name, first, paths, robot)
-            verify_dataset(partial, written, robot)
+            verify_dataset(partial, _write_dataset(partial, out_dir.name, first, paths, robot), robot)
     except OSError as error:
         raise durable.disk_error(error, out_dir) or DataError(
             f"{out_dir} could not be written: {error}", remedy="check the disk or choose another folder"

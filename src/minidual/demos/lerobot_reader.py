@@ -159,8 +159,7 @@ def read_dataset(root: Path | str) -> LeRobotTables:
             raise ValueError("row or frame indices do not run without gaps")
         if action_names != names:
             raise ValueError(f"action is named {action_names}, state {names}")
-    columns = (state, action, episode, frame, starts, stops)
-    return LeRobotTables(root, fps, names, cameras, *columns, episodes)
+    return LeRobotTables(root, fps, names, cameras, *(state, action, episode, frame, starts, stops), episodes)
 
 
 def _room_for(shape: tuple[int, ...], folder: Path | None) -> Image:

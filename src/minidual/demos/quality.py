@@ -116,8 +116,7 @@ def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_
     rate = rate_hz * factor
     if factor > 1:
         ticks = np.arange(len(q), dtype=np.float64)
-        fine = np.arange((len(q) - 1) * factor + 1) / factor
-        q = make_interp_spline(ticks, q, k=5, axis=0)(fine)
+        q = make_interp_spline(ticks, q, k=5, axis=0)(np.arange((len(q) - 1) * factor + 1) / factor)
     sos = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
     # Subtracting the start avoids rounding error in the third difference.
     smooth = sosfiltfilt(sos, q - q[0], axis=0, padlen=min(len(q) - 1, int(TRIM_S * rate)))

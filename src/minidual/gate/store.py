@@ -121,8 +121,7 @@ class RunStore:
     def __init__(self, root: Path, run: str) -> None:
         if not _RUN_NAME.fullmatch(run):
             raise UsageError(f"'{run}' cannot be a run's name: letters, digits, '.', '_' and '-', up to 100")
-        self.run = run
-        self.folder = root / run
+        self.run, self.folder = run, root / run
         for path in (root, self.folder):
             require(path, "folder")
 

@@ -68,8 +68,7 @@ class ArmIK:
     def __init__(self, arm: str, robot: Robot = DUAL_PANDA) -> None:
         if arm not in robot.sides:
             raise unknown_name("arm", arm, robot.sides)
-        self.arm = arm
-        self.joints = robot.groups[f"{arm}_arm"]
+        self.arm, self.joints = arm, robot.groups[f"{arm}_arm"]
         self._n = robot.dof_per_arm
         kinematics, (placements, turns) = Kinematics(robot), hinges(robot)
         tip = kinematics.model.frames[kinematics.tcp_ids[robot.sides.index(arm)]]

@@ -31,8 +31,7 @@ _KEEP_FRACTION = 0.9
 def bisection_order(count: int) -> Array:
     """Return k/count, k = 1..count, in bisection order, end first. Cached: read only."""
     steps = (count >> halvings for halvings in range(count.bit_length()))
-    order = dict.fromkeys(k for step in steps for k in range(step, count + 1, step))
-    return np.array([*order], dtype=float) / count
+    return np.array([*dict.fromkeys(k for step in steps for k in range(step, count + 1, step))], dtype=float) / count
 
 
 class EdgeChecker:
@@ -51,8 +50,7 @@ class EdgeChecker:
     ) -> None:
         solids = engines.solids
         self.robot = solids.robot
-        self.padding_m = padding_m
-        self.step_rad = step_rad
+        self.padding_m, self.step_rad = padding_m, step_rad
         self.checks_n = 0
         self.checks_end = self.deadline = math.inf
         rows = solids.of_arms(arms)
@@ -83,8 +81,7 @@ class EdgeChecker:
 
     def edge_free(self, a: Array, b: Array) -> bool:
         """Return whether the edge (dof,) is free, checked every `step_rad` of the checker; a itself is not."""
-        count = math.ceil(np.abs(b - a).max() / self.step_rad)
-        return self.all_free(a + bisection_order(count)[:, None] * (b - a))
+        return self.all_free(a + bisection_order(math.ceil(np.abs(b - a).max() / self.step_rad))[:, None] * (b - a))
 
 
 PLANNERS: Registry[Callable[[Any], Any]] = Registry("planner", {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1})

@@ -193,8 +193,7 @@ def _grid(path: Curve) -> Array:
     widths = np.diff(path.knots)
     counts = np.maximum(8, np.ceil(widths / (path.length / 100.0))).astype(int)
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    points = within * np.repeat(widths / counts, counts) + np.repeat(path.knots[:-1], counts)
-    return np.append(points, path.length)
+    return np.append(within * np.repeat(widths / counts, counts) + np.repeat(path.knots[:-1], counts), path.length)
 
 
 def sample_parameters(s: Array, sd: Array, smoothing_s: float = 0.0) -> tuple[Array, Array, Array, Array]:

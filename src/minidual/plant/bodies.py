@@ -1,5 +1,6 @@
 """True state of an object, and its contacts with the hands."""
 
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -22,7 +23,7 @@ def contact_sensor(name: str, side: str, finger_link: str) -> str:
 
 @kernel(types.void(ROWS, ROWS, VECTOR, *[types.float64[:]] * 2, VECTOR))
 def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array) -> None:
-    """Fill `seen` (15,); see `NamedObject.look`.
+    """Fill `seen` (16,); see `NamedObject.look`.
 
     pads: (4, 3), forces of the fingers, two of each hand [N]. left, right: (3,), finger axes.
     """
@@ -40,7 +41,7 @@ def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array
     for i in range(3):
         inward_left -= seen[6 + i] * R[i, 1]
         inward_right += seen[9 + i] * R[i, 1]
-    seen[14] = min(inward_left, inward_right)
+    seen[14], seen[15] = min(inward_left, inward_right), math.atan2(-R[0, 1], R[1, 1])
 
 
 @kernel(types.boolean(types.Array(types.int32, 2, "A"), types.int32[::1], types.int64, types.int64))
@@ -74,12 +75,11 @@ class NamedObject:
         self._model, self._first = model, int(model.body_geomadr[self.body])
         self._rest_height_m = float(model.qpos0[position + 2])
         self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
-        hand = robot.hand
-        first = int(model.sensor(contact_sensor(name, robot.sides[0], hand.finger_links[0])).adr[0])
+        first = int(model.sensor(contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])).adr[0])
         pads = data.sensordata[first : first + 12].reshape(4, 3)
         palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
         axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]
-        self._seen = np.zeros(15)
+        self._seen = np.zeros(16)
         self._look = pads, self._R, self._p, *axes, self._seen
 
     def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:
@@ -112,7 +112,7 @@ class NamedObject:
             mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(where[:3, :3]).ravel())
 
     def look(self) -> Array:
-        """Return p (3), the third row of R (3), forces (6), pinches (2) and internal force; overwritten by the next."""
+        """Return p (3), the third row of R (3), forces (6), pinches (2), internal force and yaw; overwritten by the next."""
         look(*self._look)
         return self._seen
 

@@ -167,8 +167,7 @@ class World:
 
     def touches(self, geom: str) -> bool:
         """Return whether a geom has contacts."""
-        index = self.model.geom(geom).id
-        return bool((self.data.contact.geom[: self.data.ncon] == index).any())
+        return bool((self.data.contact.geom[: self.data.ncon] == self.model.geom(geom).id).any())
 
     def on_table(self, name: str | None = None) -> bool:
         """Return whether an object touches the table."""

@@ -149,8 +149,7 @@ LOSSES = {
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
     """Write the loss curve; no times, so equal seeds give equal files."""
-    rows = [{n: f"{v:.6g}" if isinstance(v, float) else v for n, v in asdict(row).items()} for row in curve]
-    write_csv(path, rows)
+    write_csv(path, [{n: f"{v:.6g}" if isinstance(v, float) else v for n, v in asdict(row).items()} for row in curve])
 
 
 def write_train_json(result: TrainResult, extra: dict[str, Any], path: Path) -> dict[str, Any]:

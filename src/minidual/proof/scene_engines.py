@@ -178,8 +178,7 @@ class SceneEngines:
     """
 
     def __init__(self, scene: PlanningScene, step_rad: float = STEP_RAD, kinematics: Kinematics | None = None) -> None:
-        self.scene = scene
-        self.solids = Solids(scene)
+        self.scene, self.solids = scene, Solids(scene)
         self._step_rad = step_rad
         self._kinematics = kinematics or Kinematics(scene.robot)
         self.engine: Callable[[str], Any] = functools.cache(lambda name: ENGINES[name](scene))
@@ -220,8 +219,7 @@ def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Arr
 
     Their times divide the integrated speed bound of the fastest joint evenly.
     """
-    fastest = trajectory.variation_rates().max(axis=1) * trajectory.dt_s
-    gone = np.concatenate([[0.0], np.cumsum(fastest)])
+    gone = np.concatenate([[0.0], np.cumsum(trajectory.variation_rates().max(axis=1) * trajectory.dt_s)])
     count = int(np.ceil(gone[-1] / step_rad))
     if count == 0:
         return trajectory.q[[0, -1]]

@@ -157,8 +157,7 @@ def hinges(robot: Robot) -> tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]:
         axis = pin.log3(data.M.rotation)  # at one radian
         if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9 or np.any(data.M.translation):
             raise ValueError(f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges")
-        to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
-        turned.append(pin.SE3(to_axis, np.zeros(3)))
+        turned.append(pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix(), np.zeros(3)))
         placements.append(turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k])
     return tuple(placements), tuple(turn.inverse() for turn in turned)
 
@@ -170,8 +169,7 @@ class Kinematics:
     """
 
     def __init__(self, robot: Robot = DUAL_PANDA) -> None:
-        self.robot = robot
-        self.model = _shared_model(robot)
+        self.robot, self.model = robot, _shared_model(robot)
         self.data = self.model.createData()
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
         self.placed = b""

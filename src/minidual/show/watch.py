@@ -42,8 +42,7 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
     objects = [world.truth(name) for name in world.objects]
-    forces = np.sum([thing.forces() for thing in objects], axis=0)
-    hands = zip(world.robot.tcp_names, forces, ARM_RGB, strict=True)
+    hands = zip(world.robot.tcp_names, np.sum([thing.forces() for thing in objects], axis=0), ARM_RGB, strict=True)
     left, right = np.max([thing.pinch() for thing in objects], axis=0)
     return words._replace(
         time_s=world.time,
@@ -130,8 +129,7 @@ def watch_recording(view: View | None) -> Observe | None:
 
 
 def _demonstration(view: View, rig: Rig, index: int) -> AbstractContextManager[None]:
-    narrate = StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}")
-    return watched(view, rig.world, narrate)
+    return watched(view, rig.world, StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}"))
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:

@@ -129,8 +129,7 @@ class ScriptedOperator:
             hands = self._hand_poses(trial, error, grasps, progress)
             q[k] = current = posture_at(self._robot, hands, current, self._robot.home, self._costs)
         closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
-        gripper = np.where(closed[:, None], 0.0, 1.0) * np.ones(2)
-        return Demonstration(rate_hz, q, gripper)
+        return Demonstration(rate_hz, q, np.where(closed[:, None], 0.0, 1.0) * np.ones(2))
 
     def _hand_poses(
         self, trial: Trial, error: Array, grasps: Sequence[Array], progress: Mapping[str, float]

@@ -56,8 +56,7 @@ def modes(context: ToolContext) -> ToolResult:
             watched(context.view, world, tell),
             context.progress.task("modes", len(wanted)) as bar,
         ):
-            pictures = _filmed(_counted(demo, bar), demo.stack, camera)
-            write_video(context.output / "modes.mp4", pictures, fps=FILM_FPS)
+            write_video(context.output / "modes.mp4", _filmed(_counted(demo, bar), demo.stack, camera), fps=FILM_FPS)
     passed = demo.ended is None and not demo.exceeded(config.arbiter)
     record = {"modes": list(wanted), "checkpoint": str(checkpoint) if checkpoint else None, "seed": context.seed}
     record |= demo.record(config.arbiter)
@@ -112,8 +111,7 @@ def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, .
     for number, mode in enumerate(wanted, start=1):
         if mode == "moveit":
             home = number == len(wanted)
-            share = 1.0 if home else _INTERRUPT_SHARE
-            turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=share))
+            turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=1.0 if home else _INTERRUPT_SHARE))
         elif mode == "teleop":
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
         elif policy is not None:

@@ -70,8 +70,7 @@ class Judge:
     """
 
     def __init__(self, task: Task, trial: Trial, demanding: Collection[str] = ()) -> None:
-        self.trial = trial
-        self._conditions = task.success(task, trial)
+        self.trial, self._conditions = trial, task.success(task, trial)
         names = [c.name for c in self._conditions]
         if len(set(names)) < len(names):
             raise ValueError(f"task '{task.name}' has two conditions of one name: {', '.join(names)}")

@@ -42,6 +42,7 @@ class ObjectTruth:
         pinch: Normal force of each hand's weaker finger [N].
         hand_forces: Net force (3,) [N] of each hand.
         squeeze_n: Internal force: the smaller inward hand force along y.
+        yaw_rad: Yaw of its y axis.
     """
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
@@ -58,7 +59,7 @@ class ObjectTruth:
             self.solids = [(*where, part.shape == "cylinder", "xyz".index(part.axis)) for part, where in solids]
             self.half_m = self.solids[0][1]
         # Plain floats: a success test of arrays costs four times as much.
-        x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n = self._object.look().tolist()
+        x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n, self.yaw_rad = self._object.look().tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
         along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
         self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
@@ -83,12 +84,6 @@ class ObjectTruth:
     def T(self) -> Array:
         """Pose (4, 4) in the world."""
         return self._object.pose()
-
-    @property
-    def yaw_rad(self) -> float:
-        """Yaw of its y axis."""
-        T = self.T
-        return math.atan2(-T.item(0, 1), T.item(1, 1))
 
     @property
     def speed_m_per_s(self) -> float:

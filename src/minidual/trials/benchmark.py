@@ -94,15 +94,13 @@ def under_condition(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> 
     """Return the inputs under a condition, and the draw of its trials."""
     under = condition(name)
     given = inputs._replace(config=under.config_under(inputs.config))
-    task = make_task(given.config)
-    return given, lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
+    return given, lambda index: make_task(given.config).trial(inputs.seed, purpose, index, widen=under.widen)
 
 
 def first_failures(trials: Sequence[TrialMetrics]) -> list[TrialMetrics]:
     """Return the first failed trial of each method and kind of failure, `FAILURES_MAX` at most; clean ones first."""
     failed = sorted((t for t in trials if not t.success), key=lambda t: t.condition != CLEAN)
-    kinds = {(t.method, t.failure): t for t in reversed(failed)}
-    return sorted(kinds.values(), key=failed.index)[:FAILURES_MAX]
+    return sorted({(t.method, t.failure): t for t in reversed(failed)}.values(), key=failed.index)[:FAILURES_MAX]
 
 
 def run_benchmark(

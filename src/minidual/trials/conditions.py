@@ -275,8 +275,7 @@ class Push:
         # without a ramp 20 N on 0.2 kg throws a rigid object off the pads
         self.length_s = self.duration_s + 2.0 * self.ramp_s
         self._rest_m: float | None = None
-        self._risen_s = np.inf
-        self._aloft = True
+        self._risen_s, self._aloft = np.inf, True
         self.took_place = False
 
     def at(self, t_s: float) -> Array:

@@ -176,8 +176,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         observation: Observation = {"state": np.clip(state, self._states.low, self._states.high)}
         if self._object_pose:
             body = world.data.body(self._task.carried)
-            pose = np.concatenate([body.xpos, body.xquat]).astype(np.float32)
-            observation["object"] = np.clip(pose, -_FAR, _FAR)
+            observation["object"] = np.clip(np.concatenate([body.xpos, body.xquat]).astype(np.float32), -_FAR, _FAR)
         if self._images:
             camera = self._camera = self._camera or Camera.recorded(world.model, self.scene.camera)
             observation["images"] = {name: camera.picture(world.data, name) for name in self._images}

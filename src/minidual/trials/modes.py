@@ -181,8 +181,7 @@ class ModesDemo:
             return
         if driven and stack.state in _DRIVEN:
             switch.target_step_rad = _larger(switch.target_step_rad, target)
-        ratio = reference / (plant.robot.v_max * plant.dt)
-        switch.reference_step_ratio = _larger(switch.reference_step_ratio, ratio)
+        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference / (plant.robot.v_max * plant.dt))
         switch.torque_step_nm = _larger(switch.torque_step_nm, applied)
         switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
 

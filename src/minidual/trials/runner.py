@@ -67,8 +67,7 @@ class Bench:
         disturb = None if spec.act is None else spec.act(self.task, rng)
         with spec.applied(self.world.model, self.task, trial, rng):
             result, log = self._run(trial, disturb, on_step)
-        took_place = None if disturb is None else disturb.took_place
-        return replace(result, condition=spec.name, disturbed=took_place), log
+        return replace(result, condition=spec.name, disturbed=None if disturb is None else disturb.took_place), log
 
     def record(self, trial: Trial, path: Path) -> Judged:
         """Run a trial and write it to `path` (.npz) for replay."""

@@ -43,8 +43,7 @@ class HeldSpace:
     def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0) -> None:
         self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
         self._jump_rad = step_scale * _JUMP_RAD
-        self.hands = hands
-        self.chart = chart
+        self.hands, self.chart = hands, chart
         self.checker = checker
 
     def point(self, T_world_object: Array, q: Array) -> Array:

@@ -69,8 +69,7 @@ class Postures:
     """Step hook that samples qpos every `period_s` simulated seconds."""
 
     def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self._next_s = -np.inf
+        self._period_s, self._next_s = period_s, -np.inf
         self.times: list[float] = []
         self.qpos: list[Array] = []
 

@@ -119,8 +119,7 @@ class Carry:
     def _freely(self, phase: str, goals: Mapping[str, Array], state: State, tools: Tools) -> Segment:
         scene, budget_s = tools.scene(state), _BUDGET_S
         if state.closed_chain:
-            goal = goals[state.object_of(SIDES[0])]
-            query = HeldQuery(state.q, goal, _grasps(state), scene, tools.seed)
+            query = HeldQuery(state.q, goals[state.object_of(SIDES[0])], _grasps(state), scene, tools.seed)
             motion = HeldPlanner(tools.planner).plan(query, budget_s)
             segment = Segment(phase, motion, state.openings, scene, motion.verification)
             ways = {SIDES[0]: motion.Ts_world_object}

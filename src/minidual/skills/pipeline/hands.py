@@ -43,8 +43,7 @@ def reach(
     for grip in sorted(grips, key=lambda grip: grip.cost):
         grasps = {arm: grip.grasps[arm] for arm in arms}
         at = {arm: start.objects[start.object_of(arm)] @ T for arm, T in grasps.items()}
-        shift = off(at, PHASES["approach"].rise_m)
-        over = {arm: moved(T, shift) for arm, T in at.items()}
+        over = {arm: moved(T, off(at, PHASES["approach"].rise_m)) for arm, T in at.items()}
         for attempt in range(_ATTEMPTS):
             seed = subseed(tools.seed, "pipeline/approach", attempt)
             try:
@@ -140,8 +139,7 @@ def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     _require_open_chain(start)
     scene, group, robot = tools.scene(start), group_of(arms), tools.planner.robot
     plan = tools.planner.plan_to_joints(group, start.q, robot.home[robot.groups[group]], scene=scene, seed=tools.seed)
-    segment = free(tools, "home", start, plan, scene)
-    yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (segment,))
+    yield Candidate("", 0.0, replace(start, q=plan.trajectory.q[-1]), (free(tools, "home", start, plan, scene),))
 
 
 def _require_open_chain(start: State) -> None:

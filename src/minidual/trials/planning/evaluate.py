@@ -100,8 +100,7 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     scene_s = perf_counter() - begin
     where, how = (query.group, query.q_start), {"scene": query.scene, "seed": query.seed}
     if query.as_poses:
-        targets = query.targets
-        attempt = attempted(lambda: planner.plan_to_poses(*where, targets, **how))
+        attempt = attempted(lambda: planner.plan_to_poses(*where, query.targets, **how))
     else:
         attempt = attempted(lambda: planner.plan_to_joints(*where, query.q_goal, **how))
     q_goal = query.q_goal if attempt.result is None else attempt.result.q_goal

@@ -89,8 +89,7 @@ class HeldMoveGenerator:
         self._height_m = scene.object.rest_height_m
         self._grasps = grasp_offsets(scene)
         self._shape = thing_of(scene.object).shape
-        self._prover = HeldPlanner(Planner(robot=robot))
-        self._robot = robot
+        self._prover, self._robot = HeldPlanner(Planner(robot=robot)), robot
         self._hands = HandsIK(self._grasps, robot)
 
     def move(self, index: int) -> HeldMove:

@@ -189,8 +189,7 @@ def random_pose(rng: np.random.Generator, arm: str) -> Array:
     side = 1.0 if arm == "left" else -1.0
     position = np.array([rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)])
     yaw, about = rng.uniform(-np.pi, np.pi, 2)
-    tilt = rng.uniform(0.0, _TILT_RAD)
-    lean = rot_z(about) @ rot_x(tilt) @ rot_z(-about)
+    lean = rot_z(about) @ rot_x(rng.uniform(0.0, _TILT_RAD)) @ rot_z(-about)
     return pose(lean @ rot_z(yaw) @ rot_x(np.pi), position)
 
 
