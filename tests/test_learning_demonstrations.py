@@ -90,7 +90,7 @@ def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> 
     assert np.allclose(actions[0], demos.action[5:15], atol=1e-5)
     expected = np.concatenate([demos.action[55:60], np.repeat(demos.action[59:60], 5, axis=0)])
     assert np.allclose(actions[1], expected, atol=1e-5)
-    assert batch["keyframe_is_valid"].tolist() == [[True, False], [False, False], [False, True]]
+    assert batch["keyframe_is_valid"].tolist() == [[True, True], [False, False], [False, True]]
     keyframe = batch["keyframe"] * stats["action"]["std"] + stats["action"]["mean"]
     assert np.allclose(keyframe[0, 0], demos.action[20], atol=1e-5)
     assert np.allclose(keyframe[2, 1], demos.action[110], atol=1e-5)
@@ -134,4 +134,4 @@ def test_unusable_datasets_are_refused_with_the_column_and_the_episode() -> None
 
 def test_the_toy_world_closes_after_its_approach() -> None:
     demos = demonstrations(1, seed=0, every=10)
-    assert demos.keyframe_ticks[0].tolist() == [APPROACH // 10, -1]
+    assert demos.keyframe_ticks[0].tolist() == [APPROACH // 10]

@@ -415,13 +415,13 @@ def test_a_policy_runs_in_the_precision_it_was_trained_in(
         assert [encoder.bf16 for encoder in policy.model.backbone] == [native]
 
 
-def test_a_keyframe_is_the_mean_of_the_looks_since_a_gripper_moved(demos: Demonstrations, tmp_path: Path) -> None:
+def test_a_keyframe_is_the_mean_of_the_looks_until_it_is_past(demos: Demonstrations, tmp_path: Path) -> None:
     train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
     policy = act.SPATIAL_ACT.read(tmp_path / "a").policy
     looks: list[Any] = []
 
     def look(picture: float, opening: float) -> Any:
-        """Return (mean of the looks, this look)."""
+        """Return (mean of the looks, this look), both (1, K, A)."""
         state = torch.zeros(1, 16)
         state[:, -2:] = opening  # [standard deviations]
         torch.manual_seed(int(picture))
@@ -433,11 +433,13 @@ def test_a_keyframe_is_the_mean_of_the_looks_since_a_gripper_moved(demos: Demons
 
     first, alone = look(1, 0.9)
     assert torch.equal(first, alone)
+    assert first.shape[1] == demos.keyframe_ticks.shape[1] > 1
     second, other = look(2, 0.8)
     assert (other - alone).abs().max() > 1e-4
     assert torch.allclose(second, (alone + other) / 2)
     switched, third = look(3, -0.9)
-    assert torch.allclose(switched, third)
+    assert torch.allclose(switched[:, 0], third[:, 0])  # the grasp is past
+    assert torch.allclose(switched[:, 1:], ((alone + other + third) / 3)[:, 1:], atol=1e-6)  # what is to come is not
     policy.reset()
     again, fourth = look(4, -0.9)
     assert torch.allclose(again, fourth)

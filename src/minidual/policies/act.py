@@ -48,9 +48,10 @@ class ActKind(PolicyKind):
     config_class: type[PreTrainedConfig] = ACTConfig
     policy_class: type[PreTrainedPolicy] = ACTPolicy
 
-    def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
-        """Return a new policy; `common` holds LeRobot settings, torch's generator draws the weights."""
-        return ACTPolicy(ACTConfig(vision_backbone="resnet18", pretrained_backbone_weights=None, **common))
+    def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
+        """Return a new policy; torch's generator draws the weights."""
+        alone = {"vision_backbone": "resnet18", "pretrained_backbone_weights": None}
+        return ACTPolicy(ACTConfig(**alone, **_common(config, demos)))
 
     def require(self, device: str) -> None:
         """Raise EnvironmentMissingError for a missing device."""
@@ -68,7 +69,7 @@ class ActKind(PolicyKind):
             raise DataError(f"the checkpoint folder {folder} exists already", remedy=f"{REMEDY} --force")
 
         def build(stats: Stats) -> Trained:
-            policy = self.make(config, _common(config, job.demos)).to(config.device)
+            policy = self.make(config, job.demos).to(config.device)
             return Trained(policy, *make_pre_post_processors(policy.config, dataset_stats=stats))
 
         result, trained = train(build, job)
@@ -119,10 +120,11 @@ class SpatialActKind(ActKind):
     config_class = SpatialActConfig
     policy_class = SpatialActPolicy
 
-    def make(self, config: TrainConfig, common: Mapping[str, Any]) -> PreTrainedPolicy:
+    def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
         """See `ActKind.make`; convolutions use bfloat16 where the device has it."""
         settings = config.model_dump(include={"keypoints", "keyframe_weight", "context_layers", "standardised_maps"})
-        return SpatialActPolicy(SpatialActConfig(bf16=native_bf16(config.device), **settings, **common))
+        settings |= {"keyframes": demos.keyframe_ticks.shape[1], "bf16": native_bf16(config.device)}
+        return SpatialActPolicy(SpatialActConfig(**settings, **_common(config, demos)))
 
 
 ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()

@@ -69,8 +69,7 @@ class BatchMaker:
     """
 
     def __init__(self, demos: Demonstrations, config: TrainConfig, stats: Stats) -> None:
-        self._demos = demos
-        self._config = config
+        self._demos, self._config = demos, config
         self._stats = {key: {n: t.to(config.device) for n, t in s.items()} for key, s in stats.items()}
 
     def training(self, rows: Rows, rng: np.random.Generator) -> dict[str, Tensor]:
@@ -93,13 +92,13 @@ class BatchMaker:
         ahead = rows[:, None] + np.arange(self._config.chunk_size)
         chunk = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])]
         ticks = demos.keyframe_ticks[rows]
-        is_next = (ticks >= 0) & (np.arange(demos.keyframes_n) == demos.phase[rows][:, None])
+        to_come = (ticks >= 0) & (np.arange(ticks.shape[1]) >= demos.phase[rows][:, None])
         batch: dict[str, Tensor] = {
             STATE: normalise(torch.from_numpy(state).to(device), self._stats[STATE]),
             ACTION: normalise(torch.from_numpy(chunk).to(device), self._stats[ACTION]),
             "action_is_pad": torch.zeros(chunk.shape[:2], dtype=torch.bool, device=device),
             "keyframe": normalise(torch.from_numpy(demos.action[ticks]).to(device), self._stats[ACTION]),
-            "keyframe_is_valid": torch.from_numpy(is_next).to(device),
+            "keyframe_is_valid": torch.from_numpy(to_come).to(device),
         }
         for camera in demos.cameras:
             key = camera_key(camera)

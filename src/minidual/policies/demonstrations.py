@@ -21,9 +21,8 @@ class Demonstrations:
         images: (N, H, W, 3) uint8 by camera.
         state, action: (N, dim): joints [rad], left then right, gripper openings.
         episode_index: (N,) ascending.
-        keyframes_n: Gripper switches used per episode (K).
         phase: (N,) gripper switches before the tick.
-        keyframe_ticks: (N, K) rows of the episode's first K switches, or -1.
+        keyframe_ticks: (N, K) rows of the episode's switches, or -1; K of the episode with most.
         last_tick: (N,) the episode's last row.
     """
 
@@ -31,7 +30,6 @@ class Demonstrations:
     state: NDArray[np.float32]
     action: NDArray[np.float32]
     episode_index: Rows
-    keyframes_n: int = 2
     phase: Rows = field(init=False)
     keyframe_ticks: Rows = field(init=False)
     last_tick: Rows = field(init=False)
@@ -46,17 +44,15 @@ class Demonstrations:
             raise DataError("the dataset has no camera images", remedy="minidual teleop-record --force")
         if np.any(np.diff(self.episode_index) < 0):
             raise DataError("dataset column 'episode_index' is not ascending: episodes must be contiguous")
-        self.phase = np.zeros(len(self), dtype=np.int64)
-        self.keyframe_ticks = np.full((len(self), self.keyframes_n), -1, dtype=np.int64)
-        self.last_tick = np.zeros(len(self), dtype=np.int64)
+        self.phase, self.last_tick = np.zeros(len(self), dtype=np.int64), np.zeros(len(self), dtype=np.int64)
         gripper = self.action[:, self.joints_n :]
-        span = gripper.max(axis=0) - gripper.min(axis=0)
-        for start, stop in self.episode_bounds().values():
-            switches = gripper_switches(gripper[start:stop], span)
-            for tick in switches:
+        span, bounds = gripper.max(axis=0) - gripper.min(axis=0), list(self.episode_bounds().values())
+        switches = [gripper_switches(gripper[start:stop], span) for start, stop in bounds]
+        self.keyframe_ticks = np.full((len(self), max(1, *map(len, switches))), -1, dtype=np.int64)
+        for (start, stop), ticks in zip(bounds, switches, strict=True):
+            for k, tick in enumerate(ticks):
                 # The switching tick belongs to the phase before it.
                 self.phase[start + tick + 1 : stop] += 1
-            for k, tick in enumerate(switches[: self.keyframes_n]):
                 self.keyframe_ticks[start:stop, k] = start + tick
             self.last_tick[start:stop] = stop - 1
 
@@ -86,8 +82,7 @@ class Demonstrations:
 
     def rows_of(self, episodes: list[int]) -> Rows:
         """Return their rows."""
-        bounds = self.episode_bounds()
-        return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
+        return np.concatenate([np.empty(0, np.int64), *(np.arange(*self.episode_bounds()[e]) for e in episodes)])
 
 
 def load_demonstrations(

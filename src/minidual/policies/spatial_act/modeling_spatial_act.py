@@ -1,7 +1,7 @@
 """The policy `spatial_act`: keypoints per camera, then LeRobot's ACT transformer.
 
 Keypoints and predicted keyframes form ACT's environment-state token. A keyframe is the action at a gripper switch;
-the next one is learned from images alone (docs/train-act.md).
+those to come are learned from images alone (docs/train-act.md).
 
 Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Coordinates stay float32: over 128 pixels
 bfloat16 resolves a quarter pixel.
@@ -137,8 +137,11 @@ class SpatialActModel(nn.Module):
         keyframe: Tensor | None = None
         if self.has_keyframe:
             flat = filtered(self.keyframe_linear(keypoints) + self.keyframe_hidden(keypoints))
-            token = torch.cat([keypoints, flat], dim=1)
-            keyframe = flat.unflatten(1, self.keyframe_shape)
+            keyframe = told = flat.unflatten(1, self.keyframe_shape)
+            if self.training and "keyframe" in batch:
+                # Told its own errors it would learn to stay short of a keyframe.
+                told = torch.where(batch["keyframe_is_valid"].unsqueeze(-1), batch["keyframe"], keyframe)
+            token = torch.cat([keypoints, told.flatten(1)], dim=1)
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
         actions, latent = self.act({**inner, OBS_ENV_STATE: token})
         return actions, latent, keyframe
@@ -160,29 +163,33 @@ class SpatialActPolicy(ACTPolicy):
     def reset(self) -> None:
         """Forget what was seen: a new episode."""
         super().reset()
-        self._looks: tuple[Any, int, Any] = 0.0, 0, None
+        self._total = self._count = torch.zeros(0)
+        self._due, self._at_first = -1, torch.zeros(0)
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return a chunk (B, S, A), its keyframes the mean of all looks since `reset` or a gripper's last switch.
+        """Return a chunk (B, S, A), each of its keyframes the mean of all looks since `reset`, or since it was past.
 
         The first looks are the clearest: later ones show the hands before the object, and follow them.
         """
         self.eval()
         return self.model(batch, partial(self._mean_look, batch[OBS_STATE][:, -GRIPPERS_N:]))[0]
 
-    def _mean_look(self, openings: Tensor, keyframes: Tensor) -> Tensor:
-        total, count, at_first = self._looks
-        if not count or (openings - at_first).abs().max() > _SWITCHED:
-            total, count, at_first = 0.0, 0, openings
-        self._looks = total + keyframes, count + 1, at_first
-        return self._looks[0] / self._looks[1]
+    def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
+        look = flat.unflatten(1, self.model.keyframe_shape)
+        if self._due < 0:
+            self._total, self._count = torch.zeros_like(look), torch.zeros_like(look)
+        if self._due < 0 or (openings - self._at_first).abs().max() > _SWITCHED:
+            self._due, self._at_first = self._due + 1, openings
+            self._total[:, : self._due] = self._count[:, : self._due] = 0.0
+        self._total, self._count = self._total + look, self._count + 1
+        return (self._total / self._count).flatten(1)
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
         """Return the loss and its parts.
 
-        Optional `keyframe` (B, K, A): normalised actions at gripper switches; `keyframe_is_valid` (B, K) marks the next
-        switch.
+        Optional `keyframe` (B, K, A): normalised actions at gripper switches; `keyframe_is_valid` (B, K) marks those to
+        come.
         """
         actions, (mean, log_variance), keyframe = self.model(batch)
         loss = _masked_l1(actions, batch[ACTION], ~batch["action_is_pad"])
