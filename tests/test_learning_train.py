@@ -21,6 +21,7 @@ from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv
 
 torch, act, tensor_files = late("torch"), late("minidual.policies.act"), late("safetensors.torch")
+batches = late("minidual.policies.batches")
 pytestmark = pytest.mark.torch
 
 SMALL = {
@@ -336,15 +337,14 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
 
 def test_processors_of_the_checkpoint_normalise_as_training_does(demos: Demonstrations, tmp_path: Path) -> None:
     from minidual.config.seeds import stream
-    from minidual.policies.batches import BatchMaker, dataset_statistics
     from minidual.policies.demonstrations import split_episodes
 
     config = TrainConfig(**SMALL)
     train(demos, config, 0, tmp_path / "a")
     _, pre, post = act.SPATIAL_ACT.read(tmp_path / "a")
     episodes, _ = split_episodes([0, 1, 2], config.validation_fraction, stream(0, "train.split"))
-    stats = dataset_statistics(demos, demos.rows_of(episodes), config.std_floor)
-    trained_on = BatchMaker(demos, config, stats).clean(np.array([33]))
+    stats = batches.dataset_statistics(demos, demos.rows_of(episodes), config.std_floor)
+    trained_on = batches.BatchMaker(demos, config, stats).clean(np.array([33]))
     image = torch.from_numpy(demos.images["high"][33]).permute(2, 0, 1) / 255.0
     seen = pre({"observation.state": torch.from_numpy(demos.state[33]), "observation.images.cam_high": image})
     for key in ("observation.state", "observation.images.cam_high"):
@@ -443,3 +443,24 @@ def test_a_keyframe_is_the_mean_of_the_looks_until_it_is_past(demos: Demonstrati
     policy.reset()
     again, fourth = look(4, -0.9)
     assert torch.allclose(again, fourth)
+
+
+def test_in_training_the_transformer_is_told_the_keyframes_to_come(demos: Demonstrations) -> None:
+    config = TrainConfig(**SMALL)
+    torch.manual_seed(0)
+    policy = act.SPATIAL_ACT.make(config, demos)
+    stats = batches.dataset_statistics(demos, np.arange(len(demos)), config.std_floor)
+    batch = batches.BatchMaker(demos, config, stats).clean(
+        np.array([5, 30, 55])
+    )  # before, between and after two switches
+
+    def moved(coming: bool) -> list[bool]:
+        """Whether other keyframes change the actions of each row."""
+        other = batch["keyframe"] + (batch["keyframe_is_valid"] == coming).unsqueeze(-1)
+        return [bool(row.any()) for row in policy.model(batch)[0] != policy.model({**batch, "keyframe": other})[0]]
+
+    policy.train()
+    assert moved(True) == [True, True, False]
+    assert moved(False) == [False] * 3
+    policy.eval()
+    assert moved(True) == [False] * 3
