@@ -161,7 +161,8 @@ class Thing:
         return [(part.position_m, part.half_m) for part in parts]
 
     def look(self) -> np.ndarray:
-        return np.r_[self.T[:3, 3], self.T[2, :3], 0.0, self.force, 0.0, 0.0, self.force, 0.0, self.pinch, 0.0]
+        T, yaw = self.T, np.arctan2(-self.T[0, 1], self.T[1, 1])
+        return np.r_[T[:3, 3], T[2, :3], 0.0, self.force, 0.0, 0.0, self.force, 0.0, self.pinch, 0.0, yaw]
 
 
 class Script:

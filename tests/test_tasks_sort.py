@@ -211,7 +211,7 @@ class Cube:
 
     def look(self) -> np.ndarray:
         T, (left, right) = self.pose(), self.pinch
-        return np.r_[T[:3, 3], T[2, :3], 0.0, left, 0.0, 0.0, -right, 0.0, self.pinch, 0.0]
+        return np.r_[T[:3, 3], T[2, :3], 0.0, left, 0.0, 0.0, -right, 0.0, self.pinch, 0.0, self.yaw]
 
 
 class Script:

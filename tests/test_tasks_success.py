@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from carry_trials import carry_task, rod_judge, rod_trial
 
 from minidual.config.root import Config
+from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
+from minidual.plant.world import World
 from minidual.robot.pair import pose, rot_x, rot_z
 from minidual.tasks.judge import Judge
 from minidual.tasks.success import Exchanged, Held, ObjectTruth, Turned
@@ -51,7 +54,7 @@ class Instant:
 
     def look(self):
         T, (left, right) = self.pose(), self.pinches if self.touch is None else self.touch
-        return np.r_[T[:3, 3], T[2, :3], 0.0, 0.0, left, 0.0, 0.0, right, self.pinches, self.squeeze]
+        return np.r_[T[:3, 3], T[2, :3], 0.0, 0.0, left, 0.0, 0.0, right, self.pinches, self.squeeze, self.yaw]
 
     def on_table(self, name=None):
         return self.height < 1e-3 if self.rests is None else self.rests
@@ -351,3 +354,13 @@ def test_the_goal_is_drawn_about_its_nominal_place_and_the_start_stays(scene):
     assert fixed.goal == {"rod": (*GOAL, 0.0)} == task.trial(3, "goals", 1).goal
     x, y, _ = drawn.goal["rod"]
     assert 0.0 < np.hypot(x - GOAL[0], y - GOAL[1]) < 0.0708
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.4, 2.9])
+def test_the_yaw_that_is_judged_is_that_of_the_bodys_y_axis(scene: SceneConfig, yaw: float) -> None:
+    world, item = World(scene), ObjectTruth(scene.object.name, scene.object)
+    world.reset(poses={scene.object.name: pose(rot_z(yaw) @ rot_x(0.3), (0.5, 0.0, 0.4))})
+    item.refresh(world)
+    along = world.object_pose()[:3, 1]
+    assert item.yaw_rad == pytest.approx(math.atan2(-along[0], along[1]))
+    assert item.yaw_rad == pytest.approx(yaw)
