@@ -137,10 +137,11 @@ class SpatialActModel(nn.Module):
         keyframe: Tensor | None = None
         if self.has_keyframe:
             flat = filtered(self.keyframe_linear(keypoints) + self.keyframe_hidden(keypoints))
-            keyframe = told = flat.unflatten(1, self.keyframe_shape)
+            told: Tensor = flat.unflatten(1, self.keyframe_shape)
+            keyframe = told
             if self.training and "keyframe" in batch:
                 # Told its own errors it would learn to stay short of a keyframe.
-                told = torch.where(batch["keyframe_is_valid"].unsqueeze(-1), batch["keyframe"], keyframe)
+                told = torch.where(batch["keyframe_is_valid"].unsqueeze(-1), batch["keyframe"], told)
             token = torch.cat([keypoints, told.flatten(1)], dim=1)
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
         actions, latent = self.act({**inner, OBS_ENV_STATE: token})
