@@ -37,10 +37,10 @@ def law_of(held: InHand, other: InHand | None = None, learning: bool = False) ->
     return law
 
 
-def wrench_of(law: HandImpedance, q: Array, q_ref: Array, held: InHand) -> tuple[Array, Array]:
+def wrench_of(law: HandImpedance, q: Array, q_ref: Array, held: InHand, v_ref: Array = STILL) -> tuple[Array, Array]:
     """Return force and moment (6,) at the centre of compliance, world axes, beyond the weight; and T_world_object."""
     kinematics = Kinematics()
-    push = (law.torque(q, STILL, q_ref, STILL, STILL) - kinematics.gravity(q))[RIGHT]
+    push = (law.torque(q, STILL, q_ref, v_ref, STILL) - kinematics.gravity(q))[RIGHT]
     J, T_tcp = kinematics.tcp_jacobians(q)[1][:, RIGHT], kinematics.tcp_poses(q)[1]
     # The part of the torque that the null space takes does no work on the hand.
     at_tcp = np.linalg.solve(J @ np.linalg.solve(inertia(q), J.T), J @ np.linalg.solve(inertia(q), push))
@@ -70,6 +70,19 @@ def test_the_spring_acts_at_the_centre_of_compliance_along_the_axes_of_the_objec
         expected = np.r_[STIFFNESS_N_PER_M * away[:3], STIFFNESS_NM_PER_RAD * rotation_log(T_ref[:3, :3] @ T[:3, :3].T)]
         assert np.abs(expected[:3]).max() < FORCE_MAX_N
         np.testing.assert_allclose(wrench, expected, atol=1e-6)
+
+
+def test_the_damping_pulls_towards_the_motion_of_the_reference_along_the_axes_of_the_object() -> None:
+    held, rng, h = PEG._replace(T_tcp_planned=PEG.T_tcp_object), np.random.default_rng(6), 1e-6
+    law, v_ref = law_of(held), 0.02 * rng.normal(size=14)
+    wrench, T = wrench_of(law, HOME, HOME, held, v_ref)
+    ahead, behind = (Kinematics().tcp_poses(HOME + sign * h * v_ref)[1] @ held.T_tcp_object for sign in (1.0, -1.0))
+    axes = T[:3, :3]
+    motion = np.r_[(ahead - behind) @ [*held.centre_m, 1.0]][:3], rotation_log(ahead[:3, :3] @ behind[:3, :3].T)
+    along = np.concatenate([part / (2 * h) @ axes for part in motion])
+    D = law._law["D"][0]
+    np.testing.assert_allclose(np.concatenate([wrench[:3] @ axes, wrench[3:] @ axes]), D @ along, rtol=1e-5, atol=1e-7)
+    assert np.linalg.eigvalsh(D).min() > 0.0
 
 
 def test_a_load_that_the_other_hand_has_learnt_leaves_this_hand_its_weight() -> None:

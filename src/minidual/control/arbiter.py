@@ -88,8 +88,7 @@ class CommandArbiter:
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
         self._affirmed: set[str] = set()
-        self._alive_s = 0.0
-        self.speed = self.config.speed_override
+        self._alive_s, self.speed = 0.0, self.config.speed_override
         """Share of full speed, from the next tick on."""
 
     def propose(self, source: str, command: Command) -> Refusal | None:

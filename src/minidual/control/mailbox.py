@@ -162,7 +162,8 @@ class Mailbox:
         if reason is not None:
             return reason
         self._sequence, command = command.sequence, _own(command)
-        self._timed = [c for c in self._timed if not set(command.arms) & set(c.arms)]
+        arms = set(command.arms)
+        self._timed = [c for c in self._timed if not arms & set(c.arms)]
         if isinstance(command, JointCommand):
             for arm in command.arms:
                 self._latest[arm] = command

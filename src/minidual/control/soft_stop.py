@@ -25,8 +25,7 @@ class TorqueRate:
     """Limits torque rates from tau (n,) [Nm] on."""
 
     def __init__(self, tau: Array, dt_s: float, rate_nm_per_s: float) -> None:
-        self.tau = tau.copy()
-        self._step = rate_nm_per_s * dt_s
+        self.tau, self._step = tau.copy(), rate_nm_per_s * dt_s
 
     def nearest(self, tau: Array) -> Array:
         """Return the reachable torques (n,) nearest to tau."""

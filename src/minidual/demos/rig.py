@@ -128,8 +128,7 @@ class Rig:
     """World and session of one process."""
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
-        self.job = job
-        self.kinematics = Kinematics(job.robot)
+        self.job, self.kinematics = job, Kinematics(job.robot)
         self.world = World(job.task.scene, job.robot, visuals=True)
         self._cameras = tuple(cameras)
         self._eye = Camera.recorded(self.world.model, self.world.scene.camera) if cameras else None

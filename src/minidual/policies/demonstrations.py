@@ -82,7 +82,8 @@ class Demonstrations:
 
     def rows_of(self, episodes: list[int]) -> Rows:
         """Return their rows."""
-        return np.concatenate([np.empty(0, np.int64), *(np.arange(*self.episode_bounds()[e]) for e in episodes)])
+        bounds = self.episode_bounds()
+        return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
 
 
 def load_demonstrations(

@@ -80,7 +80,8 @@ class Solids:
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
         """Return pairs moved by these arms."""
         n, pairs = self.robot.dof_per_arm, self.geometry[4]
-        moves = np.array([False, *(side in arms for side in SIDES)])[((self._parts["frame"] + n - 1) // n)]
+        arm = (self._parts["frame"] + n - 1) // n  # 0 for fixed parts
+        moves = np.array([False, *(side in arms for side in SIDES)])[arm]
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
 
     def workspace(self, states_n: int = 1) -> planes.Work:

@@ -125,8 +125,7 @@ def _camera(lookat: tuple[float, float, float], distance: float, azimuth: float,
 
 
 def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> Any:
-    renderer = mujoco.Renderer(poser.model, 720, 840, max_geom=20_000)
-    option = mujoco.MjvOption()
+    renderer, option = mujoco.Renderer(poser.model, 720, 840, max_geom=20_000), mujoco.MjvOption()
     option.geomgroup[GROUP_COLLISION] = option.geomgroup[GROUP_MARKER] = 0
     try:
         renderer.update_scene(poser.place(trajectory.q[-1]), camera, scene_option=option)

@@ -30,7 +30,8 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
     ordered = (sorted(pair) for pair in PlanningScene(robot=robot).checked_pairs)
     across = tuple((a, b) for a, b in ordered if a.startswith(left) and b.startswith(right))
     engine = MujocoEngine(Pairs(robot, across))
-    return lambda q: engine.nearest(q, _WITHIN_M, np.zeros([engine.model.nbody] * 2))[:2]
+    anywhere = np.zeros([engine.model.nbody] * 2)
+    return lambda q: engine.nearest(q, _WITHIN_M, anywhere)[:2]
 
 
 @cache

@@ -94,7 +94,8 @@ def under_condition(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> 
     """Return the inputs under a condition, and the draw of its trials."""
     under = condition(name)
     given = inputs._replace(config=under.config_under(inputs.config))
-    return given, lambda index: make_task(given.config).trial(inputs.seed, purpose, index, widen=under.widen)
+    task = make_task(given.config)
+    return given, lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
 
 
 def first_failures(trials: Sequence[TrialMetrics]) -> list[TrialMetrics]:

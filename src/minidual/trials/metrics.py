@@ -62,7 +62,8 @@ class TrialMetrics:
     @property
     def measures(self) -> dict[str, float]:
         """The rows of MEASURES; NaN where one does not apply."""
-        return {name: {**self.measured, **self.wall}.get(name, math.nan) for name in MEASURES}
+        found = {**self.measured, **self.wall}
+        return {name: found.get(name, math.nan) for name in MEASURES}
 
     @property
     def text(self) -> str:

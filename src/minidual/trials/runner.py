@@ -55,8 +55,7 @@ class Bench:
         check_able(method, [self.task], inputs.trained or self.task.name)
         robot = robot_from(inputs.config.robot)
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
-        self.world = World(self.task.scene, robot, model=model)
-        self.kinematics = Kinematics(robot)
+        self.world, self.kinematics = World(self.task.scene, robot, model=model), Kinematics(robot)
         self.hands = Hands(self.kinematics)
         self.factory = self.spec.factory(inputs._replace(config=self.task.config))  # with the settings of the task
 

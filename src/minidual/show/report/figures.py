@@ -123,7 +123,8 @@ def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Seque
                 look = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
                 if not success:
                     look = {"markersize": 5.5, "markeredgewidth": 1.4}
-                y, mark = i + 0.36 * (((0.5 + k * 0.618033988749895) % 1.0) - 0.5), "o" if success else "x"
+                spread = (0.5 + k * 0.618033988749895) % 1.0
+                y, mark = i + 0.36 * (spread - 0.5), "o" if success else "x"
                 axes.plot(value, y, mark, color=colour, **look)
             if won := [value for success, value in mine if success]:
                 axes.plot([statistics.median(won)] * 2, [i - 0.32, i + 0.32], color=INK, linewidth=2.2)

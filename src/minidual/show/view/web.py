@@ -56,8 +56,7 @@ class WebView:
         self.url: str | None = f"{url(config.host, self.port)}/?token={guard.token}"
         self.alive = True
         """Whether it is visible."""
-        self._closed = False
-        self.panel = Panel(self._server)
+        self._closed, self.panel = False, Panel(self._server)
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
         self._overlay = Overlay()

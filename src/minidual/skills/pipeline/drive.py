@@ -26,8 +26,7 @@ class Drive:
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
         self.stack = stack
         self.aborted: str | None = None
-        self._left = list(segments)
-        self._proposed = 0
+        self._left, self._proposed = list(segments), 0
         self._began_s = self._ended_s = 0.0
         self._under_way = False
         if self._left:

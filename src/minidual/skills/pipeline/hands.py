@@ -43,7 +43,8 @@ def reach(
     for grip in sorted(grips, key=lambda grip: grip.cost):
         grasps = {arm: grip.grasps[arm] for arm in arms}
         at = {arm: start.objects[start.object_of(arm)] @ T for arm, T in grasps.items()}
-        over = {arm: moved(T, off(at, PHASES["approach"].rise_m)) for arm, T in at.items()}
+        shift = off(at, PHASES["approach"].rise_m)
+        over = {arm: moved(T, shift) for arm, T in at.items()}
         for attempt in range(_ATTEMPTS):
             seed = subseed(tools.seed, "pipeline/approach", attempt)
             try:
