@@ -57,6 +57,14 @@ class TestReset:
         world.reset(poses={"rod": (0.45, 0.1, 0.3)})
         assert world.object_pose()[:3, 1] == pytest.approx([-np.sin(0.3), np.cos(0.3), 0.0])
 
+    def test_the_goal_mark_lies_where_and_as_it_is_told(self, scene):
+        world = World(scene)
+        world.mark_goal(0.51, -0.27, 0.25)
+        mujoco.mj_forward(world.model, world.data)
+        mark = world.data.geom("goal_mark")
+        assert mark.xpos[:2] == pytest.approx([0.51, -0.27])
+        assert mark.xmat.reshape(3, 3)[:, 1] == pytest.approx([-np.sin(0.25), np.cos(0.25), 0.0])
+
     def test_a_bad_posture_is_refused_by_name(self, world):
         q = HOME.copy()
         q[3] = 0.5

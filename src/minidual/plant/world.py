@@ -156,6 +156,7 @@ class World:
         mark = self.model.geom(GOAL_MARK)
         mark.pos[:2] = x_m, y_m
         mark.quat[:] = np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)
+        self.model.geom_sameframe[mark.id] = 0  # otherwise its direction is not read
 
     def contact_pairs(self) -> list[tuple[str, str, float]]:
         """Return (body, body, distance [m]) per contact."""

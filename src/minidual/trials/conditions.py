@@ -164,7 +164,6 @@ def size(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generat
         height_m, up = upright if isinstance(where, tuple) else (where[2, 3], where[2, :3])
         geoms = model.geom_bodyid == body.id
         model.geom_pos[geoms] = scale * model.geom_pos[geoms] + (scale - 1.0) * height_m * up
-        model.geom_sameframe[geoms] = 0  # otherwise their place is not read
         for values in (model.geom_size, model.geom_rbound, model.geom_aabb):
             values[geoms] *= scale
         boxes = slice(model.body_bvhadr[body.id], model.body_bvhadr[body.id] + model.body_bvhnum[body.id])
