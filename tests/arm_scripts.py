@@ -9,7 +9,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, pose, rotation_log
-from minidual.tasks.task import grasp_offsets, level_pose
+from minidual.tasks.task import Trial, grasp_offsets, level_pose, placement
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
 
@@ -49,9 +49,9 @@ def pinch_rod(loop: JointLoop, scene: SceneConfig, kinematics: Kinematics, *, ha
     return q
 
 
-def carry_script(scene: SceneConfig, kinematics: Kinematics, start: tuple[float, float, float]) -> list[Array]:
-    """Return 50 Hz actions (16,) that carry a rod from `start` (x, y, yaw) to the goal: a plain joint-space carry."""
-    goal = (*scene.task.goal_xy_m, 0.0)
+def carry_script(scene: SceneConfig, kinematics: Kinematics, trial: Trial) -> list[Array]:
+    """Return 50 Hz actions (16,) that carry a rod from start to goal (x, y, yaw): a plain joint-space carry."""
+    start, goal = placement(trial.start["rod"]), placement(trial.goal["rod"])
     actions: list[Array] = []
     q = HOME.copy()
 

@@ -18,18 +18,21 @@ from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.judge import Judge, Outcome
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.rod_carry import carry_config
-from minidual.tasks.task import make_task
+from minidual.tasks.task import Trial, make_task, placement
 
 
 def configured(**carry: Any) -> Config:
     return carry_config(Config.model_validate({"carry": carry}))
 
 
+def trial_of(config: Config) -> Trial:
+    return make_task(config).trial(7, "objects", 0)
+
+
 def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, ImpedanceCarry]:
     """Carry to the end, or until the judge has noted a fault of that name."""
     world = World(config.scene)
-    task = make_task(config)
-    trial = task.trial(7, "objects", 0)
+    task, trial = make_task(config), trial_of(config)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
     judge = Judge(task, trial, {"squeezed"})
@@ -158,7 +161,8 @@ def test_the_object_is_turned_by_ninety_degrees() -> None:
     config = configured(motion="rotate")
     outcome, carry = carried(config)
     assert outcome.success, outcome.reason
-    axis = carry.world.object_pose()[:3, 1]
+    axis, goal_yaw = carry.world.object_pose()[:3, 1], placement(trial_of(config).goal["rod"])[2]
+    assert goal_yaw == pytest.approx(-np.pi / 2)
     assert abs(axis[0]) > 0.999  # it lay along y, and lies along x
     assert outcome.yaw_error_rad < 0.02
     assert outcome.duration_s < 8.0

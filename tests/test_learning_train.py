@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import warnings
 from collections.abc import Callable
@@ -323,7 +324,7 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(demos: Demonstratio
     assert record["type"] == "spatial_act"
     assert record["pretrained_backbone_weights"] is None, "nothing is to be downloaded"
     names = tensor_files.load_file(tmp_path / "a" / "model.safetensors")
-    assert any(name.startswith("model.backbone.0.features") for name in names)
+    assert any(name.startswith("model.backbone.encoders.0.features") for name in names)
     assert not any("layer" in name.removeprefix("model.backbone.") for name in names if ".backbone." in name), (
         "a resnet"
     )
@@ -393,7 +394,6 @@ def test_records_hold_the_curve(demos: Demonstrations, tmp_path: Path) -> None:
         {"learning_rate": 0.0},
         {"learning_rate": float("nan")},
         {"policy": ""},
-        {"policy": "act", "keyframe_weight": 0.5},
         {"steps": 0},
         {"unknown": 1},
     ],
@@ -412,7 +412,7 @@ def test_a_policy_runs_in_the_precision_it_was_trained_in(
     for native in (True, False):
         monkeypatch.setattr("minidual.policies.act.native_bf16", lambda device, native=native: native)
         policy = act.SPATIAL_ACT.read(tmp_path / "a").policy
-        assert [encoder.bf16 for encoder in policy.model.backbone] == [native]
+        assert [encoder.bf16 for encoder in policy.model.backbone.encoders] == [native]
 
 
 def test_a_keyframe_is_the_mean_of_the_looks_until_it_is_past(demos: Demonstrations, tmp_path: Path) -> None:
@@ -464,3 +464,44 @@ def test_in_training_the_transformer_is_told_the_keyframes_to_come(demos: Demons
     assert moved(False) == [False] * 3
     policy.eval()
     assert moved(True) == [False] * 3
+
+
+def _policy_and_batch(demos: Demonstrations) -> tuple[Any, dict[str, torch.Tensor]]:
+    config = TrainConfig(**SMALL)
+    torch.manual_seed(0)
+    policy = act.SPATIAL_ACT.make(config, demos)
+    policy.train()
+    stats = batches.dataset_statistics(demos, np.arange(len(demos)), config.std_floor)
+    return policy, batches.BatchMaker(demos, config, stats).clean(np.array([5, 30]))
+
+
+def _reads(policy: Any) -> list[bool]:
+    return [bool(p.grad is not None and p.grad.any()) for p in policy.model.backbone.encoders.parameters()]
+
+
+def test_keyframes_alone_train_what_reads_the_pictures(demos: Demonstrations) -> None:
+    policy, batch = _policy_and_batch(demos)
+    actions, _, keyframe = policy.model(batch)
+    actions.sum().backward()
+    assert not any(_reads(policy))
+    assert policy.model.backbone.linear.weight.grad is None
+    keyframe.sum().backward()
+    assert all(_reads(policy))
+
+
+def test_without_keyframes_the_actions_train_it(demos: Demonstrations) -> None:
+    action = demos.action.copy()
+    action[:, -2:] = 1.0
+    policy, batch = _policy_and_batch(dataclasses.replace(demos, action=action))
+    assert policy.model.backbone.shape[0] == 0
+    policy(batch)[0].backward()
+    assert all(_reads(policy))
+
+
+def test_what_reads_the_pictures_has_its_own_learning_rate(demos: Demonstrations, tmp_path: Path) -> None:
+    for rate in (1e-3, 1e-2):
+        train(demos, TrainConfig(**(SMALL | {"steps": 1, "backbone_learning_rate": rate})), 0, tmp_path / f"{rate}")
+    slow, fast = (weights(tmp_path / f"{rate}") for rate in (1e-3, 1e-2))
+    differ = {name for name, values in slow.items() if not torch.equal(values, fast[name])}
+    assert differ
+    assert all(name.startswith("model.backbone.") for name in differ)

@@ -55,7 +55,7 @@ def test_gymnasiums_own_checker_passes_with_images_and_rendering():
 def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, kinematics):
     _, info = env.reset(seed=5)
     total, done = 0.0, False
-    for step in carry_script(env.scene, kinematics, info["trial"].start["rod"]):
+    for step in carry_script(env.scene, kinematics, info["trial"]):
         observation, reward, done, truncated, info = env.step(step.astype(np.float32))
         assert env.observation_space.contains(observation)
         total += reward
@@ -71,7 +71,7 @@ def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, k
 
 def test_a_carry_with_one_hand_open_does_not_succeed(env, kinematics):
     _, info = env.reset(seed=5)
-    for step in carry_script(env.scene, kinematics, info["trial"].start["rod"]):
+    for step in carry_script(env.scene, kinematics, info["trial"]):
         step[15] = 1.0  # the right hand never closes
         _, _, terminated, truncated, info = env.step(step.astype(np.float32))
         assert not info["success"]
@@ -104,10 +104,11 @@ def test_successive_resets_without_a_seed_differ(env):
 
 
 def test_a_given_trial_is_the_one_played(env):
-    trial = rod_trial("test", 7, (0.47, 0.22, 0.1), (0.5, -0.25, 0.0))
+    trial = rod_trial("test", 7, (0.47, 0.22, 0.1), (0.5, -0.25, -0.2))
     observation, info = env.reset(options={"trial": trial})
     assert info["trial"] is trial
     assert observation["object"][:2] == pytest.approx([0.47, 0.22], abs=1e-6)
+    assert observation["goal"] == pytest.approx([0.5, -0.25, -0.2])
 
 
 def test_time_runs_at_fifty_hertz_and_out_at_the_limit():
@@ -123,7 +124,7 @@ def test_time_runs_at_fifty_hertz_and_out_at_the_limit():
 
 def test_moving_the_hands_towards_the_rod_pays_and_moving_away_costs(env, kinematics):
     _, info = env.reset(seed=2)
-    towards = carry_script(env.scene, kinematics, info["trial"].start["rod"])[:60]
+    towards = carry_script(env.scene, kinematics, info["trial"])[:60]
     assert sum(env.step(a.astype(np.float32))[1] for a in towards) > 0.1
     assert sum(env.step(a.astype(np.float32))[1] for a in reversed(towards)) < -0.1
 

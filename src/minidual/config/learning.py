@@ -81,9 +81,9 @@ class AugmentConfig(StrictModel):
     """Of full scale."""
     permuted_share: float = Field(default=0.25, ge=0.0, le=1.0)
     """Pictures with permuted colour channels."""
-    turn_deg: float = Field(default=6.0, ge=0.0, le=180.0)
-    scale: float = Field(default=0.12, ge=0.0, lt=1.0)
-    shift: float = Field(default=0.1, ge=0.0, lt=1.0)
+    turn_deg: float = Field(default=4.0, ge=0.0, le=180.0)
+    scale: float = Field(default=0.06, ge=0.0, lt=1.0)
+    shift: float = Field(default=0.08, ge=0.0, lt=1.0)
     """Of width and height."""
     straight_share: float = Field(default=0.1, ge=0.0, le=1.0)
     """Pictures that keep their place."""
@@ -107,21 +107,17 @@ class TrainConfig(StrictModel):
     kl_weight: float = Field(default=10.0, ge=0.0, le=1e4)
     keypoints: int = Field(default=64, ge=4, le=256)
     """Spatial-softmax keypoints of each camera."""
-    context_layers: int = Field(default=2, ge=0, le=4)
-    """Layers on maps of half the size that see what stands around; with 2 a place sees 81 pixels, with 0 21."""
-    standardised_maps: bool = True
-    """Whether the encoder's maps get mean 0 and deviation 1."""
-    keyframe_weight: float = Field(default=1.0, ge=0.0, le=100.0)
-    """Weight of the grasp-posture loss (spatial_act only)."""
 
     # Optimisation
     seeds_n: AtLeast[int] = Field(default=1, ge=1, le=10)
     """Trainings, each with its own seed; deploy runs every policy, benchmark the first."""
-    steps: int = Field(default=5600, ge=1, le=10_000_000)
+    steps: int = Field(default=7000, ge=1, le=10_000_000)
     time_limit_s: float = Field(default=1800.0, gt=0.0, le=1e7)
     """Training that takes longer is stopped and fails its check."""
     batch_size: int = Field(default=32, ge=1, le=4096)
     learning_rate: float = Field(default=1e-3, ge=1e-8, le=1.0)
+    backbone_learning_rate: float = Field(default=2.5e-3, ge=1e-8, le=1.0)
+    """Of what reads pictures; it follows the course of `learning_rate`."""
     weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
     warmup_fraction: float = Field(default=0.03, ge=0.0, le=0.5)
     gradient_clip: float = Field(default=1.0, ge=1e-3, le=1e6)
@@ -158,8 +154,6 @@ class TrainConfig(StrictModel):
     def _consistent(self) -> Self:
         if self.dim_model % self.heads:
             raise ValueError(f"dim_model {self.dim_model} is not a multiple of heads {self.heads}")
-        if self.policy == "act" and self.keyframe_weight not in (0.0, 1.0):
-            raise ValueError("keyframe_weight belongs to policy spatial_act; act is the stock ACT")
         return self
 
 

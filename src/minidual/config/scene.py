@@ -141,13 +141,13 @@ class TaskConfig(StrictModel):
     start_xy_m: tuple[Coordinate, Coordinate] = (0.5, 0.25)
     goal_xy_m: tuple[Coordinate, Coordinate] = (0.5, -0.25)
     goal_yaw_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
-    goal_range_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    goal_range_m: AtLeast[float] = Field(default=0.05, ge=0.0, le=0.1)
     """Half width of the uniform range, drawn after the start."""
-    goal_range_rad: float = Field(default=0.0, ge=0.0, le=0.6)
+    goal_range_rad: AtLeast[float] = Field(default=0.2618, ge=0.0, le=0.6)
     mirrored_share: Rate = 0.0
     """Share of trials from the right to the left, where the task has such."""
-    yaw_tolerance_rad: AtMost[float] = Field(default=0.2618, gt=0.0, le=1.0)
-    """15 degrees."""
+    yaw_tolerance_rad: AtMost[float] = Field(default=0.08727, gt=0.0, le=1.0)
+    """5 degrees."""
     obstacle: ObstacleConfig | None = None
     lift_height_m: float = Field(default=0.12, gt=0.03, le=0.4)
     """Rise of the object's centre during the lift."""

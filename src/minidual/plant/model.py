@@ -157,6 +157,8 @@ def _add_surroundings(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> 
         table.add_geom(type=_CYLINDER, size=[0.03, 0.355, 0], rgba=[0.25, 0.27, 0.3, 1], pos=pos, **INTANGIBLE)
     for arm in robot.sides:
         spec.add_exclude(bodyname1="table", bodyname2=f"{arm}_{robot.arm.base_link}")  # the bases stand on it
+    for fiducial in _LOOK["fiducials"]:
+        world.add_geom(type=_BOX, group=GROUP_MARKER, **fiducial, **INTANGIBLE)
     for layer, mark in enumerate(marks(scene)):
         rgba, place = list(mark.colour), [*mark.xy_m, 0.0003 * (1 + (layer if scene.marks else 0))]
         geom = world.add_geom(name=mark.name, type=_BOX, pos=place, rgba=rgba, group=GROUP_MARKER, **INTANGIBLE)

@@ -122,9 +122,8 @@ class SpatialActKind(ActKind):
 
     def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
         """See `ActKind.make`; convolutions use bfloat16 where the device has it."""
-        settings = config.model_dump(include={"keypoints", "keyframe_weight", "context_layers", "standardised_maps"})
-        settings |= {"keyframes": demos.keyframe_ticks.shape[1], "bf16": native_bf16(config.device)}
-        return SpatialActPolicy(SpatialActConfig(**settings, **_common(config, demos)))
+        settings = {"keypoints": config.keypoints, "keyframes": demos.keyframe_ticks.shape[1]}
+        return SpatialActPolicy(SpatialActConfig(**settings, bf16=native_bf16(config.device), **_common(config, demos)))
 
 
 ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
@@ -181,7 +180,7 @@ def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
         "n_encoder_layers": config.encoder_layers,
         "n_decoder_layers": config.decoder_layers,
         "optimizer_lr": config.learning_rate,
-        "optimizer_lr_backbone": config.learning_rate,
+        "optimizer_lr_backbone": config.backbone_learning_rate,
         "optimizer_weight_decay": config.weight_decay,
     }
 

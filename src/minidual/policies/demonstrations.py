@@ -48,7 +48,7 @@ class Demonstrations:
         gripper = self.action[:, self.joints_n :]
         span, bounds = gripper.max(axis=0) - gripper.min(axis=0), list(self.episode_bounds().values())
         switches = [gripper_switches(gripper[start:stop], span) for start, stop in bounds]
-        self.keyframe_ticks = np.full((len(self), max(1, *map(len, switches))), -1, dtype=np.int64)
+        self.keyframe_ticks = np.full((len(self), max(map(len, switches))), -1, dtype=np.int64)
         for (start, stop), ticks in zip(bounds, switches, strict=True):
             for k, tick in enumerate(ticks):
                 # The switching tick belongs to the phase before it.

@@ -108,7 +108,8 @@ class _Loop:
         self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
         rate, decay = config.learning_rate, config.weight_decay
-        self.optimiser = torch.optim.AdamW(self.parameters, lr=rate, weight_decay=decay, fused=True)
+        self.optimiser = torch.optim.AdamW(policy.get_optim_params(), lr=rate, weight_decay=decay, fused=True)
+        self.rates = [group["lr"] / rate for group in self.optimiser.param_groups]
         self.average = [p.detach().clone() for p in self.parameters]
         # consistent: weights, moving average, optimiser and state are those of one step
         self.state, self.consistent = _State(), True
@@ -154,8 +155,8 @@ class _Loop:
         self.ahead = self.beside.submit(self._batch, step + 1) if step + 1 < self.config.steps else None
         torch.manual_seed(seed)
         rate = self.learning_rate(step)
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
+        for group, share in zip(self.optimiser.param_groups, self.rates, strict=True):
+            group["lr"] = share * rate
         value, parts = self.shares.gradient(batch)
         if not math.isfinite(value):
             raise UsageError(
@@ -217,7 +218,7 @@ class _Loop:
                 self.policy.reset()
                 chunk = self.policy.predict_action_chunk(observation)
                 l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
-                if getattr(self.policy.config, "keyframe_weight", 0.0) > 0:
+                if getattr(self.policy.config, "keyframes", 0):
                     error = (self.policy.model(observation)[2] - batch["keyframe"]).abs()
                     error = error * self.stats["action"]["std"].to(error.device)
                     keyframe.append(error[..., : self.joints_n].mean(-1)[batch["keyframe_is_valid"]])

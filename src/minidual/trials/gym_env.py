@@ -42,6 +42,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         state: (n + 2,) float32, joints of the left and right arm [rad], then gripper openings (0..1).
         images: {camera: (H, W, 3) uint8}, optional.
         object: (7,) float32, true position [m] and quaternion wxyz, optional.
+        goal: (3,) float32, where it shall lie: x, y [m], yaw [rad], optional.
 
     Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above 0.6 opens);
     held 20 ms.
@@ -57,7 +58,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         task: Row of TASKS.
         render_mode: None or "rgb_array".
         images: Cameras out of high, left, right.
-        object_pose: Observe `object`.
+        object_pose: Observe `object` and `goal`.
 
     Raises:
         UsageError: Unknown task, camera or render mode.
@@ -98,6 +99,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         members: dict[str, spaces.Space[Any]] = {"state": self._states}
         if object_pose:
             members["object"] = spaces.Box(-_FAR, _FAR)
+            members["goal"] = spaces.Box(-10.0, 10.0, (3,))
         if images:
             shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
             members["images"] = spaces.Dict({name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in images})
@@ -121,7 +123,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._judge = begin(self._world, self._task, trial)
         self._loop.reset()
         self._potential = self._measure_potential(trial)
-        return self._observe(), {"trial": trial}
+        return self._observe(trial), {"trial": trial}
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold one action, clipped to its space.
@@ -157,7 +159,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if terminated or truncated:
             info["outcome"], info["stages"] = outcome, judge.stages
             info["failures"] = ("diverged",) if diverged else tuple(failure.name for failure in outcome.failures)
-        return self._observe(), reward, terminated, truncated, info
+        return self._observe(judge.trial), reward, terminated, truncated, info
 
     def _measure_potential(self, trial: Trial) -> float:
         name = self._task.carried
@@ -170,13 +172,14 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
         return -(sum(hands) / len(hands) + goal)
 
-    def _observe(self) -> Observation:
+    def _observe(self, trial: Trial) -> Observation:
         world = self._world
         state = np.concatenate([world.q, world.gripper]).astype(np.float32)
         observation: Observation = {"state": np.clip(state, self._states.low, self._states.high)}
         if self._object_pose:
             body = world.data.body(self._task.carried)
             observation["object"] = np.clip(np.concatenate([body.xpos, body.xquat]).astype(np.float32), -_FAR, _FAR)
+            observation["goal"] = np.array(placement(trial.goal[self._task.carried]), dtype=np.float32)
         if self._images:
             camera = self._camera = self._camera or Camera.recorded(world.model, self.scene.camera)
             observation["images"] = {name: camera.picture(world.data, name) for name in self._images}

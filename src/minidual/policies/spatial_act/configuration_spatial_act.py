@@ -12,15 +12,11 @@ from lerobot.policies.act.configuration_act import ACTConfig
 class SpatialActConfig(ACTConfig):
     """Settings of ACT's transformer and of the keypoint encoder that replaces its resnet.
 
-    `keyframe_weight` > 0 adds a head predicting actions at the first `keyframes` gripper switches. `bf16`: convolve in
-    bfloat16.
+    A head predicts the actions at the first `keyframes` gripper switches. `bf16`: convolve in bfloat16.
     """
 
     pretrained_backbone_weights: str | None = None
     keypoints: int = 64
-    context_layers: int = 2
-    standardised_maps: bool = True
-    keyframe_weight: float = 1.0
     keyframes: int = 2
     bf16: bool = False
 

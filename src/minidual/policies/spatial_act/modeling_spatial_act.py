@@ -1,12 +1,13 @@
 """The policy `spatial_act`: keypoints per camera, then LeRobot's ACT transformer.
 
-Keypoints and predicted keyframes form ACT's environment-state token. A keyframe is the action at a gripper switch;
-those to come are learned from images alone (docs/train-act.md).
+Keyframes form ACT's environment-state token: the actions at the gripper switches to come, learned from images alone
+(docs/train-act.md). Where demonstrations have none, keypoints do.
 
 Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Coordinates stay float32: over 128 pixels
 bfloat16 resolves a quarter pixel.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -23,7 +24,7 @@ from minidual.robot.pair import GRIPPERS_N
 
 _LEAST_VARIANCE = 1e-6
 _SWITCHED = 1.0  # standard deviations; an opening's two values are about two apart
-Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor | None]
+Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor]
 
 
 class SpatialSoftmax(nn.Module):
@@ -61,24 +62,21 @@ def _rectified(*layers: nn.Module) -> nn.Sequential:
 class KeypointEncoder(nn.Module):
     """Convolutions of total stride 4, then spatial softmax.
 
-    `context_layers` layers on maps of half the size, of dilation 1, 2, ..., add what stands around a place: features alone
-    see 21 pixels, with two layers 81. `standardised` maps have mean 0 and deviation 1, whatever the light.
-    `bf16`: convolve in bfloat16.
+    Two layers on maps of half the size add what stands around a place: features alone see 21 pixels, with these 81. Maps
+    have mean 0 and deviation 1, whatever the light. `bf16`: convolve in bfloat16.
     """
 
-    def __init__(
-        self, keypoints: int, *, context_layers: int = 0, standardised: bool = False, bf16: bool = False
-    ) -> None:
+    def __init__(self, keypoints: int, *, bf16: bool = False) -> None:
         super().__init__()
-        self.standardised, self.bf16 = standardised, bf16
+        self.bf16 = bf16
         self.features = _rectified(
-            nn.Conv2d(3, 32, 5, stride=2, padding=2),
-            nn.Conv2d(32, 32, 3, padding=1),
-            nn.Conv2d(32, 64, 3, stride=2, padding=1),
+            nn.Conv2d(3, 16, 5, stride=2, padding=2),
+            nn.Conv2d(16, 16, 3, padding=1),
+            nn.Conv2d(16, 64, 3, stride=2, padding=1),
             nn.Conv2d(64, 64, 3, padding=1),
         )
-        around = [nn.Conv2d(64, 64, 3, padding=2**k, dilation=2**k) for k in range(context_layers)]
-        self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around)) if around else None
+        around = [nn.Conv2d(64, 64, 3, padding=dilation, dilation=dilation) for dilation in (1, 2)]
+        self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around))
         self.heads = nn.Conv2d(64, keypoints, 1)
         self.pool = SpatialSoftmax(keypoints)
         for module in self.modules():
@@ -92,57 +90,59 @@ class KeypointEncoder(nn.Module):
         """Map images (B, 3, H, W) to maps (B, K, H / 4, W / 4)."""
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
             features = self.features(image.to(memory_format=torch.channels_last))
-            if self.context is not None:
-                size = features.shape[-2:]
-                features = features + nn.functional.interpolate(self.context(features), size, mode="bilinear")
-            maps = self.heads(features)
-        if not self.standardised:
-            return maps
-        flat = maps.float().flatten(2)
-        return nn.functional.layer_norm(flat, flat.shape[2:], eps=_LEAST_VARIANCE).view(maps.shape)
+            around = nn.functional.interpolate(self.context(features), features.shape[-2:], mode="bilinear")
+            return self.heads(features + around)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map images (B, 3, H, W) to (B, 3 K)."""
-        return self.pool(self.maps(image))
+        maps = self.maps(image).float()
+        return self.pool(nn.functional.layer_norm(maps, maps.shape[2:], eps=_LEAST_VARIANCE))
+
+
+class KeyframeReader(nn.Module):
+    """Encoders and keyframe head: what reads pictures."""
+
+    def __init__(self, config: SpatialActConfig, action_dim: int) -> None:
+        super().__init__()
+        self.cameras = list(config.image_features)
+        self.encoders = nn.ModuleList([KeypointEncoder(config.keypoints, bf16=config.bf16) for _ in self.cameras])
+        self.keypoint_dim, self.shape = 3 * config.keypoints * len(self.cameras), (config.keyframes, action_dim)
+        # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few
+        # centimetres that an object moves, and few demonstrations suffice for a linear map.
+        self.linear = nn.Linear(self.keypoint_dim, math.prod(self.shape))
+        layers = nn.Linear(self.keypoint_dim, 64), nn.ReLU(), nn.Linear(64, math.prod(self.shape))
+        self.hidden = nn.Sequential(*layers)
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return keypoints (B, 3 P) and keyframes (B, K A)."""
+        pairs = zip(self.encoders, self.cameras, strict=True)
+        keypoints = torch.cat([encoder(batch[camera]) for encoder, camera in pairs], dim=1)
+        return keypoints, self.linear(keypoints) + self.hidden(keypoints)
 
 
 class SpatialActModel(nn.Module):
-    """Encoders, keyframe head and transformer."""
+    """Reader of pictures and transformer."""
 
     def __init__(self, config: SpatialActConfig) -> None:
         super().__init__()
         assert config.action_feature is not None
-        action_dim = config.action_feature.shape[0]
-        self.cameras = list(config.image_features)
-        looks = {"context_layers": config.context_layers, "standardised": config.standardised_maps, "bf16": config.bf16}
-        self.backbone = nn.ModuleList([KeypointEncoder(config.keypoints, **looks) for _ in self.cameras])
-        keypoint_dim = 3 * config.keypoints * len(self.cameras)
-        self.has_keyframe = config.keyframe_weight > 0
-        keyframe_dim = 0
-        if self.has_keyframe:
-            # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few
-            # centimetres that an object moves, and few demonstrations suffice for a linear map.
-            keyframe_dim = config.keyframes * action_dim
-            self.keyframe_linear = nn.Linear(keypoint_dim, keyframe_dim)
-            self.keyframe_hidden = nn.Sequential(nn.Linear(keypoint_dim, 64), nn.ReLU(), nn.Linear(64, keyframe_dim))
-            self.keyframe_shape = (config.keyframes, action_dim)
+        self.backbone = KeyframeReader(config, config.action_feature.shape[0])  # the name has its own learning rate
+        token_dim = math.prod(self.backbone.shape) or self.backbone.keypoint_dim
         inputs = {key: ft for key, ft in (config.input_features or {}).items() if ft.type is not FeatureType.VISUAL}
-        inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(keypoint_dim + keyframe_dim,))
+        inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(token_dim,))
         self.act = ACT(config.transformer(input_features=inputs))
 
     def forward(self, batch: dict[str, Tensor], filtered: Callable[[Tensor], Tensor] = lambda flat: flat) -> Parts:
-        """Return action chunk (B, S, A), latent parameters, keyframes (B, K, A) or None, `filtered` as (B, K A)."""
-        pairs = zip(self.backbone, self.cameras, strict=True)
-        token = keypoints = torch.cat([encoder(batch[camera]) for encoder, camera in pairs], dim=1)
-        keyframe: Tensor | None = None
-        if self.has_keyframe:
-            flat = filtered(self.keyframe_linear(keypoints) + self.keyframe_hidden(keypoints))
-            told: Tensor = flat.unflatten(1, self.keyframe_shape)
-            keyframe = told
+        """Return action chunk (B, S, A), latent parameters and keyframes (B, K, A), `filtered` as (B, K A)."""
+        token, flat = self.backbone(batch)
+        keyframe = filtered(flat).unflatten(1, self.backbone.shape)
+        if keyframe.numel():
+            # The transformer sees no keypoints: late ones follow the hands, and it would follow them. In training it is
+            # told the true keyframes: told predicted ones, with their errors, it would learn to stay short of them.
+            told = keyframe.detach()
             if self.training and "keyframe" in batch:
-                # Told its own errors it would learn to stay short of a keyframe.
                 told = torch.where(batch["keyframe_is_valid"].unsqueeze(-1), batch["keyframe"], told)
-            token = torch.cat([keypoints, told.flatten(1)], dim=1)
+            token = told.flatten(1)
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
         actions, latent = self.act({**inner, OBS_ENV_STATE: token})
         return actions, latent, keyframe
@@ -177,7 +177,7 @@ class SpatialActPolicy(ACTPolicy):
         return self.model(batch, partial(self._mean_look, batch[OBS_STATE][:, -GRIPPERS_N:]))[0]
 
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
-        look = flat.unflatten(1, self.model.keyframe_shape)
+        look = flat.unflatten(1, self.model.backbone.shape)
         if self._due < 0:
             self._total, self._count = torch.zeros_like(look), torch.zeros_like(look)
         if self._due < 0 or (openings - self._at_first).abs().max() > _SWITCHED:
@@ -195,10 +195,10 @@ class SpatialActPolicy(ACTPolicy):
         actions, (mean, log_variance), keyframe = self.model(batch)
         loss = _masked_l1(actions, batch[ACTION], ~batch["action_is_pad"])
         parts = {"l1_loss": float(loss.detach())}
-        if keyframe is not None and "keyframe" in batch:
+        if "keyframe" in batch:
             posture = _masked_l1(keyframe, batch["keyframe"], batch["keyframe_is_valid"])
             parts["keyframe_loss"] = float(posture.detach())
-            loss = loss + self.config.keyframe_weight * posture
+            loss = loss + posture
         if self.config.use_vae and mean is not None and log_variance is not None:
             divergence = (-0.5 * (1 + log_variance - mean.square() - log_variance.exp())).sum(-1).mean()
             parts["kld_loss"] = float(divergence.detach())
