@@ -17,6 +17,7 @@ from test_learning_demonstrations import tiny
 
 from minidual import emergency
 from minidual.config.learning import TrainConfig
+from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv
@@ -487,6 +488,15 @@ def test_keyframes_alone_train_what_reads_the_pictures(demos: Demonstrations) ->
     assert policy.model.backbone.linear.weight.grad is None
     keyframe.sum().backward()
     assert all(_reads(policy))
+
+
+def test_told_all_keyframes_the_transformer_sees_nothing_of_the_pictures(demos: Demonstrations) -> None:
+    policy, batch = _policy_and_batch(demos)
+    batch["keyframe_is_valid"][:] = True
+    actions, _, keyframe = policy.model(batch)
+    other, _, moved = policy.model({**batch, camera_key("high"): -batch[camera_key("high")]})
+    assert not torch.equal(keyframe, moved)
+    assert torch.equal(actions, other)
 
 
 def test_without_keyframes_the_actions_train_it(demos: Demonstrations) -> None:

@@ -162,8 +162,9 @@ class _Loop:
             raise UsageError(
                 f"the training loss became {value} at step {step} (learning rate {rate:.2g}, gradient clip "
                 f"{self.config.gradient_clip:g})",
-                remedy="lower train.learning_rate, for example --set train.learning_rate="
-                f"{self.config.learning_rate / 3:.1g}",
+                remedy="lower both rates, for example --set train.learning_rate="
+                f"{self.config.learning_rate / 3:.1g} --set train.backbone_learning_rate="
+                f"{self.config.backbone_learning_rate / 3:.1g}",
             )
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
         self.consistent = False

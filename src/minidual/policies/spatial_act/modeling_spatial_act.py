@@ -126,7 +126,8 @@ class SpatialActModel(nn.Module):
     def __init__(self, config: SpatialActConfig) -> None:
         super().__init__()
         assert config.action_feature is not None
-        self.backbone = KeyframeReader(config, config.action_feature.shape[0])  # the name has its own learning rate
+        # LeRobot gives what is named backbone a learning rate of its own.
+        self.backbone = KeyframeReader(config, config.action_feature.shape[0])
         token_dim = math.prod(self.backbone.shape) or self.backbone.keypoint_dim
         inputs = {key: ft for key, ft in (config.input_features or {}).items() if ft.type is not FeatureType.VISUAL}
         inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(token_dim,))
