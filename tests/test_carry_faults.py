@@ -28,7 +28,7 @@ DETECTED_S = 0.05
 POINTS = (
     ("approach", 0.0),
     ("approach", 0.5),
-    ("approach", 0.8),
+    ("descend", 0.1),
     ("close", 0.0),
     ("squeeze", 0.1),
     *(("carry", after_s) for after_s in (0.2, 0.4, 0.8, 1.0, 1.4)),
@@ -149,7 +149,7 @@ def a_hand_has_closed_past(world: World) -> bool:
 
 
 SCENARIOS = {
-    "kicked before the grasp": ("knocked_away", "approach", 0.8, rod_moves((0.6, 0.0, 0.0)), None),
+    "kicked before the grasp": ("knocked_away", "descend", 0.1, rod_moves((0.6, 0.0, 0.0)), None),
     "kicked after the release": ("knocked_away", "retreat", 0.1, rod_moves((0.6, 0.0, 0.0)), None),
     "gone when the hands close": ("missed_grasp", "close", 0.0, rod_vanishes, a_hand_has_closed_past),
     "torn from the hands": ("object_lost", "carry", 1.4, rod_vanishes, None),
@@ -185,6 +185,54 @@ def is_told_in_time(found: Run, scenario: str) -> None:
     assert decelerated < (1.5 if name == "slip" else 0.7)
     if name != "lost_arm":
         assert np.abs(found.speeds[-1]).max() < 0.05
+
+
+def test_an_object_that_is_shifted_in_the_approach_is_followed(carry: Carry) -> None:
+    """Before: `knocked_away`."""
+    carry.run(("approach", 0.5), is_followed)
+
+
+def is_followed(found: Run) -> None:
+    world = found.world
+    before_m = world.object_pose()[0, 3]
+    rod_moves((0.6, 0.0, 0.0))(world)
+    while found.carry.phase == "approach":
+        found.step()
+    assert world.object_pose()[0, 3] - before_m > 0.02, "not shifted"
+    found.finish()
+    assert found.carry.fault is None
+    x_m, y_m, _ = sample_trial(world.scene, 5, "faults", 3).goal["rod"]
+    np.testing.assert_allclose(world.object_pose()[:2, 3], (x_m, y_m), atol=0.002)
+
+
+def test_an_object_that_is_shifted_a_third_time_is_a_fault(carry: Carry) -> None:
+    carry.run(("approach", 0.5), is_followed_twice)
+
+
+def is_followed_twice(found: Run) -> None:
+    """The rod is kicked to and fro, each time the hands set out to follow it."""
+    for kick in (0.6, -0.6, 0.6):
+        assert found.carry.fault is None
+        rod_moves((kick, 0.0, 0.0))(found.world)
+        while not found.carry.watch.shifted and found.carry.fault is None:
+            found.step()
+        while found.carry.watch.shifted and found.carry.fault is None:
+            found.step()
+    found.finish()
+    assert found.carry.fault is not None
+    assert (found.carry.fault.name, found.carry.phase) == ("knocked_away", "done")
+    assert found.world.time < 8.0, "it never grasped"
+
+
+def test_an_object_that_is_taken_off_the_table_is_not_followed(carry: Carry) -> None:
+    carry.run(("approach", 0.5), is_not_followed)
+
+
+def is_not_followed(found: Run) -> None:
+    found.world.truth().qpos[2] += 0.1
+    found.finish()
+    assert found.carry.fault is not None
+    assert found.carry.fault.name == "knocked_away"
 
 
 GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
@@ -255,7 +303,7 @@ def one_arm_after_the_other(found: Run) -> None:
 
 def test_motors_that_die_after_another_fault_are_switched_off_too(carry: Carry) -> None:
     """Drives that come back must not find a torque waiting, whatever stopped the arms before."""
-    carry.run(("approach", 0.8), motors_die_after_a_kick)
+    carry.run(("descend", 0.1), motors_die_after_a_kick)
 
 
 def motors_die_after_a_kick(found: Run) -> None:

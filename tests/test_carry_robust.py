@@ -86,7 +86,7 @@ def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
 
     def watch(world, driven):
         if driven.phase == "unload" and not ends:
-            ends.append(driven.desired.T_world_object[:3, 3] - driven.watch.T_world_object[:3, 3])
+            ends.append(driven.stack.impedance.desired.T_world_object[:3, 3] - driven.watch.T_world_object[:3, 3])
             ends.append(float(driven.watch.T_world_object[2, 3]))
 
     result, _ = Bench("impedance", MethodInputs(config, 20260)).run(

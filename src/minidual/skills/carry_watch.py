@@ -57,6 +57,8 @@ class CarryWatch:
         self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
         self.grip_limit_n = math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
+        self.shifted = False
+        """Whether the untouched object was shifted, and followed."""
 
     # Estimates ---------------------------------------------------------------------------------------------
 
@@ -152,12 +154,16 @@ class CarryWatch:
                 found = found or monitor.frozen(name, moving and any(same[part]), 3)
         return found
 
-    def resting(self) -> Fault | None:
-        """Average a pose of the untouched object; check it."""
+    def resting(self, *, follow: bool) -> Fault | None:
+        """Average a pose of the untouched object; check it, or `follow` where it was shifted."""
         if self._reading.pose is None:
             return None
-        self._resting.add(self._reading.pose.T_world_object)
-        return self._monitor.resting(self._resting.innovation)
+        now, before = self._reading.pose.T_world_object, self.T_world_object
+        self._resting.add(now)
+        found = self._monitor.resting(self._resting.innovation)
+        if found is not None and follow and abs(now[2, 3] - before[2, 3]) < self._config.faults.displaced_m:
+            found, self._resting, self.shifted = None, RestingEstimate(now), True
+        return found
 
     def closing(self, t_s: float) -> Fault | None:
         """Check closing hands; follow the object."""

@@ -11,7 +11,7 @@ import numpy as np
 from minidual.config.control import ArbiterConfig, CarryConfig
 from minidual.config.seeds import stream
 from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.impedance import ObjectPath, ObjectState, SingularPostureError
+from minidual.control.impedance import ObjectPath, SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import STOP_SHARE, SoftStop
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
@@ -84,7 +84,7 @@ class ImpedanceCarry:
         self.stack.on_flush(self._flushed)
         self.phase, self._began_s, self._sequence = "approach", world.time, 0
         self.fault: Fault | None = None
-        self._halted, self._stop_s = False, 0.0
+        self._halted, self._follows, self._stop_s = False, True, 0.0
         self._told: Array | None = None
         self._broken: BaseException | None = None
         self._asked_for: str | None = None
@@ -101,11 +101,6 @@ class ImpedanceCarry:
     def aborted(self) -> str | None:
         """Text of the fault, or None."""
         return None if self.fault is None else self.fault.text
-
-    @property
-    def desired(self) -> ObjectState | None:
-        """Desired object state; None unless controller C is active."""
-        return self.stack.impedance.desired if self._law_drives else None
 
     def step(self) -> None:
         """Run one control step.
@@ -164,7 +159,12 @@ class ImpedanceCarry:
         q = world.q
         while stack.source != SOURCE:
             yield
-        yield from self._move("approach", q, q_over)
+        for self._follows in (True, True, False):  # shifted a third time, it is a fault
+            yield from self._move("approach", q, q_over)
+            if not watch.shifted:
+                break
+            q, watch.shifted = q_over, False
+            q_over = self._grasp(q, above_m=PHASES["approach"].rise_m)
         q = self._grasp(q_over)  # of the mean of all poses so far, about a hundred
         rest_m = float(watch.T_world_object[2, 3])
         yield from self._move("descend", q_over, q)
@@ -245,10 +245,6 @@ class ImpedanceCarry:
 
     # Faults ---------------------------------------------------------------------------------------------
 
-    @property
-    def _law_drives(self) -> bool:
-        return self.stack.manager.active == OBJECT_CONTROLLERS
-
     def _look(self) -> None:
         self.watch.sense()
         lost = None if self._told is None else self.watch.motors(self._told)
@@ -266,12 +262,12 @@ class ImpedanceCarry:
         untouched = phase in ("approach", "descend", "retreat")
         hands = None if phase in ("approach", "descend", "stop", "done") else watch.grippers(_TOLD.get(phase, ""))
         if hands is not None or untouched:
-            return hands or watch.resting()
+            return hands or watch.resting(follow=self._follows and phase == "approach")
         if phase == "close":
             return None if watch.gripped else watch.closing(self.world.time - self._began_s)
         # the arbiter's stop leaves the object squeezed
-        held = phase in ("squeeze", "carry") or (phase in ("stop", "done") and self._law_drives)
-        return watch.holding(steady=phase == "carry") if held else None
+        pressed = phase in ("stop", "done") and self.stack.manager.active == OBJECT_CONTROLLERS
+        return watch.holding(steady=phase == "carry") if pressed or phase in ("squeeze", "carry") else None
 
     def _halt(self, fault: Fault | None) -> None:
         if fault is None or self._halted:

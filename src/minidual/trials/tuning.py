@@ -15,6 +15,7 @@ from minidual.config.root import Config, changed
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
+from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.task import Trial, make_task
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.metrics import TrialMetrics
@@ -205,7 +206,7 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> TrialMetrics:
     def watch(world: World, method: Method) -> None:
         nonlocal count
         count += 1
-        desired = getattr(method, "desired", None)
+        desired = method.stack.impedance.desired if isinstance(method, ImpedanceCarry) else None
         if count % every == 0 and method.phase == "carry" and desired is not None:
             errors.append(world.object_pose(bench.task.carried)[:3, 3] - desired.T_world_object[:3, 3])
 
