@@ -79,3 +79,21 @@ def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(tmp_path: Path, m
     assert titles == ["hold, object colour, trial 3", f"{result.failure} at {result.failed_at_s:.2f} s", result.reason]
     assert all(picture.std() > 20.0 for _, picture in drawn)
     assert imread(tmp_path / "failures.png").std() > 0.02
+
+
+def test_a_picture_that_cannot_be_finished_leaves_the_older_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, grey = tmp_path / "plan.png", np.full((8, 8, 3), 128, dtype=np.uint8)
+    canvas.sheet([("first", grey)], 1, path)
+    older = path.read_bytes()
+
+    def fails_half_way(self: object, target: Path, **options: object) -> None:
+        Path(target).write_bytes(b"half")
+        raise OSError("no space left")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fails_half_way)
+    with pytest.raises(OSError, match="no space left"):
+        canvas.sheet([("second", grey)], 1, path)
+    assert path.read_bytes() == older
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.png"]

@@ -6,6 +6,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from minidual.durable import replacing
+
 INK, LIMIT = "#1f3b57", "#c0392b"
 BLUE, ORANGE, GREEN = "#2f6db5", "#e07b27", "#3a9a5b"
 
@@ -27,7 +29,7 @@ def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "
 
 
 def sheet(images: Sequence[tuple[str, Any]], columns: int, path: Path, title: str = "", width_in: float = 3.4) -> None:
-    """Write titled images (H, W, 3) to one file."""
+    """Write titled images (H, W, 3) to one PNG, atomically."""
     rows = -(-len(images) // columns)
     height, width = images[0][1].shape[:2]
     figure, axes = new_figure(rows, columns, width_in * columns, (width_in * height / width + 0.3) * rows + 0.3)
@@ -38,7 +40,8 @@ def sheet(images: Sequence[tuple[str, Any]], columns: int, path: Path, title: st
         axis.set_title(name, fontsize=10, loc="left")
     if title:
         figure.suptitle(title, fontsize=12)
-    figure.savefig(path, metadata={"Software": None})
+    with replacing(path) as partial:  # `plan --picture` may replace a user's file
+        figure.savefig(partial, format="png", metadata={"Software": None})
 
 
 def draw_occlusion(maps: Mapping[str, tuple[Any, Any]], path: Path) -> None:
