@@ -90,6 +90,20 @@ def test_hands_err_along_what_they_grasp_until_they_are_down() -> None:
     assert 0.3 < speed.max() <= 0.61, "the plan itself keeps its share of the speed"
 
 
+def test_a_hand_that_takes_an_object_from_the_other_one_does_not_err() -> None:
+    config = Config(task="handover")
+    exact, erring = (
+        demonstrated(
+            task := make_task(changed(config, {"teleop.operator.along_noise_m": noise_m})), task.trial(1, "d", 0)
+        )
+        for noise_m in (0.0, 0.03)
+    )
+    closes = int(np.argmax(exact.gripper.min(axis=1) < 1.0))
+    assert 0 < closes < np.argmax(exact.gripper.max(axis=1) < 1.0), "one hand holds before the other one closes"
+    assert np.abs(erring.q[:closes] - exact.q[:closes]).max() > 0.01, "before, it errs"
+    np.testing.assert_allclose(erring.q[closes:], exact.q[closes:], atol=1e-9)
+
+
 def test_a_trial_is_planned_alike_every_time() -> None:
     task, trial, demo = sorted_cubes()
     np.testing.assert_array_equal(demonstrated(task, trial).q, demo.q)

@@ -17,7 +17,7 @@ from minidual.motion.ik import GROUP_ARMS, ArmIK, posture_at, solvers
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.cycle import solve
-from minidual.skills.phases import PHASES, State
+from minidual.skills.phases import OPEN, PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
 _LASTS_S = {"approach": 1.8, "correct": 0.6, "descend": 0.9, "close": PHASES["close"].hold_s, "lift": 0.8, "carry": 2.0}
@@ -157,7 +157,7 @@ def _between(T_from: Array, T_to: Array, s: float) -> Array:
 
 
 def demonstrate_plan(task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float) -> Demonstration:
-    """Return the task's plan as a demonstration; hands err along what they grasp until they are down.
+    """Return the task's plan as a demonstration; while both are open, hands err along what they grasp until they are down.
 
     Raises:
         TaskFailedError: There is no plan.
@@ -175,7 +175,8 @@ def demonstrate_plan(task: Task, trial: Trial, planner: Planner, *, seed: int, r
         slower = max(1.0, float(np.abs(motion.v / robot.v_max).max()) / _SPEED_SHARE)
         times: Array = np.arange(0.0, motion.duration_s, 1.0 / (slower * rate_hz), dtype=float)
         planned = motion.sample_many(times)[0]
-        if segment.phase in ("approach", "descend"):
+        # a hand that takes something from the other one needs its room
+        if segment.phase in ("approach", "descend") and min(segment.openings) == OPEN:
             arrived = np.array([minimum_jerk(t / motion.duration_s)[0] for t in times.tolist()])
             shares = arrived if segment.phase == "approach" else 1.0 - arrived
             for side in GROUP_ARMS[motion.group]:
