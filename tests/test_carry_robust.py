@@ -58,6 +58,29 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
     assert "slip" in result.aborted
 
 
+@pytest.mark.parametrize(
+    ("task", "purpose", "index", "name"),
+    [
+        ("rod_carry", "benchmark", 13, "randomised"),
+        ("rod_carry", "benchmark", 68, "randomised"),
+        ("pot_lift", "tune21", 1, "clean"),
+    ],
+)
+def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
+    """Before, a pad lost what it pinched with 60 N for single steps, because contacts were too stiff."""
+    config = Config(task=task)
+    bench, pinch = Bench("impedance", MethodInputs(config, config.seed)), []
+
+    def watch(world, driven):
+        if driven.phase == "carry":
+            pinch.append(min(world.truth(bench.task.carried).look()[12:14]))
+
+    result, _ = bench.run(bench.task.trial(config.seed, purpose, index), condition=name, on_step=watch)
+    assert result.success, result.text
+    assert len(pinch) > 1000
+    assert min(pinch) > 45.0
+
+
 def test_a_camera_is_trusted_as_far_as_it_scatters():
     rng = np.random.default_rng(0)
     for sigma_m, moved_m, told in ((0.0005, 0.006, True), (0.0015, 0.006, False), (0.0015, 0.02, True)):

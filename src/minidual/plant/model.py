@@ -70,9 +70,9 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
 
 _LOOK = rows_beside(__file__)
 GROUP_VISUAL, GROUP_MARKER, GROUP_COLLISION, GOAL_MARK = 1, 2, 3, "goal_mark"
-# Stiff contacts with little creep; docs/simulation.md compares cone and impratio.
-SOLREF = [0.002, 1.0]
-SOLIMP = [0.99, 0.999, 0.001, 0.5, 2.0]
+# Stiff contacts with little creep. Stiffer ones lose contact for single steps (docs/simulation.md).
+SOLREF = [0.0025, 1.0]
+SOLIMP = [0.985, 0.9985, 0.001, 0.5, 2.0]
 # Contact distance of flat faces. Without it parallel faces lose contact for single steps and the fingers jump.
 _FACE_MARGIN_M = 0.0002
 _BAND_M = 0.0006
