@@ -22,7 +22,7 @@ _COMPARE_S, _GRIPPERS_S = 0.01, 0.004
 _FORCES = {"the left hand's force": slice(3), "the right hand's force": slice(3, 6), "the pinch": slice(6, 8)}
 _SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
 _EASED = 0.75  # share of the force felt at slip onset, requested afterwards
-_EASE_MARGIN = 1.1  # lower bound of that request, relative to the task's need
+_EASE_MARGIN = 1.25  # lower bound of that request, relative to the task's need
 
 
 class CarryWatch:
