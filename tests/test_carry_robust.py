@@ -82,11 +82,11 @@ def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
 
 
 def test_an_eased_squeeze_keeps_clear_of_what_the_task_needs():
-    """Before, 19.4 N."""
+    """Before, 18.0 N."""
     bench = Bench("impedance", MethodInputs(Config(), 20260))
-    result, _ = bench.run(sample_trial(Config().scene, 20260, "benchmark", 18), condition="friction 0.3")
+    result, _ = bench.run(sample_trial(Config().scene, 20260, "benchmark", 59), condition="randomised")
     assert result.success, result.text
-    assert 22.0 < result.internal_force_min_n < 30.0, "eased, and not too far"
+    assert 21.0 < result.internal_force_min_n < 30.0, "eased, and not too far"
 
 
 def test_a_camera_is_trusted_as_far_as_it_scatters():
