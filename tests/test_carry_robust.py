@@ -16,44 +16,36 @@ from minidual.skills import impedance_carry
 from minidual.skills.faults import FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.planned_carry import PlannedCarry
-from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
 
-@pytest.fixture(scope="module")
-def bench() -> Bench:
-    return Bench("impedance", MethodInputs(Config(), 11))
+def carry(name: str):
+    """Carry under a condition; return the result, the squeezes that were wanted, and the bench."""
+    bench, wanted = Bench("impedance", MethodInputs(Config(), 11), name), []
+    trial = sample_trial(bench.world.scene, 11, "robust", 0)
+    result, _ = bench.run(trial, on_step=lambda world, method: wanted.append(method.watch.squeeze_n))
+    return result, wanted, bench
 
 
-def carry(bench: Bench, name: str):
-    wanted = []
-    result, _ = bench.run(
-        sample_trial(bench.world.scene, 11, "robust", 0),
-        condition=name,
-        on_step=lambda world, method: wanted.append(method.watch.squeeze_n),
-    )
-    return result, wanted
-
-
-def test_a_smoother_object_is_squeezed_less_and_not_lost(bench):
-    result, wanted = carry(bench, "friction 0.3")
+def test_a_smoother_object_is_squeezed_less_and_not_lost():
+    result, wanted, bench = carry("friction 0.3")
     assert result.success, result.text
     # 2 mu F_pinch = 36 N cannot carry 40 N of squeeze
     assert wanted[-1] < 2.0 * 0.3 * bench.world.scene.physics.finger_force_max_n
     assert result.internal_force_min_n > bench.world.scene.task.internal_force_min_n
 
 
-def test_an_object_as_expected_is_squeezed_as_told(bench):
-    result, wanted = carry(bench, "clean")
+def test_an_object_as_expected_is_squeezed_as_told():
+    result, wanted, _ = carry("clean")
     assert result.success, result.text
     assert set(wanted) == {Config().carry.impedance.internal_force_n}
 
 
-def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
+def test_a_grip_that_slips_at_any_squeeze_is_given_up():
     config = changed(Config(), {"carry.impedance.pinch_n": 30.0})  # 2 * 0.3 * 30 = 18 N, less than the task needs
-    weak = Bench("impedance", MethodInputs(config, 11))
-    result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0), condition="friction 0.3")
+    weak = Bench("impedance", MethodInputs(config, 11), "friction 0.3")
+    result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0))
     assert not result.success
     assert "slip" in result.aborted
 
@@ -69,13 +61,13 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up(bench):
 def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
     """Before, a pad lost what it pinched with 60 N for single steps, because contacts were too stiff."""
     config = Config(task=task)
-    bench, pinch = Bench("impedance", MethodInputs(config, config.seed)), []
+    bench, pinch = Bench("impedance", MethodInputs(config, config.seed), name), []
 
     def watch(world, driven):
         if driven.phase == "carry":
             pinch.append(min(world.truth(bench.task.carried).look()[12:14]))
 
-    result, _ = bench.run(bench.task.trial(config.seed, purpose, index), condition=name, on_step=watch)
+    result, _ = bench.run(bench.task.trial(config.seed, purpose, index), on_step=watch)
     assert result.success, result.text
     assert len(pinch) > 1000
     assert min(pinch) > 45.0
@@ -83,8 +75,8 @@ def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
 
 def test_an_eased_squeeze_keeps_clear_of_what_the_task_needs():
     """Before, 18.0 N."""
-    bench = Bench("impedance", MethodInputs(Config(), 20260))
-    result, _ = bench.run(sample_trial(Config().scene, 20260, "benchmark", 59), condition="randomised")
+    bench = Bench("impedance", MethodInputs(Config(), 20260), "randomised")
+    result, _ = bench.run(sample_trial(Config().scene, 20260, "benchmark", 59))
     assert result.success, result.text
     assert 21.0 < result.internal_force_min_n < 30.0, "eased, and not too far"
 
@@ -98,35 +90,30 @@ def test_a_camera_is_trusted_as_far_as_it_scatters():
         assert (monitor.resting((moved_m, 0.0)) or monitor.resting((moved_m, 0.0)) is not None) is told
 
 
-def test_worse_sensing_raises_no_false_alarm(bench):
-    noise = condition("pose noise x3")
-    config = noise.config_under(Config())
+def test_worse_sensing_raises_no_false_alarm():
+    result, _, bench = carry("pose noise x3")
     for name in ("pose_noise_m", "pose_noise_rad"):
-        assert getattr(config.carry.sensing, name) == 3.0 * getattr(Config().carry.sensing, name) > 0.0
-    result, _ = carry(Bench("impedance", MethodInputs(config, 11)), noise.name)
+        assert getattr(bench.task.config.carry.sensing, name) == 3.0 * getattr(Config().carry.sensing, name) > 0.0
     assert result.success, result.text
-    plain, _ = carry(bench, "clean")
-    assert result.to_row() != {**plain.to_row(), "condition": noise.name}, "the noise was not sensed"
+    plain, _, _ = carry("clean")
+    assert result.to_row() != {**plain.to_row(), "condition": "pose noise x3"}, "the noise was not sensed"
 
 
 def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
     """All joints dry, and a camera that is off: the spring stops short of the goal, and the path goes on by that."""
-    all_at_once = condition("randomised")
-    config = all_at_once.config_under(Config())
-    ends = []
+    bench, ends = Bench("impedance", MethodInputs(Config(), 20260), "randomised"), []
 
     def watch(world, driven):
         if driven.phase == "unload" and not ends:
             ends.append(driven.stack.impedance.desired.T_world_object[:3, 3] - driven.watch.T_world_object[:3, 3])
             ends.append(float(driven.watch.T_world_object[2, 3]))
 
-    result, _ = Bench("impedance", MethodInputs(config, 20260)).run(
-        sample_trial(config.scene, 20260, "benchmark", 0), condition=all_at_once.name, on_step=watch
-    )
+    assert bench.task.config.carry.sensing.pose_bias_m > 0.0
+    result, _ = bench.run(sample_trial(bench.task.scene, 20260, "benchmark", 0), on_step=watch)
     assert result.success, result.text
     stretched_m, height_m = ends
     assert np.linalg.norm(stretched_m) > 0.005, "no friction"
-    assert abs(height_m - config.scene.object.rest_height_m) < 0.006, "let go in the air"
+    assert abs(height_m - bench.task.scene.object.rest_height_m) < 0.006, "let go in the air"
 
 
 def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
@@ -174,9 +161,9 @@ def test_a_plan_begins_with_objects_at_their_known_height():
     assert seen["rod"][2, 3] - height_m > 0.006
 
 
-def test_a_smooth_object_slips_before_it_is_lifted(bench):
+def test_a_smooth_object_slips_before_it_is_lifted():
     """Friction 0.36: the pads carry 43 N, more than the 40 N of the squeeze and less than the 46 N that are tried."""
-    slid, told_n = {}, Config().carry.impedance.internal_force_n
+    bench, slid, told_n = Bench("impedance", MethodInputs(Config(), 11)), {}, Config().carry.impedance.internal_force_n
 
     def watch(world, driven):
         if driven.watch.squeeze_n < told_n:

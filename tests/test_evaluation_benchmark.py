@@ -113,10 +113,7 @@ def test_all_methods_and_conditions_have_the_same_starts(asked: list[Any]) -> No
     longest = max((starts for _, _, starts, _ in asked), key=len)
     assert all(starts == longest[: len(starts)] for _, _, starts, _ in asked)
     assert {(m, c) for m, c, _, _ in asked} == {(m, c) for m in METHODS for c in ASKED} - BLANK
-    for _, name, _, config in asked:
-        assert config == changed(Config(), CONDITIONS[name].settings_under(Config())), (
-            "a sensor's setting was lost or stayed"
-        )
+    assert all(config == Config() for _, _, _, config in asked), "a bench makes a condition's settings, and it alone"
 
 
 def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
@@ -319,9 +316,8 @@ def test_a_method_that_can_do_none_of_the_tasks_is_refused_by_name(
 
 def carried(method: str, condition: str, steps: int) -> Iterator[np.ndarray]:
     """Yield the joints after each of the first steps of a real trial under a condition."""
-    config = changed(Config(), CONDITIONS[condition].settings_under(Config()))
-    bench = Bench(method, MethodInputs(config, SEED))
-    trial = sample_trial(config.scene, SEED, "benchmark", 0)
+    bench = Bench(method, MethodInputs(Config(), SEED), condition)
+    trial = sample_trial(bench.task.scene, SEED, "benchmark", 0)
     with CONDITIONS[condition].applied(bench.world.model, bench.task, trial, np.random.default_rng(0)):
         bench.world.reset(poses=trial.start)
         run = bench.factory(bench.world, bench.kinematics, trial)
@@ -367,9 +363,9 @@ def test_an_object_that_somebody_moved_was_not_pushed_by_the_hands(name: str) ->
     """20 mm is as far as `stood` lets an object slide."""
     config = make_task(Config(task=name)).config
     scene = config.scene.model_copy(update={"task": config.scene.task.model_copy(update={"time_limit_s": 1.2})})
-    bench = Bench("hold", MethodInputs(config.model_copy(update={"scene": scene}), SEED))
+    bench = Bench("hold", MethodInputs(config.model_copy(update={"scene": scene}), SEED), "moved 20 mm")
     for index in range(4):
-        result, _ = bench.run(bench.task.trial(SEED, "benchmark", index), condition="moved 20 mm")
+        result, _ = bench.run(bench.task.trial(SEED, "benchmark", index))
         assert result.disturbed
         assert "stood" not in result.text
         assert result.measured["impulse_max_ns"] < 0.1, "the jump, 20 mm in 4 ms, is no contact"
@@ -377,9 +373,8 @@ def test_an_object_that_somebody_moved_was_not_pushed_by_the_hands(name: str) ->
 
 def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
     hasty = changed(Config(), {"carry.faults.grasp_timeout_s": 0.15})
-    result, _ = Bench("impedance", MethodInputs(hasty, SEED)).run(
-        sample_trial(hasty.scene, SEED, "benchmark", 0), condition="moved 20 mm"
-    )
+    bench = Bench("impedance", MethodInputs(hasty, SEED), "moved 20 mm")
+    result, _ = bench.run(sample_trial(hasty.scene, SEED, "benchmark", 0))
     assert not result.success
     assert "missed_grasp" in result.aborted
     assert result.disturbed is True
@@ -393,7 +388,7 @@ def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
 def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
     monkeypatch: pytest.MonkeyPatch, typed: str, stops_s: float, disturbed: bool | None
 ) -> None:
-    bench = Bench("impedance", MethodInputs(Config(), SEED))
+    bench = Bench("impedance", MethodInputs(Config(), SEED), typed)
     build = bench.factory
 
     def short(*given: Any) -> Any:
@@ -406,7 +401,7 @@ def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
     streams: list[str] = []
     draw = runner.stream
     monkeypatch.setattr(runner, "stream", lambda seed, name, index: streams.append(name) or draw(seed, name, index))
-    result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0), condition=typed)
+    result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0))
     assert result.disturbed is disturbed
     assert result.condition == CONDITIONS[typed.replace("_", " ")].name
     assert f"disturbance/benchmark/{result.condition}" in streams
@@ -415,11 +410,35 @@ def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
 def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
     """What another split over processes changes: which trials a bench has run before."""
     first, second = (sample_trial(Config().scene, SEED, "benchmark", i) for i in range(2))
-    used, fresh = (Bench("impedance", MethodInputs(Config(), SEED)) for _ in range(2))
     for name in ("mass +50 %", "moved 20 mm"):
-        used.run(first, condition=name)
-    rows = [same_row(bench.run(second, condition="moved 20 mm")[0]) for bench in (used, fresh)]
-    assert rows[0] == rows[1]
+        used, fresh = (Bench("impedance", MethodInputs(Config(), SEED), name) for _ in range(2))
+        used.run(first)
+        rows = [same_row(bench.run(second)[0]) for bench in (used, fresh)]
+        assert rows[0] == rows[1]
+
+
+def test_a_trial_under_a_condition_has_its_settings_however_it_is_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, a caller had to set them, and trials that were run by hand under `randomised` had no sensor offset."""
+    told: list[tuple[float, float]] = []
+    load = methods.load_target
+
+    def loaded(target: str) -> Any:
+        def factory(inputs: MethodInputs) -> Any:
+            told.append((inputs.config.carry.sensing.pose_bias_m, inputs.config.carry.sensing.pose_noise_m))
+            return load(target)(inputs)
+
+        return factory
+
+    monkeypatch.setattr(methods, "load_target", loaded)
+    inputs = MethodInputs(Config(), SEED)
+    trial = sample_trial(Config().scene, SEED, "benchmark", 0)
+    usual = Config().carry.sensing
+    names = (CLEAN, "randomised", "pose noise x3")
+    for name in names:
+        list(run_trials("hold", inputs, [trial], workers=1, condition=name))
+    run_benchmark(["hold"], dict.fromkeys(names, 1), inputs, workers=1)
+    wanted = [(0.0, usual.pose_noise_m), (0.003, usual.pose_noise_m), (0.0, 3.0 * usual.pose_noise_m)]
+    assert told == [*wanted, *wanted[:2]], "nothing reads a pose in `hold`, so the benchmark leaves the last one out"
 
 
 @pytest.mark.slow

@@ -71,17 +71,6 @@ def test_every_condition_has_the_same_starts(outcomes):
     assert all(starts == asked[0][2] for _, _, starts in asked)
 
 
-def test_settings_of_a_condition_reach_its_trials(outcomes):
-    found()
-    for name, config, _ in outcomes[1]:
-        document = config.model_dump()
-        for path, value in CONDITIONS[name].settings_under(Config()).items():
-            section = document
-            for step in path.split("."):
-                section = section[step]
-            assert section == value
-
-
 def test_three_of_twenty_is_at_the_limit_and_two_is_not(outcomes):
     failures, _ = outcomes
     failures.update({"friction 0.3": 3, "push +x": 2})

@@ -14,7 +14,7 @@ from minidual.robot.pair import robot_from
 from minidual.show.figures import canvas
 from minidual.show.figures.film import Postures, draw_failures, film_postures, sheet_of_postures
 from minidual.show.figures.trial import draw_trial
-from minidual.trials.benchmark import under_condition
+from minidual.trials.benchmark import draw_under
 from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
@@ -63,8 +63,9 @@ def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> 
 
 def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`hold` never lifts the rod, so every trial of it fails; the condition is that of the trial."""
-    inputs, trial = under_condition(MethodInputs(Config(), 7), "object colour")
-    result, _ = Bench("hold", inputs).run(trial(3), condition="object colour")
+    inputs = MethodInputs(Config(), 7)
+    trial = draw_under(inputs, "object colour")
+    result, _ = Bench("hold", inputs, "object colour").run(trial(3))
     assert not result.success
     drawn: list[tuple[str, Any]] = []
     write = canvas.sheet

@@ -475,9 +475,7 @@ def soft() -> Bench:
     return Bench("impedance", MethodInputs(TASK.config, TASK.config.seed))
 
 
-def controllers_of(
-    bench: Bench, trial: Trial, condition: str = "clean"
-) -> tuple[Any, dict[str, set[tuple[str, ...]]], float]:
+def controllers_of(bench: Bench, trial: Trial) -> tuple[Any, dict[str, set[tuple[str, ...]]], float]:
     """Return a trial's result, the controllers of each phase, and the largest force of the right hand in the last ones."""
     active: dict[str, set[tuple[str, ...]]] = {}
     forces = [0.0]
@@ -488,7 +486,7 @@ def controllers_of(
         if method.phase in ("insert", "settle"):
             forces.append(float(np.linalg.norm(world.truth(PEG).forces()[1])))
 
-    result, _ = bench.run(trial, condition=condition, on_step=look)
+    result, _ = bench.run(trial, on_step=look)
     return result, active, max(forces)
 
 
@@ -502,24 +500,28 @@ def test_by_impedance_the_right_hand_alone_is_soft_and_presses_little(soft: Benc
     assert active == by_position | {phase: {("left_arm", "right_hand")} for phase in ("insert", "settle")}
 
 
+def stiff_joint(method: str) -> Bench:
+    return Bench(method, MethodInputs(TASK.config, TASK.config.seed), "joint friction x2")
+
+
 @pytest.mark.slow
-def test_by_impedance_the_peg_goes_in_where_the_search_of_moveit_fails(bench: Bench, soft: Bench) -> None:
+def test_by_impedance_the_peg_goes_in_where_the_search_of_moveit_fails() -> None:
     trial = TASK.trial(TASK.config.seed, "benchmark", 13)
-    missed, _ = bench.run(trial, condition="joint friction x2")
+    missed, _ = stiff_joint("moveit").run(trial)
     assert not missed.success
-    found, _, force_n = controllers_of(soft, trial, "joint friction x2")
+    found, _, force_n = controllers_of(stiff_joint("impedance"), trial)
     assert found.success, found.text
     assert force_n < 25.0
 
 
 @pytest.mark.slow
-def test_the_search_finds_a_bore_that_a_straight_move_misses(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_finds_a_bore_that_a_straight_move_misses(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a stiff joint, the tip of trial 6 comes 6 mm beside the axis and 1.7 degrees aslant."""
-    trial = TASK.trial(TASK.config.seed, "benchmark", 6)
-    found, _ = bench.run(trial, condition="joint friction x2")
+    bench, trial = stiff_joint("moveit"), TASK.trial(TASK.config.seed, "benchmark", 6)
+    found, _ = bench.run(trial)
     assert found.success, found.text
     monkeypatch.setattr(hands, "_spiral", lambda T: ())
-    missed, _ = bench.run(trial, condition="joint friction x2")
+    missed, _ = bench.run(trial)
     assert not missed.success
     assert missed.measured["depth_m"] == 0.0
 

@@ -26,7 +26,6 @@ from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.sort import bin_of, side_of
 from minidual.tasks.task import Step, Task, Trial, make_task, pose_of
-from minidual.trials.conditions import condition
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
@@ -396,12 +395,10 @@ def test_driven_it_sorts(method: str) -> None:
 
 @pytest.mark.slow
 def test_a_camera_that_sees_cubes_too_high_makes_position_drop_them_and_not_force() -> None:
-    under = condition("randomised")
-    config = under.config_under(TASK.config)
-    task, found = make_task(config), {}
+    found = {}
     for method in ("moveit", "impedance"):
-        bench = Bench(method, MethodInputs(config, config.seed))
-        found[method] = bench.run(task.trial(20260, "benchmark", 6), condition=under.name)[0]
+        bench = Bench(method, MethodInputs(TASK.config, TASK.config.seed), "randomised")
+        found[method] = bench.run(TASK.trial(20260, "benchmark", 6))[0]
     assert not found["moveit"].success
     assert "held" in found["moveit"].text
     assert found["impedance"].success, found["impedance"].text

@@ -10,15 +10,15 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
-from minidual.tasks.task import Trial, tasks_of
+from minidual.tasks.task import tasks_of
 from minidual.trials.benchmark import (
     BenchmarkCell,
     benchmark_data,
     count_trials,
+    draw_under,
     first_failures,
     run_benchmark,
     trials_asked,
-    under_condition,
 )
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs
@@ -99,15 +99,10 @@ def run(context: StageContext) -> StageResult:
             if failed := first_failures(trials):
                 name = f"failures-{task}.png"
                 captions[name] = f"{task}: failed trials, the first of each kind"
-                draw_failures([(*_again(given, t), t) for t in failed], folder / name)
+                draw_failures([(given, draw_under(given, t.condition)(t.index), t) for t in failed], folder / name)
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
             tables["conditions"] += [{"task": task, **c.row()} for c in cells]
     for name, rows in tables.items():
         write_csv(folder / f"{name}.csv", rows, missing="does not apply")
     return StageResult(checks=checks, data={"tasks": data, "captions": captions})
-
-
-def _again(inputs: MethodInputs, result: TrialMetrics) -> tuple[MethodInputs, Trial]:
-    given, trial = under_condition(inputs, result.condition)
-    return given, trial(result.index)

@@ -90,12 +90,11 @@ def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: Me
     return sum(n for m in methods for c, n in trials_n.items() if not _why_not(m, c, inputs))
 
 
-def under_condition(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> tuple[MethodInputs, Draw]:
-    """Return the inputs under a condition, and the draw of its trials."""
+def draw_under(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> Draw:
+    """Return the draw of a condition's trials."""
     under = condition(name)
-    given = inputs._replace(config=under.config_under(inputs.config))
-    task = make_task(given.config)
-    return given, lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
+    task = make_task(under.config_under(inputs.config))
+    return lambda index: task.trial(inputs.seed, purpose, index, widen=under.widen)
 
 
 def first_failures(trials: Sequence[TrialMetrics]) -> list[TrialMetrics]:
@@ -121,17 +120,17 @@ def run_benchmark(
     Raises:
         UsageError: A condition sets a value out of bounds; before the first trial.
     """
-    drawn = {name: under_condition(inputs, name, purpose) for name in trials_n}
+    drawn = {name: draw_under(inputs, name, purpose) for name in trials_n}
     cells: list[BenchmarkCell] = []
     everything: list[TrialMetrics] = []
     for method in methods:
         for name, n in trials_n.items():
-            under, (given, trial) = condition(name), drawn[name]
+            under = condition(name)
             if reason := _why_not(method, name, inputs):
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
-            rows, asked = list[TrialMetrics](), [*map(trial, range(n))]
-            for result in run_trials(method, given, asked, workers=workers, condition=name, watch=watch):
+            rows, asked = list[TrialMetrics](), [*map(drawn[name], range(n))]
+            for result in run_trials(method, inputs, asked, workers=workers, condition=name, watch=watch):
                 rows.append(result)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")

@@ -46,12 +46,17 @@ type Judged = tuple[TrialMetrics, TrialLog]
 
 
 class Bench:
-    """A world and a method for many trials; `visuals` compiles visual meshes."""
+    """A world and a method for many trials under one condition, with its settings; `visuals` compiles visual meshes.
 
-    def __init__(self, method: str, inputs: MethodInputs, *, visuals: bool = False) -> None:
+    Raises:
+        UsageError: The condition sets a value out of bounds.
+    """
+
+    def __init__(self, method: str, inputs: MethodInputs, condition: str = CLEAN, *, visuals: bool = False) -> None:
         self.method, self.seed = method, inputs.seed
         self.spec: MethodSpec = METHODS[method]
-        self.task: Task = make_task(inputs.config)
+        self.condition = named_condition(condition)
+        self.task: Task = make_task(self.condition.config_under(inputs.config))
         check_able(method, [self.task], inputs.trained or self.task.name)
         robot = robot_from(inputs.config.robot)
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
@@ -59,9 +64,9 @@ class Bench:
         self.hands = Hands(self.kinematics)
         self.factory = self.spec.factory(inputs._replace(config=self.task.config))  # with the settings of the task
 
-    def run(self, trial: Trial, *, condition: str = CLEAN, on_step: StepHook = lambda world, method: None) -> Judged:
+    def run(self, trial: Trial, *, on_step: StepHook = lambda world, method: None) -> Judged:
         """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
-        spec = named_condition(condition)
+        spec = self.condition
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
         disturb = None if spec.act is None else spec.act(self.task, rng)
         with spec.applied(self.world.model, self.task, trial, rng):
@@ -144,11 +149,11 @@ class Bench:
 _BENCHES: dict[str, Bench] = {}
 
 
-def _bench(method: str, inputs: MethodInputs) -> Bench:
-    key = f"{method}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
+def _bench(method: str, inputs: MethodInputs, condition: str) -> Bench:
+    key = f"{method}/{condition}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
     if key not in _BENCHES:
         _BENCHES.clear()
-        _BENCHES[key] = Bench(method, inputs)
+        _BENCHES[key] = Bench(method, inputs, condition)
     return _BENCHES[key]
 
 
@@ -163,9 +168,9 @@ def run_trials(
 ) -> Iterator[TrialMetrics]:
     """Run trials in parallel, or watched in this process; yield results in order."""
     if watch is not None:
-        bench = Bench(method, inputs)
+        bench = Bench(method, inputs, condition)
         for number, trial in enumerate(trials, start=1):
             title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
-            yield bench.run(trial, condition=condition, on_step=watch(bench, title))[0]
+            yield bench.run(trial, on_step=watch(bench, title))[0]
         return
-    yield from in_workers(lambda trial: _bench(method, inputs).run(trial, condition=condition)[0], trials, workers)
+    yield from in_workers(lambda trial: _bench(method, inputs, condition).run(trial)[0], trials, workers)

@@ -38,7 +38,7 @@ def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], pa
 
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
-    bench, taken = Bench(result.method, inputs, visuals=True), list[Image]()
+    bench, taken = Bench(result.method, inputs, result.condition, visuals=True), list[Image]()
     seen = bench.world.truth(bench.task.carried)
     with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as eye:
 
@@ -49,7 +49,7 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
             if len(taken) < len(_AROUND_S) and world.time >= result.failed_at_s + _AROUND_S[len(taken)]:
                 take()
 
-        bench.run(trial, condition=result.condition, on_step=look)
+        bench.run(trial, on_step=look)
         while len(taken) < len(_AROUND_S):  # it ended earlier
             take()
     title = f"{result.method}, {result.condition}, trial {result.index}"
