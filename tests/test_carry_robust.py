@@ -8,6 +8,7 @@ from carry_trials import carry_task, sample_trial
 
 from minidual.config.control import CarryFaultConfig
 from minidual.config.root import Config, changed
+from minidual.config.seeds import stream
 from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
@@ -71,14 +72,6 @@ def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
     assert result.success, result.text
     assert len(pinch) > 1000
     assert min(pinch) > 45.0
-
-
-def test_an_eased_squeeze_keeps_clear_of_what_the_task_needs():
-    """Before, 18.0 N."""
-    bench = Bench("impedance", MethodInputs(Config(), 20260), "randomised")
-    result, _ = bench.run(sample_trial(Config().scene, 20260, "benchmark", 59))
-    assert result.success, result.text
-    assert 21.0 < result.internal_force_min_n < 30.0, "eased, and not too far"
 
 
 def test_a_camera_is_trusted_as_far_as_it_scatters():
@@ -173,6 +166,35 @@ def test_a_smooth_object_slips_before_it_is_lifted():
         result, _ = bench.run(sample_trial(bench.world.scene, 11, "robust", 0), on_step=watch)
     assert result.success, result.text
     assert next(iter(slid)) == "squeeze"
+
+
+def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs_in_the_air():
+    """Friction 0.23: 60 N of pinch carry 28 N. Before, the hands slipped by 4 mm on the table, and the carry stopped."""
+    bench, told, pinch = Bench("impedance", MethodInputs(Config(), 11)), {}, []
+
+    def watch(world, driven):
+        told.setdefault(driven.phase, []).append(driven.watch.squeeze_n)
+        if driven.phase == "carry":
+            pinch.append(min(world.truth("rod").look()[12:14]))
+
+    with smooth(bench.world.model, 0.23):
+        result, _ = bench.run(sample_trial(bench.world.scene, 11, "robust", 0), on_step=watch)
+    assert result.success, result.text
+    assert min(told["squeeze"]) < 24.0 < min(told["carry"]) == 1.25 * bench.task.scene.task.internal_force_min_n
+    assert 21.0 < result.internal_force_min_n < 30.0
+    assert 64.0 < np.median(pinch) < 68.0
+
+
+def test_an_object_that_is_seen_in_the_table_is_lifted():
+    """Before, the supervisor stopped the lift: it took the seen height for the clearance over the table."""
+    config = changed(Config(), {"carry.sensing.pose_bias_m": 0.010})
+    bench, seen_m = Bench("impedance", MethodInputs(config, 11)), []
+    index = min(range(20), key=lambda k: stream(11, "sensing/robust", k).standard_normal(6)[2])
+    trial = sample_trial(config.scene, 11, "robust", index)
+    result, _ = bench.run(trial, on_step=lambda world, driven: seen_m.append(driven.watch.T_world_object[2, 3]))
+    assert seen_m[0] < 0.0 < config.scene.object.rest_height_m, "below the table's top"
+    assert not result.aborted
+    assert result.success or result.failure == "arrived", result.text
 
 
 @contextmanager

@@ -76,7 +76,7 @@ def test_all_surfaces_that_meet_slip_alike(name: str) -> None:
     touching = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies or model.geom(i).name.endswith("_pad")]
     touching.append(model.geom("table_top").id)
     friction = factors(name, "geom_friction")[:, :, 0]
-    varies(friction[:, touching[:1]], 0.7, 1.3)
+    varies(friction[:, touching[:1]], 0.4, 1.3)
     np.testing.assert_allclose(friction[:, touching], np.repeat(friction[:, touching[:1]], len(touching), axis=1))
     np.testing.assert_array_equal(np.delete(friction, touching, axis=1), 1.0)
     parts = sum(1 + len(item.body.parts) for item in task.objects.values())
@@ -165,7 +165,7 @@ def test_the_pose_sensor_is_off_by_a_constant_of_the_trial(name: str) -> None:
         errors = [T[:3, 3] - world.object_pose(item)[:3, 3] for T in poses]
         np.testing.assert_array_equal(errors[0], errors[2])
         offsets.append(errors[0])
-    assert all(1e-4 < np.abs(error).max() < 0.012 for error in offsets)
+    assert all(1e-4 < np.abs(error).max() < 0.04 for error in offsets)
 
 
 @EVERY_TASK
@@ -196,5 +196,5 @@ def test_no_distractor_hides_an_object(name: str) -> None:
 
 def test_it_applies_though_the_sensor_has_that_offset_already() -> None:
     config = ROW.config_under(Config())
-    assert config.carry.sensing.pose_bias_m == 0.003
+    assert config.carry.sensing.pose_bias_m == 0.010
     assert ROW.why_not("moveit", config) == ""

@@ -41,6 +41,8 @@ JOINT_PINCH_N = 60.0
 """Pinch force in joint-space modes: 1.5 times the internal force a stiff pair can demand."""
 _COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time constant
 _NEAR = 0.9
+_FIRMER, _MOST = 1.3, 0.95
+"""Where an object slips, the pinch rises by this factor, to no more than this share of what the motors give."""
 _LOST, _LOST_S = 0.5, 0.004
 """Below this share for this long, a grip is lost."""
 _NOTHING_M = 0.002
@@ -58,6 +60,7 @@ class Grippers:
     def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
         self._plant, self._travel_m = plant, plant.robot.hand.travel_m
         self._force_n = min(pinch_force_n, plant.grip_max_n)
+        self._firm_n = max(self._force_n, min(_FIRMER * self._force_n, _MOST * plant.grip_max_n))
         self._step_m, self._gain = speed_m_per_s * plant.dt, _COMPLIANCE_M_PER_NS * plant.dt
         self.fault = ""
         """Which hand lost its grip, or empty."""
@@ -83,6 +86,10 @@ class Grippers:
     def wide(self) -> bool:
         """Whether both hands are fully open."""
         return all(self.is_open) and self._targets == [self._travel_m] * 2
+
+    def firmer(self) -> None:
+        """From now on, pinch harder."""
+        self._force_n = self._firm_n
 
     def step(self, command: Array) -> Array:
         """Advance towards command (2,); return finger targets (2,) [m]."""

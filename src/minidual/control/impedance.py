@@ -239,8 +239,7 @@ class ObjectPath:
     """Rest-to-rest object motion through level poses (start's duration unused)."""
 
     def __init__(self, start: Waypoint, waypoints: Sequence[Waypoint]) -> None:
-        points = [start, *waypoints]
-        self._poses = np.array([(*w.xyz_m, w.yaw_rad) for w in points])
+        self._poses = np.array([(*w.xyz_m, w.yaw_rad) for w in (start, *waypoints)])
         self._ends_s = np.cumsum([0.0, *(w.duration_s for w in waypoints)])
 
     @property
@@ -321,8 +320,7 @@ class HeldEstimate:
             T_then = self._history[-1 - age_ticks]
             way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
             self.moved_m = math.sqrt(way_m @ way_m)
-            seen = inverse(T_then) @ sample
-            self._T_hands_object, self.innovation = _towards(self._T_hands_object, seen, gain)
+            self._T_hands_object, self.innovation = _towards(self._T_hands_object, inverse(T_then) @ sample, gain)
             T, twist = self._follow(q, v)[1:]
         self.state = tuple.__new__(ObjectState, (T, twist, _STILL))  # ObjectState(...) takes three times as long
         return self.state

@@ -250,8 +250,7 @@ class ControlStack[P: Plant]:
     @property
     def stopping(self) -> bool:
         """Whether a reflex or a halt is bringing the arms to rest, for 2 s at most."""
-        still = bool(np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s)
-        return self._stop_ticks > 0 and not still
+        return self._stop_ticks > 0 and not np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s
 
     @property
     def executing(self) -> bool:

@@ -54,7 +54,7 @@ class CarryWatch:
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
-        self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
+        self._felt_n, self._squeeze_n, self._least_n = 0.0, config.impedance.internal_force_n, 0.0
         self.grip_limit_n = math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
         self.shifted = False
@@ -125,6 +125,12 @@ class CarryWatch:
         self._held.update(world.q, world.v, None)
         self._felt_n = pressed(self._felt, self.T_world_object)
 
+    def lift(self) -> None:
+        """From now on, keep what the task needs of the squeeze, and count slip anew: on the table it was a trial."""
+        self._least_n = _EASE_MARGIN * self._world.scene.task.internal_force_min_n
+        self.grip_limit_n = max(self.grip_limit_n, self._least_n)
+        self._monitor.spread_m = None
+
     def let_go(self) -> None:
         """From now on, estimate an object at rest."""
         self._resting = RestingEstimate(self.T_world_object)
@@ -181,8 +187,7 @@ class CarryWatch:
         if self._spread_m is None or abs(spread_m - self._spread_m) > self._creep_m:
             self._ease(spread_m)
         odd = None if self._reading.pose is None else monitor.held_pose(estimate.innovation)
-        weak = monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None
-        return found or odd or weak
+        return found or odd or (monitor.squeezing(self.squeeze_n, self._felt_n) if steady else None)
 
     def grippers(self, told: str) -> Fault | None:
         """Check every 4 ms the motion of hands that are told to "open", to "close", or neither ("")."""
@@ -198,11 +203,11 @@ class CarryWatch:
         return self._monitor.motors(told, self._world.tau)
 
     def _ease(self, spread_m: float) -> None:
-        """Reduce the internal force when the hands begin to slip.
+        """Reduce the internal force when the hands begin to slip; in the air to no less than the task needs.
 
         The force felt then is what friction carries, 2 mu times the pinch.
         """
         if self._spread_m is not None:
-            wanted, least = self.squeeze_n, _EASE_MARGIN * self._world.scene.task.internal_force_min_n
-            self.grip_limit_n = max(min(wanted, least), min(wanted, _EASED * self._felt_n))
+            wanted_n = self.squeeze_n
+            self.grip_limit_n = max(min(wanted_n, self._least_n), min(wanted_n, _EASED * self._felt_n))
         self._spread_m = spread_m

@@ -98,7 +98,8 @@ class FaultMonitor:
         self._crept_max_m, self._tilt_max_rad, self._motors_missing = config.displaced_m, config.tilt_rad, False
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
-        self._spread_m: float | None = None
+        self.spread_m: float | None = None
+        """Distance between the hands from which slip counts; None for that of the next check."""
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms with lost motors; latched."""
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
@@ -182,9 +183,9 @@ class FaultMonitor:
     ) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
         least_n, least_m, tilt_max_rad = self._least_n, self._least_m, self._tilt_max_rad
-        if self._spread_m is None:
-            self._spread_m = spread_m
-        crept = abs(spread_m - self._spread_m)
+        if self.spread_m is None:
+            self.spread_m = spread_m
+        crept = abs(spread_m - self.spread_m)
         firm = pinch_n[0] >= least_n <= pinch_n[1] and gap_m[0] >= least_m <= gap_m[1]
         if firm and crept <= self._crept_max_m and tilt_rad <= tilt_max_rad and not self._counts:
             return None

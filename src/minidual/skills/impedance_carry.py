@@ -180,12 +180,15 @@ class ImpedanceCarry:
         goal = placement(self._trial.goal[scene.object.name])
         path = plan_path(scene, world.robot, self._config.pace, goal, T_object, world.q, rest_m)
         T_level_object = inverse(level_part(T_object)) @ T_object
-        held = held_object(scene, T_object, self._kinematics.tcp_poses(world.q))
+        tcps = self._kinematics.tcp_poses(world.q)
+        held = held_object(scene, T_object, tcps)
         stack.impedance.configure(held, self._config.impedance)
         watch.take_hold()
-        self._supervisor.hold(0, inverse(held.T_object_tcps[0]) @ thing_of(scene.object).shape.T_parent_shape)
+        self._supervisor.hold(0, inverse(tcps[0]) @ self._lying() @ thing_of(scene.object).shape.T_parent_shape)
         stack.switch_controllers(OBJECT_CONTROLLERS)
         for phase in ("squeeze", "carry", "unload"):
+            if phase == "carry":
+                watch.lift()
             if phase == "unload":
                 path = yield from self._arrive(path, T_level_object)
             self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, watch.squeeze_n), _CLOSED)
@@ -252,6 +255,8 @@ class ImpedanceCarry:
             self._halt(lost)
             self.stack.switch_off(self.watch.lost_arms)
         self._halt(self._sensed())
+        if self.watch.grip_limit_n < self._config.impedance.internal_force_n:
+            self.stack.grippers.firmer()
 
     def _sensed(self) -> Fault | None:
         watch, phase = self.watch, self.phase
@@ -273,8 +278,7 @@ class ImpedanceCarry:
         if fault is None or self._halted:
             return
         self._halted = True
-        opens = fault.name in OPENING and self.stack.source == SOURCE
-        self.stack.halt(SOURCE, _OPEN if opens else None)
+        self.stack.halt(SOURCE, _OPEN if fault.name in OPENING and self.stack.source == SOURCE else None)
         self._note(fault.name, fault.detail)
 
     def _heed_arbiter(self) -> None:

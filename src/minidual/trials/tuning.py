@@ -6,6 +6,7 @@ The steps are safe, force, stiffness (docs/carry.md). Each is five carries; the 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -201,13 +202,11 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> TrialMetrics:
     bench = Bench("impedance", inputs)
     every = round(1.0 / (LOG_RATE_HZ * bench.world.dt))
     errors: list[Array] = []
-    count = 0
+    ticks = count(1)
 
     def watch(world: World, method: Method) -> None:
-        nonlocal count
-        count += 1
         desired = method.stack.impedance.desired if isinstance(method, ImpedanceCarry) else None
-        if count % every == 0 and method.phase == "carry" and desired is not None:
+        if next(ticks) % every == 0 and method.phase == "carry" and desired is not None:
             errors.append(world.object_pose(bench.task.carried)[:3, 3] - desired.T_world_object[:3, 3])
 
     result, _ = bench.run(trial, on_step=watch)

@@ -194,8 +194,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
     T_tcp_object = inverse(query.grasps[0])
     # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
-    halfway = hands.strays(between, objects)
-    return tuple(np.max([at_samples, halfway], axis=0).tolist())
+    return tuple(np.max([at_samples, hands.strays(between, objects)], axis=0).tolist())
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
