@@ -57,6 +57,8 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up():
         ("rod_carry", "benchmark", 13, "randomised"),
         ("rod_carry", "benchmark", 68, "randomised"),
         ("pot_lift", "tune21", 1, "clean"),
+        ("pot_lift", "benchmark", 5, "randomised"),
+        ("pot_lift", "benchmark", 14, "randomised"),
     ],
 )
 def test_a_firm_grip_never_loses_contact(task, purpose, index, name):

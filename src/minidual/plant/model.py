@@ -73,8 +73,9 @@ GROUP_VISUAL, GROUP_MARKER, GROUP_COLLISION, GOAL_MARK = 1, 2, 3, "goal_mark"
 # Stiff contacts with little creep. Stiffer ones lose contact for single steps (docs/simulation.md).
 SOLREF = [0.0025, 1.0]
 SOLIMP = [0.985, 0.9985, 0.001, 0.5, 2.0]
-# Contact distance of flat faces. Without it parallel faces lose contact for single steps and the fingers jump.
-_FACE_MARGIN_M = 0.0002
+# condim, margin, solimp. Flat faces share a load between many points, each so shallow that it parts at the slightest
+# motion: softer, and from a distance on, they do not lose contact for single steps (docs/simulation.md).
+_ROUND, _FLAT = (6, 0.0, SOLIMP), (4, 0.0002, [0.955, 0.9955, *SOLIMP[2:]])
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38
@@ -202,10 +203,10 @@ def _add_objects(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
             shape, size = _geom(part, half)
             # Rolling friction: without it a cylinder rolls away by itself. Faces do not roll; rolling friction at many
             # contact points over-constrains them.
-            condim, margin = (6, 0.0) if part.shape == "cylinder" else (4, _FACE_MARGIN_M)
+            condim, margin, solimp = _ROUND if part.shape == "cylinder" else _FLAT
             name, mass = (f"{item.name}_part{index}", 0.0) if index else (item.name, item.mass_kg)
             geom = body.add_geom(name=name, size=size, mass=mass, rgba=part.colour, pos=part.position_m, **shape)
-            geom.condim, geom.margin, geom.solref, geom.solimp = condim, margin, SOLREF, SOLIMP
+            geom.condim, geom.margin, geom.solref, geom.solimp = condim, margin, SOLREF, solimp
             geom.friction = [item.friction, 0.01, item.rolling_friction]
         if item.parts:
             continue
