@@ -15,6 +15,7 @@ from minidual.robot.pair import pose, rot_z
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial
 from minidual.trials import runner
+from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import METHODS
 from minidual.trials.runner import Bench
 
@@ -54,7 +55,7 @@ def trial(world: World) -> Trial:
 def _run(world: World, trial: Trial, method: str = "impedance", **how: object):
     bench = Bench.__new__(Bench)  # on the world of the other tests: none is compiled
     bench.method, bench.seed, bench.spec, bench.task = method, 5, METHODS[method], carry_task(world.scene)
-    bench.world, bench.kinematics = world, Kinematics()
+    bench.condition, bench.world, bench.kinematics = condition(CLEAN), world, Kinematics()
     bench.hands = Hands(bench.kinematics)
     bench.factory = lambda w, k, _trial: Stands(w, k, **how)
     return bench.run(trial)
