@@ -73,7 +73,7 @@ def test_an_object_is_carried_as_it_is_recommended_and_the_pads_can_hold_it(name
     assert 2.0 * rod.half_width_m < 2.0 * FINGER_TRAVEL_M - 0.01
     assert config.scene.task.internal_force_min_n == min(20.0, least)
     if rod.break_pinch_n is not None and rod.break_force_n is not None:
-        assert impedance.pinch_n < rod.break_pinch_n
+        assert 1.3 * impedance.pinch_n < rod.break_pinch_n, "a firmer pinch does not break it either"
         assert impedance.internal_force_n + impedance.force_correction_max_n < rod.break_force_n
 
 

@@ -77,6 +77,7 @@ def test_all_surfaces_that_meet_slip_alike(name: str) -> None:
     touching.append(model.geom("table_top").id)
     friction = factors(name, "geom_friction")[:, :, 0]
     varies(friction[:, touching[:1]], 0.4, 1.3)
+    assert friction[:, touching[0]].min() < 0.6
     np.testing.assert_allclose(friction[:, touching], np.repeat(friction[:, touching[:1]], len(touching), axis=1))
     np.testing.assert_array_equal(np.delete(friction, touching, axis=1), 1.0)
     parts = sum(1 + len(item.body.parts) for item in task.objects.values())
@@ -197,4 +198,5 @@ def test_no_distractor_hides_an_object(name: str) -> None:
 def test_it_applies_though_the_sensor_has_that_offset_already() -> None:
     config = ROW.config_under(Config())
     assert config.carry.sensing.pose_bias_m == 0.010
+    assert config.carry.sensing.pose_bias_rad == 0.03
     assert ROW.why_not("moveit", config) == ""

@@ -113,7 +113,7 @@ class CarryFaultConfig(StrictModel):
     """Displacement of a resting object (more if its pose scatters more), or of hands along a held one."""
     displaced_rad: float = Field(default=0.045, gt=0.0, le=1.0)
     creep_m: float = Field(default=0.001, gt=0.0, le=0.1)
-    """Motion of the hands along the object that reduces the squeeze."""
+    """Motion of the hands along the object that reduces the squeeze and makes the pinch firmer."""
     gap_margin_m: float = Field(default=0.004, gt=0.0, le=0.03)
     """A hand closed further than this below the object's width holds nothing."""
     grasp_timeout_s: float = Field(default=1.5, gt=0.1, le=10.0)

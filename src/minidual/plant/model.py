@@ -74,7 +74,7 @@ GROUP_VISUAL, GROUP_MARKER, GROUP_COLLISION, GOAL_MARK = 1, 2, 3, "goal_mark"
 SOLREF = [0.0025, 1.0]
 SOLIMP = [0.985, 0.9985, 0.001, 0.5, 2.0]
 # condim, margin, solimp. Flat faces share a load between many points, each so shallow that it parts at the slightest
-# motion: softer, and from a distance on, they do not lose contact for single steps (docs/simulation.md).
+# motion. Softer faces, whose contact begins 0.2 mm before they touch, do not let go (docs/simulation.md).
 _ROUND, _FLAT = (6, 0.0, SOLIMP), (4, 0.0002, [0.955, 0.9955, *SOLIMP[2:]])
 _BAND_M = 0.0006
 _TABLE_HALF_M = (0.6, 0.8, 0.02)

@@ -22,7 +22,7 @@ _COMPARE_S, _GRIPPERS_S = 0.01, 0.004
 _FORCES = {"the left hand's force": slice(3), "the right hand's force": slice(3, 6), "the pinch": slice(6, 8)}
 _SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
 _EASED = 0.75  # share of the force felt at slip onset, requested afterwards
-_EASE_MARGIN = 1.25  # lower bound of that request, relative to the task's need
+_EASE_MARGIN = 1.25  # lower bound of that request in the air, relative to the task's need; on the table half of it
 
 
 class CarryWatch:
@@ -54,7 +54,8 @@ class CarryWatch:
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
-        self._felt_n, self._squeeze_n, self._least_n = 0.0, config.impedance.internal_force_n, 0.0
+        self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
+        self._least_n = 0.5 * _EASE_MARGIN * world.scene.task.internal_force_min_n
         self.grip_limit_n = math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
         self.shifted = False
@@ -126,10 +127,9 @@ class CarryWatch:
         self._felt_n = pressed(self._felt, self.T_world_object)
 
     def lift(self) -> None:
-        """From now on, keep what the task needs of the squeeze, and count slip anew: on the table it was a trial."""
-        self._least_n = _EASE_MARGIN * self._world.scene.task.internal_force_min_n
+        """From now on, keep what the task needs of the squeeze, and count slip anew: on the table it was a test."""
+        self._least_n, self._monitor.spread_m = 2.0 * self._least_n, None
         self.grip_limit_n = max(self.grip_limit_n, self._least_n)
-        self._monitor.spread_m = None
 
     def let_go(self) -> None:
         """From now on, estimate an object at rest."""

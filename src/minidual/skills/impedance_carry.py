@@ -255,7 +255,7 @@ class ImpedanceCarry:
             self._halt(lost)
             self.stack.switch_off(self.watch.lost_arms)
         self._halt(self._sensed())
-        if self.watch.grip_limit_n < self._config.impedance.internal_force_n:
+        if self.watch.grip_limit_n < np.inf:
             self.stack.grippers.firmer()
 
     def _sensed(self) -> Fault | None:
