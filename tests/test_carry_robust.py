@@ -187,6 +187,20 @@ def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs
     assert 64.0 < np.median(pinch) < 68.0
 
 
+def test_slip_on_the_table_does_not_count_in_the_air():
+    """Friction 0.31, dry joints: 2.6 mm on the table, then 1.4 mm more. Before, their sum was the fault `slip`."""
+    bench, spread_m = Bench("impedance", MethodInputs(Config(), 20260), "randomised"), []
+
+    def watch(_, driven):
+        if driven.phase in ("squeeze", "carry"):
+            hands = driven._kinematics.tcp_poses(driven.world.q)
+            spread_m.append(float(np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3])))
+
+    result, _ = bench.run(sample_trial(bench.task.scene, 20260, "benchmark", 80), on_step=watch)
+    assert result.success, result.text
+    assert np.ptp(spread_m) > bench.task.config.carry.faults.displaced_m
+
+
 def test_an_object_that_is_seen_in_the_table_is_lifted():
     """Before, the supervisor stopped the lift: it took the seen height for the clearance over the table."""
     config = changed(Config(), {"carry.sensing.pose_bias_m": 0.010})
