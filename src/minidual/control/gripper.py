@@ -9,9 +9,11 @@ The target stays within half the travel of the fingers. Pinch and squeeze: docs/
 import math
 
 import numpy as np
+from numba.core import types
 
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
+from minidual.robot.compiled import ROWS, VIEW, kernel
 from minidual.robot.pair import SIDES, Array
 
 SAFETY = 1.5  # friction varies by some tenths between pads and days
@@ -51,6 +53,45 @@ _SLIPPED_M = 0.0003
 """Fingers that close further have lost the object, or were shaken."""
 
 
+_OPEN, _TARGET, _HELD, _LOST_N = range(4)
+_OPENS, _LOSES, _WIDE = 1, 2, 4
+
+
+@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, *[types.float64] * 4))
+def advance(
+    command: Array, felt: Array, fingers: Array, hands: Array, force_n: float, gain: float, step_m: float, travel_m: float
+) -> int:
+    """Advance `hands` (4, 2): open or closed, target [m], fingers [m] when they held, ticks without the grip.
+
+    Return whether a hand begins to open (1), has felt no grip for a tick (2), and whether both are wide (4).
+    """
+    found, wide_n = 0, 0
+    for i in range(2):
+        if command[i] > OPEN_ABOVE:
+            if not hands[_OPEN, i]:
+                found, hands[_LOST_N, i] = found | _OPENS, 0.0
+            hands[_OPEN, i] = 1.0
+        elif command[i] < CLOSE_BELOW:
+            hands[_OPEN, i] = 0.0
+        if hands[_OPEN, i]:
+            hands[_HELD, i], hands[_TARGET, i] = math.nan, min(hands[_TARGET, i] + step_m, travel_m)
+            wide_n += hands[_TARGET, i] == travel_m
+            continue
+        way = gain * (felt[i] - force_n)
+        target = min(hands[_TARGET, i] + (step_m if way > step_m else -step_m if way < -step_m else way), travel_m)
+        if felt[i] >= _NEAR * force_n:
+            if math.isnan(hands[_HELD, i]):
+                hands[_HELD, i] = fingers[i]
+            hands[_TARGET, i], hands[_LOST_N, i] = target, 0.0
+            continue
+        if not math.isnan(felt[i]):  # else the target stays; it is not far ahead of the fingers
+            hands[_TARGET, i] = max(target, fingers[i] - 0.5 * travel_m)
+        lost = not felt[i] >= _LOST * force_n and fingers[i] - hands[_HELD, i] > -_SLIPPED_M
+        hands[_LOST_N, i] = hands[_LOST_N, i] + 1.0 if lost else 0.0
+        found |= _LOSES if lost else 0
+    return found | (_WIDE if wide_n == 2 else 0)
+
+
 class Grippers:
     """Turns opening commands (0 closed, 1 open) into finger targets [m].
 
@@ -61,31 +102,30 @@ class Grippers:
         self._plant, self._travel_m = plant, plant.robot.hand.travel_m
         self._force_n = min(pinch_force_n, plant.grip_max_n)
         self._firm_n = max(self._force_n, min(_FIRMER * self._force_n, _MOST * plant.grip_max_n))
-        self._step_m, self._gain = speed_m_per_s * plant.dt, _COMPLIANCE_M_PER_NS * plant.dt
-        self.fault = ""
-        """Which hand lost its grip, or empty."""
+        self._how = _COMPLIANCE_M_PER_NS * plant.dt, speed_m_per_s * plant.dt, self._travel_m
         self.reset()
 
     def reset(self) -> None:
         """Start with open hands."""
-        self.is_open = [True, True]
-        """By command, each hand."""
+        self._hands = np.ones((4, 2))
+        self.targets_m, self.wide = np.full(2, self._travel_m), True
+        """wide: whether both hands are fully open."""
+        self._hands[_TARGET] = self.targets_m
         self.forget_grip()
-        self._targets = [self._travel_m] * 2
-        self.targets_m = np.array(self._targets)
 
     def forget_grip(self) -> None:
         """Expect no grip until hands close on something anew."""
-        self._held_m, self._lost, self.fault = [math.nan] * 2, [0, 0], ""
+        self._hands[_HELD:], self.fault = [[math.nan], [0.0]], ""
+        """fault: which hand lost its grip, or empty."""
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
-        self.is_open, self._targets, self.targets_m = [False, False], targets_m.tolist(), targets_m.copy()
+        self._hands[_OPEN], self._hands[_TARGET], self.targets_m, self.wide = 0.0, targets_m, targets_m.copy(), False
 
     @property
-    def wide(self) -> bool:
-        """Whether both hands are fully open."""
-        return all(self.is_open) and self._targets == [self._travel_m] * 2
+    def is_open(self) -> list[bool]:
+        """By command, each hand."""
+        return [bool(x) for x in self._hands[_OPEN]]
 
     def firmer(self) -> None:
         """From now on, pinch harder."""
@@ -93,45 +133,23 @@ class Grippers:
 
     def step(self, command: Array) -> Array:
         """Advance towards command (2,); return finger targets (2,) [m]."""
-        is_open = self.is_open
-        for hand, wanted in enumerate(command.tolist()):
-            if wanted > OPEN_ABOVE:
-                if not is_open[hand]:
-                    self._lost[hand], self.fault = 0, ""
-                is_open[hand] = True
-            elif wanted < CLOSE_BELOW:
-                is_open[hand] = False
-        targets, step, travel = self._targets, self._step_m, self._travel_m
-        if is_open[0] and is_open[1] and targets[0] == travel == targets[1]:
+        if self.wide and min(command.tolist()) > OPEN_ABOVE:
             return self.targets_m
-        for hand, felt in enumerate(self._plant.grip.tolist()):
-            if is_open[hand]:
-                self._held_m[hand] = math.nan
-                targets[hand] = min(targets[hand] + step, travel)
-                continue
-            way = self._gain * (felt - self._force_n)
-            target = min(targets[hand] + (step if way > step else -step if way < -step else way), travel)
-            if felt >= _NEAR * self._force_n:
-                if math.isnan(self._held_m[hand]):
-                    self._held_m[hand] = float(self._plant.fingers[hand])
-                targets[hand] = target
-                self._lost[hand] = 0
-                continue
-            if not math.isnan(felt):  # else the target stays; it is not far ahead of the fingers
-                targets[hand] = max(target, float(self._plant.fingers[hand]) - 0.5 * travel)
-            self._compare(hand, felt)
-        self.targets_m = self.targets_m.copy()  # a third of the time of `np.array(targets)`
-        self.targets_m[0], self.targets_m[1] = targets
+        grip, fingers = self._plant.grip, self._plant.fingers
+        found = advance(command, grip, fingers, self._hands, self._force_n, *self._how)
+        self.targets_m, self.wide = self._hands[_TARGET].copy(), found >= _WIDE
+        if found & _OPENS:
+            self.fault = ""
+        if found & _LOSES:
+            self._name_lost(grip, fingers)
         return self.targets_m
 
     def holds(self, hand: int) -> bool:
         """Return whether a hand has closed on something and feels it."""
-        return self._held_m[hand] > _NOTHING_M and bool(self._plant.grip[hand] >= _LOST * self._force_n)
+        return bool(self._hands[_HELD, hand] > _NOTHING_M and self._plant.grip[hand] >= _LOST * self._force_n)
 
-    def _compare(self, hand: int, grip_n: float) -> None:
-        moved_m = float(self._plant.fingers[hand]) - self._held_m[hand]
-        lost = not grip_n >= _LOST * self._force_n and moved_m > -_SLIPPED_M
-        self._lost[hand] = self._lost[hand] + 1 if lost else 0
-        if self._lost[hand] * self._plant.dt > _LOST_S:
-            what = f"{grip_n:.0f} of {self._force_n:.0f} N, fingers {1e3 * moved_m:+.1f} mm"
-            self.fault = f"the {SIDES[hand]} hand: {what}"
+    def _name_lost(self, grip: Array, fingers: Array) -> None:
+        for hand, (_, _, held_m, lost_n) in enumerate(self._hands.T):
+            if lost_n * self._plant.dt > _LOST_S:
+                what = f"{grip[hand]:.0f} of {self._force_n:.0f} N, fingers {1e3 * (fingers[hand] - held_m):+.1f} mm"
+                self.fault = f"the {SIDES[hand]} hand: {what}"

@@ -12,11 +12,10 @@ from numba import from_dtype, njit
 from numba.core import types
 
 from minidual.robot import vectors
-from minidual.robot.compiled import ROWS, VECTOR, kernel
+from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
 from minidual.robot.pair import Array
 
 _REAL = types.float64
-_VIEW = types.Array(_REAL, 1, "A", readonly=True)
 _TURNED = types.float64[::1, :]  # Pinocchio's matrices are column-major
 _HANDS = types.Tuple([_TURNED, VECTOR, VECTOR, _TURNED, _TURNED])
 
@@ -149,8 +148,8 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
 
 @kernel(
     types.boolean(
-        *(types.Array(from_dtype(LAW), 1, "C"), ROWS, _VIEW, ROWS, _VIEW, _VIEW, _REAL, _REAL),
-        *(_HANDS, _VIEW, _VIEW, VECTOR, VECTOR, VECTOR),
+        *(types.Array(from_dtype(LAW), 1, "C"), ROWS, VIEW, ROWS, VIEW, VIEW, _REAL, _REAL),
+        *(_HANDS, VIEW, VIEW, VECTOR, VECTOR, VECTOR),
     )
 )
 def impedance(
@@ -219,7 +218,7 @@ def impedance(
 @kernel(
     types.boolean(
         *(types.Array(from_dtype(HAND_LAW), 1, "C"), _HANDS, types.intp, ROWS, _REAL),
-        *(_VIEW, _VIEW, _VIEW, _VIEW, VECTOR, VECTOR, VECTOR),
+        *(VIEW, VIEW, VIEW, VIEW, VECTOR, VECTOR, VECTOR),
     )
 )
 def hand_impedance(
@@ -384,12 +383,6 @@ def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
     return True
 
 
-@kernel(types.void(_VIEW, _VIEW, _VIEW, ROWS))
-def note(q: Array, v: Array, tau: Array, rows: Array) -> None:
-    """Fill `rows`."""  # assignments of numpy take twice as long
-    rows[0], rows[1], rows[2] = q, v, tau
-
-
 @kernel(_REAL(VECTOR, VECTOR))
 def farthest(a: Array, b: Array) -> float:
     """Return the largest |a - b|; NaN stays."""
@@ -410,14 +403,14 @@ def strain(tau: Array, tau_max: Array, ticks: Array, saturated: float) -> float:
     return most
 
 
-@kernel(types.void(*[_VIEW] * 5, _REAL, VECTOR))
+@kernel(types.void(*[VIEW] * 5, _REAL, VECTOR))
 def servo(q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, w: float, a: Array) -> None:
     """Fill a (n,) with a_ref + 2 w (v_ref - v) + w^2 (q_ref - q)."""
     for j in range(len(a)):
         a[j] = a_ref[j] + 2.0 * w * (v_ref[j] - v[j]) + w * w * (q_ref[j] - q[j])
 
 
-@kernel(types.void(VECTOR, _VIEW, _VIEW, _REAL, _REAL, _VIEW))
+@kernel(types.void(VECTOR, VIEW, VIEW, _REAL, _REAL, VIEW))
 def add_loads(tau: Array, load: Array, v: Array, damping: float, dry: float, tau_max: Array) -> None:
     """Add load (n,) and friction d v + c tanh(v / v_s) to tau (n,) and clip; tanh, because near rest the sign of v is noise."""
     for j in range(len(tau)):
@@ -426,7 +419,7 @@ def add_loads(tau: Array, load: Array, v: Array, damping: float, dry: float, tau
         tau[j] = within(tau[j], -tau_max[j], tau_max[j])
 
 
-@kernel(types.void(_VIEW, ROWS, ROWS, _REAL, _REAL, _REAL))
+@kernel(types.void(VIEW, ROWS, ROWS, _REAL, _REAL, _REAL))
 def follow_target(target: Array, state: Array, bounds: Array, w: float, dt: float, ramp_s: float) -> None:
     """Advance `state` (6, n) in place: q, v, a, and the ramp's start, its end and the share that is left of it.
 

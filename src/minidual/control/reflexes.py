@@ -11,7 +11,7 @@ from numba.core import types
 from minidual.config.control import SupervisorConfig
 from minidual.errors import MinidualError
 from minidual.registry import rows_beside
-from minidual.robot.compiled import ROWS, VECTOR, kernel
+from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
@@ -87,14 +87,17 @@ _WIDTH_M = 0.1
 """Lateral extent of a link or hand."""
 
 
-@kernel(types.float64(ROWS, VECTOR, VECTOR, types.boolean, ROWS, ROWS))
-def excess(rows: Array, before: Array, a_ref: Array, follows: bool, centre: Array, scale: Array) -> float:
+@kernel(types.float64(VIEW, VIEW, VIEW, VECTOR, VIEW, types.boolean, ROWS, ROWS, ROWS))
+def excess(
+    q: Array, v: Array, tau: Array, before: Array, a_ref: Array, follows: bool, centre: Array, scale: Array, rows: Array
+) -> float:
     """Return the largest |x - centre| scale of QUANTITIES (6, n); NaN stays.
 
-    Fills the step of the torque since `before`, and a_ref (n,) with its step, if it `follows` the last.
+    Fills `rows` (6, n) with them: the step of the torque is since `before`, that of a_ref (n,) 0 unless it `follows`.
     """
     most = 0.0
     for j in range(len(before)):
+        rows[0, j], rows[1, j], rows[2, j] = q[j], v[j], tau[j]
         rows[3, j] = rows[2, j] - before[j]
         rows[4, j], rows[5, j] = a_ref[j], a_ref[j] - rows[4, j] if follows else 0.0
     for i in range(rows.shape[0]):

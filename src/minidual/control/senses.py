@@ -38,16 +38,26 @@ _KEPT = 64
 _Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV, _Q_USABLE, _V_USABLE = range(10)
 
 
-@kernel(types.float64(VECTOR, VECTOR, VECTOR, types.float64, types.float64, types.float64, VECTOR, ROWS))
+@kernel(types.float64(*[VECTOR] * 3, types.float64, types.intp, types.float64, types.float64, VECTOR, ROWS, ROWS))
 def compare(
-    q: Array, v: Array, tau: Array, dt: float, mismatch: float, frozen_s: float, tau_moves: Array, kept: Array
+    q: Array,
+    v: Array,
+    tau: Array,
+    dt: float,
+    row: int,
+    mismatch: float,
+    frozen_s: float,
+    tau_moves: Array,
+    kept: Array,
+    applied: Array,
 ) -> float:
     """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
-    Last, usable q, v. Returns the largest ratio to a bound; infinite if not finite.
+    Last, usable q, v. Copies tau to a row of `applied`. Returns the largest ratio to a bound; infinite if not finite.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
+        applied[row, j] = tau[j]
         if not (math.isfinite(q[j]) and math.isfinite(v[j])):
             worst = math.inf
             continue
@@ -83,7 +93,6 @@ class JointSense:
         self._data = self._model.createData()
         self._config, self._dt, self._age_max_s = config, dt_s, config.measurement_age_max_s
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
-        self._bounds = config.position_mismatch_rad, config.frozen_s, self._tau_moves
         self.reset()
 
     def reset(self) -> None:
@@ -99,27 +108,28 @@ class JointSense:
         self.q[:] = self._robot.home
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
+        bounds = self._config.position_mismatch_rad, self._config.frozen_s, self._tau_moves
+        self._compared = *bounds, self._kept, self.applied
 
     def update(self, q: Array, v: Array, tau: Array, new_s: float) -> bool:
         """Take measurements q, v (n,) that are `new_s` newer than the last; return whether all are usable.
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        kept = self._kept
-        self.applied[self.ticks % _KEPT] = tau
+        row = self.ticks % _KEPT
         self.ticks += 1
-        if not new_s > 0.0:
-            q, v = self.q, self.v
+        if new_s > 0.0:
+            if not self._started or new_s > self._age_max_s:  # nothing to compare with
+                self._kept[_Q], self._kept[_V], self._kept[_TAU], self._started = q - new_s * v, v, tau, True
+            self.age_s, usable = 0.0, compare(q, v, tau, new_s, row, *self._compared) <= 1.0
+            if not usable:
+                self._judge(q, v, tau, new_s)
+        else:
+            q, v, self.applied[row] = self.q, self.v, tau
             self.age_s += self._dt
             usable = self.age_s <= self._age_max_s
             if not usable:
                 self._lose(np.ones_like(self.lost), self.age_s)
-        else:
-            if not self._started or new_s > self._age_max_s:  # nothing to compare with
-                kept[_Q], kept[_V], kept[_TAU], self._started = q - new_s * v, v, tau, True
-            self.age_s, usable = 0.0, compare(q, v, tau, new_s, *self._bounds, kept) <= 1.0
-            if not usable:
-                self._judge(q, v, tau, new_s)
         if self._any_lost:
             self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
         return usable

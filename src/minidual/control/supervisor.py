@@ -13,8 +13,8 @@ import numpy as np
 from minidual import emergency
 from minidual.config.control import SupervisorConfig
 from minidual.control import reflexes
-from minidual.control.kernels import hand_look, note
-from minidual.control.reflexes import Reflex, ReflexError
+from minidual.control.kernels import hand_look
+from minidual.control.reflexes import Reflex, ReflexError, excess
 from minidual.control.senses import EVERY, ContactSense, Expected, JointSense
 from minidual.control.soft_stop import SupervisedStop
 from minidual.plant.recorder import Recorder
@@ -115,7 +115,8 @@ class Supervisor:
         self._applied = None if tau is None else tau.copy()
         self._rows[:], self._referred, self._looked_tick = 0.0, False, -2
         self._saturated, self._jumps, self._asked, self._nothing = np.zeros((4, self._robot.dof))
-        self._stamp_s, self._usable = math.nan, True
+        self._stamp_s: float | None = None
+        self._usable = True
         self._sense.reset()
         self._contact.reset()
 
@@ -161,43 +162,44 @@ class Supervisor:
         """
         if self.reflex is not None:
             return self._stopping(q, v, stamp_s)
-        before = self._note(time_s, q, v, tau, stamp_s)
         self._tick += 1
-        rows, referred = self._rows, a_ref is not None
-        follows, self._referred = self._referred and referred, referred
-        a_ref = a_ref if referred else self._nothing
-        within = reflexes.excess(rows, before, a_ref, follows, self.bounds.centre, self.bounds.scale) <= 1.0  # not NaN
+        within = self._note(time_s, q, v, tau, stamp_s, a_ref) <= 1.0  # not NaN
         stop = self._estop or emergency.pressed()
         calm = within and self._usable and not stop and time_s <= self._deadline_s
-        applied = rows[2] if calm else self._look_closer(stop)
+        applied = self._applied = self._tau.copy() if calm else self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
             self._next_feel = self._tick + EVERY
             self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
-        self._applied = applied.copy()
         return applied.copy()
 
     # Checks --------------------------------------------------------------------------------------------------
 
-    def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None) -> Array:
-        try:
-            note(q, v, tau, self._rows)
-        except TypeError:  # no arrays of floats
-            self._q[:], self._v[:], self._tau[:] = q, v, tau
+    def _note(
+        self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None, a_ref: Array | None = None
+    ) -> float:
+        """Take what is measured and asked; return the largest excess."""
         if self._applied is None:
             self._applied = self._before_control(q)
+        bounds, follows, self._referred = self.bounds, self._referred and a_ref is not None, a_ref is not None
+        more = self._applied, self._nothing if a_ref is None else a_ref, follows, bounds.centre, bounds.scale, self._rows
+        try:
+            most: float = excess(q, v, tau, *more)
+        except TypeError:  # no arrays of floats
+            self._q[:], self._v[:], self._tau[:] = q, v, tau
+            most = excess(self._q, self._v, self._tau, *more)
         before_s, self._time_s = self._time_s, time_s
         self._usable = self._sense.update(self._q, self._v, self._applied, self._newer_s(stamp_s))
         if not time_s > before_s:
             self._time_s = before_s
             self._trip("clock", f"{time_s} s after {before_s} s", 1.0, None)
-        return self._applied
+        return most
 
     def _newer_s(self, stamp_s: float | None) -> float:
         """Return how much newer [s] the measurement is than the last; one period where stamps tell nothing."""
-        before_s, self._stamp_s = self._stamp_s, math.nan if stamp_s is None else stamp_s
-        return self.dt_s if stamp_s is None or math.isnan(before_s) else stamp_s - before_s
+        before_s, self._stamp_s = self._stamp_s, stamp_s
+        return self.dt_s if stamp_s is None or before_s is None else stamp_s - before_s
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         newer_s = self._newer_s(stamp_s)

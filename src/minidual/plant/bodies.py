@@ -44,6 +44,26 @@ def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array
     seen[14], seen[15] = min(inward_left, inward_right), math.atan2(-R[0, 1], R[1, 1])
 
 
+@kernel(types.UniTuple(types.float64, 2)(VECTOR, ROWS, types.boolean))
+def lie(seen: Array, solids: Array, upright: bool) -> tuple[float, float]:
+    """Return the tilt [rad] of the long axis and the height [m] of the lowest point; see `ObjectTruth`.
+
+    seen: (16,), see `NamedObject.look`. solids: (k, 8), place, half extents, whether it is round, and its axis.
+    """
+    lowest = math.inf
+    for part in solids:
+        down, low, axis = 0.0, 0.0, int(part[7])
+        for i in range(3):
+            down, low = down + abs(seen[3 + i]) * part[3 + i], low + seen[3 + i] * part[i]
+        if part[6]:
+            along = min(1.0, abs(seen[3 + axis]))
+            down = part[3 + axis] * along + part[3] * math.sqrt(1.0 - along**2)
+        if not low - down >= lowest:  # true for NaN
+            lowest = low - down
+    along = min(1.0, abs(seen[5 if upright else 4]))  # vertical share of the long axis
+    return (math.acos(along) if upright else math.asin(along)), seen[2] + lowest
+
+
 @kernel(types.boolean(types.Array(types.int32, 2, "A"), types.int32[::1], types.int64, types.int64))
 def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
     """Return whether contacts, pairs of geoms (k, 2), join two bodies."""
@@ -54,13 +74,11 @@ def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
     return False
 
 
-@kernel(VECTOR(VECTOR, types.int64[::1], types.float64))
-def halves(values: Array, rows: Array, scale: float) -> Array:
-    """Return each hand's sum (2,), scaled."""
-    sums = np.empty(2)
+@kernel(types.void(VECTOR, types.int64[::1], types.float64, VECTOR))
+def halves(values: Array, rows: Array, scale: float, sums: Array) -> None:
+    """Fill each hand's sum (2,), scaled."""  # to return an array takes as long again
     for hand in range(2):
         sums[hand] = scale * (values[rows[2 * hand]] + values[rows[2 * hand + 1]])
-    return sums
 
 
 class NamedObject:

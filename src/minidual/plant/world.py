@@ -102,18 +102,20 @@ class World:
     @property
     def fingers(self) -> Array:
         """See `Plant`."""
-        return halves(self._qpos, self.finger_joints.qpos, 0.5)
+        halves(self._qpos, self.finger_joints.qpos, 0.5, sums := np.empty(2))
+        return sums
 
     @property
     def gaps_m(self) -> tuple[float, float]:
         """Between each hand's fingers [m]."""
-        left, right = halves(self._qpos, self.finger_joints.qpos, 1.0).tolist()
-        return left, right
+        halves(self._qpos, self.finger_joints.qpos, 1.0, sums := np.empty(2))
+        return tuple(sums.tolist())
 
     @property
     def grip(self) -> Array:
         """Closing force (2,) [N], last step."""
-        return halves(self._force, self.finger_joints.ctrl, -0.5)
+        halves(self._force, self.finger_joints.ctrl, -0.5, sums := np.empty(2))
+        return sums
 
     @property
     def gripper(self) -> Array:

@@ -24,6 +24,7 @@ if "scipy.linalg" not in sys.modules:
     arraymath._HAVE_BLAS = True
 
 VECTOR = types.float64[::1]
+VIEW = types.Array(types.float64, 1, "A", readonly=True)
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
 UNCOUNTED: dict[str, bool] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from minidual.plant.world import World
-from minidual.tasks.success import SuccessCondition, Truth
+from minidual.tasks.success import Truth
 from minidual.tasks.task import Task, Trial, placement
 
 REST_S = 0.1
@@ -77,9 +77,8 @@ class Judge:
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        seen = [c for c in self._conditions if type(c).observe is not SuccessCondition.observe]
-        self._observing = [(c.name, c.observe) for c in seen]
-        self._final = [c for c in self._conditions if type(c).holds is not SuccessCondition.holds]
+        self._observing = [(c.name, c.observe) for c in self._conditions if c.has("observe")]
+        self._final = [c.holds for c in self._conditions if c.has("holds")]
         self._stages, self._reached = [c for c in self._conditions if c.stage], 0
         self.failures: dict[str, Failure] = {}
         """Violations so far, by name."""
@@ -107,8 +106,8 @@ class Judge:
                 self.failures.setdefault(name, Failure(name, now, detail))
         while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
             self._reached += 1
-        for condition in self._final:
-            if not condition.holds(truth):
+        for holds in self._final:
+            if not holds(truth):
                 self._quiet_since = self._done_at = None
                 return
         if self._quiet_since is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from minidual.config.scene import ObjectConfig
-from minidual.plant.bodies import Vector
+from minidual.plant.bodies import Vector, lie
 from minidual.robot.pair import SIDES, Array
 
 if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
@@ -57,23 +57,13 @@ class ObjectTruth:
             # A condition may have changed their size.
             solids = zip(self.body.solids, self._object.solids(self.body.solids), strict=True)
             self.solids = [(*where, part.shape == "cylinder", "xyz".index(part.axis)) for part, where in solids]
+            self._shape = np.array([(*place, *half, *kind) for place, half, *kind in self.solids])
             self.half_m = self.solids[0][1]
+        seen = self._object.look()
+        self.tilt_rad, self.clearance_m = lie(seen, self._shape, self._upright)
         # Plain floats: a success test of arrays costs four times as much.
-        x, y, z, ux, uy, uz, a, b, c, d, e, f, left, right, self.squeeze_n, self.yaw_rad = self._object.look().tolist()
+        x, y, z, _, _, _, a, b, c, d, e, f, left, right, self.squeeze_n, self.yaw_rad = seen.tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
-        along = min(1.0, abs(uz if self._upright else uy))  # vertical share of the long axis
-        self.tilt_rad = math.acos(along) if self._upright else math.asin(along)
-        lowest = math.inf
-        for (px, py, pz), half, is_round, axis in self.solids:
-            if is_round:
-                along = min(1.0, abs(uz if axis == 2 else uy if axis else ux))
-                down = half[axis] * along + half[0] * math.sqrt(1.0 - along**2)
-            else:
-                down = abs(ux) * half[0] + abs(uy) * half[1] + abs(uz) * half[2]
-            low = ux * px + uy * py + uz * pz - down
-            if not low >= lowest:  # true for NaN
-                lowest = low
-        self.clearance_m = z + lowest
         self.airborne = self.clearance_m > AIRBORNE_M
 
     def distance_m(self, xy: Sequence[float]) -> float:
@@ -125,6 +115,10 @@ class SuccessCondition:
     """Counts for `progress`."""
     optional: bool = False
     """Only measured unless demanded."""
+
+    def has(self, method: str) -> bool:
+        """Return whether it does more in `observe` or `holds` than this base class."""
+        return getattr(type(self), method) is not getattr(SuccessCondition, method)
 
     def observe(self, truth: Truth) -> str:
         """Return the violation, or ""."""
@@ -409,16 +403,20 @@ class Turned(OfObject):
 
 
 @dataclass
-class Released(AtEnd):
+class Released(OfObject):
     """No finger touches it."""
 
     name = "released"
     stage = True
 
-    def end(self, truth: Truth) -> str:
+    def holds(self, truth: Truth) -> bool:
         item = truth[self.object]
-        free = max(item.pinch) < TOUCH_N and all(abs(f) <= TOUCH_N for hand in item.hand_forces for f in hand)
-        return "" if free else f"a finger still touches the {self.object}"
+        left, right = item.pinch
+        free = left < TOUCH_N and right < TOUCH_N
+        return free and all(abs(f) <= TOUCH_N for hand in item.hand_forces for f in hand)
+
+    def end(self, truth: Truth) -> str:
+        return "" if self.holds(truth) else f"a finger still touches the {self.object}"
 
 
 @dataclass
@@ -443,8 +441,15 @@ class Each(SuccessCondition):
     def __init__(self, parts: Sequence[OfObject], *, stage: bool = False) -> None:
         self.name, self.optional, self.parts, self.stage = parts[0].name, parts[0].optional, parts, stage
 
+    def has(self, method: str) -> bool:
+        return any(part.has(method) for part in self.parts)
+
     def observe(self, truth: Truth) -> str:
-        return self._first([part.observe(truth) for part in self.parts])
+        first = ""
+        for part in self.parts:
+            detail = part.observe(truth)
+            first = first or (detail and f"{part.object}: {detail}")
+        return first
 
     def disturbed(self) -> None:
         for part in self.parts:
@@ -457,14 +462,11 @@ class Each(SuccessCondition):
         return all(part.reached(truth) for part in self.parts)
 
     def end(self, truth: Truth) -> str:
-        return self._first([part.end(truth) for part in self.parts])
+        return next((f"{part.object}: {detail}" for part in self.parts if (detail := part.end(truth))), "")
 
     def measured(self, truth: Truth) -> dict[str, float]:
         rows = [part.measured(truth) for part in self.parts]
         return {name: (min if name in _FLOORS else max)(row[name] for row in rows) for name in rows[0]}
-
-    def _first(self, details: Sequence[str]) -> str:
-        return next(f"{p.object}: {d}" for p, d in zip(self.parts, details, strict=True) if d) if any(details) else ""
 
 
 @dataclass
