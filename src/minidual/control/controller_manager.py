@@ -78,6 +78,7 @@ class ControllerManager:
             self._fade_left, self._offset = self._fade_steps, None
             self._rate = TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
         self._active, self.active = chosen, tuple(names)
+        self._claims = [(k, self._robot.joints_of(arm)) for k, c in enumerate(chosen) for arm in c.arms]
 
     def refuses(self, command: Command) -> Reason | None:
         """Return why a command is refused, or None."""
@@ -112,10 +113,8 @@ class ControllerManager:
         if len(parts) == 1:
             return parts[0]
         joined = np.empty(self._robot.dof)
-        for controller, values in zip(self._active, parts, strict=True):
-            for arm in controller.arms:
-                joints = self._robot.joints_of(arm)
-                joined[joints] = values[joints]
+        for k, joints in self._claims:
+            joined[joints] = parts[k][joints]
         return joined
 
     def _faded(self, tau: Array) -> Array:

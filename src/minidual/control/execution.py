@@ -42,15 +42,11 @@ class _Execution[C: TimedCommand]:
         self._dt, self._end_s = dt_s, duration_s
         self.pace = 1.0
         """Wanted rate, above 0 to 1; reached smoothly."""
-        self._paced = False
+        self._paced = self.finished = False
+        """finished: whether it ended or stopped."""
         self._speed = self._speed_now = 1.0
         self.why: Reason | None = None
         """Why a controller has stopped it, until the arbiter has told."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether it ended or stopped."""
-        return self._k >= self._steps or self.rate == 0.0
 
     @property
     def braking(self) -> bool:
@@ -81,9 +77,9 @@ class _Execution[C: TimedCommand]:
         """Advance one control step; the first goes to time zero."""
         self._paced = self._paced or self.pace < 1.0 or self._speed < 1.0 or self._slope_max > 0.0
         if not self._paced:
-            if self._k < self._steps:
-                self._k += 1
-                self._t_s = min(self._k * self._dt, self._end_s)
+            if not self.finished:
+                self._k = k = self._k + 1
+                self._t_s, self.finished = min(k * self._dt, self._end_s), k >= self._steps
             return
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S
@@ -99,7 +95,7 @@ class _Execution[C: TimedCommand]:
         self.rate = within(self.rate - self._slope * self._dt, 0.0, 1.0)
         self._t_s = min(self._t_s + self.rate * self._dt, self._end_s)
         if self.rate < _STOPPED_RATE or self._t_s >= self._end_s:
-            self.rate = self._slope = 0.0
+            self.rate, self._slope, self.finished = 0.0, 0.0, True
 
     def _slowed(self, v: Array, a: Array) -> tuple[Array, Array]:
         return v * self.rate, a * self.rate**2 - v * self._slope
@@ -143,17 +139,17 @@ class ObjectExecution(_Execution[ObjectCommand]):
 
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
         super().__init__(command, dt_s)
-        self.desired = command.motion.at(0.0)
-        self.squeeze_n = command.squeeze_n(0.0)
+        self._at, self._squeeze_n = command.motion.at, command.squeeze_n
+        self._most = _TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s
+        self.desired, self.squeeze_n = self._at(0.0), self._squeeze_n(0.0)
 
     def step(self) -> None:
         """Advance one control step; the squeeze follows path time."""
         super().step()
-        state, before = self.command.motion.at(self._t_s), self.desired.T_world_object
-        if not near(state.T_world_object, before, _TURN_PER_S * self._dt, _SHIFT_M_PER_S * self._dt):
+        state = self._at(self._t_s)
+        if not near(state.T_world_object, self.desired.T_world_object, *self._most):
             raise UsageError(f"the object path jumps at {self._t_s:.3f} s", remedy="check its poses; none may be NaN")
-        self.desired = state
-        self.squeeze_n = self.command.squeeze_n(self._t_s)
+        self.desired, self.squeeze_n = state, self._squeeze_n(self._t_s)
         if self._paced:
             self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))
 

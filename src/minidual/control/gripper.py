@@ -57,15 +57,15 @@ _OPEN, _TARGET, _HELD, _LOST_N = range(4)
 _OPENS, _LOSES, _WIDE = 1, 2, 4
 
 
-@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, *[types.float64] * 4))
+@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, types.float64, types.UniTuple(types.float64, 3)))
 def advance(
-    command: Array, felt: Array, fingers: Array, hands: Array, force_n: float, gain: float, step_m: float, travel_m: float
+    command: Array, felt: Array, fingers: Array, hands: Array, force_n: float, how: tuple[float, float, float]
 ) -> int:
     """Advance `hands` (4, 2): open or closed, target [m], fingers [m] when they held, ticks without the grip.
 
-    Return whether a hand begins to open (1), has felt no grip for a tick (2), and whether both are wide (4).
+    how: gain, step [m], travel [m]. Return whether a hand begins to open (1), has felt no grip for a tick (2), and whether both are wide (4).
     """
-    found, wide_n = 0, 0
+    found, wide_n, (gain, step_m, travel_m) = 0, 0, how
     for i in range(2):
         if command[i] > OPEN_ABOVE:
             if not hands[_OPEN, i]:
@@ -87,8 +87,7 @@ def advance(
         if not math.isnan(felt[i]):  # else the target stays; it is not far ahead of the fingers
             hands[_TARGET, i] = max(target, fingers[i] - 0.5 * travel_m)
         lost = not felt[i] >= _LOST * force_n and fingers[i] - hands[_HELD, i] > -_SLIPPED_M
-        hands[_LOST_N, i] = hands[_LOST_N, i] + 1.0 if lost else 0.0
-        found |= _LOSES if lost else 0
+        hands[_LOST_N, i], found = (hands[_LOST_N, i] + 1.0, found | _LOSES) if lost else (0.0, found)
     return found | (_WIDE if wide_n == 2 else 0)
 
 
@@ -107,8 +106,7 @@ class Grippers:
 
     def reset(self) -> None:
         """Start with open hands."""
-        self._hands = np.ones((4, 2))
-        self.targets_m, self.wide = np.full(2, self._travel_m), True
+        self._hands, self.targets_m, self.wide = np.ones((4, 2)), np.full(2, self._travel_m), True
         """wide: whether both hands are fully open."""
         self._hands[_TARGET] = self.targets_m
         self.forget_grip()
@@ -136,7 +134,7 @@ class Grippers:
         if self.wide and min(command.tolist()) > OPEN_ABOVE:
             return self.targets_m
         grip, fingers = self._plant.grip, self._plant.fingers
-        found = advance(command, grip, fingers, self._hands, self._force_n, *self._how)
+        found = advance(command, grip, fingers, self._hands, self._force_n, self._how)
         self.targets_m, self.wide = self._hands[_TARGET].copy(), found >= _WIDE
         if found & _OPENS:
             self.fault = ""

@@ -307,7 +307,7 @@ class HeldEstimate:
         self._T_hands_object, self._sampled_m = inverse(T_world_hands) @ T_world_object, T_world_hands[:3, 3]
         self.state = ObjectState(T_world_object)
 
-    def update(self, q: Array, v: Array, sample: Array | None, age_ticks: int = 0) -> ObjectState:
+    def update(self, q: Array, v: Array, sample: Array | None = None, age_ticks: int = 0) -> ObjectState:
         """Return the object's state at joints q, v (n,).
 
         Samples (4, 4) older than `delay_ticks` are ignored.

@@ -392,15 +392,16 @@ def farthest(a: Array, b: Array) -> float:
     return most
 
 
-@kernel(_REAL(VECTOR, VECTOR, VECTOR, _REAL))
-def strain(tau: Array, tau_max: Array, ticks: Array, saturated: float) -> float:
-    """Return the largest |tau| / tau_max; NaN stays. Count in `ticks` (n,) for how many calls it was saturated."""
-    most = 0.0
+@kernel(types.void(VECTOR, VECTOR, _REAL, VECTOR, VECTOR))
+def strain(tau: Array, tau_max: Array, saturated: float, ticks: Array, most: Array) -> None:
+    """Count in `ticks` (n,) for how many calls |tau| / tau_max was saturated; update the largest ratio and count in `most`.
+
+    NaN stays.
+    """
     for j in range(len(tau)):
         ratio = abs(tau[j]) / tau_max[j]
         ticks[j] = ticks[j] + 1.0 if ratio >= saturated else 0.0
-        most = larger(ratio, most)
-    return most
+        most[0], most[1] = larger(most[0], larger(ratio, most[0])), max(most[1], ticks[j])
 
 
 @kernel(types.void(*[VIEW] * 5, _REAL, VECTOR))

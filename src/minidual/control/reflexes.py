@@ -97,8 +97,7 @@ def excess(
     """
     most = 0.0
     for j in range(len(before)):
-        rows[0, j], rows[1, j], rows[2, j] = q[j], v[j], tau[j]
-        rows[3, j] = rows[2, j] - before[j]
+        rows[0, j], rows[1, j], rows[2, j], rows[3, j] = q[j], v[j], tau[j], tau[j] - before[j]
         rows[4, j], rows[5, j] = a_ref[j], a_ref[j] - rows[4, j] if follows else 0.0
     for i in range(rows.shape[0]):
         for j in range(rows.shape[1]):

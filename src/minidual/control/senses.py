@@ -38,22 +38,12 @@ _KEPT = 64
 _Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV, _Q_USABLE, _V_USABLE = range(10)
 
 
-@kernel(types.float64(*[VECTOR] * 3, types.float64, types.intp, types.float64, types.float64, VECTOR, ROWS, ROWS))
-def compare(
-    q: Array,
-    v: Array,
-    tau: Array,
-    dt: float,
-    row: int,
-    mismatch: float,
-    frozen_s: float,
-    tau_moves: Array,
-    kept: Array,
-    applied: Array,
-) -> float:
+@kernel(types.float64(*[VECTOR] * 3, types.float64, types.intp, VECTOR, ROWS, ROWS))
+def compare(q: Array, v: Array, tau: Array, dt: float, row: int, bounds: Array, kept: Array, applied: Array) -> float:
     """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
 
     Last, usable q, v. Copies tau to a row of `applied`. Returns the largest ratio to a bound; infinite if not finite.
+    bounds (n + 2,): mismatch [rad], time frozen [s], changes of torque that must move the joints.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
@@ -67,11 +57,11 @@ def compare(
         kept[_V_SAME, j] = kept[_V_SAME, j] + dt if v[j] == kept[_V, j] else 0.0
         kept[_R, j] = keep * kept[_R, j] + moved - dt * v[j]
         kept[_Q, j], kept[_V, j] = q[j], v[j]
-        worst = max(worst, abs(kept[_R, j]) / mismatch)
+        worst = max(worst, abs(kept[_R, j]) / bounds[0])
         if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:
             kept[_TAU, j] = tau[j]
-        elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= frozen_s:
-            worst = max(worst, abs(tau[j] - kept[_TAU, j]) / tau_moves[j])
+        elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= bounds[1]:
+            worst = max(worst, abs(tau[j] - kept[_TAU, j]) / bounds[2 + j])
     if worst <= 1.0:
         kept[_Q_USABLE], kept[_V_USABLE] = q, v
     return worst
@@ -93,6 +83,7 @@ class JointSense:
         self._data = self._model.createData()
         self._config, self._dt, self._age_max_s = config, dt_s, config.measurement_age_max_s
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
+        self._bounds = np.r_[config.position_mismatch_rad, config.frozen_s, self._tau_moves]
         self.reset()
 
     def reset(self) -> None:
@@ -108,20 +99,17 @@ class JointSense:
         self.q[:] = self._robot.home
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
-        bounds = self._config.position_mismatch_rad, self._config.frozen_s, self._tau_moves
-        self._compared = *bounds, self._kept, self.applied
 
     def update(self, q: Array, v: Array, tau: Array, new_s: float) -> bool:
         """Take measurements q, v (n,) that are `new_s` newer than the last; return whether all are usable.
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        row = self.ticks % _KEPT
-        self.ticks += 1
+        row, self.ticks = self.ticks % _KEPT, self.ticks + 1
         if new_s > 0.0:
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 self._kept[_Q], self._kept[_V], self._kept[_TAU], self._started = q - new_s * v, v, tau, True
-            self.age_s, usable = 0.0, compare(q, v, tau, new_s, row, *self._compared) <= 1.0
+            self.age_s, usable = 0.0, compare(q, v, tau, new_s, row, self._bounds, self._kept, self.applied) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         else:

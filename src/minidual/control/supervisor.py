@@ -87,6 +87,7 @@ class Supervisor:
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
         self._rows = np.zeros((len(reflexes.QUANTITIES), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
+        self._within = self.bounds.centre, self.bounds.scale, self._rows
         self.reflex: Reflex | None = None
         """Latched."""
         self._estop = ""
@@ -131,7 +132,7 @@ class Supervisor:
             ReflexError: Once; apply its `tau`.
         """
         if self.reflex is None:
-            self._note(time_s, q, v, self._tau, stamp_s)
+            self._note(time_s, q, v, self._tau, stamp_s, None)
             self._trip("controller_failed", why, 1.0, None)
         return self._stopping(q, v, stamp_s)
 
@@ -163,27 +164,25 @@ class Supervisor:
         if self.reflex is not None:
             return self._stopping(q, v, stamp_s)
         self._tick += 1
-        within = self._note(time_s, q, v, tau, stamp_s, a_ref) <= 1.0  # not NaN
-        stop = self._estop or emergency.pressed()
-        calm = within and self._usable and not stop and time_s <= self._deadline_s
-        applied = self._applied = self._tau.copy() if calm else self._look_closer(stop)
+        stop, most = self._estop or emergency.pressed(), self._note(time_s, q, v, tau, stamp_s, a_ref)
+        calm = most <= 1.0 and self._usable and not stop and time_s <= self._deadline_s  # not NaN
+        applied = self._tau.copy() if calm else self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
             self._next_feel = self._tick + EVERY
             self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
+        self._applied = applied  # only now: what trips begins at the torque of the tick before
         return applied.copy()
 
     # Checks --------------------------------------------------------------------------------------------------
 
-    def _note(
-        self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None, a_ref: Array | None = None
-    ) -> float:
+    def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None, a_ref: Array | None) -> float:
         """Take what is measured and asked; return the largest excess."""
         if self._applied is None:
             self._applied = self._before_control(q)
-        bounds, follows, self._referred = self.bounds, self._referred and a_ref is not None, a_ref is not None
-        more = self._applied, self._nothing if a_ref is None else a_ref, follows, bounds.centre, bounds.scale, self._rows
+        follows, self._referred = self._referred and a_ref is not None, a_ref is not None
+        more = self._applied, self._nothing if a_ref is None else a_ref, follows, *self._within
         try:
             most: float = excess(q, v, tau, *more)
         except TypeError:  # no arrays of floats

@@ -48,10 +48,8 @@ class EdgeChecker:
         step_rad: float,
         arms: Sequence[str] = SIDES,
     ) -> None:
-        solids = engines.solids
-        self.robot = solids.robot
-        self.padding_m, self.step_rad = padding_m, step_rad
-        self.checks_n = 0
+        solids, self.robot = engines.solids, engines.solids.robot
+        self.padding_m, self.step_rad, self.checks_n = padding_m, step_rad, 0
         self.checks_end = self.deadline = math.inf
         rows = solids.of_arms(arms)
         tight = np.array(ends).reshape(-1, self.robot.dof)

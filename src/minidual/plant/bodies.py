@@ -52,7 +52,7 @@ def lie(seen: Array, solids: Array, upright: bool) -> tuple[float, float]:
     """
     lowest = math.inf
     for part in solids:
-        down, low, axis = 0.0, 0.0, int(part[7])
+        down, low, axis = 0.0, 0.0, int(part[-1])
         for i in range(3):
             down, low = down + abs(seen[3 + i]) * part[3 + i], low + seen[3 + i] * part[i]
         if part[6]:

@@ -26,9 +26,8 @@ _FORCES = 8  # three components of two hands, then two pinches
 def add_forces(samples: Array, row: int, seen: Array) -> None:
     """Add the forces in `seen` (see `NamedObject.look`) to a row of noise (T, 8)."""
     for i in range(8):
-        samples[row, i] += seen[6 + i]
-        if i >= 6 and samples[row, i] < 0.0:
-            samples[row, i] = 0.0
+        value = samples[row, i] + seen[6 + i]
+        samples[row, i] = 0.0 if i >= 6 and value < 0.0 else value
 
 
 class Sensors:
@@ -46,7 +45,7 @@ class Sensors:
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
         self._tick, self._begin_s, self._dt = 0, world.time, world.dt
-        self._late: deque[tuple[Array | None, Array, Array]] = deque()
+        self._late = deque[Reading]()
 
     def sense(self) -> Reading:
         """See `ObjectSensors`."""
@@ -54,18 +53,16 @@ class Sensors:
         if row == 0:
             self._draw_noise()
         add_forces(self._samples, row, self._object.look())
-        sampled = self._sample_pose() if tick % self._period_ticks == 0 else None
-        late, delay_ticks = self._late, self.delay_ticks
-        late.append((sampled, self._forces[row], self._pinches[row]))
-        if tick == 0:
-            late.extendleft([(None, *late[0][1:])] * delay_ticks)
-        arrived, forces, pinch = late.popleft()
-        if tick == 0:
-            arrived = sampled  # at rest before the trial
+        pose = None if tick % self._period_ticks else PoseSample(self._sample_pose(), self.delay_ticks)
+        # Reading(...) takes three times as long
+        reading = tuple.__new__(Reading, (pose, self._forces[row], self._pinches[row], tick * self._dt + self._begin_s))
+        self._late.append(reading)
         self._tick = tick + 1
-        pose = None if arrived is None else PoseSample(arrived, delay_ticks)
-        stamp_s = (tick - delay_ticks if tick > delay_ticks else 0) * self._dt + self._begin_s
-        return tuple.__new__(Reading, (pose, forces, pinch, stamp_s))  # Reading(...) takes three times as long
+        if tick:
+            return self._late.popleft()
+        self._late.extendleft([reading._replace(pose=None)] * self.delay_ticks)
+        self._late.popleft()
+        return reading  # at rest before the trial
 
     def _draw_noise(self) -> None:
         # the noise of the next steps, which `add_forces` turns into samples; a view costs less when many are made

@@ -106,10 +106,9 @@ class World:
         return sums
 
     @property
-    def gaps_m(self) -> tuple[float, float]:
+    def gaps_m(self) -> tuple[float, ...]:
         """Between each hand's fingers [m]."""
-        halves(self._qpos, self.finger_joints.qpos, 1.0, sums := np.empty(2))
-        return tuple(sums.tolist())
+        return tuple((2.0 * self.fingers).tolist())
 
     @property
     def grip(self) -> Array:

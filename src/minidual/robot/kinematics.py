@@ -255,10 +255,10 @@ class Hands:
 
     def update(self, q: Array) -> None:
         """Update all arrays, unless they are of these joints: estimate and law ask in the same step."""
-        kinematics, data, placed = self._kinematics, self._data, q.tobytes()
+        kinematics, placed = self._kinematics, q.tobytes()
         if kinematics.placed == placed:
             return
-        computeJointJacobians(kinematics.model, data, q)
+        computeJointJacobians(kinematics.model, self._data, q)
         for frame in kinematics.tcp_ids:
-            updateFramePlacement(kinematics.model, data, frame)
+            updateFramePlacement(kinematics.model, self._data, frame)
         kinematics.placed = placed

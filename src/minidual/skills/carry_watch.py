@@ -47,10 +47,12 @@ class CarryWatch:
         rate_hz = config.sensing.pose_rate_hz
         self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else world.dt  # of poses
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
-        self._odd_max_n, self._glitch_n = round(faults.persistence_s / world.dt), faults.force_glitch_n
-        self._age_max_s, self._creep_m = faults.sensor_age_max_s, faults.creep_m
+        self._odd_max_n, self._creep_m = round(faults.persistence_s / world.dt), faults.creep_m
+        self._felt_max_s = sensors.delay_ticks * world.dt + faults.sensor_age_max_s
+        self._posed_max_s = self._felt_max_s + self._period_s
         self._posed, self._compared = self._reading.pose.T_world_object.tobytes(), (self._raw.tolist(), world.time)
-        self._filter_share = world.dt / (config.sensing.force_filter_s + world.dt)
+        share = world.dt / (config.sensing.force_filter_s + world.dt)
+        self._filter = self._raw, self._felt, share, faults.force_glitch_n
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
@@ -90,7 +92,7 @@ class CarryWatch:
 
     def read(self) -> tuple[ObjectState, float]:
         """See `ObjectSensor`."""
-        return (self.estimate if self._held is None else self._held.state), self._felt_n
+        return self.estimate, self._felt_n
 
     # Updates -----------------------------------------------------------------------------------------------
 
@@ -106,12 +108,10 @@ class CarryWatch:
                 self._posed_s = now_s - pose.age_ticks * world.dt
             else:
                 pose, self._reading = None, self._reading._replace(pose=None)
-        estimate = self._resting if held is None else held.update(world.q, world.v, *(pose or (None, 0)))
-        how = self._filter_share, self._glitch_n, self._odd_n < self._odd_max_n
-        odd, self._felt_n = smooth(hand_forces, pinch, self._raw, self._felt, *how, estimate.T_world_object)
+        T = (self._resting if held is None else held.update(world.q, world.v, *(pose or (None, 0)))).T_world_object
+        odd, self._felt_n = smooth(hand_forces, pinch, *self._filter, self._odd_n < self._odd_max_n, T)
         self._odd_n = self._odd_n + 1 if odd else 0
-        if odd < 2:
-            self._forces_s = stamp_s
+        self._forces_s = stamp_s if odd < 2 else self._forces_s
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
@@ -123,7 +123,7 @@ class CarryWatch:
             delay_ticks=self._sensors.delay_ticks,
             least_gain=self._period_s / max(sensing.grasp_memory_s, self._period_s),
         )
-        self._held.update(world.q, world.v, None)
+        self._held.update(world.q, world.v)
         self._felt_n = pressed(self._felt, self.T_world_object)
 
     def lift(self) -> None:
@@ -140,20 +140,19 @@ class CarryWatch:
 
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
-        now_s, monitor = self._now_s, self._monitor
-        bound_s, found = self._sensors.delay_ticks * self._world.dt + self._age_max_s, None
-        posed_s, felt_s = now_s - self._posed_s, now_s - self._forces_s
-        if not (posed_s <= bound_s + self._period_s and felt_s <= bound_s):
-            found = monitor.silent("pose", posed_s, bound_s + self._period_s)
-            found = found or monitor.silent("usable force", felt_s, bound_s)
-        pose, held = self._reading.pose, self._held
+        now_s, pose, (before, compared_s) = self._now_s, self._reading.pose, self._compared
+        posed_s, felt_s, compare = now_s - self._posed_s, now_s - self._forces_s, now_s - compared_s >= _COMPARE_S
+        if posed_s <= self._posed_max_s and felt_s <= self._felt_max_s and pose is None and not compare:
+            return None
+        monitor, held = self._monitor, self._held
+        found = monitor.silent("pose", posed_s, self._posed_max_s)
+        found = found or monitor.silent("usable force", felt_s, self._felt_max_s)
         if pose is not None:
             posed = pose.T_world_object.tobytes()
             same, self._posed = posed == self._posed, posed
             if held is not None and moving:
                 found = found or monitor.frozen("the pose", same and held.moved_m > _MOVED_M, 2)
-        before, compared_s = self._compared
-        if now_s - compared_s >= _COMPARE_S:
+        if compare:
             raw = self._raw.tolist()
             same, self._compared = [a == b for a, b in zip(raw, before, strict=True)], (raw, now_s)
             for name, part in _FORCES.items():

@@ -72,14 +72,9 @@ class ImpedanceCarry:
         if sensors is None:
             sensors = Sensors(world, config.sensing, stream(seed, f"sensing/{trial.purpose}", trial.index))
         self.watch = CarryWatch(world, kinematics, config, sensors)
-        self._supervisor = supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
+        supervisor = self._supervisor = supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
         self.stack = ControlStack(
-            world,
-            kinematics,
-            arbiter,
-            pinch_force_n=config.impedance.pinch_n,
-            sensor=self.watch,
-            supervisor=self._supervisor,
+            world, kinematics, arbiter, pinch_force_n=config.impedance.pinch_n, sensor=self.watch, supervisor=supervisor
         )
         self.stack.on_flush(self._flushed)
         self.phase, self._began_s, self._sequence = "approach", world.time, 0

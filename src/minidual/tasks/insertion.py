@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba.core import types
 
 from minidual.config.root import Config, preset
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.registry import rows_beside
-from minidual.robot.pair import SIDES, Array, inverse, pose
+from minidual.robot.compiled import ROWS, kernel
+from minidual.robot.pair import SIDES, Array, pose
 from minidual.tasks import success
 from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, near, placement
 
@@ -108,20 +110,33 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     )
 
 
+@kernel(types.float64(ROWS, ROWS, ROWS, ROWS))
+def depth_in(T_peg: Array, peg: Array, T_socket: Array, socket: Array) -> float:
+    """Return `depth_m` of a peg near a socket, a block and four walls around the bore, the first on its -x side."""
+    turned, at = np.zeros((3, 3)), np.zeros(3)
+    half, length, block, wall = peg[0, 3], peg[0, 4], socket[0], socket[1]
+    bore, mouth = block[0] - wall[0] - wall[3], wall[1] - wall[4] - block[1]
+    for i in range(3):
+        for j in range(3):
+            at[i] += T_socket[j, i] * (T_peg[j, 3] - T_socket[j, 3])
+            for k in range(3):
+                turned[i, k] += T_socket[j, i] * T_peg[j, k]
+        at[i] += turned[i, 0] * peg[0, 0] + turned[i, 1] * peg[0, 1] + turned[i, 2] * peg[0, 2] - block[i]
+    deep = at[1] + turned[1, 1] * length - mouth
+    for i in (0, 2):
+        wide = half * (abs(turned[i, 0]) + abs(turned[i, 2]))
+        for y in (length, length - deep):
+            if not abs(at[i] + turned[i, 1] * y) + wide < bore:
+                return 0.0
+    return max(0.0, deep)
+
+
 def depth_m(truth: success.Truth) -> float:
     """Return the depth of the tip [m]; 0 unless the peg is inside the bore from mouth to tip."""
     peg, socket = truth[PEG], truth[SOCKET]
     if math.dist(peg.xyz, socket.xyz) > 1.2 * (_PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M):
         return 0.0
-    # As large as they are in this trial. The socket is a block and four walls around the bore, the first on its -x side.
-    ((middle, (half, length, _), *_),), ((block, *_), (wall, thick, *_), *_) = peg.solids, socket.solids
-    T = inverse(socket.T) @ peg.T
-    T[:3, 3] += T[:3, :3] @ middle - block
-    bore, mouth = block[0] - wall[0] - thick[0], wall[1] - thick[1] - block[1]
-    deep = T.item(1, 3) + T.item(1, 1) * length - mouth
-    ends = length, length - deep
-    sides = (abs(p + b * y) + half * (abs(a) + abs(c)) for a, b, c, p in T[[0, 2]].tolist() for y in ends)
-    return deep if deep > 0.0 and max(sides) < bore else 0.0
+    return float(depth_in(peg.T, peg.solids, socket.T, socket.solids))
 
 
 @dataclass
@@ -132,9 +147,8 @@ class _Aloft(success.AtEnd):
     limit_m: float
 
     def end(self, truth: success.Truth) -> str:
-        height = truth[self.object].clearance_m
-        high = height > self.limit_m
-        return "" if high else f"{1e3 * height:.0f} mm over the table, needs > {1e3 * self.limit_m:.0f}"
+        height, limit = truth[self.object].clearance_m, self.limit_m
+        return "" if height > limit else f"{1e3 * height:.0f} mm over the table, needs > {1e3 * limit:.0f}"
 
 
 @dataclass

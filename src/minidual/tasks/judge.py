@@ -77,9 +77,10 @@ class Judge:
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        self._observing = [(c.name, c.observe) for c in self._conditions if c.has("observe")]
-        self._final = [c.holds for c in self._conditions if c.has("holds")]
-        self._stages, self._reached = [c for c in self._conditions if c.stage], 0
+        self._observing = [c for c in self._conditions if c.has("observe")]
+        self._final = [c for c in self._conditions if c.has("holds")]
+        self._stages = [c for c in self._conditions if c.stage]
+        self._ahead = self._stages.copy()
         self.failures: dict[str, Failure] = {}
         """Violations so far, by name."""
         self._quiet_since: float | None = None
@@ -93,21 +94,20 @@ class Judge:
     @property
     def stages(self) -> tuple[str, ...]:
         """Stages reached."""
-        return tuple(c.name for c in self._stages[: self._reached])
+        return tuple(c.name for c in self._stages[: len(self._stages) - len(self._ahead)])
 
     def observe(self, world: World) -> None:
         """Evaluate the state."""
         truth = self.truth
         truth.refresh(world)
         now = truth.time
-        for name, observe in self._observing:
-            detail = observe(truth)
-            if detail and name not in self._muted:
-                self.failures.setdefault(name, Failure(name, now, detail))
-        while self._reached < len(self._stages) and self._stages[self._reached].reached(truth):
-            self._reached += 1
-        for holds in self._final:
-            if not holds(truth):
+        for condition in self._observing:
+            if (detail := condition.observe(truth)) and condition.name not in self._muted:
+                self.failures.setdefault(condition.name, Failure(condition.name, now, detail))
+        while self._ahead and self._ahead[0].reached(truth):
+            self._ahead.pop(0)
+        for condition in self._final:
+            if not condition.holds(truth):
                 self._quiet_since = self._done_at = None
                 return
         if self._quiet_since is None:
@@ -125,7 +125,7 @@ class Judge:
         truth, failures = self.truth, dict(self.failures)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at
-        measured = {"progress": self._reached / max(1, len(self._stages))}
+        measured = {"progress": len(self.stages) / max(1, len(self._stages))}
         for condition in self._conditions:
             measured.update(condition.measured(truth))
             detail = condition.end(truth)

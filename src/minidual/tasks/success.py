@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from minidual.config.scene import ObjectConfig
-from minidual.plant.bodies import Vector, lie
+from minidual.plant.bodies import lie
 from minidual.robot.pair import SIDES, Array
 
 if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
@@ -28,16 +28,13 @@ TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
 
 
-type Solid = tuple[Vector, Vector, bool, int]
-
-
 class ObjectTruth:
     """True state of one object.
 
     Attributes:
         xyz: (x, y, z) [m] of its centre.
         tilt_rad: Of its long axis from the horizontal, or from the vertical if upright.
-        solids: Place and half extents (3,) [m] in its frame, whether it is round, and its axis; as they are in the trial.
+        solids: (k, 8), place and half extents (3,) [m] in its frame, whether round, and its axis; as they are in the trial.
         clearance_m: Height of its lowest point above the table.
         pinch: Normal force of each hand's weaker finger [N].
         hand_forces: Net force (3,) [N] of each hand.
@@ -47,7 +44,6 @@ class ObjectTruth:
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
         self.name, self.body, self._upright, self.half_m = name, body, body.upright, body.solids[0].half_m
-        self.solids: list[Solid] = []
         self._world: World | None = None
 
     def refresh(self, world: World) -> None:
@@ -56,11 +52,10 @@ class ObjectTruth:
             self._world, self._object = world, world.truth(self.name)
             # A condition may have changed their size.
             solids = zip(self.body.solids, self._object.solids(self.body.solids), strict=True)
-            self.solids = [(*where, part.shape == "cylinder", "xyz".index(part.axis)) for part, where in solids]
-            self._shape = np.array([(*place, *half, *kind) for place, half, *kind in self.solids])
-            self.half_m = self.solids[0][1]
+            rows = [(*at, *half, p.shape == "cylinder", "xyz".index(p.axis)) for p, (at, half) in solids]
+            self.solids, self.half_m = np.array(rows), rows[0][3:6]
         seen = self._object.look()
-        self.tilt_rad, self.clearance_m = lie(seen, self._shape, self._upright)
+        self.tilt_rad, self.clearance_m = lie(seen, self.solids, self._upright)
         # Plain floats: a success test of arrays costs four times as much.
         x, y, z, _, _, _, a, b, c, d, e, f, left, right, self.squeeze_n, self.yaw_rad = seen.tolist()
         self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
@@ -191,7 +186,7 @@ class Whole(OfObject):
         if self.pinch_max_n is not None and pinch > self.pinch_max_n:
             return f"the object broke: pinch {pinch:.1f} N, it stands {self.pinch_max_n:.0f}"
         if self.force_max_n is not None:
-            force = max(math.hypot(*hand) for hand in item.hand_forces)
+            force = max([math.hypot(*hand) for hand in item.hand_forces])
             if force > self.force_max_n:
                 return f"the object broke: a hand pressed with {force:.1f} N, it stands {self.force_max_n:.0f}"
         return ""

@@ -91,7 +91,6 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._camera: Camera | None = None
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
-        self._potential = 0.0
         low, high = np.r_[robot.q_lower, 0.0, 0.0], np.r_[robot.q_upper, 1.0, 1.0]
         self._actions = self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
         beyond = np.r_[np.full(robot.dof, _OVERTRAVEL_RAD), 0.1, 0.1]
@@ -153,8 +152,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         terminated = diverged or fallen or judge.finished
         truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
         potential = self._potential if diverged else self._measure_potential(judge.trial)
-        reward = float(success) + (potential - self._potential)
-        self._potential = potential
+        reward, self._potential = float(success) + (potential - self._potential), potential
         info: dict[str, Any] = {"success": success, "trial": judge.trial, "time_s": self._world.time}
         if terminated or truncated:
             info["outcome"], info["stages"] = outcome, judge.stages
@@ -166,8 +164,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         T = self._world.object_pose(name)
         level, grasps = level_part(T), self._task.objects[name].grasps
         tcps = zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
-        away = [(level @ grasps[side])[:3, 3] - tcp[:3, 3] for side, tcp in tcps if side in grasps]
-        hands = [float(np.linalg.norm(offset)) for offset in away]
+        hands = [float(np.linalg.norm((level @ grasps[s] - tcp)[:3, 3])) for s, tcp in tcps if s in grasps]
         x, y, _ = placement(trial.goal[name])
         goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
         return -(sum(hands) / len(hands) + goal)

@@ -94,7 +94,7 @@ class Bench:
         every = round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
-        peak, longest, saturated, tau_max = 0.0, 0.0, np.zeros(world.robot.dof), np.array(world.robot.tau_max)
+        most, saturated, tau_max = np.zeros(2), np.zeros(world.robot.dof), np.array(world.robot.tau_max)
         model, data, finished_s, broken = world.model, world.data, 0.0, None
         time_s, qpos, qvel = data.time, data.qpos, data.qvel
         last_q, last_v = qpos.copy(), qvel.copy()
@@ -111,10 +111,7 @@ class Bench:
             last_q, last_v = qpos.copy(), qvel.copy()  # half the time of writing into an array
             judge.observe(world)
             time_s = judge.truth.time
-            ratio = strain(world.tau, tau_max, saturated, SATURATED)
-            peak = peak if ratio <= peak or peak != peak else ratio  # NaN stays
-            if ratio >= SATURATED:
-                longest = max(longest, float(saturated.max()))
+            strain(world.tau, tau_max, SATURATED, saturated, most)
             if step % every == 0:
                 rows.append(self._sample(seen))
             if disturb is not None:
@@ -136,7 +133,7 @@ class Bench:
         found = {name: x for name, x in measure(log, mass_kg, wanted_n).items() if math.isfinite(x)}
         outcome = replace(outcome, measured={**outcome.measured, **found})
         wall["inference_s"] = getattr(method, "inference_s", math.nan)
-        known: dict[str, Any] = {"torque_ratio_max": peak, "saturated_max_s": longest * world.dt, "wall": wall}
+        known: Any = {"torque_ratio_max": most.item(0), "saturated_max_s": most.item(1) * world.dt, "wall": wall}
         return trial_metrics(self.method, trial.index, outcome, log, aborted=method.aborted or "", **known), log
 
     def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
