@@ -63,7 +63,8 @@ def advance(
 ) -> int:
     """Advance `hands` (4, 2): open or closed, target [m], fingers [m] when they held, ticks without the grip.
 
-    how: gain, step [m], travel [m]. Return whether a hand begins to open (1), has felt no grip for a tick (2), and whether both are wide (4).
+    how: gain, step [m], travel [m]. Return the sum of 1 if a hand begins to open, 2 if a closed one has lost its grip in
+    this tick, and 4 if both are fully open.
     """
     found, wide_n, (gain, step_m, travel_m) = 0, 0, how
     for i in range(2):

@@ -28,7 +28,7 @@ _BORE_M, _BORE_DEPTH_M, _WALL_M = _PEG_M + CLEARANCE_M + 2 * _FELT_M, 0.045, 0.0
 _BLOCK_M, _BLOCK_LENGTH_M = _BORE_M + 2 * _WALL_M, 0.08
 _MOUTH_M = -(_BLOCK_LENGTH_M / 2 + _BORE_DEPTH_M)  # y in the socket's frame
 _GRASP_M: dict[str, float] = dict(zip(HAND_OF, (0.0, -0.06), strict=True))  # y; so the hands keep 21 cm apart
-_AIM_M, _BEFORE_M = 0.036, 0.015  # depth to which the peg is driven, and its distance from the mouth before
+_AIM_M, _BEFORE_M = 0.036, 0.045  # depth to which the peg is driven, and its distance from the mouth before
 _START_M, _GOAL_Z_M = (0.45, 0.28), (0.18, 0.26)
 _PRESS_M = 0.003  # driven into the mouth so far, the tip presses gently on the rim that it meets
 _HOLD_S = 0.3
@@ -112,7 +112,10 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
 
 @kernel(types.float64(ROWS, ROWS, ROWS, ROWS))
 def depth_in(T_peg: Array, peg: Array, T_socket: Array, socket: Array) -> float:
-    """Return `depth_m` of a peg near a socket, a block and four walls around the bore, the first on its -x side."""
+    """Return `depth_m` of a peg near a socket, whose block has four walls around the bore, the first on its -x side.
+
+    T_peg, T_socket: (4, 4). peg, socket: (k, 8), see `ObjectTruth.solids`.
+    """
     turned, at = np.zeros((3, 3)), np.zeros(3)
     half, length, block, wall = peg[0, 3], peg[0, 4], socket[0], socket[1]
     bore, mouth = block[0] - wall[0] - wall[3], wall[1] - wall[4] - block[1]

@@ -19,7 +19,7 @@ from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, fai
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
 _SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
-_DRIVEN_M, _RESTED_M = 0.006, 0.004  # further by force: into another object, down to rest
+_DRIVEN_M, _RESTED_M = 0.020, 0.004  # further by force: into another object, down to rest
 _CRAWL_RATIO = 2.5  # time of a straight way over that of the hands alone; near singular postures it is 5 or more
 _SHORTER = (1.0, 0.6)  # shares of the retreat height to try
 
