@@ -497,7 +497,8 @@ def test_by_impedance_the_right_hand_alone_is_soft_and_presses_little(soft: Benc
     assert result.measured["depth_m"] > AIM_M
     assert force_n < 5.0
     by_position = {phase: {("both_arms",)} for phase in ("approach", "descend", "close", "lift", "carry")}
-    assert active == by_position | {phase: {("left_arm", "right_hand")} for phase in ("insert", "settle")}
+    by_force = {phase: {("left_arm", "right_hand")} for phase in ("insert", "settle")}
+    assert {"settle": by_force["settle"]} | active == by_position | by_force  # it may be deep enough before it settles
 
 
 def stiff_joint(method: str) -> Bench:
