@@ -501,6 +501,17 @@ def test_by_impedance_the_right_hand_alone_is_soft_and_presses_little(soft: Benc
     assert {"settle": by_force["settle"]} | active == by_position | by_force  # it may be deep enough before it settles
 
 
+def test_a_peg_that_lies_further_back_than_it_seems_is_pushed_deep_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The camera of trial 2 is off; pushed to 6 mm beyond the aim, the peg would stay 7 mm short."""
+    bench = Bench("impedance", MethodInputs(TASK.config, TASK.config.seed), "randomised")
+    trial = TASK.trial(TASK.config.seed, "benchmark", 2)
+    found, _ = bench.run(trial)
+    assert found.success, found.text
+    monkeypatch.setattr(hands, "_DRIVEN_M", 0.006)
+    missed, _ = bench.run(trial)
+    assert (missed.failure, missed.measured["depth_m"]) == ("mated", pytest.approx(0.023, abs=0.002))
+
+
 def stiff_joint(method: str) -> Bench:
     return Bench(method, MethodInputs(TASK.config, TASK.config.seed), "joint friction x2")
 
