@@ -401,7 +401,7 @@ def strain(tau: Array, tau_max: Array, saturated: float, ticks: Array, most: Arr
     for j in range(len(tau)):
         ratio = abs(tau[j]) / tau_max[j]
         ticks[j] = ticks[j] + 1.0 if ratio >= saturated else 0.0
-        most[0], most[1] = larger(most[0], larger(ratio, most[0])), max(most[1], ticks[j])
+        most[0], most[1] = larger(ratio, most[0]), max(most[1], ticks[j])
 
 
 @kernel(types.void(*[VIEW] * 5, _REAL, VECTOR))
