@@ -302,7 +302,7 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
 ) -> None:
     pinch_rod(JointLoop(world, kinematics), scene, kinematics)
     stack = stack_on(world, sensor=TrueObject(world))
-    stack.grippers.close(world.finger_targets)  # the stack must not open the hands
+    stack.grippers.close(world.data.ctrl[world.finger_joints.ctrl[::2]])  # the stack must not open the hands
     hand_over(stack, "moveit")
     q = world.q
     still = Trajectory(np.array([0.0, 0.9]), np.array([q, q]), np.zeros((2, 14)), np.zeros((2, 14)), "both_arms")

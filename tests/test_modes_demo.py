@@ -127,8 +127,11 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
 )
 def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
     fine = {"first_step_rad": 0.01, "reference_step_ratio": 0.9, "torque_step_nm": 0.9, "target_step_rad": 0.01}
-    assert Switch("teleop", 1.0, **fine).exceeded(ArbiterConfig()) == []
-    exceeded = Switch("teleop", 1.0, **{**fine, **changes}).exceeded(ArbiterConfig())
+    demo = ModesDemo.__new__(ModesDemo)
+    demo.switches = [Switch("teleop", 1.0, **fine)]
+    assert demo.exceeded(ArbiterConfig()) == []
+    demo.switches.append(Switch("teleop", 1.0, **{**fine, **changes}))
+    exceeded = demo.exceeded(ArbiterConfig())
     assert len(exceeded) == 1
     assert exceeded[0].startswith(f"switch to teleop at 1.00 s: {name}")
 

@@ -80,7 +80,7 @@ class BenchScene:
         """Return grippers that keep the situation."""
         grippers = Grippers(self.world)
         if not self.virtual:
-            grippers.close(self.world.finger_targets)
+            grippers.close(self.world.data.ctrl[self.world.finger_joints.ctrl[::2]])
         return grippers
 
     def joint_samples(self) -> Iterator[JointSample]:

@@ -121,11 +121,6 @@ class Grippers:
         """Start closed on an object, at finger targets (2,) [m]."""
         self._hands[_OPEN], self._hands[_TARGET], self.targets_m, self.wide = 0.0, targets_m, targets_m.copy(), False
 
-    @property
-    def is_open(self) -> list[bool]:
-        """By command, each hand."""
-        return [bool(x) for x in self._hands[_OPEN]]
-
     def firmer(self) -> None:
         """From now on, pinch harder."""
         self._force_n = self._firm_n

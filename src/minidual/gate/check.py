@@ -2,7 +2,7 @@
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
@@ -11,13 +11,7 @@ from minidual.gate.canonical import canonical
 Op = Literal["<", "<=", ">", ">=", "=="]
 Number = float | int | bool
 
-_COMPARE: dict[str, Callable[[Any, Any], bool]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-}
+_COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
 
 
 def _plain_number(value: Any, what: str) -> Number:
@@ -67,7 +61,7 @@ class Check:
     @property
     def passed(self) -> bool | None:
         """Whether the limit holds; None without one."""
-        if self.op is None:
+        if self.op is None or self.limit is None:
             return None
         return math.isfinite(self.observed) and _COMPARE[self.op](self.observed, self.limit)
 

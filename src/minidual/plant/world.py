@@ -121,11 +121,6 @@ class World:
         """Openings (2,), 0..1 open."""
         return self.fingers / self.robot.hand.travel_m
 
-    @property
-    def finger_targets(self) -> Array:
-        """Targets (2,) [m]."""
-        return self._ctrl[self._finger_ctrl[0]]
-
     def truth(self, name: str | None = None) -> NamedObject:
         """Return an object's true state.
 

@@ -30,13 +30,8 @@ from minidual.policies.train import Trained, threads, train
 
 REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json")
 
-STEPS = (
-    "rename_observations_processor",
-    "to_batch_processor",
-    "device_processor",
-    "normalizer_processor",
-    "unnormalizer_processor",
-)
+_STEPS = "rename_observations", "to_batch", "device", "normalizer", "unnormalizer"
+STEPS = tuple(f"{step}_processor" for step in _STEPS)
 """Steps of ACT in LeRobot's registry. None of them runs code, opens a file or connects to a server."""
 STATE_BYTES_MAX, WEIGHTS_BYTES_MAX = 2**24, 2**32
 SIZE_MAX, LAYERS_MAX = 4096, 16

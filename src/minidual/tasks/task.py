@@ -121,16 +121,10 @@ class Task:
         return Trial(purpose, index, start, goal)
 
 
+_OWN = "rod_carry", "handover", "pot_lift", "sort", "insertion"
+"""Functions of the same name in modules of the same name."""
 TASKS: Registry[Callable[[Config], Task]] = Registry(
-    "task",
-    {
-        "rod_carry": "minidual.tasks.rod_carry:rod_carry",
-        "handover": "minidual.tasks.handover:handover",
-        "pot_lift": "minidual.tasks.pot_lift:pot_lift",
-        "sort": "minidual.tasks.sort:sort",
-        "insertion": "minidual.tasks.insertion:insertion",
-    },
-    group="minidual.tasks",
+    "task", {name: f"minidual.tasks.{name}:{name}" for name in _OWN}, group="minidual.tasks"
 )
 
 

@@ -73,14 +73,6 @@ class Switch:
             "torque_step_nm": (self.torque_step_nm, self.torque_step_max_nm),
         }
 
-    def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
-        """Return the exceeded bounds; NaN exceeds all."""
-        return [
-            f"switch to {self.mode} at {self.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
-            for name, (value, bound) in self.bounds(arbiter).items()
-            if not value <= bound + 1e-9
-        ]
-
 
 class ModesDemo:
     """Runs the turns of one stack; iterate `steps`, then read the measurements.
@@ -137,8 +129,13 @@ class ModesDemo:
         self.outcomes.append({"mode": turn.mode, **result})
 
     def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
-        """Return the exceeded bounds of all switches."""
-        return [text for switch in self.switches for text in switch.exceeded(arbiter)]
+        """Return the exceeded bounds of all switches; NaN exceeds all."""
+        return [
+            f"switch to {s.mode} at {s.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
+            for s in self.switches
+            for name, (value, bound) in s.bounds(arbiter).items()
+            if not value <= bound + 1e-9
+        ]
 
     def record(self, arbiter: ArbiterConfig) -> dict[str, Any]:
         """Return the measurements as plain data."""

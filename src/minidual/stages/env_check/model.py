@@ -35,7 +35,7 @@ def torque_pulse_mapping(
     robot, n = world.robot, world.robot.dof
     world.reset()
     predicted = np.linalg.inv(kinematics.mass_matrix(robot.home) + world.dt * robot.arm.damping * np.eye(n))
-    gravity, fingers = kinematics.gravity(robot.home), world.finger_targets
+    gravity, fingers = kinematics.gravity(robot.home), world.fingers
 
     def after(tau: Array) -> tuple[Array, Array]:
         world.reset()
