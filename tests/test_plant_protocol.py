@@ -1,9 +1,10 @@
-"""The plant seam: the simulator and a delayed plant keep it, and the control stack needs no more than it."""
+"""The plant seam: the simulator and the delayed plant of docs/howto-plant.md keep it, and the stack needs no more."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import howto
 import numpy as np
 import pytest
 from control_plant import ArmsPlant
@@ -12,11 +13,13 @@ from minidual.control.commands import JointCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack, PlantError
 from minidual.control.supervisor import Supervisor
-from minidual.errors import UsageError
-from minidual.plant.protocol import DelayedPlant, Plant
+from minidual.plant.protocol import Plant
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 
+_PAGE: dict[str, Any] = {"np": np}
+exec(next(block for block in howto.blocks("howto-plant.md") if "class DelayedPlant" in block), _PAGE)
+DelayedPlant = _PAGE["DelayedPlant"]
 SEAM = {name for name in vars(Plant) if not name.startswith("_")} | set(Plant.__annotations__)
 
 
@@ -84,21 +87,6 @@ def test_readings_are_copies(scene, compiled_model):
     late = DelayedPlant(World(scene, model=compiled_model), 0.002)
     late.q[:] = 9.0
     assert np.abs(late.q).max() < 4.0
-
-
-def test_a_reset_behind_it_is_forgotten(scene, compiled_model):
-    world = World(scene, model=compiled_model)
-    late = DelayedPlant(world, 0.005)
-    for _ in range(10):
-        late.step()
-    world.reset()
-    late.forget()
-    assert late.stamp_s == world.time == 0.0
-
-
-def test_no_measurement_comes_from_the_future(scene, compiled_model):
-    with pytest.raises(UsageError, match="at least 0"):
-        DelayedPlant(World(scene, model=compiled_model), -0.001)
 
 
 def test_tracking_degrades_with_the_delay_and_holds(scene, compiled_model):

@@ -1,13 +1,7 @@
-"""Interface between the control stack and simulated or real arms, without true object poses and contact forces.
+"""Interface between the control stack and simulated or real arms, without true object poses and contact forces."""
 
-`DelayedPlant` is a plant with delayed measurements.
-"""
+from typing import NamedTuple, Protocol
 
-from collections import deque
-from copy import copy
-from typing import Any, NamedTuple, Protocol
-
-from minidual.errors import UsageError
 from minidual.robot.pair import Array, Robot
 
 
@@ -99,47 +93,3 @@ class ObjectSensors(Protocol):
     def sense(self) -> Reading:
         """Return new readings; once a control step."""
         ...
-
-
-_MEASURED = ("stamp_s", "q", "v", "tau", "fingers", "grip")
-
-
-def _late(name: str) -> Any:
-    return property(lambda self: copy(self._states[0][name]), doc="See `Plant`.")
-
-
-def _now(name: str) -> Any:
-    return property(lambda self: getattr(self._plant, name), doc="See `Plant`.")
-
-
-class DelayedPlant:
-    """Delays measurements by `delay_s`, rounded to control steps; commands, clock and health are immediate.
-
-    Until then the first measurements are returned.
-
-    Raises:
-        UsageError: The delay is negative.
-    """
-
-    stamp_s, q, v, tau, fingers, grip = map(_late, _MEASURED)
-    robot, time, grip_max_n, health, command = map(_now, ("robot", "time", "grip_max_n", "health", "command"))
-
-    def __init__(self, plant: Plant, delay_s: float) -> None:
-        if not delay_s >= 0.0:
-            raise UsageError(f"delay_s is {delay_s}; it must be at least 0")
-        self._plant, self.dt = plant, plant.dt
-        self._states: deque[dict[str, Any]] = deque(maxlen=round(delay_s / plant.dt) + 1)
-        self.forget()
-
-    def forget(self) -> None:
-        """Clear the buffer; call after a reset."""
-        self._states.clear()
-        self._note()
-
-    def _note(self) -> None:
-        self._states.append({name: getattr(self._plant, name) for name in _MEASURED})
-
-    def step(self) -> None:
-        """See `Plant`."""
-        self._plant.step()
-        self._note()
