@@ -174,7 +174,7 @@ class JointSense:
 
 EVERY = 4
 """Ticks between updates."""
-_FILTER_S = 0.012
+_FILTER_S, _STEADY_S = 0.012, 0.1
 _LEAST_NM = 3.0
 """Least torque bound: touching fingers turn the weak last joints."""
 _WINDOW_MAX = 32
@@ -224,11 +224,11 @@ def observe(
     step_s: float,
     kept: Array,
 ) -> tuple[float, float]:
-    """Update `kept` (3, n): see `ContactSense`; return the largest ratios to bounds of torque and lateness.
+    """Update `kept` (4, n): see `ContactSense`; return the largest ratios to bounds of torque and lateness.
 
     needed: M dv/dt + h (n,). applied: ring of torques (T, n).
     """
-    torque, late, n = 0.0, 0.0, len(needed)
+    torque, late, n, slowly = 0.0, 0.0, len(needed), min(1.0, step_s / _STEADY_S)
     for j in range(n):
         given = 0.0
         for k in range(ticks):
@@ -236,6 +236,7 @@ def observe(
         v = mean[1, j]
         friction = damping * v + (dry * math.tanh(v / 0.02) if dry != 0.0 else 0.0)
         kept[0, j] += gain * (needed[j] + friction - given / ticks - expected[j] - kept[0, j])
+        kept[3, j] += slowly * (kept[0, j] - kept[3, j])
         kept[2, j] = mean[0, j] - reference[j]
         kept[1, j] = kept[1, j] + step_s if abs(kept[2, j]) > bounds[n] else 0.0
         ratio = abs(kept[0, j]) / bounds[j]
@@ -251,6 +252,7 @@ class ContactSense:
         torque: (n,) [Nm], unexplained.
         late_s: (n,), time too far from the reference.
         away: (n,) [rad] from it.
+        steady: (n,) [Nm], mean of `torque` over the last 0.1 s.
         limits: (n + 3,), the bounds in force.
     """
 
@@ -269,7 +271,7 @@ class ContactSense:
 
     def reset(self) -> None:
         """Start at the next measurement."""
-        self.torque, self.late_s, self.away = self._kept = np.zeros((3, len(self._nothing)))
+        self.torque, self.late_s, self.away, self.steady = self._kept = np.zeros((4, len(self._nothing)))
         self._stamp_s = math.nan
 
     def update(

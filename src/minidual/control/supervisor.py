@@ -175,6 +175,11 @@ class Supervisor:
         self._applied = applied  # only now: what trips begins at the torque of the tick before
         return applied.copy()
 
+    @property
+    def touch(self) -> Array:
+        """External torque (n,) [Nm] beyond its mean of the last 0.1 s, which dry joints explain."""
+        return self._contact.torque - self._contact.steady
+
     # Checks --------------------------------------------------------------------------------------------------
 
     def _note(self, time_s: float, q: Array, v: Array, tau: Array, stamp_s: float | None, a_ref: Array | None) -> float:

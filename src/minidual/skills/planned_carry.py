@@ -1,19 +1,30 @@
 """Plan the whole task, then execute it: by position, or by impedance where what a hand holds may touch something."""
 
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 
+import numpy as np
 import pinocchio as pin
 
 from minidual.control.impedance import InHand
+from minidual.control.reflexes import ReflexError
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.errors import MinidualError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
 from minidual.skills.cycle import solve
-from minidual.skills.phases import OPEN, Segment, State
+from minidual.skills.phases import OPEN, Segment, State, moved
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.search import Solution, TaskFailedError
+from minidual.skills.pipeline.hands import retreat
+from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
+from minidual.skills.pipeline.stage import Stage
 from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
+
+_TRIES, _ASIDE_M = 3, 0.020  # of a trial; open fingers leave 15 mm on either side of a bottle
+_PRESSED_N, _BESIDE_M = 10.0, 0.010  # least force that a touch explains, and its least distance from the hand's middle
 
 
 class PlannedCarry(Drive):
@@ -36,16 +47,15 @@ class PlannedCarry(Drive):
         poses: Mapping[str, Array] | None = None,
     ) -> None:
         self.task, self.world = task, (world := stack.plant)
-        supervisor = stack.supervisor
-        self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
+        sensed = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
+        lying = {name for name, where in trial.start.items() if isinstance(where, tuple)}
         known = self._poses = {
-            name: pose_of(task.objects[name].body, placement(T))
-            if isinstance(trial.start[name], tuple)
-            else level_part(T)
-            for name, T in self.poses.items()
+            name: pose_of(task.objects[name].body, placement(T) if name in lying else level_part(T))
+            for name, T in sensed.items()
         }
-        start = State(world.q, dict(known))
-        apart_m = None if supervisor is None else supervisor.config.self_collision_min_m
+        start, self._tries_left = State(world.q, dict(known)), _TRIES
+        self._touch: tuple[Solution, Segment, Array] | None = None
+        apart_m = None if stack.supervisor is None else stack.supervisor.config.self_collision_min_m
         self.solution: Solution | None = None
         try:
             self.solution = solve(task, trial, start, planner, seed, apart_m, self.by_force)
@@ -54,6 +64,40 @@ class PlannedCarry(Drive):
         except TaskFailedError as error:
             super().__init__(stack, ())
             self.aborted, self.record = error.summary, error.record
+
+    def step(self) -> None:
+        """Run one control step; simulated time stands still while it plans anew."""
+        super().step()
+        if self._touch is not None and not self.stack.stopping:
+            touch, self._touch = self._touch, None
+            with suppress(MinidualError):  # it moves still, or finds no plan: it stays aborted
+                self._grasp_again(*touch)
+
+    def _stopped(self, error: ReflexError) -> None:
+        solution, supervisor, touched = self.solution, self.stack.supervisor, error.reflex.name.endswith("_contact")
+        if solution and supervisor and touched and self.phase == "descend" and self._tries_left:
+            self._touch = solution, self._left[0], supervisor.touch
+        super()._stopped(error)
+
+    def _grasp_again(self, solution: Solution, segment: Segment, torque: Array) -> None:
+        """Back off from what a finger came down on, and grasp it further towards that finger."""
+        stack, q, arm = self.stack, self.world.q, int(np.argmax(np.abs(torque))) // (len(torque) // 2)
+        k, state = next((k, solution.states[k]) for k, part in enumerate(solution.parts) if segment in part)
+        name, own = state.object_of(SIDES[arm]), self.world.robot.joints_of(arm)
+        wrench = np.linalg.lstsq(stack.kinematics.tcp_jacobians(q)[arm][:, own].T, torque[own])[0]
+        x, y, z = stack.kinematics.tcp_poses(q)[arm][:3, :3].T
+        pressed_n, aside_nm = -z @ wrench[:3], -x @ wrench[3:]
+        on_a_finger = pressed_n > _PRESSED_N and abs(aside_nm) > _BESIDE_M * pressed_n
+        if not on_a_finger or name in map(state.object_of, state.held_by):
+            return
+        self._tries_left -= 1
+        self._poses[name] = moved(state.objects[name], np.sign(aside_nm) * _ASIDE_M * y)
+        start = replace(state, q=q, objects={**state.objects, name: self._poses[name]})
+        before, back = solution.pipeline, Stage("back off", partial(retreat, tuple(state.reached)))
+        stack.recover()
+        pipeline = Pipeline(before.name, (back, *before.stages[k - 1 :]), before.keenness)
+        self.solution = pipeline.solve(start, solution.tools)
+        super().__init__(stack, self.solution.segments)
 
 
 class CompliantCarry(PlannedCarry):

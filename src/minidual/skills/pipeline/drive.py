@@ -57,8 +57,7 @@ class Drive:
         try:
             stack.step()
         except ReflexError as error:
-            self.aborted = f"phase '{self.phase}': {error.message}"
-            self._left = []
+            self._stopped(error)
         if self._left and (stack.state == ArbiterState.STOPPED or (self._proposed and stack.source != SOURCE)):
             self._abort("the arms were taken over" if self._proposed else "the arms were not handed over")
 
@@ -99,6 +98,10 @@ class Drive:
 
     def _take_control(self, segment: Segment) -> None:
         """Choose the controllers of a segment."""
+
+    def _stopped(self, error: ReflexError) -> None:
+        self.aborted = f"phase '{self.phase}': {error.message}"
+        self._left = []
 
     def _abort(self, reason: str) -> None:
         self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"

@@ -1,5 +1,7 @@
 """Best-first search over a task's stages; deepest first at equal cost."""
 
+from __future__ import annotations
+
 import heapq
 import itertools
 import time
@@ -88,13 +90,21 @@ class Solution:
     """A plan through all stages.
 
     Attributes:
-        segments: In time order.
+        pipeline, tools: Of the search.
+        parts: Segments of each stage.
         states: Start, then each stage's end.
     """
 
-    segments: tuple[Segment, ...]
+    pipeline: Pipeline
+    tools: Tools
+    parts: tuple[tuple[Segment, ...], ...]
     states: tuple[State, ...]
     record: Record
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """In time order."""
+        return tuple(itertools.chain(*self.parts))
 
     @property
     def duration_s(self) -> float:
@@ -119,7 +129,7 @@ class Pipeline:
     """
 
     def __init__(self, name: str, stages: Sequence[Stage], keenness: float = 0.0) -> None:
-        self.name, self.stages, self._keenness = name, tuple(stages), keenness
+        self.name, self.stages, self.keenness = name, tuple(stages), keenness
         names = [stage.name for stage in stages]
         if not names:
             raise UsageError(f"the task '{name}' has no stage")
@@ -139,7 +149,7 @@ class Pipeline:
 
         def push(node: _Node) -> None:
             depth = len(node.done)
-            heapq.heappush(heap, (node.cost - self._keenness * depth, -depth, next(ticket), node))
+            heapq.heappush(heap, (node.cost - self.keenness * depth, -depth, next(ticket), node))
 
         push(_Node((), 0.0, self.stages[0].offers(start, tools)))
         while heap:
@@ -171,8 +181,8 @@ class Pipeline:
                 record.took_s = time.perf_counter() - began
                 for found, candidate in zip(record.stages, done, strict=True):
                     found.chosen = candidate.label
-                segments = tuple(segment for candidate in done for segment in candidate.segments)
-                return Solution(segments, (start, *(candidate.end for candidate in done)), record)
+                parts, states = zip(*((candidate.segments, candidate.end) for candidate in done), strict=True)
+                return Solution(self, tools, parts, (start, *states), record)
             push(_Node(done, total, self.stages[len(done)].offers(offer.end, tools)))
         record.took_s = time.perf_counter() - began
         record.ended = record.ended or "no way through"

@@ -1,0 +1,178 @@
+"""A finger comes down on an object that lies further off than it was seen: the hand backs off and grasps it there."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from minidual.config.root import Config
+from minidual.control.reflexes import Reflex, ReflexError
+from minidual.control.stack import ControlStack
+from minidual.motion.api import Planner
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import SIDES
+from minidual.skills import planned_carry
+from minidual.skills.phases import moved
+from minidual.skills.planned_carry import PlannedCarry
+from minidual.skills.supervised import trial_supervisor
+from minidual.tasks.judge import begin
+from minidual.tasks.task import make_task
+
+TASK = make_task(Config(task="handover"))
+TRIAL = TASK.trial(1, "plan", 0)
+NAME = TASK.carried
+LEAST_N = 20.0
+
+
+@pytest.fixture(scope="module")
+def planner() -> Planner:
+    return Planner()
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(TASK.scene)
+
+
+@pytest.fixture(scope="module")
+def axis(world: World, planner: Planner) -> np.ndarray:
+    """Return the direction (3,) along which the fingers of the giving hand close."""
+    carry = seen(world, planner)
+    segment = next(s for s in carry.solution.segments if s.phase == "descend")
+    return carry.stack.kinematics.tcp_poses(segment.trajectory.q[-1])[giver(carry)][:3, 1]
+
+
+def seen(world: World, planner: Planner, off_m: np.ndarray | None = None) -> PlannedCarry:
+    """Return a trial whose bottle was seen `off_m` (3,) from its place."""
+    begin(world, TASK, TRIAL)
+    stack = ControlStack(
+        world, Kinematics(), supervisor=trial_supervisor(TASK.config.supervisor, world.dt, world.robot)
+    )
+    pose = world.object_pose() if off_m is None else moved(world.object_pose(), off_m)
+    return PlannedCarry(stack, planner, TASK, TRIAL, 0, poses={NAME: pose})
+
+
+def giver(carry: PlannedCarry) -> int:
+    return SIDES.index(carry.solution.pipeline.stages[0].name.split()[-1])
+
+
+def drive(carry: PlannedCarry, until: str) -> list[str]:
+    """Run until a phase or the end; return the phases."""
+    phases = [carry.phase]
+    while not carry.done and carry.phase != until and carry.world.time < TASK.time_limit_s:
+        carry.step()
+        if carry.phase != phases[-1]:
+            phases.append(carry.phase)
+    return phases
+
+
+@pytest.mark.parametrize("dry_nm", [0.0, 0.5])
+@pytest.mark.parametrize("off_m", [-0.018, 0.018])
+def test_the_hand_backs_off_and_grasps_the_bottle_where_it_is(
+    world: World, planner: Planner, axis: np.ndarray, off_m: float, dry_nm: float
+) -> None:
+    carry = seen(world, planner, -off_m * axis)
+    arm, before = giver(carry), carry._poses[NAME]
+    world.model.dof_frictionloss[world.joints.qvel] = dry_nm
+    try:
+        phases = drive(carry, "lift")
+    finally:
+        world.model.dof_frictionloss[world.joints.qvel] = 0.0
+    assert phases == ["approach", "descend", "done", "retreat", "approach", "descend", "close", "lift"], carry.aborted
+    assert carry.aborted is None
+    assert carry.solution.pipeline.stages[0].name == "back off"
+    assert world.truth().pinch()[arm] > LEAST_N
+    # Three quarters of what it was off by, or more, is found: towards the finger that touched.
+    left_m = np.linalg.norm((carry._poses[NAME] - world.object_pose())[:2, 3])
+    assert np.linalg.norm((before - world.object_pose())[:2, 3]) > 0.015
+    assert left_m < 0.005
+
+
+def test_a_bottle_within_reach_of_the_fingers_needs_no_second_grasp(
+    world: World, planner: Planner, axis: np.ndarray
+) -> None:
+    carry = seen(world, planner, -0.008 * axis)
+    assert drive(carry, "lift") == ["approach", "descend", "close", "lift"]
+
+
+def test_after_three_tries_the_reflex_ends_the_trial(
+    world: World, planner: Planner, axis: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planned_carry, "_ASIDE_M", 0.0)
+    carry = seen(world, planner, -0.018 * axis)
+    assert drive(carry, "close").count("descend") == 4
+    assert carry.done
+    assert carry.aborted.startswith("phase 'descend': ")
+    assert "_contact" in carry.aborted
+    assert np.abs(world.v).max() < 0.05
+
+
+def test_a_plan_that_is_not_found_leaves_the_arms_stopped(
+    world: World, planner: Planner, axis: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planned_carry, "_ASIDE_M", 1.5)  # to beyond the table
+    carry = seen(world, planner, -0.018 * axis)
+    assert drive(carry, "close") == ["approach", "descend", "done"]
+    assert carry.done
+    assert "_contact" in carry.aborted
+
+
+def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:
+    """Return the joint torques of a force up on the giving hand, so far along its fingers."""
+    arm, kinematics, q = giver(carry), carry.stack.kinematics, carry.world.q
+    x, _, z = kinematics.tcp_poses(q)[arm][:3, :3].T
+    wrench = np.r_[-force_n * z, -force_n * aside_m * x]
+    return kinematics.tcp_jacobians(q)[arm].T @ wrench
+
+
+@pytest.mark.parametrize(
+    ("force_n", "aside_m", "held", "goes_on"),
+    [
+        (40.0, 0.04, False, True),
+        (40.0, -0.04, False, True),
+        (40.0, 0.005, False, False),  # on the palm, or on both fingers
+        (5.0, 0.04, False, False),  # too weak to tell
+        (-40.0, 0.04, False, False),  # pulled down
+        (40.0, 0.04, True, False),  # the other hand holds it
+    ],
+)
+def test_only_a_press_on_one_finger_says_where_the_object_is(
+    world: World, planner: Planner, force_n: float, aside_m: float, held: bool, goes_on: bool
+) -> None:
+    carry = seen(world, planner)
+    solution, tries, before = carry.solution, carry._tries_left, carry._poses[NAME]
+    segment = next(s for s in solution.segments if s.phase == "descend")
+    k = next(k for k, part in enumerate(solution.parts) if segment in part)
+    if held:
+        states = list(solution.states)
+        states[k] = dataclasses.replace(states[k], held_by={SIDES[1 - giver(carry)]: np.eye(4)})
+        solution = dataclasses.replace(solution, states=tuple(states))
+    along = carry.stack.kinematics.tcp_poses(world.q)[giver(carry)][:3, 1]
+    carry._grasp_again(solution, segment, wrenched(carry, force_n, aside_m))
+    assert (carry._tries_left < tries) == goes_on
+    assert (carry.solution is not solution and carry.solution.pipeline.stages[0].name == "back off") == goes_on
+    assert (carry._poses[NAME] - before)[:3, 3] == pytest.approx(goes_on * np.sign(aside_m) * 0.02 * along)
+
+
+@pytest.mark.parametrize(
+    ("name", "phase", "goes_on"),
+    [
+        ("joint_contact", "descend", True),
+        ("cartesian_contact", "descend", True),
+        ("joint_contact", "approach", False),
+        ("tracking_error", "descend", False),
+        ("emergency_stop", "descend", False),
+    ],
+)
+def test_only_a_touch_on_the_way_down_is_tried_again(
+    world: World, planner: Planner, name: str, phase: str, goes_on: bool
+) -> None:
+    carry = seen(world, planner)
+    while carry.phase != phase:
+        carry._left.pop(0)
+    carry._stopped(ReflexError(Reflex(name, 0.0, "a joint", 1.0, None), np.zeros(14)))
+    assert (carry._touch is not None) == goes_on
+    assert carry.aborted.startswith(f"phase '{phase}': reflex {name}")
