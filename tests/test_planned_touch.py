@@ -91,6 +91,24 @@ def test_the_hand_backs_off_and_grasps_the_bottle_where_it_is(
     assert left_m < 0.005
 
 
+def test_dry_joints_are_hardly_a_touch(world: World, planner: Planner) -> None:
+    """On the way down friction is nearly constant: the supervisor feels it, and takes little of it for a touch."""
+    carry, felt = seen(world, planner), []
+    supervisor = carry.stack.supervisor
+    world.model.dof_frictionloss[world.joints.qvel] = 0.5
+    try:
+        drive(carry, "descend")
+        for _ in range(600):
+            carry.step()
+            felt.append((np.abs(supervisor._contact.torque).max(), np.abs(supervisor.touch).max()))
+    finally:
+        world.model.dof_frictionloss[world.joints.qvel] = 0.0
+    assert carry.phase == "descend"
+    torque, touch = np.array(felt[200:]).T
+    assert torque.min() > 0.4
+    assert touch.max() < 0.3
+
+
 def test_a_bottle_within_reach_of_the_fingers_needs_no_second_grasp(
     world: World, planner: Planner, axis: np.ndarray
 ) -> None:
