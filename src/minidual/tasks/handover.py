@@ -58,9 +58,10 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
     def sided(Ts: tuple[Array, ...]) -> tuple[Array, ...]:
         return Ts if to_the_right else tuple(_ACROSS @ T @ _ACROSS for T in Ts)
 
-    # The last joint turns further one way than the other: mirrored, a hand is turned by half a turn.
+    # The last joint turns further one way than the other: mirrored, the taker's hand is turned by half a turn, and the
+    # giver's not at all.
     half = rot_z(0.0 if to_the_right else np.pi)
-    above = tuple(pose(rot_z(turn) @ half @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (np.pi / 2, -np.pi / 2))
+    above = tuple(pose(rot_z(turn) @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (-np.pi / 2, np.pi / 2))
     beside = tuple(pose(_FROM_THE_SIDE @ half, (0.0, 0.0, z)) for z in (0.0, -0.04))
     x, y, yaw = placement(trial.goal[name])
     goal = tuple(pose(rot_z(yaw + turn), (x, y, body.rest_height_m)) for turn in _TURNS)
