@@ -136,6 +136,8 @@ def test_a_plan_that_is_not_found_leaves_the_arms_stopped(
     assert drive(carry, "close") == ["approach", "descend", "done"]
     assert carry.done
     assert "_contact" in carry.aborted
+    assert carry.stack.reflex is not None
+    assert carry.stack.source is None
 
 
 def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:

@@ -94,9 +94,9 @@ class PlannedCarry(Drive):
         self._poses[name] = moved(state.objects[name], np.sign(aside_nm) * _ASIDE_M * y)
         start = replace(state, q=q, objects={**state.objects, name: self._poses[name]})
         before, back = solution.pipeline, Stage("back off", partial(retreat, tuple(state.reached)))
-        stack.recover()
         pipeline = Pipeline(before.name, (back, *before.stages[k - 1 :]), before.keenness)
         self.solution = pipeline.solve(start, solution.tools)
+        stack.recover()  # not before: without a plan the reflex stays latched
         super().__init__(stack, self.solution.segments)
 
 
