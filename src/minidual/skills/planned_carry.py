@@ -47,11 +47,11 @@ class PlannedCarry(Drive):
         poses: Mapping[str, Array] | None = None,
     ) -> None:
         self.task, self.world = task, (world := stack.plant)
-        sensed = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
+        self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
         lying = {name for name, where in trial.start.items() if isinstance(where, tuple)}
         known = self._poses = {
             name: pose_of(task.objects[name].body, placement(T) if name in lying else level_part(T))
-            for name, T in sensed.items()
+            for name, T in self.poses.items()
         }
         start, self._tries_left = State(world.q, dict(known)), _TRIES
         self._touch: tuple[Solution, Segment, Array] | None = None
