@@ -104,7 +104,7 @@ def test_dry_joints_are_hardly_a_touch(world: World, planner: Planner) -> None:
     finally:
         world.model.dof_frictionloss[world.joints.qvel] = 0.0
     assert carry.phase == "descend"
-    torque, touch = np.array(felt[200:]).T
+    torque, touch = np.array(felt[400:]).T  # no joint turns round any more
     assert torque.min() > 0.4
     assert touch.max() < 0.3
 
