@@ -8,13 +8,14 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import av
 import data_samples
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from late import late
-from PIL.Image import Image
 
 from minidual.demos import lerobot_reader
 from minidual.demos.episode import read_episode
@@ -280,15 +281,40 @@ def test_the_same_recordings_give_the_same_bytes(made: tuple, tmp_path: Path) ->
     assert [name for name in names if (root / name).read_bytes() != (again / name).read_bytes()] == []
 
 
-def test_a_picture_that_lerobot_cannot_write_ends_the_conversion_with_one_message(
+def test_a_video_that_lerobot_cannot_write_ends_the_conversion_with_one_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def full(self: Image, *_args: object, **_options: object) -> None:
-        raise OSError(28, "No space left on device")
+    def full(file: str, mode: str = "r", **options: object) -> Any:
+        if mode == "w":
+            raise OSError(28, "No space left on device", file)
+        return opened(file, mode, **options)
+
+    opened = av.open
+    source = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(6))
+    monkeypatch.setattr(av, "open", full)
+    with pytest.raises(EnvironmentMissingError, match=r"no space left on the disk of .*out"):
+        adapter.convert([source], tmp_path / "out", DUAL_PANDA)
+    assert caplog.records == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]
+
+
+def test_a_video_that_lerobot_does_not_end_in_time_ends_the_conversion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    from lerobot.datasets.video_utils import StreamingVideoEncoder, _CameraEncoderThread
 
     source = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(6))
-    monkeypatch.setattr(Image, "save", full)
-    with pytest.raises(EnvironmentMissingError, match=r"no space left on the disk of .*out"):
+    finish, alive = StreamingVideoEncoder.finish_episode, _CameraEncoderThread.is_alive
+
+    def late_finish(self: StreamingVideoEncoder) -> dict[str, Any]:
+        monkeypatch.setattr(_CameraEncoderThread, "is_alive", lambda thread: True)
+        try:
+            return finish(self)
+        finally:
+            monkeypatch.setattr(_CameraEncoderThread, "is_alive", alive)
+
+    monkeypatch.setattr(StreamingVideoEncoder, "finish_episode", late_finish)
+    with pytest.raises(DataError, match=r"out could not be written: Encoder thread for .* did not finish in time"):
         adapter.convert([source], tmp_path / "out", DUAL_PANDA)
     assert caplog.records == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]

@@ -7,6 +7,7 @@ import itertools
 import json
 import logging
 import os
+import threading
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,11 +16,11 @@ from typing import Any
 os.environ.setdefault("HF_HUB_OFFLINE", "1")  # LeRobot reads it on import
 
 import av.logging
-import datasets
 import numpy as np
 from lerobot.configs.video import RGBEncoderConfig
-from lerobot.datasets import image_writer
+from lerobot.datasets import video_utils
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.utils.utils import SuppressProgressBars
 from numpy.typing import NDArray
 
 from minidual import durable
@@ -58,7 +59,7 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
     try:
         with durable.replacing(out_dir) as partial:
             verify_dataset(partial, _write_dataset(partial, out_dir.name, first, paths, robot), robot)
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # the latter from an encoder's thread
         raise durable.disk_error(error, out_dir) or DataError(
             f"{out_dir} could not be written: {error}", remedy="check the disk or choose another folder"
         ) from error
@@ -67,9 +68,8 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
 
 def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], robot: Robot) -> list[Path]:
     names = state_names(robot)
-    features: dict[str, dict[str, Any]] = {
-        key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key in (STATE, ACTION)
-    }
+    vector = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+    features: dict[str, dict[str, Any]] = {STATE: vector, ACTION: vector}
     given = read_episode(first)
     shapes = {camera: frames.shape[1:] for camera, frames in given.images.items()}
     for camera, shape in shapes.items():
@@ -78,13 +78,10 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
     with ExitStack() as stack:
         # Keep encoder reports and progress bars off stderr.
         av.logging.set_libav_level(av.logging.ERROR)
-        if datasets.is_progress_bar_enabled():
-            datasets.disable_progress_bars()
-            stack.callback(datasets.enable_progress_bars)
-        # LeRobot reports a picture that it cannot write, and goes on without it.
-        image_log = logging.getLogger(image_writer.__name__)
-        image_log.addFilter(_raise_report)
-        stack.callback(image_log.removeFilter, _raise_report)
+        stack.enter_context(SuppressProgressBars())
+        # LeRobot reports a video that it cannot end in time, and goes on without it.
+        stack.callback(video_utils.logger.removeFilter, _raise_report)
+        video_utils.logger.addFilter(_raise_report)
         dataset = LeRobotDataset.create(
             repo_id=f"local/{name}",
             fps=int(given.meta.fps),
@@ -94,7 +91,8 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
             use_videos=True,
             video_backend="pyav",
             rgb_encoder=RGBEncoderConfig(vcodec="h264", preset="veryfast", pix_fmt="yuv444p", crf=12),
-            streaming_encoding=False,  # streaming drops frames under load with only a warning
+            streaming_encoding=True,
+            encoder_queue_maxsize=0,  # without bound: a full queue drops pictures with only a warning
             video_files_size_in_mb=_VIDEO_FILE_MB,
         )
         stack.callback(dataset.finalize)
@@ -114,15 +112,15 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
             meta = episode.meta
             facts = {"file": path.name, "seed": meta.seed, "ticks": len(episode), "success": meta.success}
             records.append({**facts, "extra": dict(meta.extra)})
-    for left in (*root.glob("tmp*"), root / "images"):
-        durable.remove(left)
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
     (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
     return written
 
 
 def _raise_report(record: logging.LogRecord) -> bool:
-    raise OSError(record.getMessage())
+    if threading.current_thread() is threading.main_thread():
+        raise OSError(record.getMessage())
+    return False  # an encoder's thread, which raises it again here
 
 
 def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

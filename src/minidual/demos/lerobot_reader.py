@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import psutil
 import pyarrow as pa
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from minidual.durable import disk_errors, read_json, reading, regular_file
 from minidual.errors import DataError, unknown_name
+from minidual.robot.pair import Array
 
 STATE = "observation.state"
 ACTION = "action"
@@ -100,7 +102,7 @@ class LeRobotTables:
         if recorded in self._episodes.column_names:
             for e, (start, stop) in enumerate(zip(self.starts, self.stops, strict=True)):
                 every = max(1, (stop - start) // 100)  # LeRobot samples as many
-                mean = result[start:stop:every].mean(axis=(0, 1, 2)) / 255.0
+                mean, _ = colours(result[start:stop:every])
                 apart = float(np.abs(mean - np.ravel(self._episodes[recorded][e].as_py())).max())
                 if not apart <= BRIGHTNESS_MAX:
                     other = f"mean colour {apart:.3f} apart, limit {BRIGHTNESS_MAX:g}"
@@ -120,6 +122,13 @@ class LeRobotTables:
                 raise DataError(f"{self.root / name}: {where}")
             parts[name].append(np.arange(self.starts[e], self.stops[e]))
         return {name: np.concatenate(rows) for name, rows in parts.items()}
+
+
+def colours(images: Image) -> tuple[Array, Array]:
+    """Return mean and std (3,) in [0, 1] of images (N, H, W, 3)."""
+    each = np.array([cv2.meanStdDev(image) for image in images])[..., 0] / 255.0
+    mean = each[:, 0].mean(axis=0)
+    return mean, np.sqrt(np.maximum((each**2).sum(axis=1).mean(axis=0) - mean**2, 0.0))
 
 
 def read_dataset(root: Path | str) -> LeRobotTables:
@@ -197,6 +206,7 @@ def _read_parquet(root: Path, folder: str) -> Any:
 def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]:
     count = 0
     with _reading(path), av.open(str(regular_file(path, BYTES_MAX)), format="mp4") as container:
+        container.streams.video[0].thread_type = "AUTO"  # the next picture is decoded while one is converted
         for count, frame in enumerate(container.decode(video=0), start=1):
             if (frame.height, frame.width) != size:
                 raise ValueError(f"its pictures are {frame.height} x {frame.width}, declared {size[0]} x {size[1]}")

@@ -51,7 +51,9 @@ class Sensors:
         """See `ObjectSensors`."""
         tick, row = self._tick, self._tick % _BLOCK
         if row == 0:
-            self._draw_noise()
+            # the noise of the next steps, which `add_forces` turns into samples; a view costs less when many are made
+            self._samples = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
+            self._forces, self._pinches = list(self._samples[:, :6].reshape(_BLOCK, 2, 3)), list(self._samples[:, 6:])
         add_forces(self._samples, row, self._object.look())
         pose = None if tick % self._period_ticks else PoseSample(self._sample_pose(), self.delay_ticks)
         # Reading(...) takes three times as long
@@ -63,11 +65,6 @@ class Sensors:
         self._late.extendleft([reading._replace(pose=None)] * self.delay_ticks)
         self._late.popleft()
         return reading  # at rest before the trial
-
-    def _draw_noise(self) -> None:
-        # the noise of the next steps, which `add_forces` turns into samples; a view costs less when many are made
-        self._samples = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-        self._forces, self._pinches = list(self._samples[:, :6].reshape(_BLOCK, 2, 3)), list(self._samples[:, 6:])
 
     def _sample_pose(self) -> Array:
         T = self._object.pose()

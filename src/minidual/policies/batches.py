@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from minidual.config.learning import TrainConfig
-from minidual.demos.lerobot_reader import ACTION, STATE, Image, Rows, camera_key
+from minidual.demos.lerobot_reader import ACTION, STATE, Image, Rows, camera_key, colours
 from minidual.policies.augment import augment
 from minidual.policies.demonstrations import Demonstrations
 from minidual.robot.pair import Array
@@ -36,9 +36,7 @@ def dataset_statistics(demos: Demonstrations, rows: Rows, std_floor: float) -> S
         stats[key] = _mean_std(values.mean(axis=0), values.std(axis=0), std_floor)
     chosen = rows[np.linspace(0, len(rows) - 1, min(IMAGE_SAMPLE, len(rows))).astype(np.int64)]
     for camera in demos.cameras:
-        pixels = demos.images[camera][chosen].reshape(-1, 3)
-        mean = np.array([pixels[:, c].mean(dtype=np.float64) for c in range(3)]) / 255.0
-        std = np.array([pixels[:, c].std(dtype=np.float64) for c in range(3)]) / 255.0
+        mean, std = colours(demos.images[camera][chosen])
         stats[camera_key(camera)] = _mean_std(mean[:, None, None], std[:, None, None], std_floor)
     return stats
 

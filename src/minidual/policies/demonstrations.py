@@ -1,6 +1,6 @@
 """Demonstrations in memory, and their sampling."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -116,7 +116,7 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
     return events
 
 
-def split_episodes(episodes: list[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+def split_episodes(episodes: Collection[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
     """Return (training, validation) episodes; at least one trains."""
     count = min(round(fraction * len(episodes)), len(episodes) - 1)
     if fraction > 0 and len(episodes) > 1:

@@ -53,8 +53,9 @@ class _State:
 def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult, Trained]:
     """Train the policy built from statistics; see `PolicyKind.train`."""
     demos, config, seed = job.demos, job.config, job.seed
-    episodes, rng = list(demos.episode_bounds()), stream(seed, "train.split")
-    training, validation = split_episodes(episodes, config.validation_fraction, rng)
+    training, validation = split_episodes(
+        demos.episode_bounds(), config.validation_fraction, stream(seed, "train.split")
+    )
     rows = demos.rows_of(training)
     stats = dataset_statistics(demos, rows, config.std_floor)
     devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
