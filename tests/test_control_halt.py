@@ -15,6 +15,7 @@ from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
+from minidual.control.controllers import Payload
 from minidual.control.execution import ObjectExecution
 from minidual.control.impedance import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
@@ -23,6 +24,7 @@ from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
 
 STOPPING = ("soft_stop",)
@@ -378,6 +380,50 @@ def test_a_hold_learns_the_load_of_a_hand_and_an_opening_hand_lets_go_of_it(worl
     wait(1.0, "let go")
     assert abs(sag_mm["let go"]) < 0.5
     assert np.abs(np.diff(told, axis=0)).max() <= 1.0 + 1e-9
+
+
+def test_a_load_that_is_told_is_borne_while_the_hand_is_driven(world: World) -> None:
+    """2 kg lower a driven hand by 10 mm if nobody tells; told, they lower it by less than 1 mm. No torque jumps."""
+    stack = stack_on(world)
+    hand_over(stack, "teleop")
+    posture, told = world.q, []
+    height = float(world.data.body("left_panda_hand_tcp").xpos[2])
+    hand = world.model.body("left_panda_hand").id
+
+    def sag_mm(openings: tuple[float, float]) -> float:
+        stack.propose("teleop", JointCommand(posture, np.array(openings), world.time, len(told) + 1))
+        for step in range(800):
+            if step % stack.every == 0:
+                stack.affirm("teleop")
+            stack.step()
+            told.append(stack.applied)
+        return 1e3 * (height - float(world.data.body("left_panda_hand_tcp").xpos[2]))
+
+    assert abs(sag_mm((0.0, 1.0))) < 0.1
+    world.data.xfrc_applied[hand, 2] = -2.0 * 9.81
+    stack.payload.bear(0, 2.0)
+    assert abs(sag_mm((0.0, 1.0))) < 1.0
+    assert stack.payload.force_n == [pytest.approx(2.0 * 9.81), 0.0]
+    world.data.xfrc_applied[hand, 2] = 0.0
+    assert abs(sag_mm((1.0, 1.0))) < 0.5, "an opening hand lets go of it"
+    assert stack.payload.force_n == [0.0, 0.0]
+    assert np.abs(np.diff(told, axis=0)).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(("mass_kg", "force_n"), [(100.0, 30.0), (-1.0, 0.0), (np.nan, 0.0), (0.5, 0.5 * 9.81)])
+def test_a_load_that_is_told_is_bounded_and_lifts_the_hand(mass_kg: float, force_n: float) -> None:
+    kinematics = Kinematics()
+    payload, q = Payload(kinematics, 1e-3), HOME + 0.1
+    payload.bear(1, mass_kg)
+    told = [payload.torque(q, q, (0, 1), learn=False) for _ in range(150)]
+    assert payload.force_n == [0.0, pytest.approx(force_n)]
+    wanted = force_n * kinematics.tcp_jacobians(q)[1][2]
+    np.testing.assert_allclose(np.zeros(14) if told[-1] is None else told[-1], wanted, atol=1e-9)
+    payload.follow(np.array([1.0, 0.0]))
+    payload.follow(np.array([1.0, 0.5]))  # it opens
+    for _ in range(150):
+        payload.torque(q, q, (0, 1), learn=False)
+    assert payload.torque(q, q, (0, 1), learn=False) is None
 
 
 def test_a_paced_path_is_the_same_path_driven_smoothly() -> None:

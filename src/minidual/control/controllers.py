@@ -17,8 +17,9 @@ import numpy as np
 from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand, arms_of
 from minidual.control.execution import TrajectoryExecution
+from minidual.control.gripper import GRAVITY_M_PER_S2
 from minidual.control.joint_control import ComputedTorque, ReferenceFilter
-from minidual.control.kernels import minimum_jerk
+from minidual.control.kernels import minimum_jerk, within
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array
 
@@ -26,7 +27,7 @@ LOAD_MAX_N = 30.0
 """The Panda's payload."""
 _GAIN_N_PER_M_S = 2000.0  # slow beside the joints' stiffness, about 1.2 kN/m at a hand
 _NEAR_M = 2e-4
-_LEAVE_N_PER_S = 100.0
+_RAMP_N_PER_S = 300.0
 
 
 class Payload:
@@ -38,31 +39,32 @@ class Payload:
 
     def reset(self) -> None:
         """Start without loads."""
-        self.force_n, self._leaving, self._gripper = [0.0, 0.0], [False, False], [1.0, 1.0]
+        self.force_n, self._wanted_n, self._gripper = [0.0, 0.0], [0.0, 0.0], [1.0, 1.0]
+
+    def bear(self, arm: int, mass_kg: float) -> None:
+        """Tell what a hand takes up now, by 0.3 N a call of `torque`."""
+        self._wanted_n[arm] = min(LOAD_MAX_N, max(0.0, mass_kg * GRAVITY_M_PER_S2))
 
     def follow(self, gripper: Array) -> None:
         """Take commanded openings (2,): a hand that opens lets go of its load."""
         for arm, opening in enumerate(gripper.tolist()):
             if opening > self._gripper[arm]:
-                self._leaving[arm] = True
+                self._wanted_n[arm] = 0.0
             self._gripper[arm] = opening
 
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
         """Return the torques (n,) [Nm] that bear these arms' loads, or None; `learn` if they hold still."""
-        if not (learn or any(self.force_n)):
+        if not (learn or any(self.force_n + self._wanted_n)):
             return None
         self._hands.update(q)
-        J, tau = self._hands.J, np.zeros_like(q)
+        J, tau, wanted_n = self._hands.J, np.zeros_like(q), self._wanted_n
         for arm in arms:
             joints, (x, y, _) = self._kinematics.robot.joints_of(arm), self._hands.p[arm]
             rise = J[2, joints] + y * J[3, joints] - x * J[4, joints]
-            below_m = float(rise @ (q_ref - q)[joints])
-            if self._leaving[arm]:
-                self.force_n[arm] = max(0.0, self.force_n[arm] - _LEAVE_N_PER_S * self._dt)
-                self._leaving[arm] = self.force_n[arm] > 0.0
-            elif learn and abs(below_m) > _NEAR_M:  # false for NaN
-                self.force_n[arm] += _GAIN_N_PER_M_S * self._dt * below_m
-                self.force_n[arm] = min(LOAD_MAX_N, max(0.0, self.force_n[arm]))
+            below_m, now_n, step_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm], _RAMP_N_PER_S * self._dt
+            if learn and abs(below_m) > _NEAR_M:  # false for NaN
+                wanted_n[arm] = within(wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m, 0.0, LOAD_MAX_N)
+            self.force_n[arm] = within(wanted_n[arm], now_n - step_n, now_n + step_n)
             tau[joints] = self.force_n[arm] * rise
         return tau if any(self.force_n) else None
 
@@ -125,7 +127,7 @@ class JointTrajectoryController(Controller):
         self._filter.reset(q, v)
         self._target = np.array(q, dtype=float)
         self._executions.clear()
-        self.reference, self.acceleration = np.array(q, dtype=float), None
+        self.reference, self.acceleration, self._load, self._age = np.array(q, dtype=float), None, None, 0
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target, newly begun trajectories and the speed override."""
@@ -149,8 +151,10 @@ class JointTrajectoryController(Controller):
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
         self.reference = q_ref
-        load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
-        return self._servo.torque(q, v, q_ref, v_ref, a_ref, load)
+        if self._holds or self._age % 10 == 0:  # a loaded arm's Jacobian in each step makes it a third longer
+            self._load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
+        self._age += 1
+        return self._servo.torque(q, v, q_ref, v_ref, a_ref, self._load)
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array, Array]:
         execution, (_, k) = next(iter(self._executions.items()))

@@ -17,7 +17,7 @@ from minidual.robot.compiled import ROWS, VIEW, kernel
 from minidual.robot.pair import SIDES, Array
 
 SAFETY = 1.5  # friction varies by some tenths between pads and days
-_GRAVITY = 9.81
+GRAVITY_M_PER_S2 = 9.81
 
 
 def pinch_force(squeeze_n: float, mu: float, mass_kg: float = 0.0, *, safety: float = SAFETY) -> float:
@@ -34,7 +34,7 @@ def pinch_force(squeeze_n: float, mu: float, mass_kg: float = 0.0, *, safety: fl
         raise UsageError(f"safety factor {safety}: must be at least 1")
     if not squeeze_n >= 0.0:
         raise UsageError(f"squeeze {squeeze_n} N: must be at least 0, hands do not pull")
-    return safety * math.hypot(squeeze_n, 0.5 * mass_kg * _GRAVITY) / (2.0 * mu)
+    return safety * math.hypot(squeeze_n, 0.5 * mass_kg * GRAVITY_M_PER_S2) / (2.0 * mu)
 
 
 CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6

@@ -142,7 +142,6 @@ STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD, DAMPING_RATIO = 2000.0, 100.0, 1.0
 FORCE_MAX_N, MOMENT_MAX_NM = 10.0, 1.2
 """Bounds of the spring along and about each axis: beyond the dry friction of a joint."""
 _LEARNING_PER_S = 4.0
-_G = 9.81
 _AT_TCP = np.eye(4)
 _AT_TCP.setflags(write=False)
 
@@ -154,14 +153,12 @@ class InHand(NamedTuple):
         name: Of the object; empty for nothing.
         T_tcp_object: (4, 4).
         T_tcp_planned: The same in the plan that gave the joint reference.
-        mass_kg: Of the object.
         centre_m: (3,) centre of compliance, object axes.
     """
 
     name: str = ""
     T_tcp_object: Array = _AT_TCP
     T_tcp_planned: Array = _AT_TCP
-    mass_kg: float = 0.0
     centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -196,9 +193,7 @@ class HandImpedance(ComputedTorque):
         """See `ComputedTorque`; of its own arm, or raise SingularPostureError."""
         T_ref = self._wanted(q, q_ref)
         qdd, push = a_ref.copy(), np.zeros_like(q) if load is None else load.copy()
-        weighed = not push[self._joints].any()  # else its weight was learnt while it was held
-        weight_n = self._held.mass_kg * _G if weighed else 0.0
-        of_hand = self._law, self._hands.views, self._arm, T_ref, weight_n
+        of_hand = self._law, self._hands.views, self._arm, T_ref
         if not hand_impedance(*of_hand, q, v, q_ref, v_ref, self._learnt, qdd, push):
             raise lost_direction(self._arm)
         return motor_torque(self._kinematics, q, v, qdd, push)

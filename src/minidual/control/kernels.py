@@ -217,7 +217,7 @@ def impedance(
 
 @kernel(
     types.boolean(
-        *(types.Array(from_dtype(HAND_LAW), 1, "C"), _HANDS, types.intp, ROWS, _REAL),
+        *(types.Array(from_dtype(HAND_LAW), 1, "C"), _HANDS, types.intp, ROWS),
         *(VIEW, VIEW, VIEW, VIEW, VECTOR, VECTOR, VECTOR),
     )
 )
@@ -226,7 +226,6 @@ def hand_impedance(
     hands: Placed,
     arm: int,
     T_ref: Array,
-    weight_n: float,
     q: Array,
     v: Array,
     q_ref: Array,
@@ -246,8 +245,7 @@ def hand_impedance(
     for i in range(3):
         for k in range(3):
             R[i, k] = inner(R_tcp[i], s.T_tcp_object[:3, k])
-    lever = apply(R, s.centre)
-    p = plus(three(p_tcp, 0), plus(apply(R_tcp, s.T_tcp_object[:3, 3]), lever))
+    p = plus(three(p_tcp, 0), plus(apply(R_tcp, s.T_tcp_object[:3, 3]), apply(R, s.centre)))
     hand_motion(J[:, own], p, v[own], J_hand)
     late = np.zeros(6)
     add_product(late, 1.0, J_hand, v_ref[own])
@@ -261,8 +259,7 @@ def hand_impedance(
         learnt[k] = within(learnt[k] + s.learning * pull[k], -s.most[k], s.most[k])
         pull[k] = within(pull[k] + learnt[k], -s.most[k], s.most[k])
     add_product(pull, 1.0, s.D, late_along)
-    wrench[:3] = plus(apply(T_ref, pull[:3]), (0.0, 0.0, weight_n))
-    wrench[3:] = plus(apply(T_ref, pull[3:]), (-weight_n * lever[1], weight_n * lever[0], 0.0))
+    wrench[:3], wrench[3:] = apply(T_ref, pull[:3]), apply(T_ref, pull[3:])
     add_product(push[own], 1.0, J_hand.T, wrench)
     posture, lacking = np.empty(n), np.zeros(6)
     for j in range(n):

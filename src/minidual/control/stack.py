@@ -71,10 +71,10 @@ class ControlStack[P: Plant]:
         self.kinematics, self._robot = kinematics, kinematics.robot
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
-        self._payload = Payload(kinematics, plant.dt)
-        self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self._payload) for arm in range(len(SIDES))]
+        self.payload = Payload(kinematics, plant.dt)
+        self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self.payload) for arm in range(len(SIDES))]
         self._controllers: list[Controller] = [
-            *(JointTrajectoryController(group, kinematics, plant.dt, self._payload) for group in self._robot.groups),
+            *(JointTrajectoryController(group, kinematics, plant.dt, self.payload) for group in self._robot.groups),
             *(self.impedance, *self.hands),
             SoftStopController(kinematics, plant.dt),
         ]
@@ -94,7 +94,7 @@ class ControlStack[P: Plant]:
         self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
-        self._payload.reset()
+        self.payload.reset()
         self.grippers.reset()
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
         self.refusals: list[Refusal] = []

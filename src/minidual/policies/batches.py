@@ -19,7 +19,6 @@ from minidual.robot.pair import Array
 
 LEROBOT_EPS = 1e-8
 """Added to std by LeRobot's processors."""
-IMAGE_SAMPLE = 512
 
 Stats = dict[str, dict[str, Tensor]]
 Losses = Mapping[str, float]
@@ -34,7 +33,7 @@ def dataset_statistics(demos: Demonstrations, rows: Rows, std_floor: float) -> S
     for key, array in ((STATE, demos.state), (ACTION, demos.action)):
         values = array[rows].astype(np.float64)
         stats[key] = _mean_std(values.mean(axis=0), values.std(axis=0), std_floor)
-    chosen = rows[np.linspace(0, len(rows) - 1, min(IMAGE_SAMPLE, len(rows))).astype(np.int64)]
+    chosen = rows[np.linspace(0, len(rows) - 1, min(512, len(rows))).astype(np.int64)]
     for camera in demos.cameras:
         mean, std = colours(demos.images[camera][chosen])
         stats[camera_key(camera)] = _mean_std(mean[:, None, None], std[:, None, None], std_floor)

@@ -73,6 +73,13 @@ class PlannedCarry(Drive):
             with suppress(MinidualError):  # it moves still, or finds no plan: it stays aborted
                 self._grasp_again(*touch)
 
+    def _tell_held(self, segment: Segment) -> None:
+        super()._tell_held(segment)
+        if segment.scene is not None and not self.task.together:
+            held = {held.link: self.task.objects[held.name].body.mass_kg for held in segment.scene.attached}
+            for arm, link in enumerate(self.world.robot.tcp_names):
+                self.stack.payload.bear(arm, held.get(link, 0.0))
+
     def _stopped(self, error: ReflexError) -> None:
         solution, supervisor, touched = self.solution, self.stack.supervisor, error.reflex.name.endswith("_contact")
         if solution and supervisor and touched and self.phase == "descend" and self._tries_left:
@@ -93,9 +100,8 @@ class PlannedCarry(Drive):
         self._tries_left -= 1
         self._poses[name] = moved(state.objects[name], np.sign(aside_nm) * _ASIDE_M * y)
         start = replace(state, q=q, objects={**state.objects, name: self._poses[name]})
-        before, back = solution.pipeline, Stage("back off", partial(retreat, tuple(state.reached)))
-        pipeline = Pipeline(before.name, (back, *before.stages[k - 1 :]), before.keenness)
-        self.solution = pipeline.solve(start, solution.tools)
+        was, back = solution.pipeline, Stage("back off", partial(retreat, tuple(state.reached)))
+        self.solution = Pipeline(was.name, (back, *was.stages[k - 1 :]), was.keenness).solve(start, solution.tools)
         stack.recover()  # not before: without a plan the reflex stays latched
         super().__init__(stack, self.solution.segments)
 
@@ -129,7 +135,7 @@ class CompliantCarry(PlannedCarry):
             if laws[arm].held.name != held.name:
                 planned = held.shape.T_parent_shape
                 T = _centred(inverse(tips[arm]) @ poses[held.name], planned)
-                laws[arm].held = InHand(held.name, T, planned, item.body.mass_kg, item.touches_m)
+                laws[arm].held = InHand(held.name, T, planned, item.touches_m)
 
 
 def _centred(T_tcp_object: Array, planned: Array) -> Array:

@@ -17,7 +17,7 @@ _MEETINGS_M = ((0.56, 0.16, 0.42), (0.56, 0.12, 0.36), (0.52, 0.24, 0.42), (0.60
 _MEETINGS = tuple(pose(rot_z(yaw), xyz) for xyz in _MEETINGS_M for yaw in (1.8, 1.5, 2.1))
 # Places on the table for another grasp.
 _ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
-# Hand pointing along the bottle's x axis, closing along y: across the giver's fingers, which else give way.
+# Hand pointing along the bottle's x axis, closing along y.
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 _TURNS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2)  # of the bottle at its goal, where its yaw is free [rad]
 _ACROSS = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -57,10 +57,10 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
     def sided(Ts: tuple[Array, ...]) -> tuple[Array, ...]:
         return Ts if to_the_right else tuple(_ACROSS @ T @ _ACROSS for T in Ts)
 
-    # The last joint turns further one way than the other: mirrored, a hand is turned by half a turn.
-    half = rot_z(0.0 if to_the_right else np.pi)
-    above = tuple(pose(rot_z(turn) @ half @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (0.0, np.pi))
-    beside = tuple(pose(_FROM_THE_SIDE @ half, (0.0, 0.0, z)) for z in (0.0, -0.04))
+    # Both hands close along one axis, along which the giver has centred the bottle. The last joint turns further one way
+    # than the other: mirrored, the taker's hand is turned by half a turn.
+    above = tuple(pose(rot_z(turn) @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (-np.pi / 2, np.pi / 2))
+    beside = tuple(pose(_FROM_THE_SIDE @ rot_z(0.0 if to_the_right else np.pi), (0.0, 0.0, z)) for z in (0.0, -0.04))
     x, y, yaw = placement(trial.goal[name])
     goal = tuple(pose(rot_z(yaw + turn), (x, y, body.rest_height_m)) for turn in _TURNS)
 

@@ -114,8 +114,8 @@ def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Of
     end = replace(start.opened(arms, OPEN), held_by=held, q=q)
     settle = still("settle", q, PHASES["settle"].hold_s, start.openings, soft=kept_by or soft)
     opens = still("open", q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by or soft)
-    if down:  # the hand sinks to q as soon as it holds nothing
-        opens = replace(opens, scene=tools.scene(end, touching=arms))
+    if start.rests:  # what rests is no load; by force, the hand sinks to q as soon as it holds nothing
+        settle = replace(settle, scene=tools.scene(end, touching=arms))
     yield Candidate("", 0.0, end, (*down, settle, opens))
 
 
