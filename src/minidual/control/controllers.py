@@ -27,7 +27,7 @@ LOAD_MAX_N = 30.0
 """The Panda's payload."""
 _GAIN_N_PER_M_S = 2000.0  # slow beside the joints' stiffness, about 1.2 kN/m at a hand
 _NEAR_M = 2e-4
-_RAMP_N_PER_S = 300.0
+_RAMP_N_PER_S, _EVERY = 100.0, 10  # a moving arm's Jacobian in each step makes it a third longer
 
 
 class Payload:
@@ -42,7 +42,7 @@ class Payload:
         self.force_n, self._wanted_n, self._gripper = [0.0, 0.0], [0.0, 0.0], [1.0, 1.0]
 
     def bear(self, arm: int, mass_kg: float) -> None:
-        """Tell what a hand takes up now, by 0.3 N a call of `torque`."""
+        """Tell what a hand takes up now, at 100 N/s."""
         self._wanted_n[arm] = min(LOAD_MAX_N, max(0.0, mass_kg * GRAVITY_M_PER_S2))
 
     def follow(self, gripper: Array) -> None:
@@ -53,15 +53,19 @@ class Payload:
             self._gripper[arm] = opening
 
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
-        """Return the torques (n,) [Nm] that bear these arms' loads, or None; `learn` if they hold still."""
+        """Return the torques (n,) [Nm] that bear these arms' loads, or None.
+
+        Call it in each step with `learn` if they hold still, else in each tenth.
+        """
         if not (learn or any(self.force_n + self._wanted_n)):
             return None
         self._hands.update(q)
         J, tau, wanted_n = self._hands.J, np.zeros_like(q), self._wanted_n
+        step_n = _RAMP_N_PER_S * self._dt * (1 if learn else _EVERY)
         for arm in arms:
             joints, (x, y, _) = self._kinematics.robot.joints_of(arm), self._hands.p[arm]
             rise = J[2, joints] + y * J[3, joints] - x * J[4, joints]
-            below_m, now_n, step_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm], _RAMP_N_PER_S * self._dt
+            below_m, now_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm]
             if learn and abs(below_m) > _NEAR_M:  # false for NaN
                 wanted_n[arm] = within(wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m, 0.0, LOAD_MAX_N)
             self.force_n[arm] = within(wanted_n[arm], now_n - step_n, now_n + step_n)
@@ -151,7 +155,7 @@ class JointTrajectoryController(Controller):
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
         self.reference = q_ref
-        if self._holds or self._age % 10 == 0:  # a loaded arm's Jacobian in each step makes it a third longer
+        if self._holds or self._age % _EVERY == 0:
             self._load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
         self._age += 1
         return self._servo.torque(q, v, q_ref, v_ref, a_ref, self._load)

@@ -53,9 +53,8 @@ class _State:
 def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult, Trained]:
     """Train the policy built from statistics; see `PolicyKind.train`."""
     demos, config, seed = job.demos, job.config, job.seed
-    training, validation = split_episodes(
-        demos.episode_bounds(), config.validation_fraction, stream(seed, "train.split")
-    )
+    rng = stream(seed, "train.split")
+    training, validation = split_episodes(demos.episode_bounds(), config.validation_fraction, rng)
     rows = demos.rows_of(training)
     stats = dataset_statistics(demos, rows, config.std_floor)
     devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
