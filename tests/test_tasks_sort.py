@@ -152,7 +152,7 @@ def test_a_draw_is_planned_with_the_other_cubes_as_obstacles() -> None:
     solution = solve(TASK, trial, State(DUAL_PANDA.home, start_of(trial)), Planner())
     for name, T in solution.states[-1].objects.items():
         np.testing.assert_allclose(T[:2, 3], trial.goal[name][:2], atol=1e-9)
-    moving = [segment for segment in solution.segments if segment.scene is not None]
+    moving = [segment for segment in solution.segments if segment.verification is not None]
     assert all(segment.verification.ok for segment in moving)
     for segment in moving:
         held = {shape.name for shape in segment.scene.attached}
@@ -172,8 +172,8 @@ def test_by_force_what_is_put_down_is_lowered_by_soft_hands_before_it_is_let_go(
         from_m, to_m = (np.array(kinematics.tcp_poses(lower.trajectory.q[k]))[:, 2, 3] for k in (0, -1))
         arms = [SIDES.index(arm) for arm in opens.soft]
         assert (from_m - to_m)[arms] == pytest.approx(0.004, abs=1e-5)
-        assert opens.scene is not None
-        assert {shape.link[:4] for shape in opens.scene.attached}.isdisjoint(arm[:4] for arm in opens.soft)
+        assert settle.scene is not None
+        assert {shape.link[:4] for shape in settle.scene.attached}.isdisjoint(arm[:4] for arm in opens.soft)
     assert let_go >= 1
 
 
