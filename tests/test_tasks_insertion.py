@@ -528,8 +528,8 @@ def test_by_impedance_the_peg_goes_in_where_the_search_of_moveit_fails() -> None
 
 @pytest.mark.slow
 def test_the_search_finds_a_bore_that_a_straight_move_misses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a stiff joint, the tip of trial 12 meets the rim."""
-    bench, trial = stiff_joint("moveit"), TASK.trial(TASK.config.seed, "benchmark", 12)
+    """With a stiff joint, the tip of trial 40 meets the rim."""
+    bench, trial = stiff_joint("moveit"), TASK.trial(TASK.config.seed, "benchmark", 40)
     found, _ = bench.run(trial)
     assert found.success, found.text
     monkeypatch.setattr(hands, "_spiral", lambda T: ())

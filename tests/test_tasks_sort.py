@@ -394,14 +394,12 @@ def test_driven_it_sorts(method: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_camera_that_sees_cubes_too_high_makes_position_drop_them_and_not_force() -> None:
-    found = {}
-    for method in ("moveit", "impedance"):
-        bench = Bench(method, MethodInputs(TASK.config, TASK.config.seed), "randomised")
-        found[method] = bench.run(TASK.trial(20260, "benchmark", 6))[0]
-    assert not found["moveit"].success
-    assert "held" in found["moveit"].text
-    assert found["impedance"].success, found["impedance"].text
+@pytest.mark.parametrize("method", ["moveit", "impedance"])
+def test_a_camera_that_sees_cubes_too_high_makes_nobody_drop_them(method: str) -> None:
+    """Before hands were told that what rests is no load, `moveit` let go in the air."""
+    bench = Bench(method, MethodInputs(TASK.config, TASK.config.seed), "randomised")
+    result, _ = bench.run(TASK.trial(20260, "benchmark", 6))
+    assert result.success, result.text
 
 
 @pytest.mark.slow
