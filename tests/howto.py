@@ -52,6 +52,17 @@ def distribution(folder: Path, name: str, modules: dict[str, str], toml: str) ->
 
 
 @contextmanager
+def program(page: str, table: Registry[Any], folder: Path) -> Iterator[dict[str, Any]]:
+    """Install the module that a page prints first as its pyproject.toml says, run the program after it; its names."""
+    (module, text), (toml,) = blocks(page), blocks(page, "toml")
+    name = tomllib.loads(toml)["project"]["name"].replace("-", "_")
+    with installed(table, folder, name, {name: module}, toml):
+        names = {"module": importlib.import_module(name)}
+        exec(compile(text, page, "exec"), names)
+        yield names
+
+
+@contextmanager
 def installed(table: Registry[Any], folder: Path, name: str, modules: dict[str, str], toml: str) -> Iterator[None]:
     """Install a distribution in this process: its row is in the table, found by its entry point, until the end."""
     distribution(folder, name, modules, toml)

@@ -16,12 +16,8 @@ from minidual.robot.pair import DUAL_PANDA
 
 
 @pytest.fixture(scope="module")
-def page() -> Any:
-    names: dict[str, Any] = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LEADERS, "_rows", dict(LEADERS._rows))  # the row goes with the test
-        for block in howto.blocks("howto-leader.md"):
-            exec(compile(block, "howto-leader.md", "exec"), names)
+def page(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with howto.program("howto-leader.md", LEADERS, tmp_path_factory.mktemp("sway")) as names:
         yield names
 
 
@@ -39,7 +35,7 @@ def test_what_the_leader_did_is_recorded_and_named(page: dict[str, Any]) -> None
 
 def test_the_row_is_refused_twice_and_suggested_for_a_slip(page: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="'sway' is in the table already"):
-        LEADERS.add("sway", page["Sway"])
+        LEADERS.add("sway", page["module"].Sway)
     with pytest.raises(UsageError, match=r"(?s)no leader 'swag'.*did you mean 'sway'"):
         LEADERS["swag"]
 
@@ -47,5 +43,5 @@ def test_the_row_is_refused_twice_and_suggested_for_a_slip(page: dict[str, Any])
 def test_a_leader_in_real_time_records_in_one_process(page: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     job = page["rig"].job
     assert usable_workers(job, 4) == 4
-    monkeypatch.setattr(page["Sway"], "realtime", True)
+    monkeypatch.setattr(page["module"].Sway, "realtime", True)
     assert usable_workers(job, 4) == 1

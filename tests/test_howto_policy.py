@@ -21,12 +21,8 @@ from minidual.stages.train_act import train_checks
 
 
 @pytest.fixture(scope="module")
-def page() -> Any:
-    names: dict[str, Any] = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(POLICIES, "_rows", dict(POLICIES._rows))  # the row goes with the test
-        for block in howto.blocks("howto-policy.md"):
-            exec(compile(block, "howto-policy.md", "exec"), names)
+def page(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with howto.program("howto-policy.md", POLICIES, tmp_path_factory.mktemp("nearest")) as names:
         yield names
 
 
@@ -47,7 +43,7 @@ def test_the_stage_grades_it_like_any_other(page: dict[str, Any], tmp_path: Path
 
 
 def test_the_checkpoint_says_of_which_kind_it_is(page: dict[str, Any]) -> None:
-    assert isinstance(load_policy(page["checkpoint"]), page["Replay"])
+    assert isinstance(load_policy(page["checkpoint"]), page["module"].Replay)
     assert load_runtime(page["checkpoint"], DeployConfig(), DUAL_PANDA).joints_n == 14
     with pytest.raises(UsageError, match="drives 14 joints"):
         load_runtime(page["checkpoint"], DeployConfig(), Robot(ARM_MODELS["ur5"]))

@@ -25,13 +25,10 @@ def printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """Return a function that installs a page's module, runs the page's program and returns the lines it prints."""
 
     def run_page(page: str, name: str) -> list[str]:
-        module, program = howto.blocks(page)
-        (toml,) = howto.blocks(page, "toml")
         with pytest.raises(UsageError, match=f"no .* '{name}'"):
             TABLES[name][name]
-        with howto.installed(TABLES[name], tmp_path, name, {name: module}, toml):
-            exec(compile(program, page, "exec"), {})
-        return capsys.readouterr().out.splitlines()
+        with howto.program(page, TABLES[name], tmp_path):
+            return capsys.readouterr().out.splitlines()
 
     return run_page
 
