@@ -298,6 +298,18 @@ def test_a_video_that_lerobot_cannot_write_ends_the_conversion_with_one_message(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]
 
 
+def test_an_error_of_whoever_records_is_no_error_of_the_disk(made: tuple, tmp_path: Path) -> None:
+    """Before, a recorder that was killed read "could not be written: check the disk"."""
+
+    def recorded() -> Iterator[Path]:
+        yield made[1][0]
+        raise RuntimeError("a worker died")
+
+    with pytest.raises(RuntimeError, match="a worker died"):
+        adapter.convert(recorded(), tmp_path / "set", DUAL_PANDA)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_video_that_lerobot_does_not_end_in_time_ends_the_conversion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -241,7 +241,7 @@ def test_the_scene_holds_an_object_in_each_hand_and_the_others_as_obstacles(plan
 
 def test_a_carry_is_a_chain_of_proven_segments(carried):
     phases = [s.phase for s in carried.segments]
-    assert phases == ["approach", "descend", "close", "carry", "settle", "open", "retreat", "home"]
+    assert phases == ["approach", "descend", "close", "close", "carry", "settle", "open", "retreat", "home"]
     moving = [s for s in carried.segments if s.phase not in ("close", "settle", "open")]
     assert all(s.verification.ok for s in moving)
     for a, b in itertools.pairwise(carried.segments):
@@ -291,7 +291,7 @@ def test_something_at_the_place_makes_it_take_another(planner):
 def test_what_blocks_the_way_at_once_is_gone_round_in_parts(planner):
     wall = Box("wall", (0.5, 0.0, 0.07), size_m=(0.2, 0.02, 0.14))
     solution = carry([GOAL]).solve(START, tools(planner, wall))
-    assert [s.phase for s in solution.segments][3:6] == ["lift", "carry", "lower"]
+    assert [s.phase for s in solution.segments][4:7] == ["lift", "carry", "lower"]
     (message,) = solution.record.stages[3].failures["not_free"]
     assert "wall" in message
 

@@ -71,11 +71,9 @@ class Registry[T](Mapping[str, T]):
             self._plugged = True
             for entry in importlib.metadata.entry_points(group=cast(str, self._group)):
                 if entry.name in self._rows:
-                    raise UsageError(
-                        f"{self.kind} '{entry.name}' of the distribution '{entry.dist and entry.dist.name}' is already "
-                        f"in the table",
-                        remedy="rename it there, or uninstall that distribution",
-                    )
+                    whose = f"{self.kind} '{entry.name}' of the distribution '{entry.dist and entry.dist.name}'"
+                    remedy = "rename it there, or uninstall that distribution"
+                    raise UsageError(f"{whose} is already in the table", remedy=remedy)
                 self._rows[entry.name] = entry.value
         return self._rows
 

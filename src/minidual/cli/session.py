@@ -128,10 +128,8 @@ class Session:
             base, first = self.store, next(iter(replaced))
             self.typed = replace(self.typed, run=self._own_run(base.run, *options.values()))
             more = f" (and of {', '.join(list(replaced)[1:])})" if len(replaced) > 1 else ""
-            self.say(
-                f"run '{base.run}' keeps its finished {first}{more}: {replaced[first]}\n"
-                f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'"
-            )
+            self.say(f"run '{base.run}' keeps its finished {first}{more}: {replaced[first]}")
+            self.say(f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'")
             kept = {up for name in names for up in (*self.table.upstream(name), name)} - {*gate.rerun(names, force)}
             for name in self.table:
                 if name in kept and gate.state(name).state == "pass":

@@ -200,10 +200,8 @@ class PlanningScene:
             object.__setattr__(self, "allowed", acm_report(self.robot).acm)
         names = self.names
         if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise UsageError(
-                f"the scene holds the name '{twice[0]}' twice; links, obstacles and attached objects "
-                "share one set of names"
-            )
+            shared = "links, obstacles and attached objects share one set of names"
+            raise UsageError(f"the scene holds the name '{twice[0]}' twice; {shared}")
         known = links_of(self.robot)
         for attached in self.attached:
             for link in (attached.link, *attached.touch_links):

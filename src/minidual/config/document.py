@@ -136,8 +136,6 @@ def _scalar(node: yaml.Node, path: str, where: str) -> Any:
     if not math.isfinite(number) or text.lower().lstrip("+-.") in ("nan", "inf"):
         raise ConfigError(f"{where}: {path}: {text[:40]} is not a finite number")
     if number and not _MAGNITUDE_MIN <= abs(number) <= _MAGNITUDE_MAX:
-        raise ConfigError(
-            f"{where}: {path}: {text[:40]} is out of range; "
-            f"a number is 0, or from {_MAGNITUDE_MIN:g} to {_MAGNITUDE_MAX:.3g} in magnitude"
-        )
+        bounds = f"a number is 0, or from {_MAGNITUDE_MIN:g} to {_MAGNITUDE_MAX:.3g} in magnitude"
+        raise ConfigError(f"{where}: {path}: {text[:40]} is out of range; {bounds}")
     return int(text) if _INT.fullmatch(text) else number if is_number else text

@@ -17,9 +17,10 @@ import numpy as np
 from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand, arms_of
 from minidual.control.execution import TrajectoryExecution
-from minidual.control.gripper import GRAVITY_M_PER_S2
+from minidual.control.gripper import CLOSE_BELOW, GRAVITY_M_PER_S2, OPEN_ABOVE
 from minidual.control.joint_control import ComputedTorque, ReferenceFilter
 from minidual.control.kernels import minimum_jerk, within
+from minidual.errors import UsageError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array
 
@@ -27,7 +28,7 @@ LOAD_MAX_N = 30.0
 """The Panda's payload."""
 _GAIN_N_PER_M_S = 2000.0  # slow beside the joints' stiffness, about 1.2 kN/m at a hand
 _NEAR_M = 2e-4
-_RAMP_N_PER_S, _EVERY = 100.0, 10  # a moving arm's Jacobian in each step makes it a third longer
+_RAMP_N_PER_S, EVERY = 100.0, 10  # a moving arm's Jacobian in each step makes it a third longer
 
 
 class Payload:
@@ -38,19 +39,30 @@ class Payload:
         self.reset()
 
     def reset(self) -> None:
-        """Start without loads."""
-        self.force_n, self._wanted_n, self._gripper = [0.0, 0.0], [0.0, 0.0], [1.0, 1.0]
+        """Start without loads, hands open."""
+        self.force_n, self._wanted_n, self._closed = [0.0, 0.0], [0.0, 0.0], [False, False]
+        self.idle: tuple[int, ...] = ()
+        """Arms whose torques do not reach the motors: what they miss is no load."""
 
     def bear(self, arm: int, mass_kg: float) -> None:
-        """Tell what a hand takes up now, at 100 N/s."""
-        self._wanted_n[arm] = min(LOAD_MAX_N, max(0.0, mass_kg * GRAVITY_M_PER_S2))
+        """Tell what a hand takes up now, at 100 N/s.
+
+        Raises:
+            UsageError: No such arm, or a mass that it cannot bear.
+        """
+        if not (arm in (0, 1) and 0.0 <= mass_kg * GRAVITY_M_PER_S2 <= LOAD_MAX_N):
+            most_kg = LOAD_MAX_N / GRAVITY_M_PER_S2
+            raise UsageError(
+                f"arm {arm} cannot be told to bear {mass_kg} kg: arms are 0 and 1, and bear 0 to {most_kg:.2f} kg"
+            )
+        self._wanted_n[arm] = mass_kg * GRAVITY_M_PER_S2
 
     def follow(self, gripper: Array) -> None:
-        """Take commanded openings (2,): a hand that opens lets go of its load."""
+        """Take commanded openings (2,): a closed hand that opens lets go of its load."""
         for arm, opening in enumerate(gripper.tolist()):
-            if opening > self._gripper[arm]:
+            if self._closed[arm] and opening > OPEN_ABOVE:
                 self._wanted_n[arm] = 0.0
-            self._gripper[arm] = opening
+            self._closed[arm] = opening < CLOSE_BELOW or (self._closed[arm] and opening <= OPEN_ABOVE)
 
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
         """Return the torques (n,) [Nm] that bear these arms' loads, or None.
@@ -60,13 +72,12 @@ class Payload:
         if not (learn or any(self.force_n + self._wanted_n)):
             return None
         self._hands.update(q)
-        J, tau, wanted_n = self._hands.J, np.zeros_like(q), self._wanted_n
-        step_n = _RAMP_N_PER_S * self._dt * (1 if learn else _EVERY)
+        tau, wanted_n = np.zeros_like(q), self._wanted_n
+        step_n = _RAMP_N_PER_S * self._dt * (1 if learn else EVERY)
         for arm in arms:
-            joints, (x, y, _) = self._kinematics.robot.joints_of(arm), self._hands.p[arm]
-            rise = J[2, joints] + y * J[3, joints] - x * J[4, joints]
+            joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
             below_m, now_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm]
-            if learn and abs(below_m) > _NEAR_M:  # false for NaN
+            if learn and arm not in self.idle and abs(below_m) > _NEAR_M:  # false for NaN
                 wanted_n[arm] = within(wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m, 0.0, LOAD_MAX_N)
             self.force_n[arm] = within(wanted_n[arm], now_n - step_n, now_n + step_n)
             tau[joints] = self.force_n[arm] * rise
@@ -155,7 +166,7 @@ class JointTrajectoryController(Controller):
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
         self.reference = q_ref
-        if self._holds or self._age % _EVERY == 0:
+        if self._holds or self._age % EVERY == 0:
             self._load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
         self._age += 1
         return self._servo.torque(q, v, q_ref, v_ref, a_ref, self._load)

@@ -15,6 +15,7 @@ Source: Haddadin, De Luca, Albu-Schaeffer, Robot collisions, IEEE T-RO 33(6), 20
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -185,13 +186,17 @@ position; object impedance tells its load."""
 
 
 class Expected(NamedTuple):
-    """What controllers expect: key of MODES, external torque (n,) [Nm], joints (n,) [rad]; fault of a hand; arms off."""
+    """What controllers expect.
+
+    Key of MODES, external torque (n,) [Nm], joints (n,) [rad]; fault of a hand; arms off; weight in each hand [N].
+    """
 
     mode: str = "free motion"
     torque: Array | None = None
     reference: Array | None = None
     hand_fault: str = ""
     off: tuple[int, ...] = ()
+    bears_n: Sequence[float] = (0.0, 0.0)
 
 
 @kernel(types.void(VECTOR, VECTOR, types.float64, ROWS, ROWS))

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from minidual.config.control import SupervisorConfig
-from minidual.control.controllers import Controller
+from minidual.control.controllers import EVERY, Controller, Payload
 from minidual.control.joint_control import ComputedTorque
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array, Robot
 
 STOP_SHARE = 0.5
@@ -75,9 +75,9 @@ class SoftStopController(Controller):
 
     name = "soft_stop"
 
-    def __init__(self, kinematics: Kinematics, dt_s: float) -> None:
+    def __init__(self, kinematics: Kinematics, dt_s: float, payload: Payload) -> None:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
-        self._dt, self._robot = dt_s, kinematics.robot
+        self._dt, self._robot, self._payload = dt_s, kinematics.robot, payload
         self.activate(self._robot.home, np.zeros(self._robot.dof))
 
     def activate(self, q: Array, v: Array) -> None:
@@ -88,9 +88,11 @@ class SoftStopController(Controller):
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
         q_ref, v_ref, a_ref = self._motion.at(self._steps * self._dt)
+        if self._steps % EVERY == 0:
+            self._load = self._payload.torque(q, q_ref, self.arms, learn=False)
         self._steps += 1
         self.reference = q_ref
-        return self._servo.torque(q, v, q_ref, v_ref, a_ref)
+        return self._servo.torque(q, v, q_ref, v_ref, a_ref, self._load)
 
 
 _RAMP_S = 0.06
@@ -110,7 +112,9 @@ class SupervisedStop:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=config.stop_frequency_rad_s)
         self._brake = config.stop_deceleration_scale * robot.a_max
         self._v_max, self._tau_max = robot.v_max, _TORQUE_SHARE * robot.tau_max
-        self._dt = dt_s
+        self._dt, self._hands = dt_s, Hands(kinematics)
+        self.bears_n: Sequence[float] = (0.0, 0.0)
+        """Weight in each hand."""
 
     def begin(self, q: Array, v: Array, tau: Array) -> None:
         """Start from finite posture, velocity and applied torque (n,)."""
@@ -148,7 +152,9 @@ class SupervisedStop:
         self._r = np.maximum(0.0, self._r - self._slope * self._dt)
         v_ref, a_ref = self._r * self._v_0, -self._slope * self._v_0
         self._q_ref = np.clip(self._q_ref + self._dt * v_ref, self._robot.q_lower, self._robot.q_upper)
-        wanted = self._servo.torque(q, v, self._q_ref, v_ref, a_ref)
+        self._hands.update(q)
+        load = np.concatenate([force_n * self._hands.rise(arm) for arm, force_n in enumerate(self.bears_n)])
+        wanted = self._servo.torque(q, v, self._q_ref, v_ref, a_ref, load)
         if np.isfinite(wanted).all():  # a posture far outside the joint limits overflows
             self._rate.limit(wanted)
         self.tau = self._rate.tau.copy()

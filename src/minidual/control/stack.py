@@ -69,14 +69,14 @@ class ControlStack[P: Plant]:
             uneven = f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz"
             raise UsageError(uneven, remedy="take a divisor of it, such as 50 or 100")
         self.kinematics, self._robot = kinematics, kinematics.robot
-        self.grippers = Grippers(plant, pinch_force_n=pinch_force_n)
+        self.grippers = Grippers(plant, pinch_force_n=pinch_force_n, speed_m_per_s=self._config.finger_speed_m_per_s)
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
         self.payload = Payload(kinematics, plant.dt)
         self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self.payload) for arm in range(len(SIDES))]
         self._controllers: list[Controller] = [
             *(JointTrajectoryController(group, kinematics, plant.dt, self.payload) for group in self._robot.groups),
             *(self.impedance, *self.hands),
-            SoftStopController(kinematics, plant.dt),
+            SoftStopController(kinematics, plant.dt, self.payload),
         ]
         self._flush_listeners: list[Callable[[str], None]] = []
         if supervisor is not None:
@@ -230,6 +230,9 @@ class ControlStack[P: Plant]:
             )
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
+        for arm in (0, 1):
+            if self.grippers.fault and not self.grippers.holds(arm):
+                self.payload.bear(arm, 0.0)
         self._stand(self.output.gripper)
         for name in self.manager.active:
             self.manager[name].activate(q, v)
@@ -308,6 +311,7 @@ class ControlStack[P: Plant]:
         q, v = plant.q, plant.v
         output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v) if self.arbiter.switching else None)
         self.output = output
+        self.payload.idle = (0, 1) if self.reflex is not None else () if self._off is None else self._off.arms
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
         if output.refusals:
@@ -408,13 +412,15 @@ class ControlStack[P: Plant]:
 
     def _expected(self) -> Expected:
         manager, grippers = self.manager, self.grippers
-        off = () if self._off is None else self._off.arms
+        off, bears_n = () if self._off is None else self._off.arms, self.payload.force_n
+        if grippers.fault:  # the weight of what was lost would throw the hand up
+            bears_n = [force_n if grippers.holds(arm) else 0.0 for arm, force_n in enumerate(bears_n)]
         if manager.active == OBJECT_CONTROLLERS:
-            return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off)
+            return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off, bears_n)
         soft = any(hand.name in manager.active for hand in self.hands)  # dry joints hold a spring off
         if grippers.wide and not soft:  # until then fingers that open still touch what they held
-            return Expected("free motion", None, manager.reference, off=off)
-        return Expected("closed hands", None, manager.reference, grippers.fault, off)
+            return Expected("free motion", None, manager.reference, "", off, bears_n)
+        return Expected("closed hands", None, manager.reference, grippers.fault, off, bears_n)
 
     def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
         if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms

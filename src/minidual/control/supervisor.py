@@ -269,6 +269,7 @@ class Supervisor:
     def _feel(self, stamp_s: float) -> None:
         contact, robot = self._contact, self._robot
         self._expected = expected = self.expected()
+        self._stop.bears_n = expected.bears_n
         if expected.hand_fault:
             self._trip("gripper_opened", expected.hand_fault, 1.0, None)
         sense, age = self._sense, (self._time_s - stamp_s) / self.dt_s

@@ -77,11 +77,9 @@ def check_rate(timestamps: Array, fps: float) -> Iterator[EpisodeFault]:
     deviation, limit_s = np.abs(steps - period_s), 0.5 * period_s
     worst = int(np.argmax(deviation))
     if deviation[worst] > limit_s:
-        yield EpisodeFault(
-            "timestamps_jitter",
-            f"{int(np.sum(deviation > limit_s))} intervals stray more than {1e3 * limit_s:.1f} ms from "
-            f"{1e3 * period_s:.1f} ms; the worst is {1e3 * float(steps[worst]):.1f} ms at tick {worst}",
-        )
+        stray = f"{int(np.sum(deviation > limit_s))} intervals stray more than {1e3 * limit_s:.1f} ms from"
+        found = f"{1e3 * period_s:.1f} ms; the worst is {1e3 * float(steps[worst]):.1f} ms at tick {worst}"
+        yield EpisodeFault("timestamps_jitter", f"{stray} {found}")
 
 
 def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[EpisodeFault]:
@@ -104,11 +102,9 @@ def check_limits(qpos: Array, robot: Robot) -> Iterator[EpisodeFault]:
     joints = np.flatnonzero(outside.any(axis=0))
     if joints.size:
         joint, tick = int(joints[0]), int(np.argmax(outside[:, joints[0]]))
-        yield EpisodeFault(
-            "outside_joint_limits",
-            f"{joints.size} joints leave their limits; joint index {joint} is at {qpos[tick, joint]:.4f} rad at tick "
-            f"{tick}, allowed {robot.q_lower[joint]:.4f} to {robot.q_upper[joint]:.4f}",
-        )
+        found = f"joint index {joint} is at {qpos[tick, joint]:.4f} rad at tick {tick}"
+        allowed = f"allowed {robot.q_lower[joint]:.4f} to {robot.q_upper[joint]:.4f}"
+        yield EpisodeFault("outside_joint_limits", f"{joints.size} joints leave their limits; {found}, {allowed}")
 
 
 def check_images(images: Images, qpos: Array) -> Iterator[EpisodeFault]:
@@ -155,8 +151,6 @@ def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[Episode
         apart = {c: float(np.mean(np.abs(view - r))) for c, r in references.items() if r.shape == view.shape}
         nearest = min(apart, key=apart.__getitem__, default=camera)
         if camera in apart and nearest != camera:
-            yield EpisodeFault(
-                "cameras_swapped",
-                f"camera '{camera}' shows what '{nearest}' shows in the other episodes (mean difference "
-                f"{apart[nearest]:.1f} of 255 against {apart[camera]:.1f})",
-            )
+            means = f"mean difference {apart[nearest]:.1f} of 255 against {apart[camera]:.1f}"
+            detail = f"camera '{camera}' shows what '{nearest}' shows in the other episodes ({means})"
+            yield EpisodeFault("cameras_swapped", detail)

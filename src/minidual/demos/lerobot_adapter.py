@@ -59,7 +59,7 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
     try:
         with durable.replacing(out_dir) as partial:
             verify_dataset(partial, _write_dataset(partial, out_dir.name, first, paths, robot), robot)
-    except (OSError, RuntimeError) as error:  # the latter from an encoder's thread
+    except OSError as error:
         raise durable.disk_error(error, out_dir) or DataError(
             f"{out_dir} could not be written: {error}", remedy="check the disk or choose another folder"
         ) from error
@@ -105,10 +105,13 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
                 if episode.images[camera].shape[1:] != shape:
                     raise DataError(f"{path}: camera '{camera}' is {episode.images[camera].shape[1:]}, not {shape}")
             state, action = _vectors(episode)
-            for k in range(len(episode)):
-                images = {camera_key(camera): frames[k] for camera, frames in episode.images.items()}
-                dataset.add_frame({STATE: state[k], ACTION: action[k], "task": episode.meta.task, **images})
-            dataset.save_episode(parallel_encoding=False)
+            try:
+                for k in range(len(episode)):
+                    images = {camera_key(camera): frames[k] for camera, frames in episode.images.items()}
+                    dataset.add_frame({STATE: state[k], ACTION: action[k], "task": episode.meta.task, **images})
+                dataset.save_episode(parallel_encoding=False)
+            except RuntimeError as error:  # from an encoder's thread
+                raise OSError(f"{error}") from error
             meta = episode.meta
             facts = {"file": path.name, "seed": meta.seed, "ticks": len(episode), "success": meta.success}
             records.append({**facts, "extra": dict(meta.extra)})

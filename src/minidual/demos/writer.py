@@ -155,10 +155,8 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
 
     def _check_images(self, images: Mapping[str, NDArray[np.uint8]], tick: int) -> None:
         if set(images) != set(self.meta.cameras):
-            raise DataError(
-                f"tick {tick} brings cameras {', '.join(sorted(images)) or 'none'}; "
-                f"the episode declares {', '.join(self.meta.cameras) or 'none'}"
-            )
+            declared = f"the episode declares {', '.join(self.meta.cameras) or 'none'}"
+            raise DataError(f"tick {tick} brings cameras {', '.join(sorted(images)) or 'none'}; {declared}")
         for camera, image in images.items():
             key = schema.image_key(camera)
             if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:

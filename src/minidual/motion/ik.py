@@ -137,11 +137,9 @@ class ArmIK:
                 best = solution
         if not found and best is not None:
             x, y, z = T_world_tcp[:3, 3]
-            raise IKUnreachableError(
-                f"the {self.arm} hand cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m as asked: the best of {restarts_n} "
-                f"starts stays {best.off} away",
-                remedy="move the goal nearer to the base or change its orientation",
-            )
+            what = f"the {self.arm} hand cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m as asked"
+            remedy = "move the goal nearer to the base or change its orientation"
+            raise IKUnreachableError(f"{what}: the best of {restarts_n} starts stays {best.off} away", remedy=remedy)
 
 
 @functools.cache
@@ -189,10 +187,8 @@ def check_joints(q: Array, what: str, robot: Robot) -> Array:
     outside = np.maximum(robot.q_lower - q, q - robot.q_upper)
     worst = int(np.argmax(outside))
     if outside[worst] > _ROUNDING_RAD:
-        raise OutOfLimitsError(
-            f"the {what} has {robot.joint_names[worst]} = {q[worst]:.4f} rad; "
-            f"its limits are {robot.q_lower[worst]:.4f} to {robot.q_upper[worst]:.4f} rad"
-        )
+        limits = f"its limits are {robot.q_lower[worst]:.4f} to {robot.q_upper[worst]:.4f} rad"
+        raise OutOfLimitsError(f"the {what} has {robot.joint_names[worst]} = {q[worst]:.4f} rad; {limits}")
     return np.clip(q, robot.q_lower, robot.q_upper)
 
 

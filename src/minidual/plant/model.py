@@ -47,11 +47,9 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
         for name in names:
             if name not in table:
                 known = ", ".join(sorted(table)[:8]) or "none at all"
-                raise UsageError(
-                    f"the model has no {kind} for joint '{name}'; it has {len(table)}: "
-                    f"{known}{' ...' if len(table) > 8 else ''}",
-                    remedy="check the joint's prefix, and that an actuator's transmission drives it",
-                )
+                has = f"it has {len(table)}: {known}{' ...' if len(table) > 8 else ''}"
+                remedy = "check the joint's prefix, and that an actuator's transmission drives it"
+                raise UsageError(f"the model has no {kind} for joint '{name}'; {has}", remedy=remedy)
     index = np.array([joints[name] for name in names])
     qpos, qvel = (addresses[index].astype(np.int64) for addresses in (model.jnt_qposadr, model.jnt_dofadr))
     ctrl = np.array([actuators[name] for name in names])

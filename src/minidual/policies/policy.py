@@ -124,17 +124,15 @@ class PolicyRuntime:
 
     def _checked_image(self, images: Mapping[str, Image], camera: str) -> Image:
         if camera not in images:
+            given = f"given were {', '.join(sorted(images)) or 'none'}"
             raise DataError(
-                f"no image of camera '{camera}'; the policy looks through {', '.join(self.cameras)}, "
-                f"given were {', '.join(sorted(images)) or 'none'}"
+                f"no image of camera '{camera}'; the policy looks through {', '.join(self.cameras)}, {given}"
             )
         image, expected = images[camera], (*self.cameras[camera], 3)
         if image.shape != expected or image.dtype != np.uint8:
-            raise DataError(
-                f"camera '{camera}' gives {image.dtype} images of shape {image.shape}; "
-                f"the policy was trained on uint8 {expected}",
-                remedy="render at the recorded size, or record and train again",
-            )
+            given = f"camera '{camera}' gives {image.dtype} images of shape {image.shape}"
+            remedy = "render at the recorded size, or record and train again"
+            raise DataError(f"{given}; the policy was trained on uint8 {expected}", remedy=remedy)
         return np.ascontiguousarray(image)
 
 

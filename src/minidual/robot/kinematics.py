@@ -43,10 +43,8 @@ class Trajectory:
     def __post_init__(self) -> None:
         n = len(self.times)
         if n < 2 or self.q.ndim != 2 or any(x.shape != (n, self.q.shape[1]) for x in (self.q, self.v, self.a)):
-            raise UsageError(
-                f"a trajectory needs n >= 2 times and q, v, a of one shape (n, joints); got {self.times.shape}, "
-                f"{self.q.shape}, {self.v.shape}, {self.a.shape}"
-            )
+            got = f"got {self.times.shape}, {self.q.shape}, {self.v.shape}, {self.a.shape}"
+            raise UsageError(f"a trajectory needs n >= 2 times and q, v, a of one shape (n, joints); {got}")
         if not all(np.isfinite(x).all() for x in (self.times, self.q, self.v, self.a)):
             raise DataError("a trajectory holds a value that is not finite")
         even = np.arange(n) * self.times[1]
@@ -262,3 +260,8 @@ class Hands:
         for frame in kinematics.tcp_ids:
             updateFramePlacement(kinematics.model, self._data, frame)
         kinematics.placed = placed
+
+    def rise(self, arm: int) -> Array:
+        """Return how far a tip rises (m,) [m/rad] with each joint of its arm."""
+        J, (x, y, _) = self.J[:, self._kinematics.robot.joints_of(arm)], self.p[arm]
+        return J[2] + y * J[3] - x * J[4]

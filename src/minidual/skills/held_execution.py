@@ -39,7 +39,7 @@ def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, flo
     return float(np.linalg.norm(E[:3, 3])), float(np.linalg.norm(rotation_log(E[:3, :3])))
 
 
-def execute(plan: CarriedTrajectory, world: World, *, close_s: float = PHASES["close"].hold_s) -> Execution:
+def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> Execution:
     """Execute a plan that starts at rest, with the object level on the table and open hands round it.
 
     Raises:

@@ -20,7 +20,7 @@ from minidual.skills.cycle import solve
 from minidual.skills.phases import OPEN, PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
-_LASTS_S = {"approach": 1.8, "correct": 0.6, "descend": 0.9, "close": PHASES["close"].hold_s, "lift": 0.8, "carry": 2.0}
+_LASTS_S = {"approach": 1.8, "correct": 0.6, "descend": 0.9, "close": 0.7, "lift": 0.8, "carry": 2.0}
 _LASTS_S |= {"lower": 0.8, "open": PHASES["open"].hold_s, "retreat": 0.5, "rest": 0.1}
 _OVERLAPPING, _PAUSED = ("correct", "descend"), ("lift", "lower")
 # The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times

@@ -70,10 +70,8 @@ def moveit(stack: ControlStack[World], planner: Planner, seed: int, *, home: boo
                 yield
                 refusal = next((r for r in stack.refusals[before:] if r.source == "moveit"), None)
             if refusal is not None:
-                raise SwitchError(
-                    f"trajectory {number} of mode 'moveit' was refused at {world.time:.2f} s "
-                    f"({refusal.name}): {refusal.detail}"
-                )
+                which = f"trajectory {number} of mode 'moveit' was refused at {world.time:.2f} s"
+                raise SwitchError(f"{which} ({refusal.name}): {refusal.detail}")
         from_home_rad = float(np.abs(world.q - robot.home).max())
         return {"trajectories_s": motions_s, "planning_s": planned_s, "from_home_rad": from_home_rad}
 

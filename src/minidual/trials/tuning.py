@@ -127,11 +127,10 @@ class Tuner:
         _, least = _bracket(FORCES_N, _FORCE_STEP_N, lambda force: self._step("force", force, start).holds)
         if least is None:
             row = self.steps[-1].row()
-            raise TuningError(
-                f"no squeeze up to {FORCES_N[-1]:.0f} N holds: least force {row['internal_force_min_n']} N, needs > "
-                f"{self._config.scene.task.internal_force_min_n:.0f}; {row['first_failure']}",
-                remedy="pinch harder (carry.impedance.pinch_n) or see whether the pads slip (friction)",
-            )
+            found = f"least force {row['internal_force_min_n']} N, needs > {self._config.scene.task.internal_force_min_n:.0f}"
+            remedy = "pinch harder (carry.impedance.pinch_n) or see whether the pads slip (friction)"
+            what = f"no squeeze up to {FORCES_N[-1]:.0f} N holds: {found}; {row['first_failure']}"
+            raise TuningError(what, remedy=remedy)
         # Rounded before the final carries, so that exactly the written values are tried.
         force = round(FORCE_FACTOR * least, 1)
 
@@ -149,11 +148,10 @@ class Tuner:
         final = self._step("final", force, stiffness)
         if not (final.holds and final.tracking_max_m < TRACKING_MAX_M):
             row = final.row()
-            raise TuningError(
-                f"{force:.1f} N and {stiffness:.0f} N/m: {row['successes']} held, tracking "
-                f"{row['tracking_max_mm']} mm (limit {1e3 * TRACKING_MAX_M:.0f}) {row['first_failure']}",
-                remedy="see tuning.csv; carry more slowly or pinch harder (carry.impedance.pinch_n)",
-            )
+            tracking = f"tracking {row['tracking_max_mm']} mm (limit {1e3 * TRACKING_MAX_M:.0f}) {row['first_failure']}"
+            what = f"{force:.1f} N and {stiffness:.0f} N/m: {row['successes']} held, {tracking}"
+            remedy = "see tuning.csv; carry more slowly or pinch harder (carry.impedance.pinch_n)"
+            raise TuningError(what, remedy=remedy)
         for compared in COMPARED_N:
             self._step("compared", compared, stiffness)
         return Tuning(force, stiffness, least, self.steps)

@@ -46,10 +46,8 @@ class ObjectChart:
         """
         turn = pin.log3(self._R0.T @ T[:3, :3])
         if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
-            raise UsageError(
-                f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first; "
-                f"at most {_ANGLE_MAX_RAD} rad are supported"
-            )
+            far = f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first"
+            raise UsageError(f"{far}; at most {_ANGLE_MAX_RAD} rad are supported")
         return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
 
     def pose(self, x: Array) -> Array:

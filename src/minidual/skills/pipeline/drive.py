@@ -84,7 +84,7 @@ class Drive:
         unfelt = [hand for hand in segment.kept_by if not self.stack.grippers.holds(SIDES.index(hand))]
         now_s = self.stack.plant.time
         if unfelt and now_s - self._ended_s > _FEEL_S:
-            detail = f"the {unfelt[0]} hand feels no grip after {_FEEL_S} s; the other one keeps the object"
+            detail = f"the {unfelt[0]} hand feels no grip after {_FEEL_S} s"
             self.aborted, self._left = Fault("missed_grasp", detail, now_s).text, []
         return not unfelt
 

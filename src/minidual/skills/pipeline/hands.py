@@ -11,6 +11,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.seeds import subseed
 from minidual.motion.api import PlanResult
 from minidual.motion.linear import TIP_LIMITS, Line, LinearPlanner
+from minidual.motion.timing import DT_S
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array, pose
 from minidual.skills.phases import CLOSED, OPEN, PHASES, Segment, State, moved, still
@@ -72,7 +73,9 @@ def close(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     left = {arm: T for arm, T in start.reached.items() if arm not in arms}
     end = replace(start.opened(arms, CLOSED), held_by=held, reached=left)
     soft = arms if end.closed_chain and start.held_by else ()
-    yield Candidate("", 0.0, end, (still("close", start.q, PHASES["close"].hold_s, end.openings, soft=soft),))
+    closing = still("close", start.q, tools.fingers_s + PHASES["close"].hold_s, end.openings, soft=soft)
+    felt = still("close", start.q, DT_S, end.openings, kept_by=arms, soft=soft)
+    yield Candidate("", 0.0, end, (closing, felt))
 
 
 def insert(
@@ -114,8 +117,11 @@ def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Of
     end = replace(start.opened(arms, OPEN), held_by=held, q=q)
     settle = still("settle", q, PHASES["settle"].hold_s, start.openings, soft=kept_by or soft)
     opens = still("open", q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by or soft)
+    left = tools.scene(end, touching=arms)
     if start.rests:  # what rests is no load; by force, the hand sinks to q as soon as it holds nothing
-        settle = replace(settle, scene=tools.scene(end, touching=arms))
+        settle = replace(settle, scene=left)
+    else:  # the other hand bears it from now on
+        opens = replace(opens, scene=left)
     yield Candidate("", 0.0, end, (*down, settle, opens))
 
 

@@ -125,11 +125,9 @@ class HeldMoveGenerator:
                     undecided += 1
                     continue
                 return HeldMove(index, query, start[0], with_obstacles, blocked, witness, undecided, unreachable)
-        raise PlanningError(
-            f"no held-object move {index} after {_TRIES_N} scenes ({undecided} without a witness, "
-            f"{unreachable} unreachable)",
-            remedy="use fewer obstacles or a shorter object",
-        )
+        why = f"{undecided} without a witness, {unreachable} unreachable"
+        remedy = "use fewer obstacles or a shorter object"
+        raise PlanningError(f"no held-object move {index} after {_TRIES_N} scenes ({why})", remedy=remedy)
 
     def _start(self, rng: np.random.Generator) -> Array:
         yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
