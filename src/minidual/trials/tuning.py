@@ -139,11 +139,9 @@ class Tuner:
         )
         if last is None:
             row = self.steps[-1].row()
-            raise TuningError(
-                f"the object oscillates even at {STIFFNESSES_N_PER_M[0]:.0f} N/m with {force:.1f} N "
-                f"({row['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz) {row['first_failure']}",
-                remedy="raise carry.impedance.damping_ratio or look at the sensing delay",
-            )
+            found = f"{row['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz) {row['first_failure']}"
+            what = f"the object oscillates even at {STIFFNESSES_N_PER_M[0]:.0f} N/m with {force:.1f} N ({found}"
+            raise TuningError(what, remedy="raise carry.impedance.damping_ratio or look at the sensing delay")
         stiffness = last if last == STIFFNESSES_N_PER_M[-1] else float(round(STIFFNESS_FACTOR * last))
         final = self._step("final", force, stiffness)
         if not (final.holds and final.tracking_max_m < TRACKING_MAX_M):
