@@ -163,8 +163,8 @@ class ArbiterConfig(StrictModel):
     align_speed_rad_s: float = Field(default=1.0, ge=0.01, le=2.0)
     speed_override: float = Field(default=1.0, ge=SPEED_OVERRIDE_MIN, le=1.0)
     """Share of full speed of all motion."""
-    closing_m_per_s: float = Field(default=0.08, ge=0.005, le=0.1)
-    """Speed of each finger of a closing hand."""
+    finger_speed_m_per_s: float = Field(default=0.08, ge=0.005, le=0.1)
+    """Of hands that open or close."""
 
 
 class SupervisorConfig(StrictModel):

@@ -1,7 +1,7 @@
 """Close the hands to a force F, without knowing what they hold.
 
     closing   target' = -sat(k (F - f), speed),  f measured
-    opening   target' = +0.08 m/s
+    opening   target' = +speed
 
 The target stays within half the travel of the fingers. Pinch and squeeze: docs/force-control.md.
 """
@@ -41,7 +41,6 @@ CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
 """Hysteresis against opening commands wavering about the middle."""
 JOINT_PINCH_N = 60.0
 """Pinch force in joint-space modes: 1.5 times the internal force a stiff pair can demand."""
-_OPENING_M_PER_S = 0.08
 _COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time constant
 _NEAR = 0.9
 _FIRMER, _MOST = 1.3, 0.95
@@ -58,16 +57,16 @@ _OPEN, _TARGET, _HELD, _LOST_N = range(4)
 _OPENS, _LOSES, _WIDE = 1, 2, 4
 
 
-@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, types.float64, types.UniTuple(types.float64, 4)))
+@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, types.float64, types.UniTuple(types.float64, 3)))
 def advance(
-    command: Array, felt: Array, fingers: Array, hands: Array, force_n: float, how: tuple[float, float, float, float]
+    command: Array, felt: Array, fingers: Array, hands: Array, force_n: float, how: tuple[float, float, float]
 ) -> int:
     """Advance `hands` (4, 2): open or closed, target [m], fingers [m] when they held, ticks without the grip.
 
-    how: gain, steps of closing and opening [m], travel [m]. Return the sum of 1 if a hand begins to open, 2 if a closed
-    one has lost its grip in this tick, and 4 if both are fully open.
+    how: gain, step [m], travel [m]. Return the sum of 1 if a hand begins to open, 2 if a closed one has lost its grip in
+    this tick, and 4 if both are fully open.
     """
-    found, wide_n, (gain, step_m, open_m, travel_m) = 0, 0, how
+    found, wide_n, (gain, step_m, travel_m) = 0, 0, how
     for i in range(2):
         if command[i] > OPEN_ABOVE:
             if not hands[_OPEN, i]:
@@ -76,7 +75,7 @@ def advance(
         elif command[i] < CLOSE_BELOW:
             hands[_OPEN, i] = 0.0
         if hands[_OPEN, i]:
-            hands[_HELD, i], hands[_TARGET, i] = math.nan, min(hands[_TARGET, i] + open_m, travel_m)
+            hands[_HELD, i], hands[_TARGET, i] = math.nan, min(hands[_TARGET, i] + step_m, travel_m)
             wide_n += hands[_TARGET, i] == travel_m
             continue
         way = gain * (felt[i] - force_n)
@@ -99,11 +98,11 @@ class Grippers:
     The closing force is limited to what the motors give.
     """
 
-    def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, closing_m_per_s: float = 0.08) -> None:
+    def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
         self._plant, self._travel_m = plant, plant.robot.hand.travel_m
         self._force_n = min(pinch_force_n, plant.grip_max_n)
         self._firm_n = max(self._force_n, min(_FIRMER * self._force_n, _MOST * plant.grip_max_n))
-        self._how = *(plant.dt * x for x in (_COMPLIANCE_M_PER_NS, closing_m_per_s, _OPENING_M_PER_S)), self._travel_m
+        self._how = _COMPLIANCE_M_PER_NS * plant.dt, speed_m_per_s * plant.dt, self._travel_m
         self.reset()
 
     def reset(self) -> None:

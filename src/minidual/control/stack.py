@@ -69,7 +69,7 @@ class ControlStack[P: Plant]:
             uneven = f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz"
             raise UsageError(uneven, remedy="take a divisor of it, such as 50 or 100")
         self.kinematics, self._robot = kinematics, kinematics.robot
-        self.grippers = Grippers(plant, pinch_force_n=pinch_force_n, closing_m_per_s=self._config.closing_m_per_s)
+        self.grippers = Grippers(plant, pinch_force_n=pinch_force_n, speed_m_per_s=self._config.finger_speed_m_per_s)
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
         self.payload = Payload(kinematics, plant.dt)
         self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self.payload) for arm in range(len(SIDES))]

@@ -73,7 +73,7 @@ def close(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     left = {arm: T for arm, T in start.reached.items() if arm not in arms}
     end = replace(start.opened(arms, CLOSED), held_by=held, reached=left)
     soft = arms if end.closed_chain and start.held_by else ()
-    closing = still("close", start.q, tools.closing_s + PHASES["close"].hold_s, end.openings, soft=soft)
+    closing = still("close", start.q, tools.fingers_s + PHASES["close"].hold_s, end.openings, soft=soft)
     felt = still("close", start.q, DT_S, end.openings, kept_by=arms, soft=soft)
     yield Candidate("", 0.0, end, (closing, felt))
 

@@ -82,7 +82,7 @@ class Tools:
         around: With the other obstacles.
         things: By name.
         by_force: For impedance, not position.
-        closing_s: Longest travel of closing fingers.
+        fingers_s: Time in which hands open or close.
     """
 
     around: PlanningScene
@@ -91,7 +91,7 @@ class Tools:
     seed: int = 0
     gap: Gap | None = None
     by_force: bool = False
-    closing_s: float = 0.5
+    fingers_s: float = 0.5
 
     def scene(self, state: State, *, touching: Collection[str] = (), resting: bool = False) -> PlanningScene:
         """Return the scene: an object is an obstacle, or attached to its first holder.
