@@ -78,7 +78,7 @@ class PlannedCarry(Drive):
         if segment.scene is not None and not self.task.together:
             held = {held.link: self.task.objects[held.name].body.mass_kg for held in segment.scene.attached}
             for arm, link in enumerate(self.world.robot.tcp_names):
-                self.stack.payload.bear(arm, held.get(link, 0.0) if self.stack.grippers.holds(arm) else 0.0)
+                self.stack.payload.bear(arm, held.get(link, 0.0))
 
     def _stopped(self, error: ReflexError) -> None:
         solution, supervisor, touched = self.solution, self.stack.supervisor, error.reflex.name.endswith("_contact")
