@@ -69,6 +69,27 @@ def test_a_firmer_pinch_stays_within_what_the_motors_give_and_opens_in_time(hand
     assert steps * DT < 0.17, "13 mm at 8 cm/s"
 
 
+def test_a_hand_whose_object_slides_out_holds_nothing_though_its_fingers_press(hands, grippers):
+    """Fingers that press on one another feel the whole force; before, the hand seemed to hold what it had lost."""
+    run(hands, grippers, [0.0, 0.0])
+    assert [grippers.holds(hand) for hand in (0, 1)] == [True, True]
+    assert [grippers.lost(hand) for hand in (0, 1)] == [False, False]
+    hands.half_m[:] = 0.0
+    run(hands, grippers, [0.0, 0.0])
+    np.testing.assert_allclose(hands.grip, 50.0, rtol=0.01)
+    assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]
+    assert [grippers.lost(hand) for hand in (0, 1)] == [True, True]
+    run(hands, grippers, [1.0, 1.0])
+    assert [grippers.lost(hand) for hand in (0, 1)] == [False, False], "an open hand has lost nothing"
+
+
+def test_a_reset_forgets_the_firmer_pinch(hands, grippers):
+    grippers.firmer()
+    grippers.reset()
+    run(hands, grippers, [0.0, 0.0])
+    np.testing.assert_allclose(hands.grip, 50.0, rtol=0.01)
+
+
 def test_fingers_move_as_fast_as_they_are_told(hands):
     grippers = Grippers(hands, pinch_force_n=50.0, speed_m_per_s=0.03)
     assert np.diff(run(hands, grippers, [0.0, 0.0], steps=300), axis=0).min() == pytest.approx(-0.03 * DT)

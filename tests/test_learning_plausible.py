@@ -151,6 +151,47 @@ def test_a_broken_camera_stops_the_trial_by_name(world: World, camera: Callable[
     assert np.abs(world.q - before).max() < 0.02
 
 
+def test_a_policy_that_answers_late_stops_the_trial_by_name(world: World) -> None:
+    """A clock that runs on while it infers: before, the arms followed the answer to a state of 2 s ago at 0.9 rad/s."""
+    pilot = _pilot(world, _ramp, _seen(world))
+    answer = pilot._runtime.act
+
+    def late(*seen: Any) -> Any:
+        if world.time > 0.6:
+            world.data.time += 0.5
+        return answer(*seen)
+
+    pilot._runtime.act = late
+    while not pilot.done and world.time < 3.0:
+        pilot.step()
+    assert (pilot.aborted or "").startswith("late_answer: the policy answered after 0.500 s; limit 0.1 s")
+    assert np.abs(world.v).max() < 0.05
+
+
+def test_an_error_in_a_policy_is_raised_when_the_arms_rest(world: World) -> None:
+    """Before, it was raised with the arms at 0.9 rad/s, in a tick without torque."""
+
+    def breaks(tick: int) -> np.ndarray:
+        if tick > 30:
+            raise RuntimeError("CUDA error")
+        return _ramp(tick)
+
+    pilot = _pilot(world, breaks, _seen(world))
+    fastest = [0.0]
+
+    def fly() -> None:
+        for _ in range(3000):
+            pilot.step()
+            fastest.append(float(np.abs(world.v).max()))
+
+    with pytest.raises(RuntimeError, match="CUDA error"):
+        fly()
+    assert max(fastest) > 0.2
+    assert np.abs(world.v).max() < 0.05
+    assert "controller_failed" in (pilot.aborted or "")
+    assert pilot.stack.reflex is not None
+
+
 def test_arms_that_stand_may_see_the_same_picture() -> None:
     check = Plausible(DUAL_PANDA.q_lower, DUAL_PANDA.q_upper)
     image = {"high": np.zeros((4, 4, 3), np.uint8)}

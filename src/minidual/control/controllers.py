@@ -57,11 +57,17 @@ class Payload:
             )
         self._wanted_n[arm] = mass_kg * GRAVITY_M_PER_S2
 
-    def follow(self, gripper: Array) -> None:
-        """Take commanded openings (2,): a closed hand that opens lets go of its load."""
+    def take_over(self, force_n: float) -> None:
+        """Bear this in each hand at once: another controller has borne it until now."""
+        self.force_n[:] = self._wanted_n[:] = force_n, force_n
+
+    def follow(self, gripper: Array, lost: Sequence[bool]) -> None:
+        """Take commanded openings (2,), and which hands lost their grip: what opens or has lost lets go of its load."""
         for arm, opening in enumerate(gripper.tolist()):
-            if self._closed[arm] and opening > OPEN_ABOVE:
+            if lost[arm] or (self._closed[arm] and opening > OPEN_ABOVE):
                 self._wanted_n[arm] = 0.0
+                if arm in self.idle:  # the stop bounds the torque's rate
+                    self.force_n[arm] = 0.0
             self._closed[arm] = opening < CLOSE_BELOW or (self._closed[arm] and opening <= OPEN_ABOVE)
 
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
@@ -147,7 +153,6 @@ class JointTrajectoryController(Controller):
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target, newly begun trajectories and the speed override."""
         self._target, self._holds = output.q_target, output.state is ArbiterState.HOLDING
-        self._payload.follow(output.gripper)
         self._filter.limit_speed(output.speed)
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:

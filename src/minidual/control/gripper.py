@@ -100,13 +100,14 @@ class Grippers:
 
     def __init__(self, plant: Plant, *, pinch_force_n: float = JOINT_PINCH_N, speed_m_per_s: float = 0.08) -> None:
         self._plant, self._travel_m = plant, plant.robot.hand.travel_m
-        self._force_n = min(pinch_force_n, plant.grip_max_n)
-        self._firm_n = max(self._force_n, min(_FIRMER * self._force_n, _MOST * plant.grip_max_n))
+        self._usual_n = min(pinch_force_n, plant.grip_max_n)
+        self._firm_n = max(self._usual_n, min(_FIRMER * self._usual_n, _MOST * plant.grip_max_n))
         self._how = _COMPLIANCE_M_PER_NS * plant.dt, speed_m_per_s * plant.dt, self._travel_m
         self.reset()
 
     def reset(self) -> None:
-        """Start with open hands."""
+        """Start with open hands, and the usual pinch."""
+        self._force_n = self._usual_n
         self._hands, self.targets_m, self.wide = np.ones((4, 2)), np.full(2, self._travel_m), True
         """wide: whether both hands are fully open."""
         self._hands[_TARGET] = self.targets_m
@@ -140,7 +141,13 @@ class Grippers:
 
     def holds(self, hand: int) -> bool:
         """Return whether a hand has closed on something and feels it."""
-        return bool(self._hands[_HELD, hand] > _NOTHING_M and self._plant.grip[hand] >= _LOST * self._force_n)
+        between_m = min(self._hands[_HELD, hand], self._plant.fingers[hand])
+        return bool(between_m > _NOTHING_M and self._plant.grip[hand] >= _LOST * self._force_n)
+
+    def lost(self, hand: int) -> bool:
+        """Return whether a hand had closed on something that has slid out, or been torn out."""
+        torn = self._hands[_LOST_N, hand] * self._plant.dt > _LOST_S
+        return bool(self._hands[_HELD, hand] > _NOTHING_M and (torn or self._plant.fingers[hand] <= _NOTHING_M))
 
     def _name_lost(self, grip: Array, fingers: Array) -> None:
         for hand, (_, _, held_m, lost_n) in enumerate(self._hands.T):

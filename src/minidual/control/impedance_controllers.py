@@ -9,6 +9,7 @@ from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ObjectExecution
+from minidual.control.gripper import GRAVITY_M_PER_S2
 from minidual.control.impedance import SQUEEZE_CEILING_N, HandImpedance, HeldObject, ObjectImpedance, ObjectState
 from minidual.control.kernels import within
 from minidual.errors import UsageError
@@ -95,6 +96,11 @@ class ObjectImpedanceController(Controller):
     def load(self) -> Array:
         """External torque (n,) [Nm] of the object, last commanded."""
         return -self._ready()[0].push
+
+    @property
+    def bears_n(self) -> float:
+        """Weight in each hand."""
+        return 0.5 * self._ready()[0].held.mass_kg * GRAVITY_M_PER_S2
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take a begun object path, and slow it down towards singularities and joint limits."""

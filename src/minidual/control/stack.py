@@ -230,9 +230,6 @@ class ControlStack[P: Plant]:
             )
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
-        for arm in (0, 1):
-            if self.grippers.fault and not self.grippers.holds(arm):
-                self.payload.bear(arm, 0.0)
         self._stand(self.output.gripper)
         for name in self.manager.active:
             self.manager[name].activate(q, v)
@@ -318,10 +315,16 @@ class ControlStack[P: Plant]:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
         if output.halted:
+            self._hand_down()
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
             self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
         self.manager.follow(output)
+        self.payload.follow(output.gripper, [self.grippers.lost(arm) for arm in (0, 1)])
         return output
+
+    def _hand_down(self) -> None:
+        if self.manager.active == OBJECT_CONTROLLERS:
+            self.payload.take_over(self.impedance.bears_n)
 
     def _unsagged(self, q: Array, v: Array) -> Array | None:
         """Return the posture (n,) without the sag of resting arms under a load, or None; at q they would sag again."""
@@ -396,6 +399,7 @@ class ControlStack[P: Plant]:
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
             self.reflex, self._stop_ticks = error, round(_STOP_MAX_S / self.plant.dt)
+            self._hand_down()
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error
 
@@ -413,8 +417,6 @@ class ControlStack[P: Plant]:
     def _expected(self) -> Expected:
         manager, grippers = self.manager, self.grippers
         off, bears_n = () if self._off is None else self._off.arms, self.payload.force_n
-        if grippers.fault:  # the weight of what was lost would throw the hand up
-            bears_n = [force_n if grippers.holds(arm) else 0.0 for arm, force_n in enumerate(bears_n)]
         if manager.active == OBJECT_CONTROLLERS:
             return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off, bears_n)
         soft = any(hand.name in manager.active for hand in self.hands)  # dry joints hold a spring off

@@ -32,11 +32,10 @@ def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower:
     difference = follower_target(robot, config, q_leader) - q_follower
     worst, limit = int(np.argmax(np.abs(difference))), config.start_error_max_rad
     if abs(difference[worst]) > limit:
-        raise UsageError(
-            f"the leader starts {difference[worst]:+.3f} rad away from the follower at {robot.joint_names[worst]} "
-            f"({int(np.sum(np.abs(difference) > limit))} of {robot.dof} joints over the limit of {limit} rad)",
-            remedy="bring the leader to the follower's posture; check the joint order, the signs and the offsets",
-        )
+        far = f"the leader starts {difference[worst]:+.3f} rad away from the follower at {robot.joint_names[worst]}"
+        many = f"{int(np.sum(np.abs(difference) > limit))} of {robot.dof} joints over the limit of {limit} rad"
+        remedy = "bring the leader to the follower's posture; check the joint order, the signs and the offsets"
+        raise UsageError(f"{far} ({many})", remedy=remedy)
 
 
 def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Array:

@@ -41,9 +41,11 @@ def next_command(runtime: PolicyRuntime, world: World, picture: Picture, sequenc
     Raises:
         DataError: An input does not fit; PolicyStoppedError: a camera fails, or see `PolicyRuntime.act`.
     """
-    images = {name: partial(_taken, picture, name, world) for name in runtime.cameras}
+    images, asked_s = {name: partial(_taken, picture, name, world) for name in runtime.cameras}, world.time
     action, n = runtime.act(images, np.concatenate([world.q, world.gripper])), runtime.joints_n
-    return JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), world.time, sequence)
+    if world.time - asked_s > PICTURE_AGE_MAX_S:
+        raise PolicyStoppedError("late_answer", age_s=world.time - asked_s, limit_s=PICTURE_AGE_MAX_S)
+    return JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), asked_s, sequence)
 
 
 def _taken(picture: Picture, name: str, world: World) -> Image:
@@ -66,6 +68,7 @@ class PolicyPilot:
     def __init__(self, stack: ControlStack[World], runtime: PolicyRuntime, picture: Picture) -> None:
         self.stack, self.world = stack, stack.plant
         self.aborted: str | None = None
+        self._broken: Exception | None = None
         self._runtime, self._picture = runtime, picture
         # A mode switch must drop the current chunk, or it would run on afterwards.
         self.stack.on_flush(lambda mode: runtime.reset())
@@ -92,7 +95,11 @@ class PolicyPilot:
         return self.aborted is not None and not self.stack.stopping
 
     def step(self) -> None:
-        """Run one control step, after a policy tick if due."""
+        """Run one control step, after a policy tick if due.
+
+        Raises:
+            Exception: What failed in the policy, once the arms have stopped.
+        """
         if self._step % self.stack.every == 0:
             self._tick()
         self._step += 1
@@ -100,6 +107,8 @@ class PolicyPilot:
             self.stack.advance()
         except ReflexError as error:
             self.aborted = error.message
+        if self._broken is not None and self.done:
+            raise self._broken
 
     def _tick(self) -> None:
         if self.stack.state is not ArbiterState.SETTLING and self.aborted is None:
@@ -108,6 +117,9 @@ class PolicyPilot:
             except DataError as error:
                 self.aborted = error.message
                 self.stack.halt(SOURCE)
+            except Exception as error:  # must not take this tick's torque away
+                self._broken = error
+                self.stack.fail(error)
             else:
                 self.stack.propose(SOURCE, command)
         self.stack.arbitrate()

@@ -107,9 +107,7 @@ def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:
         return _refusal(solids, trajectory, [0], int(everything[0]))
     stretches = first_stretches(q, _FIRST_RAD)
     asked, failed, pair = planes.prove(solids.geometry, q, v, trajectory.dt_s, stretches, moving, _SLACK_M, work)
-    if failed >= 0:
-        return _refusal(solids, trajectory, [failed, failed + 1], pair)
-    return "", int(asked.sum())
+    return _refusal(solids, trajectory, [failed, failed + 1], pair) if failed >= 0 else ("", int(asked.sum()))
 
 
 def first_stretches(q: Array, length_rad: float) -> np.ndarray:

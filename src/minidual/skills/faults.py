@@ -129,23 +129,20 @@ class FaultMonitor:
 
     def silent(self, what: str, age_s: float, bound_s: float) -> Fault | None:
         """Check the age of a sensor's last usable reading."""
-        if age_s <= bound_s:
-            return None
-        return Fault("sensor_lost", f"no {what} for {1e3 * age_s:.0f} ms; bound {1e3 * bound_s:.0f} ms")
+        detail = f"no {what} for {1e3 * age_s:.0f} ms; bound {1e3 * bound_s:.0f} ms"
+        return None if age_s <= bound_s else Fault("sensor_lost", detail)
 
     def frozen(self, what: str, same: bool, needed: int) -> Fault | None:
         """Check a sensor whose readings must change; `same` to the bit as the last."""
-        if self._lasts(f"frozen {what}", same, needed):
-            return Fault("sensor_lost", f"{what} stays the same to the bit while the object moves")
-        return None
+        detail = f"{what} stays the same to the bit while the object moves"
+        return Fault("sensor_lost", detail) if self._lasts(f"frozen {what}", same, needed) else None
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""
         away = any(self._scatter.exceeded(innovation))
         self._scatter.learn(innovation)
-        if self._lasts("resting", away, 2):
-            return Fault("knocked_away", f"the object is {1e3 * innovation[0]:.0f} mm from where it lay")
-        return None
+        detail = f"the object is {1e3 * innovation[0]:.0f} mm from where it lay"
+        return Fault("knocked_away", detail) if self._lasts("resting", away, 2) else None
 
     def closing(self, gap_m: Sequence[float], pinch_n: Array, t_s: float) -> Fault | None:
         """Check closing hands by gaps (2,), pinch (2,) and time."""
@@ -203,10 +200,8 @@ class FaultMonitor:
     def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample against the hands."""
         away_m, away_rad = innovation
-        if self._lasts("held", any(self._scatter.exceeded(innovation)), 2):
-            off = f"{1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off"
-            return Fault("slip", f"the object is {off} in the hands")
-        return None
+        detail = f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands"
+        return Fault("slip", detail) if self._lasts("held", any(self._scatter.exceeded(innovation)), 2) else None
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""

@@ -39,11 +39,8 @@ def perturb(context: ToolContext) -> ToolResult:
     write_csv(context.output / "conditions.csv", rows)
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
     failed = [r for r in found if not r.holds]
-    notes = [
-        f"{r.cell.condition}: {r.row()['successes']}, {100 * r.drop:.0f} points fewer than clean (limit "
-        f"{100 * DROP_MAX:.0f}): {r.example}"
-        for r in failed
-    ]
+    limit = f"points fewer than clean (limit {100 * DROP_MAX:.0f})"
+    notes = [f"{r.cell.condition}: {r.row()['successes']}, {100 * r.drop:.0f} {limit}: {r.example}" for r in failed]
     return ToolResult(
         lines=markdown(rows),
         notes=[*notes, f"written to {context.folder}"],

@@ -59,9 +59,7 @@ class TrialLog:
 
 def jerk(q: Array, cutoff_hz: float) -> float:
     """Return `rms_jerk` of a log's joints (T, n), or NaN if it is too short."""
-    if (len(q) - 1) / LOG_RATE_HZ < MIN_DURATION_S:
-        return math.nan
-    return rms_jerk(q, LOG_RATE_HZ, cutoff_hz)
+    return math.nan if (len(q) - 1) / LOG_RATE_HZ < MIN_DURATION_S else rms_jerk(q, LOG_RATE_HZ, cutoff_hz)
 
 
 def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:

@@ -138,10 +138,8 @@ class MethodSummary:
     @property
     def interval(self) -> str:
         """The success rate's interval in words."""
-        return (
-            f"{self.successes_n} of {self.trials_n} trials, 95 % Wilson interval "
-            f"{self['success_low']:.3f} to {self['success_high']:.3f}"
-        )
+        within = f"{self['success_low']:.3f} to {self['success_high']:.3f}"
+        return f"{self.successes_n} of {self.trials_n} trials, 95 % Wilson interval {within}"
 
 
 def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **known: Any) -> TrialMetrics:

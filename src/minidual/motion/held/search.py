@@ -109,9 +109,7 @@ class _Tree:
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
         """Return one of the `among` nearest points."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
-        if among == 1:
-            return int(np.argmin(away))
-        return int(rng.choice(np.argsort(away, kind="stable")[:among]))
+        return int(np.argmin(away)) if among == 1 else int(rng.choice(np.argsort(away, kind="stable")[:among]))
 
     def add(self, z: Array, parent: int) -> int:
         self.points = np.vstack([self.points, z])

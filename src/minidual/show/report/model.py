@@ -168,9 +168,7 @@ class Report:
             return "tainted"
         if derive_status(self.checks) != "pass" or self.given.code_changes:
             return "fail"
-        if not self.accepts:
-            return "smoke"
-        return "weakened" if self.weakened else "pass"
+        return "smoke" if not self.accepts else "weakened" if self.weakened else "pass"
 
     @property
     def banners(self) -> list[Banner]:

@@ -72,11 +72,9 @@ class WebView:
             tunnel = tunnel_command(config.host, self.port)
             self._say(f"from another machine: {tunnel}, then open the same address there")
             return
-        others = "moves" if config.remote_drives else "cannot move"
-        self._say(
-            f"warning: the view is bound to {config.host}, without encryption: whoever has this address, with the name "
-            f"of this machine, sees the view and {others} its sliders"
-        )
+        sees = f"sees the view and {'moves' if config.remote_drives else 'cannot move'} its sliders"
+        who = f"whoever has this address, with the name of this machine, {sees}"
+        self._say(f"warning: the view is bound to {config.host}, without encryption: {who}")
         if not config.remote_drives:
             self.panel.note("only pages on the machine that runs the command move the sliders")
 
