@@ -205,6 +205,23 @@ def test_a_slip_in_the_hands_shows_in_the_innovation_and_is_learnt(kinematics: K
     assert np.allclose(estimate.state.T_world_object, slipped, atol=1e-5)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_one_frame_that_is_far_off_moves_no_estimate_and_two_do(kinematics: Kinematics, turned: bool) -> None:
+    """Before, a marker that was taken for another moved the estimate by 20 mm, and the next good frame read as slip."""
+    T = _held_pose(kinematics, HOME)
+    estimate = HeldEstimate(kinematics, HOME, T, delay_ticks=0, least_gain=0.1)
+    odd = T @ (pose(rot_x(np.pi), (0.0, 0.0, 0.0)) if turned else pose(np.eye(3), (0.3, 0.0, 0.0)))
+    for _ in range(3):
+        estimate.update(HOME, np.zeros(14), odd)
+        assert max(estimate.innovation) > 0.2, "the faults see it all the same"
+        assert np.allclose(estimate.state.T_world_object, T, atol=1e-9)
+        estimate.update(HOME, np.zeros(14), T)
+        assert max(estimate.innovation) < 1e-6
+    estimate.update(HOME, np.zeros(14), odd)
+    estimate.update(HOME, np.zeros(14), odd)
+    assert not np.allclose(estimate.state.T_world_object, T, atol=1e-3)
+
+
 class Blind:
     """A world that refuses to say anything about the object."""
 

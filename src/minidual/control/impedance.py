@@ -274,6 +274,9 @@ class RestingEstimate:
         self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, gain)
 
 
+_ODD_M, _ODD_RAD = 0.03, 0.2  # one frame off by more says nothing of the object: a marker was taken for another
+
+
 class HeldEstimate:
     """Pose and twist of an object in both hands.
 
@@ -295,7 +298,7 @@ class HeldEstimate:
         self._hands = Hands(kinematics)
         self._least_gain, self._samples_n = least_gain, 5
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
-        self.innovation = (0.0, 0.0)
+        self.innovation, self._odd = (0.0, 0.0), False
         self.spread_m = self.moved_m = 0.0
         self._T_hands_object = np.eye(4)
         T_world_hands = self._follow(q, np.zeros_like(q))[0]
@@ -305,7 +308,7 @@ class HeldEstimate:
     def update(self, q: Array, v: Array, sample: Array | None = None, age_ticks: int = 0) -> ObjectState:
         """Return the object's state at joints q, v (n,).
 
-        Samples (4, 4) older than `delay_ticks` are ignored.
+        Samples (4, 4) older than `delay_ticks` are ignored, and a single one that is far off.
         """
         T_world_hands, T, twist = self._follow(q, v)
         self._history.append(T_world_hands)
@@ -315,7 +318,10 @@ class HeldEstimate:
             T_then = self._history[-1 - age_ticks]
             way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
             self.moved_m = math.sqrt(way_m @ way_m)
-            self._T_hands_object, self.innovation = _towards(self._T_hands_object, inverse(T_then) @ sample, gain)
+            moved, self.innovation = _towards(self._T_hands_object, inverse(T_then) @ sample, gain)
+            before, self._odd = self._odd, self.innovation[0] > _ODD_M or self.innovation[1] > _ODD_RAD
+            if before or not self._odd:
+                self._T_hands_object = moved
             T, twist = self._follow(q, v)[1:]
         self.state = tuple.__new__(ObjectState, (T, twist, _STILL))  # ObjectState(...) takes three times as long
         return self.state

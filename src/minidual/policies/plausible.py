@@ -82,5 +82,5 @@ class Plausible:
         joint = int(np.argmax(self._turns))
         if self._turns[joint] > TURNS_MAX:
             bounds = {"swing_rad": SWING_RAD, "ticks": _WINDOW_TICKS, "bound_n": TURNS_MAX}
-            turns_n = self._turns[joint]
-            raise PolicyStoppedError("oscillation", joint=joint + 1, joints_n=self._n, turns_n=turns_n, **bounds)
+            named = {"joint": joint + 1, "joints_n": self._n, "turns_n": self._turns[joint]}
+            raise PolicyStoppedError("oscillation", **named, **bounds)

@@ -117,11 +117,9 @@ def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Of
     end = replace(start.opened(arms, OPEN), held_by=held, q=q)
     settle = still("settle", q, PHASES["settle"].hold_s, start.openings, soft=kept_by or soft)
     opens = still("open", q, PHASES["open"].hold_s, end.openings, kept_by=kept_by, soft=kept_by or soft)
+    # What rests is no load; by force, the hand sinks to q as soon as it holds nothing. Else the other hand bears it.
     left = tools.scene(end, touching=arms)
-    if start.rests:  # what rests is no load; by force, the hand sinks to q as soon as it holds nothing
-        settle = replace(settle, scene=left)
-    else:  # the other hand bears it from now on
-        opens = replace(opens, scene=left)
+    settle, opens = (replace(settle, scene=left), opens) if start.rests else (settle, replace(opens, scene=left))
     yield Candidate("", 0.0, end, (*down, settle, opens))
 
 
