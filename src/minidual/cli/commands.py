@@ -227,10 +227,8 @@ def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
             os.kill(pid, emergency.SIGNAL)
     if not holders:
         where = f"run '{named}' of {root}" if named else f"the runs in {root}"
-        raise UsageError(
-            f"nothing to stop: no command is working in {where}",
-            remedy="--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process",
-        )
+        remedy = "--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process"
+        raise UsageError(f"nothing to stop: no command is working in {where}", remedy=remedy)
     said = [f"emergency stop sent to {text}" for text in holders.values()]
     session.finish({"stopped": sorted(holders), "exit_code": int(ExitCode.PASS)}, said)
     return ExitCode.PASS

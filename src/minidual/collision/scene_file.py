@@ -213,10 +213,8 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
     """
     document = read_document(path)
     if not document.tree:
-        raise ConfigError(
-            f"{path.name}: the scene file is empty; it would mean the bare table",
-            remedy="leave --scene out for the bare table, or write at least 'table: true'",
-        )
+        remedy = "leave --scene out for the bare table, or write at least 'table: true'"
+        raise ConfigError(f"{path.name}: the scene file is empty; it would mean the bare table", remedy=remedy)
     content = validate_document(document, SceneFile)
     notes: list[str] = []
     scene = PlanningScene((TABLE,) if content.table else (), min_distance_m=content.min_distance_m, robot=robot)

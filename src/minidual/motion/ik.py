@@ -207,10 +207,8 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot, what: s
         return check_joints(full, what, robot)
     full[joints] = check_joints(q_goal, what, robot)[joints]
     if np.abs(full - q_goal).max() > 1e-6:
-        raise UsageError(
-            f"the goal moves joints outside {group}, which holds the other arm",
-            remedy="plan with the group both_arms, or give only the group's own joints",
-        )
+        remedy = "plan with the group both_arms, or give only the group's own joints"
+        raise UsageError(f"the goal moves joints outside {group}, which holds the other arm", remedy=remedy)
     return full
 
 
@@ -226,10 +224,8 @@ def require_free(engine: SceneEngines, q: Array, what: str) -> None:
         kept = engine.scene.min_distance_m
         # Obstacles are grown by this distance, so being near one counts as contact.
         grown = f" (the scene keeps {kept * 1e3:g} mm from obstacles)" if kept > 0.0 else ""
-        raise kind(
-            f"the {what} is in collision: {near[0]}{grown}",
-            remedy="move it, remove the obstacle, or allow the pair in the scene",
-        )
+        remedy = "move it, remove the obstacle, or allow the pair in the scene"
+        raise kind(f"the {what} is in collision: {near[0]}{grown}", remedy=remedy)
 
 
 def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
