@@ -13,6 +13,7 @@ from panda import HOME
 from minidual.config.learning import TeleopConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import ScriptedLeader
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.errors import UsageError
@@ -69,6 +70,34 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     # The readings put in place of the commands, or the commands a tick late, lead elsewhere.
     assert _replay_error(world, trial.start, ticks, result.q) > 1e-2
     assert _replay_error(world, trial.start, ticks, np.vstack([action[:1], action[:-1]])) > 1e-3
+
+
+@pytest.mark.parametrize("what", ["leader", "writer"])
+def test_an_error_in_a_leader_or_a_writer_is_raised_when_the_arms_rest(world: World, what: str) -> None:
+    """Before, it was raised in the middle of the motion, and no torque was computed any more."""
+    config = TeleopConfig()
+    stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz, supervisor=Supervisor(dt_s=world.dt))
+    session, trial = TeleopSession(stack, config), sample_trial(world.scene, SEED, "demonstrations", 0, widen=1.3)
+    fast: list[float] = []
+
+    class Unplugged(ScriptedLeader):
+        def read(self, now_s: float) -> Any:
+            if what == "leader" and now_s > 0.8:
+                raise OSError("the device is gone")
+            return super().read(now_s)
+
+    def write(tick: Tick) -> None:
+        fast.append(float(np.abs(world.v).max()))
+        if what == "writer" and len(fast) > 40:
+            raise OSError("the device is gone")
+
+    leader = Unplugged(ScriptedOperator(world.scene).plan(trial, seed=SEED))
+    with pytest.raises(OSError, match="the device is gone"):
+        session.run(carry_task(world.scene), trial, leader, on_tick=write)
+    assert fast[-1] > 0.2
+    assert np.abs(world.v).max() < 0.05
+    assert stack.reflex is not None
+    assert "controller_failed" in stack.reflex.message
 
 
 def _replay_error(world: World, start: Any, ticks: list[Tick], actions: Array) -> float:

@@ -112,7 +112,19 @@ class TeleopSession:
         Raises:
             UsageError: Leader and follower are apart, or have other joints.
             HandoverError: The arbiter refused.
+            Exception: What failed in a leader, a camera or `on_tick`, once the arms have stopped.
         """
+        try:
+            return self._run(task, trial, leader, on_tick)
+        except Exception as error:
+            with contextlib.suppress(ReflexError):
+                self.stack.fail(error)
+                self.stack.advance()
+            while self.stack.stopping:
+                self.stack.advance()
+            raise
+
+    def _run(self, task: Task, trial: Trial, leader: Leader, on_tick: Callable[[Tick], None]) -> SessionResult:
         world, stack, period_s = self.world, self.stack, 1.0 / self.config.rate_hz
         judge = begin(world, task, trial)
         stack.reset()
@@ -121,8 +133,7 @@ class TeleopSession:
         self._hand_over(judge)
         # The judge applies the task's own limit to people too.
         limit_s = self.config.person_time_limit_s if leader.realtime else world.scene.task.time_limit_s
-        measured: list[Array] = []
-        latencies: list[float] = []
+        measured, latencies = list[Array](), list[float]()
         ended_by, began = "time_limit", time.monotonic()
         for k in range(round(limit_s * self.config.rate_hz)):
             elapsed_s = k * period_s
@@ -131,8 +142,7 @@ class TeleopSession:
                 break
             if leader.realtime:
                 time.sleep(max(0.0, began + elapsed_s - time.monotonic()))
-            joints = world.stamp_s, world.time, world.q, world.v, world.gripper
-            images = self._pictures()
+            joints, images = (world.stamp_s, world.time, world.q, world.v, world.gripper), self._pictures()
             before = time.perf_counter()
             if (reading := leader.read(elapsed_s)) is not None:
                 target = follower_target(world.robot, self.config.mirror, reading[0])
