@@ -238,10 +238,11 @@ class Driver:
     def _hold(self) -> None:
         """Tell the laws what the hands hold: one object together, and a part each, a little off the plan."""
         self.stack.impedance.configure(self.held.held())
-        for name, hand in zip(HANDS, self.stack.hands, strict=True):
-            if name not in self.stack.manager.active:
+        for arm, hand in enumerate(self.stack.hands):
+            if hand.name not in self.stack.manager.active:
                 off = pose(np.eye(3), self.rng.uniform(-0.005, 0.005, 3))
-                hand.law.held = InHand("part", off, np.eye(4), float(self.rng.uniform(0.0, 0.5)))
+                hand.law.held = InHand("part", off, np.eye(4))
+                self.stack.payload.bear(arm, float(self.rng.uniform(0.0, 0.5)))
 
     def switch_off(self) -> None:
         """The motors of an arm die; power may return within the limits of the joints, or change sides."""

@@ -155,7 +155,7 @@ def test_by_impedance_the_taker_is_soft_until_the_giver_has_let_go_and_where_it_
     assert outcome.success, (outcome.reason, carry.aborted)
     soft = [phase for phase, active in taken if active == ("left_hand", "right_arm")]
     # Put down, it lowers by 4 mm more, settles and opens while it is soft.
-    assert soft == ["close", "settle", "open", "lower", "lower", "settle", "open"]
+    assert soft == ["close", "close", "settle", "open", "lower", "lower", "settle", "open"]
     assert {active for phase, active in taken if phase not in soft} == {("both_arms",)}
 
 
