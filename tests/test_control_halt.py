@@ -490,7 +490,7 @@ def test_a_hand_that_opens_in_a_stop_lets_go_of_its_load(world: World, how: str)
     assert abs(height_mm() - before) < 3.0
 
 
-def test_a_stop_bears_what_the_law_of_both_hands_bore(plant: ArmsPlant) -> None:
+def test_a_stop_bears_what_the_law_of_both_hands_bore(plant: ArmsPlant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before, an emergency stop let a board of 3 kg sink by 22 mm and a halt by 34 mm."""
     for how in ("halt", "estop"):
         plant.reset()
@@ -506,6 +506,9 @@ def test_a_stop_bears_what_the_law_of_both_hands_bore(plant: ArmsPlant) -> None:
         steps(stack, 3)
         assert stack.payload.force_n == [pytest.approx(1.5 * 9.81)] * 2
         assert stack.supervisor._stop.bears_n == stack.payload.force_n
+        monkeypatch.setattr(stack.grippers, "lost", lambda arm: arm == 1)
+        steps(stack, 200)
+        assert stack.payload.force_n == [pytest.approx(1.5 * 9.81), 0.0], "what has slid out weighs no more"
 
 
 def test_what_a_stopped_arm_misses_is_no_load(world: World) -> None:
