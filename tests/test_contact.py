@@ -12,10 +12,11 @@ import pytest
 from carry_trials import sample_trial
 from panda import DOF, HOME
 
-from minidual.config.control import CarryConfig
+from minidual.config.control import CarryConfig, SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand
 from minidual.control.reflexes import Reflex, ReflexError
+from minidual.control.senses import ContactSense, Expected
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.motion.ik import posture_at
@@ -160,7 +161,7 @@ FAULTS: dict[str, tuple[Change, tuple[str, ...], float]] = {
 }
 
 
-def _carried(world: FaultyWorld, change: Change | None) -> tuple[ImpedanceCarry, float]:
+def _carried(world: FaultyWorld, change: Change | None, after_s: float = 0.4) -> tuple[ImpedanceCarry, float]:
     trial = sample_trial(world.scene, 5, "arbiter", 0)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
@@ -168,7 +169,7 @@ def _carried(world: FaultyWorld, change: Change | None) -> tuple[ImpedanceCarry,
     while not carry.done and world.time < 12.0:
         if carry.phase == "carry":
             began_s = min(began_s, world.time)
-        if change is not None and world.time > began_s + 0.4:
+        if change is not None and world.time > began_s + after_s:
             change(world)
             onset_s, change = world.time, None
         carry.step()
@@ -186,6 +187,52 @@ def test_a_fault_in_a_carry_is_named_as_what_it_is(faulty: FaultyWorld, what: st
     assert reflex.reflex.name in names, carry.fault.text
     assert carry.fault.at_s - onset_s <= within_s + 1e-9
     assert "reflex" in carry.fault.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "after_s"), [(1, 0.1), (3, 0.4), (3, 1.2), (8, 0.1)])
+def test_a_joint_that_sticks_at_01_to_03_rad_per_s_is_named_in_4_ms(
+    faulty: FaultyWorld, joint: int, after_s: float
+) -> None:
+    """Before: `slip` or `gripper_opened`, 16 to 32 ms after the arms had torn at the object."""
+    carry, onset_s = _carried(faulty, _sticks(joint), after_s)
+    reflex: Any = carry.stack.reflex
+    assert reflex.reflex.name == "joint_stuck"
+    assert reflex.reflex.where.split(",")[0] == DUAL_PANDA.joint_names[joint]
+    assert reflex.reflex.time_s - onset_s <= 0.004 + 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "after_s"), [(1, 0.8), (3, 0.1), (3, 0.8)])
+def test_a_joint_that_sticks_while_it_hardly_moves_stops_the_path(
+    faulty: FaultyWorld, joint: int, after_s: float
+) -> None:
+    """Below 0.08 rad/s its torque is what the law expects; before, nobody noticed until `far_start`, 72 mm away."""
+    carry, _ = _carried(faulty, _sticks(joint), after_s)
+    assert carry.fault is not None
+    assert carry.fault.name == "off_path"
+    assert np.abs(faulty.v).max() < 0.05
+
+
+def test_a_joint_that_stops_dead_is_named_before_the_observer_has_settled() -> None:
+    """0.1 rad/s within 4 ms is a torque of 40 Nm for 4 ms: a filter of 12 ms shows a quarter of it, below the bound."""
+    kinematics = Kinematics()
+    v = np.zeros(DOF)
+    v[1] = 0.1
+    bias = np.array(kinematics.rnea(HOME, np.zeros(DOF), np.zeros(DOF)))
+    dry = DUAL_PANDA.arm.friction
+
+    def stops(v_after: float) -> float:
+        sense, applied = ContactSense(kinematics, SupervisorConfig(), 1e-3), np.tile(bias, (64, 1))
+        sense.update(0.0, HOME, v, applied, 0, Expected())
+        after = np.zeros(DOF)
+        after[1] = v_after
+        return sense.update(0.004, HOME + 0.002 * (v + after), after, applied, 4, Expected())[0]
+
+    assert dry == 0.0
+    assert stops(0.0) > 1.0
+    assert stops(0.005) < 1.0  # slowed down by contact: the filter decides
+    assert stops(0.1) < 0.1
 
 
 @pytest.mark.slow

@@ -31,9 +31,9 @@ from minidual.motion.ik import pose_goals
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, inverse, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, deviation, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
-from minidual.skills.held_execution import deviation, execute
+from minidual.skills.held_execution import execute
 from minidual.stages.plan import held_checks
 from minidual.tasks.task import grasp_offsets
 from minidual.trials.planning.evaluate import plan_move, run_moves, table_plans, timed_residual

@@ -270,8 +270,7 @@ class CommandArbiter:
 
     def _begin_timed(self, source: str, now_s: float, posture: Array) -> None:
         for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
-            reason = self.underway.begin(command, posture, self.config.switch_step_max_rad)
-            if reason is not None:
+            if reason := self.underway.begin(command, posture, self.config.switch_step_max_rad):
                 self._refuse(source, *reason)
                 continue
             self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))

@@ -14,12 +14,12 @@ from minidual.control.impedance import SQUEEZE_CEILING_N, HandImpedance, HeldObj
 from minidual.control.kernels import within
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, rotation_log
+from minidual.robot.pair import SIDES, Array, deviation
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
-_START_M, _START_RAD = 0.02, 0.1
-"""Largest start offset of a path."""
+_START, OFF_PATH = (0.02, 0.1), (0.04, 0.15)
+"""Largest distance [m] and angle [rad] between an object and a path where it starts, and on its way."""
 SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
 """Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
 singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
@@ -66,14 +66,14 @@ class ObjectImpedanceController(Controller):
         """Refuse all but object paths starting at the object."""
         if not isinstance(command, ObjectCommand):
             return super().refuses(command)
-        measured, _ = self._ready()[1].read()
-        T, T_start = measured.T_world_object, command.motion.at(0.0).T_world_object
-        away_m = float(np.linalg.norm(T_start[:3, 3] - T[:3, 3]))
-        away_rad = float(np.linalg.norm(rotation_log(T_start[:3, :3] @ T[:3, :3].T)))
-        if away_m <= _START_M and away_rad <= _START_RAD:
-            return None
-        start = f"the path starts {1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object"
-        return "far_start", f"{start}; bounds {_START_M} m, {_START_RAD} rad"
+        far = self._away(command.motion.at(0.0), _START)
+        return ("far_start", f"the path starts {far}") if far else None
+
+    def _away(self, wanted: ObjectState, bounds: tuple[float, float]) -> str:
+        """Return how far off the object is, if it is beyond the bounds [m, rad]; NaN is."""
+        away_m, away_rad = deviation(self._ready()[1].read()[0].T_world_object, wanted.T_world_object)
+        far = f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object; bounds {bounds[0]} m, {bounds[1]} rad"
+        return "" if away_m <= bounds[0] and away_rad <= bounds[1] else far
 
     def not_ready(self) -> str:
         """See `Controller`."""
@@ -103,7 +103,7 @@ class ObjectImpedanceController(Controller):
         return 0.5 * self._ready()[0].held.mass_kg * GRAVITY_M_PER_S2
 
     def follow(self, output: ArbiterOutput) -> None:
-        """Take a begun object path, and slow it down towards singularities and joint limits."""
+        """Take a begun object path; slow it down towards singularities and joint limits, stop it if left behind."""
         for execution in output.executions:
             if isinstance(execution, ObjectExecution):
                 if execution is not self._execution:
@@ -111,6 +111,8 @@ class ObjectImpedanceController(Controller):
                 self._execution = execution
         if self._execution is not None:
             self._give_room(self._execution)
+            if far := self._away(self._execution.desired, OFF_PATH):
+                self._execution.stop(("off_path", f"the path is {far}"))
 
     def _give_room(self, execution: ObjectExecution) -> None:
         robot, q = self._kinematics.robot, self.reference

@@ -178,6 +178,8 @@ EVERY = 4
 _FILTER_S, _STEADY_S = 0.012, 0.1
 _LEAST_NM = 3.0
 """Least torque bound: touching fingers turn the weak last joints."""
+STILL_RAD_S, _MOVED_RAD_S = 0.001, 0.05
+"""A slower joint is still; one that was faster a moment before has been stopped."""
 _WINDOW_MAX = 32
 """Longest step, in ticks; after longer silence it begins anew."""
 MODES = {"free motion": (0.15, 20.0, 0.05), "closed hands": (0.5, 60.0, 0.1), "held object": (0.15, 40.0, 0.1)}
@@ -240,7 +242,9 @@ def observe(
             given += applied[(newest - k) % len(applied), j]
         v = mean[1, j]
         friction = damping * v + (dry * math.tanh(v / 0.02) if dry != 0.0 else 0.0)
-        kept[0, j] += gain * (needed[j] + friction - given / ticks - expected[j] - kept[0, j])
+        half = 0.5 * step_s * mean[2, j]
+        stopped = abs(v + half) < STILL_RAD_S and abs(v - half) > _MOVED_RAD_S  # at once: that of a stop is soon over
+        kept[0, j] += (1.0 if stopped else gain) * (needed[j] + friction - given / ticks - expected[j] - kept[0, j])
         kept[3, j] += slowly * (kept[0, j] - kept[3, j])
         kept[2, j] = mean[0, j] - reference[j]
         kept[1, j] = kept[1, j] + step_s if abs(kept[2, j]) > bounds[n] else 0.0

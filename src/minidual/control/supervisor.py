@@ -15,7 +15,7 @@ from minidual.config.control import SupervisorConfig
 from minidual.control import reflexes
 from minidual.control.kernels import hand_look
 from minidual.control.reflexes import Reflex, ReflexError, excess
-from minidual.control.senses import EVERY, ContactSense, Expected, JointSense
+from minidual.control.senses import EVERY, STILL_RAD_S, ContactSense, Expected, JointSense
 from minidual.control.soft_stop import SupervisedStop
 from minidual.plant.recorder import Recorder
 from minidual.robot.kinematics import Hands, Kinematics
@@ -48,9 +48,6 @@ def dumping(recorder: Recorder) -> OnReflex:
 
 SEEN = ("measured_position_rad", "measured_velocity_rad_per_s", "asked_torque_nm")
 """Per-joint values recorded by a reflex; non-finite ones become text."""
-
-_STILL_RAD_S = 1e-3
-"""Slower joints are stuck."""
 
 
 class Supervisor:
@@ -280,7 +277,7 @@ class Supervisor:
         *bounds, away_max, _, _ = contact.limits.tolist()
         if not torque <= 1.0:
             ratio = np.abs(contact.torque) / bounds
-            stuck = (np.abs(self._v) < _STILL_RAD_S) & (ratio > 1.0)
+            stuck = (np.abs(self._v) < STILL_RAD_S) & (ratio > 1.0)
             joint = int(np.argmax(np.where(stuck, ratio, 0.0) if stuck.any() else ratio))
             name, value, bound = "joint_stuck" if stuck.any() else "joint_contact", contact.torque[joint], bounds[joint]
         else:

@@ -226,6 +226,12 @@ def rotation_log(R: Array) -> Array:
     return vee * (0.5 * angle / sine)
 
 
+def deviation(T: Array, T_other: Array) -> tuple[float, float]:
+    """Return distance [m] and angle [rad] between two poses."""
+    turn = rotation_log(T_other[:3, :3].T @ T[:3, :3])
+    return float(np.linalg.norm(T[:3, 3] - T_other[:3, 3])), float(np.linalg.norm(turn))
+
+
 def rotation_from_quat(quat_wxyz: Array) -> Array:
     """Return the rotation."""
     w, x, y, z = quat_wxyz  # not Pinocchio: a command that asks for tasks need not import it

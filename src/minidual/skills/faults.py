@@ -14,7 +14,8 @@ from minidual.robot.pair import SIDES, Array
 
 OPENING = ("missed_grasp", "knocked_away", "object_lost", "lost_arm", "unreachable", "gripper_stuck")
 """Faults after which the hands open."""
-CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "singular", "joint_limit", "gripper_jitter")
+_OF_PATHS = "singular", "joint_limit", "off_path"
+CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "gripper_jitter", *_OF_PATHS)
 """Faults after which the hands keep their command."""
 
 

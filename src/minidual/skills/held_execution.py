@@ -12,7 +12,7 @@ from minidual.errors import MinidualError
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, inverse, rotation_log
+from minidual.robot.pair import deviation
 from minidual.skills.phases import PHASES, Segment, still
 from minidual.skills.pipeline.drive import Drive
 
@@ -31,12 +31,6 @@ class Execution:
     error_max_m: float
     error_max_rad: float
     pinch_min_n: float
-
-
-def deviation(T_world_object: Array, T_world_planned: Array) -> tuple[float, float]:
-    """Return distance [m] and angle [rad] between two poses."""
-    E = inverse(T_world_planned) @ T_world_object
-    return float(np.linalg.norm(E[:3, 3])), float(np.linalg.norm(rotation_log(E[:3, :3])))
 
 
 def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> Execution:

@@ -232,8 +232,7 @@ class ImpedanceCarry:
 
     def _propose(self, phase: str, kind: Callable[..., Command], *what: object) -> None:
         self._sequence += 1
-        refusal = self.stack.propose(SOURCE, kind(*what, self.world.time, self._sequence))
-        if refusal is not None:
+        if refusal := self.stack.propose(SOURCE, kind(*what, self.world.time, self._sequence)):
             raise _RefusedError(f"{refusal.name}: {refusal.detail}")
         if phase != self.phase:
             self._enter(phase)
@@ -255,10 +254,9 @@ class ImpedanceCarry:
 
     def _sensed(self) -> Fault | None:
         watch, phase = self.watch, self.phase
-        if phase not in ("open", "retreat", "stop", "done"):
-            lost = watch.sensors(moving=phase in ("squeeze", "carry"))
-            if lost is not None:
-                return lost
+        watched = phase not in ("open", "retreat", "stop", "done")
+        if watched and (lost := watch.sensors(moving=phase in ("squeeze", "carry"))):
+            return lost
         untouched = phase in ("approach", "descend", "retreat")
         hands = None if phase in ("approach", "descend", "stop", "done") else watch.grippers(_TOLD.get(phase, ""))
         if hands is not None or untouched:
