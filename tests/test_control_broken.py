@@ -188,6 +188,21 @@ def test_a_stamp_of_the_future_is_a_soft_stop(plant: FailingPlant, stamp: float)
     assert "the measurements are" in error.message
 
 
+def test_arms_that_were_measured_a_second_ago_do_not_recover(plant: FailingPlant) -> None:
+    """Before, the next tick stopped them again."""
+    stack = under_way(plant)
+    plant.lies["stamp_s"] = lambda t: t - 1.0
+    assert stopped(plant, stack).reflex.name == "controller_failed"
+    with pytest.raises(UsageError, match="measured 1000 ms ago"):
+        stack.recover()
+    assert stack.reflex is not None
+    plant.lies.clear()
+    stack.recover()
+    for _ in range(100):
+        stack.step()
+    assert stack.reflex is None
+
+
 @pytest.mark.parametrize("bias", [0.3, 1.0])
 def test_a_velocity_that_lies_does_not_drive_the_arm(plant: FailingPlant, bias: float) -> None:
     """Before, the model took over from the wrong velocity: 3.8 rad/s and 1 rad (4.2 rad/s)."""

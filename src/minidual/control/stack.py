@@ -222,12 +222,11 @@ class ControlStack[P: Plant]:
             UsageError: The arms move, or are not measured.
         """
         q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
-        speed = float(np.max(np.abs(v)))
-        if not (speed < still and np.isfinite(q).all()):
-            raise UsageError(
-                f"the arms may not recover while they move ({speed:.3f} rad/s; at rest is below {still} rad/s)",
-                remedy="go on with step() until they rest, then recover()",
-            )
+        speed, age_s = float(np.max(np.abs(v))), self.plant.time - self.plant.stamp_s
+        if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._stale_s):
+            measured = f"{speed:.3f} rad/s, measured {1e3 * age_s:.0f} ms ago; at rest is below {still} rad/s"
+            remedy = f"go on with step() until they rest and are measured (within {1e3 * self._stale_s:.0f} ms)"
+            raise UsageError(f"the arms may not recover while they move ({measured})", remedy=remedy)
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
         self._stand(self.output.gripper)
