@@ -224,7 +224,7 @@ class ControlStack[P: Plant]:
         q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
         speed, age_s = float(np.max(np.abs(v))), self.plant.time - self.plant.stamp_s
         if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._stale_s):
-            measured = f"{speed:.3f} rad/s, measured {1e3 * age_s:.0f} ms ago; at rest is below {still} rad/s"
+            measured = f"{speed:.3f} rad/s; at rest is below {still} rad/s; measured {1e3 * age_s:.0f} ms ago"
             remedy = f"go on with step() until they rest and are measured (within {1e3 * self._stale_s:.0f} ms)"
             raise UsageError(f"the arms may not recover while they move ({measured})", remedy=remedy)
         if self.supervisor is not None:
