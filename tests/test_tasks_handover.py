@@ -80,6 +80,16 @@ def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(bench: Slack
     assert names[3:8] == ["carry right", "approach left", "descend left", "close left", "open right"]
 
 
+def test_a_hand_closes_as_long_as_its_fingers_need_to_the_bottle(planner: Planner) -> None:
+    """Before, as long as to one another, 0.83 s more: nothing tells a policy how long a closed hand waits."""
+    trial = TASK.trial(1, "plan", TO_THE_RIGHT)
+    start = State(DUAL_PANDA.home, {"bottle": pose_of(TASK.objects["bottle"].body, trial.start["bottle"])})
+    closing = [s.trajectory.duration_s for s in solve(TASK, trial, start, planner).segments if s.phase == "close"]
+    way_m = DUAL_PANDA.hand.travel_m - TASK.objects["bottle"].body.half_width_m
+    assert way_m == pytest.approx(0.015)
+    assert closing[::2] == [pytest.approx(way_m / 0.03 + 0.2)] * 2
+
+
 def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(bench: Slack, planner: Planner) -> None:
     """Before, the giver sagged by 4 mm under the bottle, beside which the taker then closed."""
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)

@@ -145,7 +145,8 @@ def solve(
     things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
     far = arm_distance(planner.robot), Reach(planner.kinematics).m
     gap = None if apart_m is None else Gap(*far, apart_m + _GAP_MARGIN_M)
-    fingers_s = planner.robot.hand.travel_m / task.config.arbiter.finger_speed_m_per_s
+    room_m = planner.robot.hand.travel_m - min(item.body.half_width_m for item in task.objects.values())
+    fingers_s = room_m / task.config.arbiter.finger_speed_m_per_s
     tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force, fingers_s)
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)

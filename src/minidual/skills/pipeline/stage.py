@@ -82,7 +82,7 @@ class Tools:
         around: With the other obstacles.
         things: By name.
         by_force: For impedance, not position.
-        fingers_s: Time in which hands open or close.
+        fingers_s: Time in which open fingers come to the narrowest thing.
     """
 
     around: PlanningScene
