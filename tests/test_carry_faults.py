@@ -406,6 +406,18 @@ def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(mon
     assert told_s < 0.17
 
 
+def test_a_pinch_that_had_crept_before_its_hand_opens_counts_from_where_it_is(monitor: FaultMonitor) -> None:
+    """Before, from where it last stepped: 5 of 27 clean carries of the box ended as gripper_stuck."""
+
+    def look(k: int, told: str, pinch_n: float) -> Fault | None:
+        return monitor.grippers(10.0 + 4e-3 * k, told, (0.018, 0.018), (pinch_n, pinch_n), 0.076)
+
+    for k in range(100):
+        assert look(k, "", 60.0 + 0.11 * k) is None
+    for k in range(100, 150):  # 70.9 to 46 N within 0.2 s
+        assert look(k, "open", 71.0 - 0.5 * (k - 100)) is None
+
+
 @pytest.mark.parametrize("swing_n", [5.5, 11.5])
 def test_a_pinch_that_swings_by_less_than_a_step_or_rises_slowly_does_not_jitter(
     monitor: FaultMonitor, swing_n: float
@@ -432,7 +444,7 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
         "sensor_lost": _until_told(lambda: monitor.silent("pose", 0.06, 0.05)),
         "lost_arm": _until_told(lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])),
         "gripper_stuck": _until_told(_hand_tells(monitor, "close", lambda t: 0.08), calls=25),
-        "gripper_jitter": _until_told(_hand_tells(monitor, "", lambda t: 0.02 + 0.002 * np.sin(50.0 * t)), calls=50),
+        "gripper_jitter": _until_told(_hand_tells(monitor, "", lambda t: 0.02 + 0.002 * np.sin(50.0 * t)), calls=100),
     }
     for name, (said, calls) in told.items():
         assert said == name

@@ -17,7 +17,8 @@ from minidual.control.impedance import HeldObject, ObjectPath, ObjectState, Sing
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
 from minidual.control.reflexes import Reflex, ReflexError
-from minidual.control.stack import ControlStack
+from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics, Trajectory
@@ -556,18 +557,51 @@ def test_an_object_command_is_held_to_its_bounds(plant: ArmsPlant) -> None:
     hand_over(stack, "moveit")
     x, y, z = here.pose()[:3, 3]
 
-    def command(dz: float, seconds: float, squeeze: float, sequence: int) -> ObjectCommand:
+    def command(dz: float, seconds: float, squeeze: float, sequence: int, **lies: Array) -> ObjectCommand:
         path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
+        honest = path.at
+        path.at = lambda t, *T: honest(t, *T)._replace(**lies)  # type: ignore[method-assign]
         return ObjectCommand(path, lambda t: squeeze, OPEN, plant.time, sequence)
 
-    names = [
-        getattr(stack.propose("moveit", c), "name", "")
-        for c in (command(0.1, 1.0, 90.0, 1), command(0.1, 1.0, np.nan, 2), command(0.4, 0.3, 40.0, 3))
-    ]
-    assert names == ["squeeze_out_of_range", "not_finite", "too_fast"]
+    still, falls = np.zeros(6), np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
+    commands = (
+        *(command(0.1, 1.0, 90.0, 1), command(0.1, 1.0, np.nan, 2), command(0.9, 1.5, 40.0, 3)),
+        *(command(0.4, 0.3, 40.0, 4), command(0.0, 1.0, 40.0, 5, acceleration=falls)),
+        command(0.5, 0.6, 40.0, 6, twist=still, acceleration=still),  # before, only what it says of itself was checked
+    )
+    names = [getattr(stack.propose("moveit", c), "name", "") for c in commands]
+    assert names == ["squeeze_out_of_range", "not_finite", "too_fast", "too_sharp", "too_sharp", "too_fast"]
     assert stack.propose("moveit", command(0.05, 1.0, 0.0, 4)) is None
     stack.step()
     assert stack.refusals[-1].name == "wrong_controller", "a joint controller takes no object path"
+
+
+@pytest.mark.parametrize("names", [("both_arms",), PAIR, ("left_hand", "right_hand")])
+def test_after_an_object_path_the_arms_stay_where_it_has_brought_them(plant: ArmsPlant, names: tuple[str, ...]) -> None:
+    """Before, joint controllers went back to the joint target of before the path, at up to 2.8 rad/s."""
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here, supervisor=Supervisor(dt_s=plant.dt))
+    stack.impedance.configure(here.held())
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+    (x, y, z), began = (float(value) for value in here.pose()[:3, 3]), plant.q
+    path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y + 0.1, z + 0.05), 0.0, 1.5)])
+    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, OPEN, plant.time, 1)) is None
+    stack.step()
+    while stack.executing:
+        stack.step()
+    assert np.abs(plant.q - began).max() > 0.1
+    q = plant.q
+    stack.switch_controllers(names)
+    for _ in range(600):
+        stack.step()
+    assert stack.reflex is None
+    assert np.abs(plant.q - q).max() < 0.002
+
+
+def test_a_supervisor_of_another_period_is_refused(plant: ArmsPlant) -> None:
+    """At 500 Hz an emergency stop took 0.39 s instead of 0.14 s, and the arm went back."""
+    with pytest.raises(UsageError, match=r"the supervisor's period is 0.002 s, the plant's 0.001 s"):
+        stack_on(plant, supervisor=Supervisor(dt_s=0.002))
 
 
 def test_a_mode_that_drives_changes_to_the_controllers_it_names(plant: ArmsPlant) -> None:
@@ -616,7 +650,6 @@ def test_without_a_supervisor_the_joint_controllers_take_over_from_one_that_fail
 
 def test_the_supervisor_stops_the_arms_of_a_controller_that_fails(world: World) -> None:
     from minidual.control.reflexes import ReflexError
-    from minidual.control.supervisor import Supervisor
 
     world.reset()
     stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
@@ -653,7 +686,6 @@ def test_a_squeeze_that_is_no_number_is_a_reflex(
     scene: SceneConfig, world: World, kinematics: Kinematics, when: str
 ) -> None:
     from minidual.control.reflexes import ReflexError
-    from minidual.control.supervisor import Supervisor
 
     pinch_rod(JointLoop(world, kinematics), scene, kinematics)
     sensor = _Deaf(world)
@@ -678,7 +710,7 @@ class _Guard:
 
     def __init__(self) -> None:
         self.seen: list[tuple[float, Array, Array, Array]] = []
-        self.trip = False
+        self.trip, self.dt_s = False, 1e-3
 
     def reset(self, tau: Array | None = None) -> None: ...
 
@@ -715,7 +747,6 @@ def test_the_supervisor_has_the_last_word_in_every_tick(plant: ArmsPlant) -> Non
 
 def test_the_real_supervisor_stops_the_arms_and_lets_them_go_on(scene: SceneConfig, world: World) -> None:
     from minidual.control.reflexes import ReflexError
-    from minidual.control.supervisor import Supervisor
 
     supervisor = Supervisor(dt_s=world.dt)
     stack = stack_on(world, supervisor=supervisor)
@@ -746,7 +777,6 @@ def _run_out(stack: ControlStack) -> None:
 def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(scene: SceneConfig, world: World) -> None:
     from minidual.config.control import SupervisorConfig
     from minidual.control.reflexes import ReflexError
-    from minidual.control.supervisor import Supervisor
 
     world.reset()
     stack = stack_on(world, supervisor=Supervisor(SupervisorConfig(acceleration_scale=0.5), dt_s=world.dt))

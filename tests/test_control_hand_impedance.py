@@ -194,3 +194,25 @@ def test_hands_claim_their_own_arm_alone(plant: ArmsPlant) -> None:
     for names, why in ((("right_hand",), "unclaimed"), (("both_arms", "left_hand"), "doubly_claimed")):
         with pytest.raises(Exception, match=why):
             stack.switch_controllers(names)
+
+
+@pytest.mark.parametrize("elbow_rad", [-0.3, -0.5])
+def test_a_hand_that_takes_over_near_a_singularity_is_damped_for_where_it_goes(
+    plant: ArmsPlant, elbow_rad: float
+) -> None:
+    """Before, damping of the inertia there (thousands of Ns/m) shook the arm on its way home: `joint_velocity`."""
+    q = HOME.copy()
+    q[:7] = 0.0, 0.2, 0.0, elbow_rad, 0.0, 1.0 - 0.3 * elbow_rad, 0.785
+    plant.reset(q)
+    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+    hand_over(stack, "moveit", ("left_hand", "right_arm"))
+    J = Kinematics().tcp_jacobians(plant.q)[0][:, :7]
+    assert np.linalg.cond(J) > 70.0
+    assert stack.propose("moveit", trajectory(stack, move(plant.q, HOME, 2.0))) is None
+    far = 0.0
+    stack.step()
+    while stack.executing:
+        stack.step()
+        far = max(far, float(np.abs(plant.q - stack.manager.reference)[:7].max()))
+    assert stack.reflex is None
+    assert far < 0.1

@@ -13,6 +13,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.execution import ObjectExecution, TrajectoryExecution
 from minidual.control.impedance import ObjectPath, Waypoint
+from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
@@ -42,6 +43,51 @@ def test_a_trajectory_keeps_its_path_and_takes_longer(plant: ArmsPlant, share: f
     assert references[-1] == pytest.approx(motion.q[-1], abs=1e-9)
     fastest = np.abs(np.diff(references, axis=0)).max(axis=0) / plant.dt
     np.testing.assert_allclose(fastest, share * np.abs(motion.v).max(axis=0), rtol=0.01)
+
+
+@pytest.mark.parametrize("supervised", [True, False])
+def test_controllers_that_last_drove_slowly_take_over_at_full_speed(plant: ArmsPlant, supervised: bool) -> None:
+    """Before, their reference lost 1.3 rad/s in one tick: 1261 rad/s^2, and 61 Nm in 1 ms without a supervisor."""
+    stack = stack_on(plant, config=SLOW, supervisor=Supervisor(dt_s=plant.dt) if supervised else None)
+    pair = ("left_arm", "right_arm")
+    hand_over(stack, "teleop", pair)
+    for _ in range(600):
+        stack.step()
+    stack.switch_controllers(("both_arms",))
+    stack.speed_override = 1.0
+    for _ in range(200):
+        stack.step()
+    target, told = HOME.copy(), []
+    for k in range(600):
+        if stack.tick_next:
+            target[0] += 0.03
+            assert stack.propose("teleop", JointCommand(target, OPEN, plant.time, k + 1)) is None
+        if k == 500:
+            assert plant.v[0] > 1.3
+            stack.switch_controllers(pair)
+        stack.step()
+        told.append(plant.torques[-1])
+    assert stack.reflex is None
+    assert np.abs(np.diff(told, axis=0)).max() < 3.0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
+def test_arms_whose_leader_falls_silent_stop_where_they_are(plant: ArmsPlant, share: float) -> None:
+    """Before, they went on to its last target: by 1.57, 0.79 and 0.09 rad, the first for 7.6 s."""
+    stack = stack_on(plant, config=ArbiterConfig(speed_override=share), supervisor=Supervisor(dt_s=plant.dt))
+    hand_over(stack, "teleop")
+    target = HOME.copy()
+    for k in range(1500):
+        if stack.tick_next:
+            target[0] += 0.02
+            assert stack.propose("teleop", JointCommand(target, OPEN, plant.time, k + 1)) is None
+        stack.step()
+    silent_at = plant.q[0]
+    for _ in range(3000):
+        ControlStack.step(stack)  # nobody affirms the source
+    assert stack.source is None
+    assert 0.0 < plant.q[0] - silent_at < 0.12
+    assert np.abs(plant.v).max() < 1e-3
 
 
 def test_it_changes_in_motion_and_the_reference_stays_smooth(plant: ArmsPlant) -> None:

@@ -136,6 +136,56 @@ def test_a_press_stops_supervised_arms_and_nothing_moves_again(scene: SceneConfi
     hand_over(stack, "moveit")
 
 
+def _under_way(scene: SceneConfig) -> tuple[ArmsPlant, ControlStack]:
+    plant = ArmsPlant(scene)
+    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+    hand_over(stack, "moveit")
+    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8))) is None
+    for _ in range(300):
+        stack.step()
+    return plant, stack
+
+
+@pytest.mark.parametrize("how", ["stop", "overwritten", "process"])
+def test_a_press_that_gives_no_reason_is_a_press(scene: SceneConfig, how: str) -> None:
+    """Before, an empty reason counted as none, and took an earlier one back."""
+    plant, stack = _under_way(scene)
+    assert stack.supervisor is not None
+    if how == "process":
+        emergency.press("")
+    else:
+        if how == "overwritten":
+            stack.supervisor.estop("operator")
+        stack.supervisor.estop("")
+    try:
+        with pytest.raises(ReflexError, match="emergency_stop"):
+            stack.step()
+    finally:
+        emergency.release()
+    for _ in range(600):
+        stack.step()
+    assert np.abs(plant.v).max() < 1e-3
+
+
+def test_a_second_press_outlives_the_recovery_from_the_first(scene: SceneConfig) -> None:
+    """Before, `recover()` took it back, and a source moved the arms."""
+    _, stack = _under_way(scene)
+    assert stack.supervisor is not None
+    stack.supervisor.estop("first")
+    with pytest.raises(ReflexError, match="first"):
+        stack.step()
+    for _ in range(800):
+        stack.step()
+    stack.supervisor.estop("second")
+    stack.recover()
+    with pytest.raises(ReflexError, match="second"):
+        stack.step()
+    for _ in range(800):
+        stack.step()
+    stack.recover()
+    hand_over(stack, "teleop")
+
+
 def test_a_press_ends_arms_without_a_supervisor_and_further_work(scene: SceneConfig) -> None:
     stack = stack_on(ArmsPlant(scene))
     stack.step()

@@ -21,7 +21,7 @@ class EmergencyStop(KeyboardInterrupt):
 def press(reason: str) -> None:
     """Stop the arms of every supervisor here and in the workers, in its next tick; thread-safe."""
     global _reason
-    _reason = reason
+    _reason = reason or "pressed"
     if _listening:
         _tell_children()
 

@@ -83,8 +83,7 @@ class Registry[T](Mapping[str, T]):
         Raises:
             UsageError: Unknown, repeated or no name.
         """
-        names = [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]
-        if not names:
+        if not (names := [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]):
             raise UsageError(f"no {self.kind} named", remedy=f"name some of {', '.join(self)}")
         for name in names:
             if name not in self:

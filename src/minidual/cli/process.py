@@ -42,8 +42,7 @@ class Output(io.TextIOWrapper):
 def _open_output() -> None:
     """Open closed standard streams on /dev/null, so that no file gets their numbers; make writes safe."""
     for name in ("stdin", "stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
+        if (stream := getattr(sys, name)) is None:
             stream = Path(os.devnull).open("r" if name == "stdin" else "w", encoding="utf-8")  # noqa: SIM115 - for good
             setattr(sys, f"__{name}__", stream)
         if name != "stdin":

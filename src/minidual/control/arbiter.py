@@ -121,8 +121,7 @@ class CommandArbiter:
         Openings `gripper` (2,) are accepted only from the driving source.
         """
         self._mailbox(source)
-        reason = None if gripper is None else check_openings(gripper)
-        if reason is not None:
+        if gripper is not None and (reason := check_openings(gripper)):
             self._refuse(source, *reason)
             gripper = None
         if self._requested not in (None, HOLD):
@@ -172,7 +171,11 @@ class CommandArbiter:
             if ended and not (cut and self._is_gone(now_s)):
                 self.state, self._heard_s = ArbiterState.WAITING, now_s
             self._begin_timed(self.source, now_s, posture)
-            driven = self._drive(self.source, now_s, dt)
+            before, driven = self.state, self._drive(self.source, now_s, dt)
+            if self.state is ArbiterState.STALE is not before and not self.underway.executions:
+                rest = self._where_they_stop(posture, v_measured)
+                if np.abs(self._target - rest).max() > self.config.switch_step_max_rad:  # else loaded arms would sag
+                    self._target = rest
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
         refusals, self._refusals = tuple(self._refusals), []
@@ -187,6 +190,10 @@ class CommandArbiter:
             halted=halted,
             speed=self.speed,
         )
+
+    def stand(self, q: Array) -> None:
+        """Forget the joint target: what drove the arms to q (n,) had none."""
+        self._target = np.clip(q, self._robot.q_lower, self._robot.q_upper)
 
     def _elapsed(self, now_s: float) -> float:
         last = now_s if self._last_tick_s is None else self._last_tick_s

@@ -52,8 +52,7 @@ class ControllerManager:
         """
         chosen = tuple(self[name] for name in names)
         for arm, arm_name in enumerate(SIDES):
-            claims = [c.name for c in chosen if arm in c.arms]
-            if not claims:
+            if not (claims := [c.name for c in chosen if arm in c.arms]):
                 left = f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})"
                 remedy = "name a whole set: both_arms; left_arm and right_arm; or object_impedance"
                 raise ControllerSwitchError("unclaimed", left, remedy=remedy)

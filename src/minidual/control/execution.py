@@ -181,8 +181,7 @@ class Underway:
     def busy(self, arms: tuple[int, ...]) -> Reason | None:
         """Return why these arms are busy, or None."""
         for execution in self.executions:
-            shared = [SIDES[arm] for arm in arms if arm in execution.arms]
-            if shared:
+            if shared := [SIDES[arm] for arm in arms if arm in execution.arms]:
                 kind = type(execution.command).__name__
                 return "busy", f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold"
         return None

@@ -142,6 +142,8 @@ STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD, DAMPING_RATIO = 2000.0, 100.0, 1.0
 FORCE_MAX_N, MOMENT_MAX_NM = 10.0, 1.2
 """Bounds of the spring along and about each axis: beyond the dry friction of a joint."""
 _LEARNING_PER_S = 4.0
+_HEAVIEST = 20.0
+"""Largest inertia [kg, kg m^2] of a hand that damping is made for: near a singularity it is hundreds, and soon past."""
 _AT_TCP = np.eye(4)
 _AT_TCP.setflags(write=False)
 
@@ -185,7 +187,7 @@ class HandImpedance(ComputedTorque):
         M = self._kinematics.mass_matrix(q)[self._joints, self._joints]
         axes = np.kron(np.eye(2), T[:3, :3])
         squares, modes = np.linalg.eigh(axes.T @ inertia_at_hand(M, J, self._arm) @ axes)
-        half = (modes * np.sqrt(squares)) @ modes.T * np.sqrt(self._law["K"][0])
+        half = (modes * np.sqrt(np.minimum(squares, _HEAVIEST))) @ modes.T * np.sqrt(self._law["K"][0])
         self._law["D"], self._law["centre"] = DAMPING_RATIO * (half + half.T), held.centre_m
         self._law["T_tcp_object"] = held.T_tcp_object
 

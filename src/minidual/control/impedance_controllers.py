@@ -23,7 +23,8 @@ _START, OFF_PATH = (0.02, 0.1), (0.04, 0.15)
 SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
 """Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
 singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
-_PACE_MIN, _NEARER, _SPEED_SHARE = 0.1, 1e-4, 0.9
+_AHEAD, _PACE_MIN, _NEARER, _SPEED_SHARE = 10, 0.1, 1e-4, 0.9
+"""_AHEAD: arbiter's ticks that a path looks ahead; it slows down within 0.25 s."""
 
 
 class ObjectSensor(Protocol):
@@ -121,18 +122,19 @@ class ObjectImpedanceController(Controller):
         condition = np.sqrt(squares[:, -1] / np.maximum(squares[:, 0], 1e-12))
         margin = np.minimum(q - robot.q_lower, robot.q_upper - q)
         values, kind = np.r_[condition, margin], np.repeat([0, 1], [len(condition), len(margin)])
-        near = (values - SLOW_AT[kind]) / (_STOP_AT - SLOW_AT)[kind]
-        before, self._near = near if self._near is None else self._near, near
-        nearing = np.where(near > before + _NEARER, near, 0.0)
-        worst = int(nearing.argmax())
         share = float((np.abs(self._v) / robot.v_max).max()) / max(execution.rate, _PACE_MIN)  # at the full rate
+        near = np.r_[(values - SLOW_AT[kind]) / (_STOP_AT - SLOW_AT)[kind], share]
+        nearer, self._near = np.zeros_like(near) if self._near is None else near - self._near, near
+        *ahead, share = near + _AHEAD * np.maximum(nearer, 0.0)
+        nearing = np.where(nearer[:-1] > _NEARER, ahead, 0.0)
+        worst = int(nearing.argmax())
         execution.pace = max(_PACE_MIN, min(1.0 - float(nearing[worst]), _SPEED_SHARE / max(share, _SPEED_SHARE)))
         if nearing[worst] >= 1.0 and worst < len(condition):
             what = f"the {SIDES[worst]} hand's Jacobian has condition number {values[worst]:.0f}"
-            execution.stop(("singular", f"{what}; paths towards a singularity stop at {_STOP_AT[0]:.0f}"))
+            execution.stop(("singular", f"{what}; paths towards a singularity stop before {_STOP_AT[0]:.0f}"))
         elif nearing[worst] >= 1.0:
             what = f"{robot.joint_names[worst - len(condition)]} is {values[worst]:.3f} rad from its limit"
-            execution.stop(("joint_limit", f"{what}; paths towards it stop at {_STOP_AT[1]} rad"))
+            execution.stop(("joint_limit", f"{what}; paths towards it stop before {_STOP_AT[1]} rad"))
 
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""

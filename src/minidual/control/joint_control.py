@@ -41,6 +41,7 @@ class ReferenceFilter:
     def reset(self, q: Array, v: Array | None = None) -> None:
         """Start from posture q (n,) [rad], by default at rest."""
         self._state[:] = q, np.zeros_like(q) if v is None else v, np.zeros_like(q), q, q, np.zeros_like(q)
+        self._bounds[1], self._slewing = np.maximum(self._bounds[1], np.abs(self._state[1])), True  # no step of v
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Advance towards target (n,); return new (q_ref, v_ref, a_ref).

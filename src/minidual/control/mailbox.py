@@ -11,10 +11,10 @@ from minidual.control.commands import Command, JointCommand, ObjectCommand, Reas
 from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.robot.pair import Array, Robot, rotation_log
 
-OBJECT_SPEED_MAX_M_PER_S = 1.0  # just below the arms' own limits
+OBJECT_SPEED_MAX_M_PER_S, _OBJECT_ACCELERATION_MAX = 1.0, 5.0  # just below the arms' own limits
 
 _LIMIT_TOLERANCE_RAD = 1e-6
-_RATE_TOLERANCE = 1.02
+_RATE_TOLERANCE = 1.0 + 1e-6  # the supervisor has none
 _ZERO_RAD = 1e-12
 _REST_RAD_PER_S = 0.01
 _REST_OBJECT = 0.005
@@ -89,8 +89,7 @@ def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
         return "wrong_shape", f"trajectory {shape}; {needed}"
     columns = own_columns(command, robot)
     q, v, a = motion.q[:, columns], motion.v[:, columns], motion.a[:, columns]
-    reason = _posture(q, joints, robot) or _common(command)
-    if reason is not None:
+    if (reason := _posture(q, joints, robot) or _common(command)) is not None:
         return reason
     if not (np.isfinite(v).all() and np.isfinite(a).all()):
         return "not_finite", "a velocity or an acceleration of the trajectory"
@@ -121,24 +120,26 @@ def _object(command: ObjectCommand) -> Reason | None:
             return "not_finite", f"object path or squeeze at {t:.3f} s"
         if not 0.0 <= squeeze <= SQUEEZE_CEILING_N:
             return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N")
-        jump_m, jump_rad = (0.0, 0.0) if before is None else _jump(before, state, duration / (samples - 1))
+        jump_m, jump_rad, mean = (0.0, 0.0, 0.0) if before is None else _moved(before, state, duration / (samples - 1))
         if not (jump_m <= _JUMP_M and jump_rad <= _JUMP_RAD):
             jump = f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s"
             return "pose_jump", f"{jump} that its twist does not explain"
-        before = state
-        speed = float(np.linalg.norm(state.twist[:3]))
+        before, speed = state, max(mean, float(np.linalg.norm(state.twist[:3])))
         if speed > OBJECT_SPEED_MAX_M_PER_S:
             return "too_fast", f"object at {speed:.2f} m/s; limit {OBJECT_SPEED_MAX_M_PER_S}"
+        if (sharp := float(np.linalg.norm(state.acceleration[:3]))) > _OBJECT_ACCELERATION_MAX:
+            return "too_sharp", f"object at {sharp:.2f} m/s^2; limit {_OBJECT_ACCELERATION_MAX}"
         if t in (0.0, duration) and float(np.abs(state.twist).max()) > _REST_OBJECT:
             return "not_at_rest", f"the object moves at {t:.3f} s; a path must begin and end at rest"
     return None
 
 
-def _jump(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float, float]:
-    """Return how far [m], [rad] the pose has moved beyond the mean twist."""
+def _moved(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float, float, float]:
+    """Return how far [m], [rad] the pose has moved beyond the mean twist, and its mean speed [m/s]."""
     T, T_before, way = after.T_world_object, before.T_world_object, 0.5 * span_s * (before.twist + after.twist)
-    turned = rotation_log(T[:3, :3] @ T_before[:3, :3].T)
-    return float(np.linalg.norm(T[:3, 3] - T_before[:3, 3] - way[:3])), float(np.linalg.norm(turned - way[3:]))
+    moved, turned = T[:3, 3] - T_before[:3, 3], rotation_log(T[:3, :3] @ T_before[:3, :3].T)
+    jumps = float(np.linalg.norm(moved - way[:3])), float(np.linalg.norm(turned - way[3:]))
+    return *jumps, float(np.linalg.norm(moved)) / span_s
 
 
 class Mailbox:
@@ -155,8 +156,8 @@ class Mailbox:
         """Accept a command, or return why not."""
         reason = check(command, self._robot)
         if reason is None and command.stamp_s < self._not_before_s:
-            before = f"before the switch at {self._not_before_s:.4f} s"
-            reason = "before_switch", f"stamped {command.stamp_s:.4f} s, {before}"
+            stamped = f"stamped {command.stamp_s:.4f} s, before the switch at {self._not_before_s:.4f} s"
+            reason = "before_switch", stamped
         if reason is None and self._sequence is not None and command.sequence <= self._sequence:
             reason = "out_of_order", f"sequence {command.sequence} after {self._sequence}"
         if reason is not None:

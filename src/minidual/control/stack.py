@@ -69,6 +69,9 @@ class ControlStack[P: Plant]:
             uneven = f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz"
             raise UsageError(uneven, remedy="take a divisor of it, such as 50 or 100")
         self.kinematics, self._robot = kinematics, kinematics.robot
+        if supervisor is not None and abs(supervisor.dt_s - plant.dt) > 1e-9:
+            periods = f"the supervisor's period is {supervisor.dt_s} s, the plant's {plant.dt} s"
+            raise UsageError(periods, remedy="make the supervisor with dt_s=plant.dt")
         self.grippers = Grippers(plant, pinch_force_n=pinch_force_n, speed_m_per_s=self._config.finger_speed_m_per_s)
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
         self.payload = Payload(kinematics, plant.dt)
@@ -176,6 +179,8 @@ class ControlStack[P: Plant]:
             raise ControllerSwitchError("under_way", "a timed command is under way", remedy=remedy)
         if not np.isfinite(self.plant.q).all():
             raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
+        if self.manager.active == OBJECT_CONTROLLERS:
+            self.arbiter.stand(self.plant.q)
         self.manager.switch(names, self.plant.q, self.plant.v)
         self._due = True
 

@@ -101,8 +101,6 @@ class Supervisor:
             EmergencyStop: The one of the process was pressed (see minidual.emergency).
         """
         emergency.check()
-        if self.reflex is not None and self.reflex.name == "emergency_stop":
-            self._estop = ""
         self.reflex = None
         if tau is None:
             self.hold(None)
@@ -120,7 +118,7 @@ class Supervisor:
 
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
-        self._estop = reason  # one assignment is atomic: no lock
+        self._estop = reason or "pressed"  # one assignment is atomic: no lock
 
     def fail(self, time_s: float, q: Array, v: Array, why: str, stamp_s: float | None = None) -> Array:
         """Stop the arms; call instead of `guard` when controllers give no torque.
@@ -222,6 +220,7 @@ class Supervisor:
                 joint = int(np.argmin(finite))
                 self._trip("not_finite", f"{what} of {self._robot.joint_names[joint]}", float(values[joint]), None)
         if stop:
+            self._estop = ""  # a later one acts after `reset`
             self._trip("emergency_stop", stop, 1.0, None)
         if self._time_s > self._deadline_s:
             silent = self._time_s - self._deadline_s + self.config.stale_s

@@ -21,6 +21,8 @@ from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.task import Task, Trial
 
 SOURCE = "teleop"
+_BEYOND_RAD = 0.3
+"""A leader further beyond a limit is no person's arm: degrees, a turn too many, infinity. The arbiter refuses it."""
 
 
 class HandoverError(MinidualError):
@@ -41,12 +43,13 @@ def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower:
 def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Array:
     """Return the leader's joints clipped to the follower's limits (n,) [rad]; UsageError for another shape.
 
-    All zeros (lost values) and NaN pass unchanged, so that the arbiter refuses them.
+    All zeros (lost values), NaN and values far beyond a limit pass unchanged, so that the arbiter refuses them.
     """
     q, margin = np.asarray(q_leader, dtype=float), config.workspace_margin_rad
     if q.shape != (robot.dof,):
         raise UsageError(f"the leader gives joints of shape {q.shape}; it must be ({robot.dof},), left then right")
-    return np.clip(q, robot.q_lower + margin, robot.q_upper - margin) if q.any() else q
+    clipped = np.clip(q, robot.q_lower + margin, robot.q_upper - margin)
+    return clipped if q.any() and np.abs(clipped - q).max() < margin + _BEYOND_RAD else q
 
 
 class Tick(NamedTuple):

@@ -101,8 +101,7 @@ class Gate:
         gate = Gate(self.table, self.store, self.loaded, options, self._known)
         found: dict[str, str] = {}
         for name in self.rerun(names, force):
-            verdict = self.state(name).verdict
-            if verdict is None:
+            if (verdict := self.state(name).verdict) is None:
                 continue
             made, typed = {f"--profile {verdict.fingerprint.profile}", *verdict.overrides}, gate.typed(name)
             if made != {*typed} and verdict.fingerprint.choices(gate.fingerprint(name, verdict)):

@@ -127,8 +127,7 @@ class World:
         Raises:
             UsageError: The object is unknown or ambiguous.
         """
-        found = self._objects.get(name)
-        if found is None:
+        if (found := self._objects.get(name)) is None:
             if name is None:
                 raise UsageError(f"the scene holds {len(self.objects)} objects ({', '.join(self.objects)}); name one")
             raise unknown_name("object", name, self.objects)

@@ -101,8 +101,7 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
             moves = list(run)
             rests = any(step.phase == "lower" for step in moves)
             asked_for = [T if isinstance(T, Mapping) else {handled[0]: T} for step in moves for T in step.places]
-            places = [Place(f"place {k + 1}", Ts, 0.5 * k, rests) for k, Ts in enumerate(asked_for)]
-            if not places:
+            if not (places := [Place(f"place {k + 1}", Ts, 0.5 * k, rests) for k, Ts in enumerate(asked_for)]):
                 goals = {name: pose_of(task.objects[name].body, trial.goal[name]) for name in handled}
                 places = [Place("the goal", goals)]
             least_m = asked.clear_height_m + _CLEAR_M

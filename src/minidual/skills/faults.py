@@ -104,9 +104,11 @@ class FaultMonitor:
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
         """(2,) arms with lost motors; latched."""
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
-        self._told = "", 0.0
-        step_n = max(_PINCH_STEP_N, _PINCH_STEP * pinch_n)
-        self._hands = [(_Turns(_FINGER_STEP_M), _Turns(step_n)) for _ in SIDES]
+        self._told, self._step_n = ("", 0.0), max(_PINCH_STEP_N, _PINCH_STEP * pinch_n)
+        self._watch_hands()
+
+    def _watch_hands(self) -> None:
+        self._hands = [(_Turns(_FINGER_STEP_M), _Turns(self._step_n)) for _ in SIDES]
 
     def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
         if not now:
@@ -161,8 +163,9 @@ class FaultMonitor:
         self, now_s: float, told: str, gap_m: Sequence[float], pinch_n: Sequence[float], target_m: float
     ) -> Fault | None:
         """Check that hands told to "close" or "open" move until their gaps (2,) reach the target, others hold still."""
-        if told != self._told[0]:
+        if told != self._told[0]:  # a step counts from here
             self._told = told, now_s
+            self._watch_hands()
         bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)  # its force must fall first
         hands = zip(SIDES, self._hands, gap_m, pinch_n, strict=True)
         for name, (gap, pinch), gap_now_m, pinch_now_n in hands:

@@ -77,6 +77,8 @@ class ImpedanceCarry:
             world, kinematics, arbiter, pinch_force_n=config.impedance.pinch_n, sensor=self.watch, supervisor=supervisor
         )
         self.stack.on_flush(self._flushed)
+        usual = ArbiterConfig()
+        self._open_s = PHASES["open"].force_s * usual.finger_speed_m_per_s / (arbiter or usual).finger_speed_m_per_s
         self.phase, self._began_s, self._sequence = "approach", world.time, 0
         self.fault: Fault | None = None
         self._halted, self._follows, self._stop_s = False, True, 0.0
@@ -193,7 +195,7 @@ class ImpedanceCarry:
         stack.switch_controllers(DEFAULT_CONTROLLERS)
 
         q = world.q
-        yield from self._move("open", q, q, PHASES["open"].force_s)
+        yield from self._move("open", q, q, self._open_s)
         yield from self._move("retreat", q, self._grasp(q, above_m=PHASES["retreat"].rise_m))
 
     def _arrive(self, path: ObjectPath, T_level_object: Array) -> Generator[None, None, ObjectPath]:
@@ -244,8 +246,7 @@ class ImpedanceCarry:
 
     def _look(self) -> None:
         self.watch.sense()
-        lost = None if self._told is None else self.watch.motors(self._told)
-        if lost is not None:
+        if self._told is not None and (lost := self.watch.motors(self._told)):
             self._halt(lost)
             self.stack.switch_off(self.watch.lost_arms)
         self._halt(self._sensed())

@@ -145,8 +145,7 @@ def film_outcomes(
 ) -> None:
     """Film a success and a failure; `results` of each of `inputs` in turn."""
     for label, wanted in (("success", True), ("failure", False)):
-        found = next((i for i, r in enumerate(results) if r.success is wanted), None)
-        if found is not None:
+        if (found := next((i for i, r in enumerate(results) if r.success is wanted), None)) is not None:
             k, index = divmod(found, len(trials))
             filmed = film_trial(METHOD, inputs[k], trials[index], context.folder / f"{label}.mp4")
             who = f", seed {k + 1}" if k else ""

@@ -55,8 +55,7 @@ def run(context: StageContext) -> StageResult:
     pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in acm_report(robot).pairs]
     write_csv(folder / "allowed_collisions.csv", pairs)
     for group, done in outcomes.items():
-        trajectory = next((o.result.trajectory for o in done if o.result is not None), None)
-        if trajectory is not None:
+        if (trajectory := next((o.result.trajectory for o in done if o.result is not None), None)) is not None:
             trajectory.write_csv(folder / f"trajectory_{group}.csv", robot.joint_names)
             trajectory.write_json(folder / f"trajectory_{group}.json", robot.joint_names, _JSON_EVERY)
     write_paths(folder / "paths.png", context.config.scene, outcomes)

@@ -53,8 +53,7 @@ def view_scene(context: ToolContext) -> ToolResult:
     Raises:
         UsageError: --view none, or --for-s not above 0.
     """
-    view = context.view
-    if view is None:
+    if (view := context.view) is None:
         raise UsageError("`minidual view` needs a view", remedy="--view web")
     for_s = float(context.options.get("for-s", math.inf))
     if not for_s > 0.0:

@@ -221,8 +221,7 @@ class Robustness(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether drop and rate are within their limits (false for NaN), or the condition does not apply."""
-        s = self.cell.summary
-        if s is None:
+        if (s := self.cell.summary) is None:
             return bool(self.cell.why_not)
         return not self.cell.undisturbed and s["success_rate"] >= self.rate_min and self.drop < DROP_MAX - _ROUNDING
 

@@ -328,8 +328,7 @@ for _name, _row in rows_beside(__file__).items():
 def condition(name: str) -> Condition:
     """Return a condition; blanks may be underscores or omitted."""
     short = name.replace(" ", "").replace("_", "")
-    known = next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)
-    if known is None:
+    if (known := next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)) is None:
         raise unknown_name("condition", name, CONDITIONS)
     return CONDITIONS[known]
 

@@ -130,8 +130,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         Raises:
             UsageError: Wrong shape, not finite, or not reset.
         """
-        judge = self._judge
-        if judge is None:
+        if (judge := self._judge) is None:
             raise UsageError("the environment was stepped before it was reset", remedy="call env.reset() first")
         wanted = np.asarray(action, dtype=float)
         if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():

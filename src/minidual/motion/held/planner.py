@@ -298,8 +298,7 @@ class HeldWork:
             if start is None or time.perf_counter() > self._deadline:
                 break
             space.checker.allow(effort.checks_n, self._deadline)
-            found = search_manifold(constraint, space.checker, start, goal, space=method, seed=seed)
-            if found is not None:
+            if (found := search_manifold(constraint, space.checker, start, goal, space=method, seed=seed)) is not None:
                 points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
                 kept = [z for z in points if z is not None]
                 joined = len(kept) == len(points) and all(itertools.starmap(space.edge_free, itertools.pairwise(kept)))

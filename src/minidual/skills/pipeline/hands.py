@@ -101,8 +101,7 @@ def _spiral(T: Array) -> Iterator[Array]:
 
 def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Open hands; the object stays in place or with the other hand. `by_force` lowers it first."""
-    missing = [arm for arm in arms if arm not in start.held_by]
-    if missing:
+    if missing := [arm for arm in arms if arm not in start.held_by]:
         raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
     held = {arm: T for arm, T in start.held_by.items() if arm not in arms}
     kept = {start.object_of(arm) for arm in held}

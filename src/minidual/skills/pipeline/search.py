@@ -130,11 +130,9 @@ class Pipeline:
 
     def __init__(self, name: str, stages: Sequence[Stage], keenness: float = 0.0) -> None:
         self.name, self.stages, self.keenness = name, tuple(stages), keenness
-        names = [stage.name for stage in stages]
-        if not names:
+        if not (names := [stage.name for stage in stages]):
             raise UsageError(f"the task '{name}' has no stage")
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
+        if twice := sorted({n for n in names if names.count(n) > 1}):
             raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
 
     def solve(self, start: State, tools: Tools, *, budget_s: float = 300.0, tries_max: int = 2000) -> Solution:

@@ -108,8 +108,8 @@ class HeldMoveGenerator:
             scene = scene_holding(room, self._shape, dict(zip(SIDES, self._grasps, strict=True)), rests_on=rests_on)
             engines = SceneEngines(scene)
             engine = engines.engine("mujoco")
-            start = self._held(rng, engine, self._start(rng), self._robot.home, 0.0 if self._from_table else _ROOM_M)
-            if start is None:
+            apart_m = 0.0 if self._from_table else _ROOM_M
+            if (start := self._held(rng, engine, self._start(rng), self._robot.home, apart_m)) is None:
                 unreachable += 1
                 continue
             for _ in range(4):

@@ -116,9 +116,8 @@ class QueryGenerator:
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
             start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not crossed_at_goal)
-            if start is None:
-                continue
-            if (goal := self._configuration(rng, engine, start, arms, crossed and crossed_at_goal)) is None:
+            at_goal = crossed and crossed_at_goal
+            if start is None or (goal := self._configuration(rng, engine, start, arms, at_goal)) is None:
                 continue
             way = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
             if not _is_kind(kind, arms, set[frozenset[str]]().union(*map(engine.touching_pairs, way))):
