@@ -710,11 +710,13 @@ class _Guard:
 
     def __init__(self) -> None:
         self.seen: list[tuple[float, Array, Array, Array]] = []
-        self.trip, self.dt_s = False, 1e-3
+        self.trip, self.dt_s, self.time_s = False, 1e-3, -np.inf
 
     def reset(self, tau: Array | None = None) -> None: ...
 
     def heard(self, time_s: float) -> None: ...
+
+    def hold(self, arm: int | None) -> None: ...
 
     def guard(
         self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None, stamp_s: float | None = None

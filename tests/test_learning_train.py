@@ -439,14 +439,18 @@ def test_a_keyframe_is_the_mean_of_the_looks_until_it_is_past(demos: Demonstrati
     assert (other - alone).abs().max() > 1e-4
     assert torch.allclose(second, (alone + other) / 2)
     switched, third = look(3, -0.9)
-    assert torch.allclose(switched[:, 0], third[:, 0])  # the grasp is past
+    assert third[:, 0].any()
+    assert not switched[:, 0].any()  # the grasp is past
     assert torch.allclose(switched[:, 1:], ((alone + other + third) / 3)[:, 1:], atol=1e-6)  # what is to come is not
     policy.reset()
     again, fourth = look(4, -0.9)
     assert torch.allclose(again, fourth)
 
 
-def test_in_training_the_transformer_is_told_the_keyframes_to_come(demos: Demonstrations) -> None:
+def test_in_training_the_transformer_is_told_the_keyframes_to_come(
+    demos: Demonstrations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("minidual.policies.spatial_act.modeling_spatial_act._BEGINS_BETWEEN", 0.0)
     config = TrainConfig(**SMALL)
     torch.manual_seed(0)
     policy = act.SPATIAL_ACT.make(config, demos)
@@ -465,6 +469,22 @@ def test_in_training_the_transformer_is_told_the_keyframes_to_come(demos: Demons
     assert moved(False) == [False] * 3
     policy.eval()
     assert moved(True) == [False] * 3
+
+
+@pytest.mark.parametrize(("share", "read"), [(0.0, [False] * 3), (1.0, [False, True, True])])
+def test_past_keyframes_are_told_as_0_but_in_a_share_of_the_samples(
+    demos: Demonstrations, monkeypatch: pytest.MonkeyPatch, share: float, read: list[bool]
+) -> None:
+    """Else the end of a task, whose keyframes are past, may look like the start of its mirror image."""
+    monkeypatch.setattr("minidual.policies.spatial_act.modeling_spatial_act._BEGINS_BETWEEN", share)
+    config = TrainConfig(**SMALL, dropout=0.0)
+    torch.manual_seed(0)
+    policy = act.SPATIAL_ACT.make(config, demos)
+    policy.train()
+    stats = batches.dataset_statistics(demos, np.arange(len(demos)), config.std_floor)
+    batch = batches.BatchMaker(demos, config, stats).clean(np.array([5, 30, 55]))
+    other = policy.model({**batch, camera_key("high"): -batch[camera_key("high")]})[0]
+    assert [bool(row.any()) for row in policy.model(batch)[0] != other] == read
 
 
 def _policy_and_batch(demos: Demonstrations) -> tuple[Any, dict[str, torch.Tensor]]:

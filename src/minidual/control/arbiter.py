@@ -344,8 +344,7 @@ class CommandArbiter:
 
     def _go_quiet(self, now_s: float) -> None:
         if now_s - self._heard_s > self.config.stop_after_s:
-            self.state = ArbiterState.STOPPED
-            self.source = None
+            self.state, self.source = ArbiterState.STOPPED, None
         elif self.state != ArbiterState.WAITING:
             self.state = ArbiterState.STALE
 

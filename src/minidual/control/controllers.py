@@ -184,7 +184,6 @@ class JointTrajectoryController(Controller):
         if not driven.issuperset(self.arms):
             self._rows[:3] = self._filter.step(self._target)
         self._rows[3] = self._rows[2]
-        ended = False
         for execution, (offset, k) in list(self._executions.items()):
             joints = execution.joints
             self._rows[:, joints] = execution.q, execution.v, execution.a, execution.a
@@ -197,8 +196,6 @@ class JointTrajectoryController(Controller):
                 del self._executions[execution]
                 self._target = self._target.copy()
                 self._target[joints] = execution.q
-                ended = True
-        if ended:
-            self._filter.reset(*self._rows[:2])
+                self._filter.reset(*self._rows[:2], joints=joints)
         q, v, a, planned = self._rows.copy()
         return q, v, a, planned

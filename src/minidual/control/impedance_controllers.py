@@ -169,3 +169,8 @@ class HandImpedanceController(JointTrajectoryController):
         """Start the reference at the measurement."""
         super().activate(q, v)
         self.law.engage(q)
+
+    def follow(self, output: ArbiterOutput) -> None:
+        """See `JointTrajectoryController`; holds learn nothing: it would add to a spring of bounded force."""
+        super().follow(output)
+        self._holds = False

@@ -38,9 +38,10 @@ class ReferenceFilter:
         """Follow targets at most at this share of full speed."""
         self._v_allowed, self._slewing = share * self._v_max, True
 
-    def reset(self, q: Array, v: Array | None = None) -> None:
-        """Start from posture q (n,) [rad], by default at rest."""
-        self._state[:] = q, np.zeros_like(q) if v is None else v, np.zeros_like(q), q, q, np.zeros_like(q)
+    def reset(self, q: Array, v: Array | None = None, joints: slice = slice(None)) -> None:
+        """Start some joints from posture q (n,) [rad], by default all, at rest."""
+        still = np.zeros_like(q)
+        self._state[:, joints] = np.array([q, still if v is None else v, still, q, q, still])[:, joints]
         self._bounds[1], self._slewing = np.maximum(self._bounds[1], np.abs(self._state[1])), True  # no step of v
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:

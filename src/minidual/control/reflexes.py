@@ -118,11 +118,9 @@ class TickBounds:
     def __init__(self, config: SupervisorConfig, dt_s: float, robot: Robot) -> None:
         self.q_lower = robot.q_lower + config.position_margin_rad
         self.q_upper = robot.q_upper - config.position_margin_rad
-        self.v_max = config.velocity_scale * robot.v_max
-        self.tau_max = config.torque_scale * robot.tau_max
+        self.v_max, self.tau_max = config.velocity_scale * robot.v_max, config.torque_scale * robot.tau_max
         self.tau_step = config.torque_rate_scale * robot.arm.tau_rate_max * dt_s
-        self.a_max = config.acceleration_scale * robot.a_max
-        self.a_step = robot.jerk_max * dt_s
+        self.a_max, self.a_step = config.acceleration_scale * robot.a_max, robot.jerk_max * dt_s
         half = np.stack(
             [
                 0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD,

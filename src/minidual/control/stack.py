@@ -84,6 +84,8 @@ class ControlStack[P: Plant]:
         self._flush_listeners: list[Callable[[str], None]] = []
         if supervisor is not None:
             supervisor.expected = self._expected
+        self.applied = np.full(self._robot.dof, np.nan)
+        """Last torques (n,) [Nm], after the supervisor."""
         self.reset()
 
     def reset(self) -> None:
@@ -91,9 +93,12 @@ class ControlStack[P: Plant]:
 
         Flush listeners stay.
         """
-        if self.supervisor is not None:
-            self.supervisor.reset()
         plant, q = self.plant, self.plant.q
+        if self.supervisor is not None:
+            # A simulation that begins anew has no torques.
+            goes_on = -math.inf < self.supervisor.time_s <= plant.time and np.isfinite(self.applied).all()
+            self.supervisor.reset(self.applied if goes_on else None)
+            self.supervisor.hold(None)
         self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -103,7 +108,6 @@ class ControlStack[P: Plant]:
         self.refusals: list[Refusal] = []
         """All since the reset."""
         self.applied = np.zeros_like(q)
-        """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
 
     def _stand(self, gripper: Array) -> None:
@@ -179,7 +183,7 @@ class ControlStack[P: Plant]:
             raise ControllerSwitchError("under_way", "a timed command is under way", remedy=remedy)
         if not np.isfinite(self.plant.q).all():
             raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
-        if self.manager.active == OBJECT_CONTROLLERS:
+        if self.manager.active == OBJECT_CONTROLLERS or any(hand.name in self.manager.active for hand in self.hands):
             self.arbiter.stand(self.plant.q)
         self.manager.switch(names, self.plant.q, self.plant.v)
         self._due = True

@@ -80,8 +80,7 @@ class LinearPlanner:
     def __init__(self, limits: MotionLimits | None = None, kinematics: Kinematics | None = None) -> None:
         self._kinematics = kinematics or Kinematics()
         self._robot = self._kinematics.robot
-        self._ik = solvers(self._robot)
-        self._limits = limits or MotionLimits()
+        self._ik, self._limits = solvers(self._robot), limits or MotionLimits()
 
     def plan(
         self,

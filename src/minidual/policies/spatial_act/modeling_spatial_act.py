@@ -24,6 +24,7 @@ from minidual.robot.pair import GRIPPERS_N
 
 _LEAST_VARIANCE = 1e-6
 _SWITCHED = 1.0  # standard deviations; an opening's two values are about two apart
+_BEGINS_BETWEEN = 0.25  # share of samples that are told past keyframes, as a policy is that begins between two switches
 Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor]
 
 
@@ -139,9 +140,11 @@ class SpatialActModel(nn.Module):
         keyframe = filtered(flat).unflatten(1, self.backbone.shape)
         if keyframe.numel():
             # The transformer sees no keypoints: late ones follow the hands, and it would follow them. In training it is
-            # told the true keyframes: told predicted ones, with their errors, it would learn to stay short of them.
+            # told the true keyframes: told predicted ones, with their errors, it would learn to stay short of them. Past
+            # ones are 0: else nothing tells the end of a handover from the start of its mirror image.
             told = keyframe.detach()
             if self.training and "keyframe" in batch:
+                told = told * (torch.rand(len(told), 1, 1, device=told.device) < _BEGINS_BETWEEN)
                 told = torch.where(batch["keyframe_is_valid"].unsqueeze(-1), batch["keyframe"], told)
             token = told.flatten(1)
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
@@ -165,12 +168,11 @@ class SpatialActPolicy(ACTPolicy):
     def reset(self) -> None:
         """Forget what was seen: a new episode."""
         super().reset()
-        self._total = self._count = torch.zeros(0)
-        self._due, self._at_first = -1, torch.zeros(0)
+        self._total, self._at_first, self._due, self._count = torch.zeros(0), torch.zeros(0), -1, 0
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return a chunk (B, S, A), each of its keyframes the mean of all looks since `reset`, or since it was past.
+        """Return a chunk (B, S, A), each keyframe to come the mean of all looks since `reset`.
 
         The first looks are the clearest: later ones show the hands before the object, and follow them.
         """
@@ -180,12 +182,13 @@ class SpatialActPolicy(ACTPolicy):
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
         look = flat.unflatten(1, self.model.backbone.shape)
         if self._due < 0:
-            self._total, self._count = torch.zeros_like(look), torch.zeros_like(look)
+            self._total, self._count = torch.zeros_like(look), 0
         if self._due < 0 or (openings - self._at_first).abs().max() > _SWITCHED:
             self._due, self._at_first = self._due + 1, openings
-            self._total[:, : self._due] = self._count[:, : self._due] = 0.0
         self._total, self._count = self._total + look, self._count + 1
-        return (self._total / self._count).flatten(1)
+        mean = self._total / self._count
+        mean[:, : self._due] = 0.0
+        return mean.flatten(1)
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
         """Return the loss and its parts.

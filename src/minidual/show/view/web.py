@@ -47,8 +47,7 @@ class WebView:
     name = "web"
 
     def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
-        self._say = say
-        self.speed_max = config.speed_max
+        self._say, self.speed_max = say, config.speed_max
         guard, port = Guard(config.host, config.remote_drives, say), free_port(config.host, config.port)
         with _quiet():
             self._server = guard.start(lambda: _Server(config.host, port, "minidual", verbose=False))

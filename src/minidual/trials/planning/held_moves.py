@@ -84,11 +84,9 @@ class HeldMoveGenerator:
     """
 
     def __init__(self, seed: int, scene: SceneConfig, robot: Robot = DUAL_PANDA, *, from_table: bool = False) -> None:
-        self._seed = seed
-        self._from_table = from_table
+        self._seed, self._from_table = seed, from_table
         self._height_m = scene.object.rest_height_m
-        self._grasps = grasp_offsets(scene)
-        self._shape = thing_of(scene.object).shape
+        self._grasps, self._shape = grasp_offsets(scene), thing_of(scene.object).shape
         self._prover, self._robot = HeldPlanner(Planner(robot=robot)), robot
         self._hands = HandsIK(self._grasps, robot)
 
