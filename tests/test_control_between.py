@@ -1,10 +1,10 @@
-"""What one trial, hold or set of controllers leaves to the next: no load, no target and no step of torque."""
+"""What one trial, hold or set of controllers leaves to the next: no load and no target."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from panda import HOME, TAU_RATE_MAX
+from panda import HOME
 from test_control_controllers import OPEN, hand_over, move, stack_on, trajectory
 
 from minidual.control.commands import JointCommand
@@ -48,29 +48,6 @@ def test_a_stop_at_the_beginning_of_a_trial_bears_no_load_of_the_last_one(world:
     for _ in range(600):
         stack.step()
     assert abs(height_m(world) - began_m) < 0.001
-
-
-def test_a_stack_that_is_reset_on_arms_that_go_on_steps_no_torque(world: World) -> None:
-    """Before, by 9.3 Nm in 1 ms, where a hand bore 2 kg. A simulation that begins anew has no torques to go on from."""
-    stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
-    hand_over(stack, "teleop")
-    stack.propose("teleop", JointCommand(HOME, CLOSED, world.time, 1))
-    for tick in range(800):
-        pulled_down(world, 19.6 * min(1.0, tick / 300))
-        stack.payload.bear(0, 2.0)
-        stack.step()
-    told = [stack.applied]
-    assert np.abs(told[0] - Kinematics().gravity(world.q)).max() > 5.0
-    stack.reset()
-    for _ in range(100):
-        pulled_down(world, 19.6)
-        stack.step()
-        told.append(stack.applied)
-    assert np.abs(np.diff(told, axis=0)).max() <= TAU_RATE_MAX * world.dt + 1e-9
-    world.reset()
-    stack.reset()
-    stack.step()
-    assert np.abs(stack.applied - Kinematics().gravity(HOME)).max() < 1.5
 
 
 @pytest.mark.parametrize("drives_again", [False, True])

@@ -84,8 +84,6 @@ class ControlStack[P: Plant]:
         self._flush_listeners: list[Callable[[str], None]] = []
         if supervisor is not None:
             supervisor.expected = self._expected
-        self.applied = np.full(self._robot.dof, np.nan)
-        """Last torques (n,) [Nm], after the supervisor."""
         self.reset()
 
     def reset(self) -> None:
@@ -95,10 +93,7 @@ class ControlStack[P: Plant]:
         """
         plant, q = self.plant, self.plant.q
         if self.supervisor is not None:
-            # A simulation that begins anew has no torques.
-            goes_on = -math.inf < self.supervisor.time_s <= plant.time and np.isfinite(self.applied).all()
-            self.supervisor.reset(self.applied if goes_on else None)
-            self.supervisor.hold(None)
+            self.supervisor.reset()
         self._stand(np.ones(2))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -108,6 +103,7 @@ class ControlStack[P: Plant]:
         self.refusals: list[Refusal] = []
         """All since the reset."""
         self.applied = np.zeros_like(q)
+        """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
 
     def _stand(self, gripper: Array) -> None:

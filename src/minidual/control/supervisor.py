@@ -105,7 +105,7 @@ class Supervisor:
         if tau is None:
             self.hold(None)
             self._stop.bears_n = 0.0, 0.0
-        self._deadline_s, self.time_s = math.inf, -math.inf
+        self._deadline_s, self._time_s = math.inf, -math.inf
         self._tick = self._next_slow = self._next_ahead = 0
         self._next_near = math.inf if self._self_distance is None else 0
         self._next_feel = EVERY
@@ -189,10 +189,10 @@ class Supervisor:
         except TypeError:  # no arrays of floats
             self._q[:], self._v[:], self._tau[:] = q, v, tau
             most = excess(self._q, self._v, self._tau, *more)
-        before_s, self.time_s = self.time_s, time_s
+        before_s, self._time_s = self._time_s, time_s
         self._usable = self._sense.update(self._q, self._v, self._applied, self._newer_s(stamp_s))
         if not time_s > before_s:
-            self.time_s = before_s
+            self._time_s = before_s
             self._trip("clock", f"{time_s} s after {before_s} s", 1.0, None)
         return most
 
@@ -223,8 +223,8 @@ class Supervisor:
         if stop:
             self._estop = ""  # a later one acts after `reset`
             self._trip("emergency_stop", stop, 1.0, None)
-        if self.time_s > self._deadline_s:
-            silent = self.time_s - self._deadline_s + self.config.stale_s
+        if self._time_s > self._deadline_s:
+            silent = self._time_s - self._deadline_s + self.config.stale_s
             self._trip("stale_command", "no command", silent, self.config.stale_s)
         if not self._usable:
             age_s, age_max_s = self._sense.age_s, self.config.measurement_age_max_s
@@ -269,7 +269,7 @@ class Supervisor:
         self._stop.bears_n = expected.bears_n
         if expected.hand_fault:
             self._trip("gripper_opened", expected.hand_fault, 1.0, None)
-        sense, age = self._sense, (self.time_s - stamp_s) / self.dt_s
+        sense, age = self._sense, (self._time_s - stamp_s) / self.dt_s
         age = round(age) if abs(age) < len(sense.applied) else 0  # the stack refuses such stamps
         torque, late = contact.update(stamp_s, self._q, self._v, sense.applied, sense.ticks - 1 - age, expected)
         if torque <= 1.0 and late <= 1.0:
@@ -355,7 +355,7 @@ class Supervisor:
             for key, values in zip(SEEN, self._rows[:3], strict=True)
             if not (name == "controller_failed" and key == "asked_torque_nm")  # no torque was requested
         }
-        reflex = Reflex(name, self.time_s, where, value, bound, details)
+        reflex = Reflex(name, self._time_s, where, value, bound, details)
         sense, applied = self._sense, self._applied
         self._stop.begin(sense.q, sense.v, self._before_control(sense.q) if applied is None else applied)
         self.reflex = reflex
