@@ -15,7 +15,7 @@ from minidual.control.joint_control import ComputedTorque
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array, Robot
 
-STOP_SHARE = 0.7
+STOP_SHARE = 0.65
 """Peak deceleration as share of the joints' limits: plans come to rest at theirs just before a table or a limit."""
 _STOP_LEAST_S = 0.1
 _STOP_FREQUENCY_RAD_S = 8.0  # soft: hands on one object must not fight
