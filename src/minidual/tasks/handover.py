@@ -19,7 +19,9 @@ _MEETINGS = tuple(pose(rot_z(yaw), xyz) for xyz in _MEETINGS_M for yaw in (1.8, 
 _ASIDE = tuple(pose(rot_z(yaw), (x, 0.28, 0.10)) for yaw in (0.0, 0.8) for x in (0.50, 0.42))
 # Hand pointing along the bottle's x axis, closing along y.
 _FROM_THE_SIDE = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-_TURNS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2)  # of the bottle at its goal, where its yaw is free [rad]
+# Yaws of the bottle at its goal if the left hand gives [rad]; the goal's own yaw does not matter. Always the same if it
+# can be: no picture tells which of several a plan takes.
+_YAWS = (-0.3, 0.0, -0.6, 0.3, -0.9, 0.6, -1.2)
 _ACROSS = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -61,8 +63,8 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
     # than the other: mirrored, the taker's hand is turned by half a turn.
     above = tuple(pose(rot_z(turn) @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (-np.pi / 2, np.pi / 2))
     beside = tuple(pose(_FROM_THE_SIDE @ rot_z(0.0 if to_the_right else np.pi), (0.0, 0.0, z)) for z in (0.0, -0.04))
-    x, y, yaw = placement(trial.goal[name])
-    goal = tuple(pose(rot_z(yaw + turn), (x, y, body.rest_height_m)) for turn in _TURNS)
+    x, y, _ = placement(trial.goal[name])
+    goal = tuple(pose(rot_z(yaw if to_the_right else -yaw), (x, y, body.rest_height_m)) for yaw in _YAWS)
 
     def grasp(hand: str, grasps: tuple[Array, ...]) -> tuple[Step, ...]:
         return Step("approach", (hand,), grasps=grasps), Step("descend", (hand,)), Step("close", (hand,))
