@@ -96,9 +96,7 @@ def _read(path: Path, name: str) -> Any:
     import trimesh
 
     if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(
-            f"mesh '{name}': {path.name} has the extension '{path.suffix}'; known are {', '.join(SUFFIXES)}"
-        )
+        raise UsageError(f"mesh '{name}': {path.name} has extension '{path.suffix}'; known are {', '.join(SUFFIXES)}")
     try:
         regular_file(path, _BYTES_MAX)
     except DataError as error:

@@ -33,7 +33,7 @@ class ControllerManager:
         self._active: tuple[Controller, ...] = ()
         self.active: tuple[str, ...] = ()
         """Names."""
-        self._dt, self._fade_steps, self._fade_left = dt_s, max(1, round(_FADE_S / dt_s)), 0
+        self._dt, self._fade_steps, self.fade_left = dt_s, max(1, round(_FADE_S / dt_s)), 0
         self._rate: TorqueRate | None = None
         self._offset: Array | None = None
         self.tau = np.zeros(robot.dof)
@@ -74,7 +74,7 @@ class ControllerManager:
             if controller not in self._active:
                 controller.activate(q, v)
         if self._active and chosen != self._active:
-            self._fade_left, self._offset = self._fade_steps, None
+            self.fade_left, self._offset = self._fade_steps, None
             self._rate = TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
         self._active, self.active = chosen, tuple(names)
         self._claims = [(k, self._robot.joints_of(arm)) for k, c in enumerate(chosen) for arm in c.arms]
@@ -92,7 +92,7 @@ class ControllerManager:
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
         tau = self._joined([controller.update(q, v) for controller in self._active])
-        if self._fade_left:
+        if self.fade_left:
             tau = self._faded(tau)
         self.tau = tau
         return tau
@@ -120,10 +120,10 @@ class ControllerManager:
         if self._rate is not None:
             followed = self._rate.limit(tau)
             if np.array_equal(followed, tau):
-                self._rate, self._fade_left = None, 0
+                self._rate, self.fade_left = None, 0
             return followed
         if self._offset is None:
-            self._offset = self.tau - tau
-        share = self._fade_left / self._fade_steps
-        self._fade_left -= 1
+            self._offset = np.nan_to_num(self.tau - tau)
+        share = self.fade_left / self._fade_steps
+        self.fade_left -= 1
         return np.clip(tau + share * self._offset, -self._robot.tau_max, self._robot.tau_max)

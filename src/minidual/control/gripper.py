@@ -78,16 +78,18 @@ def advance(
             hands[_HELD, i], hands[_TARGET, i] = math.nan, min(hands[_TARGET, i] + step_m, travel_m)
             wide_n += hands[_TARGET, i] == travel_m
             continue
+        moved = fingers[i] - hands[_HELD, i]
+        away = abs(moved) > _NOTHING_M  # opened, or closed on less than it held
         way = gain * (felt[i] - force_n)
         target = min(hands[_TARGET, i] + (step_m if way > step_m else -step_m if way < -step_m else way), travel_m)
-        if felt[i] >= _NEAR * force_n:
+        if felt[i] >= _NEAR * force_n and not away:
             if math.isnan(hands[_HELD, i]):
                 hands[_HELD, i] = fingers[i]
             hands[_TARGET, i], hands[_LOST_N, i] = target, 0.0
             continue
         if not math.isnan(felt[i]):  # else the target stays; it is not far ahead of the fingers
-            hands[_TARGET, i] = max(target, fingers[i] - 0.5 * travel_m)
-        lost = not felt[i] >= _LOST * force_n and fingers[i] - hands[_HELD, i] > -_SLIPPED_M
+            hands[_TARGET, i] = max(min(target, hands[_TARGET, i]), fingers[i] - 0.5 * travel_m)
+        lost = away or (not felt[i] >= _LOST * force_n and moved > -_SLIPPED_M)
         hands[_LOST_N, i], found = (hands[_LOST_N, i] + 1.0, found | _LOSES) if lost else (0.0, found)
     return found | (_WIDE if wide_n == 2 else 0)
 

@@ -104,6 +104,9 @@ def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
         index = int(np.argmax(largest / limit))
         if largest[index] > _RATE_TOLERANCE * limit[index]:
             return name, f"{names[index]} at {largest[index]:.3f} {unit}; limit {limit[index]:.3f}"
+    beside = np.abs(np.diff(q, axis=0) / motion.dt_s - 0.5 * (v[1:] + v[:-1])).max(axis=0) / robot.a_max[joints]
+    if beside.max() > 0.25 * _RATE_TOLERANCE * motion.dt_s:  # more than any course between two samples may bend
+        return "too_sharp", f"{names[int(np.argmax(beside))]}: its velocities do not belong to its positions"
     return None
 
 

@@ -102,7 +102,7 @@ class ControlStack[P: Plant]:
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
         self.refusals: list[Refusal] = []
         """All since the reset."""
-        self.applied = np.zeros_like(q)
+        self.applied = np.array(self.kinematics.gravity(q))
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
 
@@ -121,7 +121,6 @@ class ControlStack[P: Plant]:
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown, self._due, self._pending = 0, True, False
-        self.grippers.forget_grip()
         self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
         self.reflex: MinidualError | None = None
         """Of the latched reflex."""
@@ -232,11 +231,15 @@ class ControlStack[P: Plant]:
             measured = f"{speed:.3f} rad/s; at rest is below {still} rad/s; measured {1e3 * age_s:.0f} ms ago"
             remedy = f"go on with step() until they rest and are measured (within {1e3 * self._stale_s:.0f} ms)"
             raise UsageError(f"the arms may not recover while they move ({measured})", remedy=remedy)
+        self.manager.switch(DEFAULT_CONTROLLERS if self.grippers.fault else self.manager.active, q, v)
+        for name in self.manager.active:  # first: what fails leaves the stop latched
+            self.manager[name].activate(q, v)
+        self.manager.fade_left = 0  # from torques that were never applied
+        if isinstance(self.reflex, ReflexError) and self.reflex.reflex.name == "gripper_opened":
+            self.grippers.forget_grip()  # lost in the stop, it is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
         self._stand(self.output.gripper)
-        for name in self.manager.active:
-            self.manager[name].activate(q, v)
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -318,8 +321,8 @@ class ControlStack[P: Plant]:
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
+        self._hand_down()
         if output.halted:
-            self._hand_down()
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
             self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
         self.manager.follow(output)
@@ -375,12 +378,13 @@ class ControlStack[P: Plant]:
     def _measured(self) -> tuple[float, float | None, Array, Array]:
         plant = self.plant
         try:
-            return plant.time, plant.stamp_s, plant.q, plant.v
+            return 0.0 + plant.time, plant.stamp_s, plant.q.reshape(n := len(self.applied)), plant.v.reshape(n)
         except Exception as error:
             self.fail(error)
         nothing = np.full(self._robot.dof, np.nan)
-        time_s, stamp_s = self._attempt(lambda: plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
-        return time_s, stamp_s, self._attempt(lambda: plant.q, nothing), self._attempt(lambda: plant.v, nothing)
+        time_s, stamp_s = self._attempt(lambda: 0.0 + plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
+        q, v = (self._attempt(lambda x=x: getattr(plant, x).reshape(nothing.shape), nothing) for x in "qv")
+        return time_s, stamp_s, q, v
 
     def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
         if self.supervisor is None:

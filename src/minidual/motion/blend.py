@@ -47,14 +47,12 @@ def kept_vertices(path: Array, edge_free: Callable[[Array, Array], bool]) -> lis
     return kept
 
 
-def random_stretch(
-    path: Array, lengths: Array, rng: np.random.Generator
-) -> tuple[Array, Array, tuple[int, int], Array]:
+def random_stretch(path: Array, length: Array, rng: np.random.Generator) -> tuple[Array, Array, tuple[int, int], Array]:
     """Return the marks (n,) along a path (n, d), and of two random places the marks, segments and points (2, d)."""
-    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    marks = np.concatenate([[0.0], np.cumsum(length)])
     s = np.sort(rng.uniform(0.0, marks[-1], 2))
-    at = np.minimum(marks.searchsorted(s, side="right") - 1, len(lengths) - 1)
-    ends = path[at] + ((s - marks[at]) / lengths[at])[:, None] * (path[at + 1] - path[at])
+    at = np.minimum(marks.searchsorted(s, side="right") - 1, len(length) - 1)
+    ends = path[at] + ((s - marks[at]) / length[at])[:, None] * (path[at + 1] - path[at])
     return marks, s, (int(at[0]), int(at[1])), ends
 
 

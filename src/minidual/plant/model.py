@@ -255,10 +255,9 @@ def _facing(position: tuple[float, float, float], target: tuple[float, float, fl
 def _opening_deg(scene: SceneConfig, position: tuple[float, float, float], R: Array, usual_deg: float) -> float:
     """Return the usual vertical opening, or one that has every start and goal well in the picture, and what stands there."""
     reach, top_m = 2.0 * max(scene.task.start_range_m, scene.task.goal_range_m), 2.0 * scene.object.rest_height_m
-    ends = [(m, x, y, z) for m in marks(scene) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, top_m)]
-    corners = np.array(
-        [(m.xy_m[0] + x * (m.size_m[0] + reach), m.xy_m[1] + y * (m.size_m[1] + reach), z) for m, x, y, z in ends]
-    )
+    ends = np.array([(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+    places = [np.add(m.xy_m, ends * np.add(m.size_m, reach)) for m in marks(scene)]
+    corners = np.vstack([np.insert(place, 2, z, axis=1) for place in places for z in (0.0, top_m)])
     right, up, back = ((corners - position) @ R).T
     tangents = np.abs([right * scene.camera.height_px / scene.camera.width_px, up]) / -back
     needed_deg = float(2.0 * np.degrees(np.arctan(tangents.max())))

@@ -125,9 +125,7 @@ class PolicyRuntime:
     def _checked_image(self, images: Mapping[str, Image], camera: str) -> Image:
         if camera not in images:
             given = f"given were {', '.join(sorted(images)) or 'none'}"
-            raise DataError(
-                f"no image of camera '{camera}'; the policy looks through {', '.join(self.cameras)}, {given}"
-            )
+            raise DataError(f"no image of camera '{camera}': the policy needs {', '.join(self.cameras)}, {given}")
         image, expected = images[camera], (*self.cameras[camera], 3)
         if image.shape != expected or image.dtype != np.uint8:
             given = f"camera '{camera}' gives {image.dtype} images of shape {image.shape}"

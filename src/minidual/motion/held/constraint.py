@@ -19,9 +19,7 @@ from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
-SPACES: Registry[Any] = Registry(
-    "constrained space", {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace}
-)
+SPACES: Registry[Any] = Registry("state space", {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace})
 _DELTA_RAD = 0.15
 _BOX_RAD = 0.7
 _OMPL_TOLERANCE = 1e-4  # not finer: its states need another projection

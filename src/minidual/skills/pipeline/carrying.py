@@ -111,10 +111,8 @@ class Carry:
 
     def _in_both_hands(self, way: list[Array], state: State, tools: Tools, phase: str = "carry") -> Segment:
         scene = tools.scene(state, resting=True)
-        motion = HeldPlanner(tools.planner).follow(
-            state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene
-        )
-        return Segment(phase, motion, state.openings, scene, motion.verification)
+        path = HeldPlanner(tools.planner).follow(state.q, way, _grasps(state), along=PHASES[phase].limits, scene=scene)
+        return Segment(phase, path, state.openings, scene, path.verification)
 
     def _freely(self, phase: str, goals: Mapping[str, Array], state: State, tools: Tools) -> Segment:
         scene, budget_s = tools.scene(state), _BUDGET_S
