@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-BACKEND = os.environ.setdefault("MUJOCO_GL", "egl")
+BACKEND = os.environ["MUJOCO_GL"] = "egl"
 
 
 def main() -> int:

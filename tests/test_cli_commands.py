@@ -237,6 +237,34 @@ def test_waived_gate_is_loud_everywhere(cli):
     assert [stage["acceptance"] for stage in status["stages"]][1:] == [False, False]
 
 
+@pytest.mark.parametrize("reason", ["", "  "])
+def test_a_waiver_without_a_reason_opens_no_gate(cli, reason):
+    """A script with an unset variable must not."""
+    cli.bench.first.observed = 0.0
+    cli("first")
+    code, _, err = cli("second", "--waive-gate", reason)
+    assert code == 3
+    assert "first" in err
+    assert cli.bench.second.contexts == []
+
+
+def test_the_next_command_after_an_interruption_has_its_options(cli):
+    """Before, typed as printed, it set the interrupted recording aside and began another."""
+
+    def interrupt(context):
+        raise KeyboardInterrupt
+
+    cli.bench.first.behaviour = interrupt
+    assert cli("first", "--queries", "3", "--mood", "good")[0] == 130
+    _, out, _ = cli("status")
+    assert "next: minidual first --run toys" in out
+    assert out.rstrip().endswith("--queries 3 --mood good")
+    assert "with --queries 3 --mood good, interrupted" in cli.bench.gate().state("first").why()
+    cli.bench.first.behaviour = None
+    assert cli("first", "--queries", "3", "--mood", "good")[0] == 0
+    assert "--queries" not in cli("status")[1]
+
+
 def test_json_of_a_stage_is_one_document(cli):
     code, document = cli.json("first")
     assert code == 0

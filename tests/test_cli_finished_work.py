@@ -14,6 +14,7 @@ from pipeline_toys import KNOB, Bench, Toy
 
 from minidual.cli.app import run_command_line
 from minidual.config.loader import load_config
+from minidual.errors import UsageError
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageTable
@@ -64,6 +65,26 @@ def test_other_options_go_to_a_run_of_their_own(toys):
     assert "working in run 'toys-queries-3' instead; --yes would replace it in 'toys'" in err
     assert "next: minidual second --run toys-queries-3" in err
     assert contents(toys.folder("toys")) == toys.before
+
+
+def refuses(config):
+    """Refuse three queries before a run."""
+    if config.plan.queries_n == 3:
+        raise UsageError("no method 'foo'")
+
+
+def test_a_misspelt_setting_begins_no_run(tmp_path, capsys):
+    """Before, `--methods moveit,foo` left a run folder and two lines that were not true."""
+    toys = Toys(tmp_path, capsys)
+    first, *others = toys.bench.table.values()
+    toys.bench.table = StageTable(
+        (dataclasses.replace(first, check=f"{__name__}:refuses"), *others), libraries=("numpy",)
+    )
+    code, _, err = toys("first", "--queries", "3")
+    assert code == 2
+    assert "no method 'foo'" in err
+    assert "instead" not in err
+    assert toys.runs == ["toys"]
 
 
 def test_the_same_command_finds_its_own_run_again(toys):

@@ -270,3 +270,10 @@ def test_every_option_of_every_stage_overrides_a_value_that_exists():
             for part in option.path.split("."):
                 value = getattr(value, part)
             assert isinstance(value, option.kind), option
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_an_option_that_is_no_finite_number_is_refused_by_name(value):
+    """Before, `--speed nan` was an internal error."""
+    with pytest.raises(ConfigError, match=f"--speed {value}: arbiter.speed_override: must be a finite number"):
+        load_config().with_overrides([Override("arbiter.speed_override", value, f"--speed {value}")])

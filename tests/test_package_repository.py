@@ -109,6 +109,19 @@ def test_a_missing_gl_library_is_named_with_its_packages() -> None:
     assert "libegl1 libgl1-mesa-dri" in done.stderr
 
 
+@pytest.mark.parametrize("platform", ["osmesa", "bogus"])
+def test_another_opengl_platform_does_not_break_the_import(platform: str) -> None:
+    """Only EGL is documented; before, a headless machine's MUJOCO_GL=osmesa was an internal error."""
+    done = subprocess.run(
+        [sys.executable, "-c", "import minidual, mujoco; print(mujoco.Renderer)"],
+        env={**os.environ, "MUJOCO_GL": platform},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+
+
 PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")})
 
 

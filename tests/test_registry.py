@@ -40,8 +40,14 @@ def test_an_unknown_name_is_answered_with_what_exists():
     assert "two" in str(caught.value)
 
 
-@pytest.mark.parametrize("target", ["no_such_module_here:x", "math:no_such_name"])
-def test_a_target_that_does_not_load_is_named(target):
+@pytest.mark.parametrize(
+    "target", ["no_such_module_here:x", "math:no_such_name", "module_that_divides:x", "module_misspelt:x"]
+)
+def test_a_target_that_does_not_load_is_named(target, tmp_path, monkeypatch):
+    """Whatever another distribution's module raises is its fault, not an internal error."""
+    (tmp_path / "module_that_divides.py").write_text("x = 1 / 0\n")
+    (tmp_path / "module_misspelt.py").write_text("def x(:\n")
+    monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(UsageError, match="number 'x' cannot be loaded from"):
         Registry("number", {"x": target})["x"]
 

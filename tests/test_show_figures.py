@@ -37,8 +37,10 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
     monkeypatch.setattr(
         "minidual.show.figures.trial.new_figure", lambda *a, **k: drawn.append(make(*a, **k)) or drawn[0]
     )
-    draw_trial(log, config.scene, robot, tmp_path / "trial.png", title="a title")
+    draw_trial(log, config.scene, robot, tmp_path / "trial.png", goal=np.array([0.53, -0.28, 0.01]), title="a title")
     assert imread(tmp_path / "trial.png").std() > 0.02
+    goals = [line.get_ydata()[0] for line in drawn[0][1][0, 0].lines if line.get_linestyle() == ":"]
+    assert goals == [0.53, -0.28, 0.01]  # of this trial, not the middle of its range
     torque = drawn[0][1][1, 1]
     assert [text.get_text() for text in torque.get_legend().get_texts()] == [f"joint {i + 1}" for i in range(joints)]
     assert torque.lines[joints - 1].get_ydata()[0] == pytest.approx(0.9)  # the larger of both arms
@@ -78,7 +80,11 @@ def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(tmp_path: Path, m
     monkeypatch.setattr("minidual.show.figures.film.sheet", keep)
     draw_failures([(inputs, trial(3), result)], tmp_path / "failures.png")
     titles = [title for title, _ in drawn]
-    assert titles == ["hold, object colour, trial 3", f"{result.failure} at {result.failed_at_s:.2f} s", result.reason]
+    assert titles == [
+        "hold, object colour, trial 3",
+        f"not '{result.failure}' at {result.failed_at_s:.2f} s",
+        result.reason,
+    ]
     assert all(picture.std() > 20.0 for _, picture in drawn)
     assert imread(tmp_path / "failures.png").std() > 0.02
     draw_failures([(inputs, trial(3), dataclasses.replace(result, condition="clean"))], tmp_path / "clean.png")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +19,7 @@ from minidual.config.root import BenchmarkConfig, Config
 from minidual.demos.rig import PURPOSE
 from minidual.errors import ConfigError, UsageError
 from minidual.gate.check import Check
+from minidual.gate.stage import StageContext
 from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks
 from minidual.stages.carry import carry_checks
@@ -254,3 +256,17 @@ def test_films_show_the_seed_that_failed(monkeypatch: pytest.MonkeyPatch, tmp_pa
     deploy_stage.film_outcomes(context, inputs, starts, results)
     assert filmed == [("first", "a", "success.mp4"), ("second", "c", "failure.mp4")]
     assert notes[1] == "failure.mp4 shows trial 2, seed 2: told"
+
+
+def test_deploy_refuses_a_task_that_was_not_recorded(tmp_path: Path) -> None:
+    """Before, a policy of the rod drove at a bottle and passed in smoke, which has no limit."""
+    (tmp_path / "config.yaml").write_text("task: rod_carry\n", encoding="utf-8")
+    context = StageContext(
+        config=Config(task="handover"),
+        seed=1,
+        profile="smoke",
+        folder=tmp_path / "deploy",
+        upstream={"train-act": tmp_path, "teleop-record": tmp_path},
+    )
+    with pytest.raises(UsageError, match="cannot do 'handover': its policy is trained on 'rod_carry'"):
+        deploy_stage.run(context)

@@ -14,6 +14,7 @@ from panda import HOME, Q_UPPER
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.errors import UsageError
+from minidual.tasks.task import TASKS, pose_of
 from minidual.trials.gym_env import TaskEnv
 
 
@@ -22,6 +23,34 @@ def env():
     made = TaskEnv(object_pose=True)
     yield made
     made.close()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_task_is_an_environment_that_pays_at_the_goal(name):
+    """Before, `handover` divided by no hands, and the peg of `insertion` was drawn down to the table."""
+    made = TaskEnv(task=name, object_pose=True)
+    try:
+        _, info = made.reset(seed=0)
+        observation, reward, *_ = made.step(action())
+        assert made.observation_space.contains(observation)
+        assert np.isfinite(reward)
+        trial, task = info["trial"], made._task
+        body = task.objects[task.carried].body
+        goal = pose_of(body, trial.goal[task.carried])
+
+        def potential(where):
+            made._world.reset(poses={**trial.start, task.carried: where})
+            return made._measure_potential(trial)
+
+        below = goal.copy()
+        below[2, 3] = body.rest_height_m
+        if goal[2, 3] > body.rest_height_m + 0.01:
+            assert potential(goal) > potential(below)
+        assert (
+            potential(goal) > potential(pose_of(body, trial.start[task.carried])) or task.objects[task.carried].grasps
+        )
+    finally:
+        made.close()
 
 
 def action(q=HOME, hands=(1.0, 1.0)):

@@ -3,6 +3,6 @@
 import os
 
 # mujoco picks its OpenGL platform at its first import.
-os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ["MUJOCO_GL"] = "egl"  # whatever is set: with another one the import may fail
 
 __version__ = "0.1.0"

@@ -53,8 +53,9 @@ class Registry[T](Mapping[str, T]):
         if isinstance(value, str):
             try:
                 value = rows[name] = load_target(value)
-            except (ImportError, AttributeError) as error:
-                raise UsageError(f"{self.kind} '{name}' cannot be loaded from {value}: {error}") from error
+            except Exception as error:  # another distribution's module raises anything
+                what = f"{type(error).__name__}: {error}"
+                raise UsageError(f"{self.kind} '{name}' cannot be loaded from {value}: {what}") from error
         return value
 
     def __iter__(self) -> Iterator[str]:

@@ -124,6 +124,8 @@ class Session:
 
         Stages that stay the same are hard-linked.
         """
+        for name in names:  # before another run is begun for what is misspelt
+            self.table[name].resolved(self.gate(options).effective(name, None)[1].config, checked=True)
         while replaced := (gate := self.gate(options)).replaced(names, force):
             base, first = self.store, next(iter(replaced))
             self.typed = replace(self.typed, run=self._own_run(base.run, *options.values()))
@@ -151,7 +153,9 @@ class Session:
         if state is None:
             return "every stage passes and is fresh"
         explain = state.state in ("fail", "error") and not explained
-        return f"next: {self.typed.command(f'explain {state.name}' if explain else state.name)}"
+        attempt = None if explain else self.store.attempt(state.name)
+        options = f" {attempt.options}" if attempt is not None and attempt.options else ""
+        return f"next: {self.typed.command(f'explain {state.name}' if explain else state.name)}{options}"
 
     def say(self, text: str, style: str = "") -> None:
         """Print a line to stderr."""

@@ -186,7 +186,7 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
         ConfigError: All problems.
     """
     try:
-        return model.model_validate_json(json.dumps(document.tree, allow_nan=False), strict=True)
+        return model.model_validate_json(json.dumps(document.tree), strict=True)
     except ValidationError as error:
         problems = [_sentence(problem, document, model) for problem in error.errors(include_url=False)]
         raise ConfigError(

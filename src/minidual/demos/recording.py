@@ -56,7 +56,7 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     elif begun:
         halves = durable.remove_stale(folder.glob("*/.*.partial"))
         done = len(list((folder / KEPT).glob("*.hdf5")))
-        note = f"an interrupted recording is continued: {done} demonstrations are there"
+        note = f"an interrupted recording is continued: demonstrations so far: {done}"
         note += "".join(f"; removed {half.name}, which is half-written" for half in halves)
     durable.write_text(path, json.dumps(inputs, indent=1, sort_keys=True) + "\n")
     return note

@@ -48,7 +48,7 @@ class StageState(NamedTuple):
             failed = self.verdict.failed_checks()
             more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
             return failed[0].sentence() + more
-        more = f", and {len(self.reasons) - 2} more reasons" if len(self.reasons) > 2 else ""
+        more = f", and {len(self.reasons) - 2} more" if len(self.reasons) > 2 else ""
         return "; ".join(self.reasons[:2]) + more
 
 
@@ -202,7 +202,8 @@ class Gate:
         if attempt is not None and attempt.state == "error":
             return StageState(name, "error", (attempt.message,))
         if attempt is not None:
-            began = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
+            by = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
+            began = f"{by} with {attempt.options}" if attempt.options else by
             return StageState(name, "incomplete", (f"{began}, {attempt.message or 'still running'}",))
         if closed := self.closed_by(name):
             return StageState(name, "blocked", tuple(f"{item.name} is {item.state}" for item in closed))

@@ -108,7 +108,7 @@ class Runner:
         if state.state == "pass" and not force:
             return Outcome(state, ran=False)
         closed = gate.closed_by(name)
-        if closed and waiver is None:
+        if closed and not (waiver or "").strip():
             raise gate.closed_error(name, self.command)
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
         return Outcome(self._gate(gate.options).state(name), ran=True)
@@ -136,7 +136,9 @@ class Runner:
         options, loaded = gate.effective(name, None)
         fingerprint = gate.fingerprint(name)
         verdicts = gate.verdicts(name)
-        folder = self.store.begin(name, loaded.to_yaml(), entry.keeps)
+        of_run = {"", *(override.text for override in self.loaded.overrides)}
+        typed = " ".join(text for text in gate.typed(name)[1:] if text not in of_run)
+        folder = self.store.begin(name, loaded.to_yaml(), entry.keeps, typed)
         context = StageContext(
             folder=folder,
             config=entry.resolved(loaded.config),

@@ -16,7 +16,7 @@ import shutil
 import traceback
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -42,6 +42,8 @@ class Attempt:
     pid: int
     started_at: str
     message: str = ""
+    options: str = ""
+    """As typed."""
 
 
 def _link(source: str, target: str) -> None:
@@ -160,7 +162,7 @@ class RunStore:
         # Another command may hold the lock since; 0 is a holder that is just writing down its process id.
         holder = held_by(self.folder / LOCK_FILE)
         if attempt.state == "running" and (holder is None or holder[0] not in (0, attempt.pid)):
-            return Attempt(stage, "interrupted", attempt.pid, attempt.started_at, "the process was killed")
+            return replace(attempt, state="interrupted", message="the process was killed")
         return attempt
 
     @contextmanager
@@ -184,14 +186,14 @@ class RunStore:
                     old.rename(folder)
             yield
 
-    def begin(self, stage: str, config_text: str, keeps: Sequence[str] = ()) -> Path:
+    def begin(self, stage: str, config_text: str, keeps: Sequence[str] = (), options: str = "") -> Path:
         """Clear the temporary folder except `keeps`, mark it as running and return it."""
         folder = Place(self.folder / stage).temporary
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.iterdir():
             if left.name not in keeps:
                 remove(left)
-        self._mark(Attempt(stage, "running", os.getpid(), now_text()))
+        self._mark(Attempt(stage, "running", os.getpid(), now_text(), "", options))
         write_text(folder / CONFIG_FILE, config_text)
         write_text(self.folder / CONFIG_FILE, config_text)
         return folder
@@ -202,8 +204,9 @@ class RunStore:
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt as ended without verdict; its files stay until the next one."""
         # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
+        began = self.attempt(stage)
         with suppress(OSError):
-            self._mark(Attempt(stage, state, os.getpid(), now_text(), message))
+            self._mark(Attempt(stage, state, os.getpid(), now_text(), message, began.options if began else ""))
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
         """Write the verdict and replace the previous folder; return where that is kept, or None."""

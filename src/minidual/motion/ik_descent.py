@@ -229,9 +229,7 @@ def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array
 
 
 @kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64))
-def project(
-    frames: Array, target: Array, q: Array, wish: Array, iterations: int, small: float, step_max: float
-) -> bool:
+def project(frames: Array, target: Array, q: Array, wish: Array, rounds: int, small: float, step_max: float) -> bool:
     """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 
     Ignores limits. The step from an error below `small` is the last, as convergence is quadratic. Steps over `step_max`
@@ -239,7 +237,7 @@ def project(
     """
     n, wished = len(q), (wish != 0.0).any()
     J, step = np.empty((6, n)), np.empty(n)
-    for _ in range(iterations):
+    for _ in range(rounds):
         measured = _measured(frames, target, q)
         e = measured[4]
         _jacobian(measured, J)

@@ -1,6 +1,5 @@
 """Off-screen rendering and video."""
 
-import os
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from fractions import Fraction
@@ -19,6 +18,15 @@ from minidual.plant.model import GROUP_COLLISION
 Image = npt.NDArray[np.uint8]
 
 
+def off_screen(model: mujoco.MjModel, width_px: int, height_px: int, **options: int) -> mujoco.Renderer:
+    """Return a renderer; EnvironmentMissingError without OpenGL."""
+    try:
+        return mujoco.Renderer(model, height_px, width_px, **options)
+    except Exception as error:  # GL backends raise various types
+        what = f"cannot create an off-screen OpenGL context by EGL: {error}"
+        raise EnvironmentMissingError(what, remedy="apt-get install -y libegl1 libgl1-mesa-dri") from error
+
+
 class Camera(AbstractContextManager["Camera"]):
     """Renders images of one size; close it after use.
 
@@ -29,13 +37,7 @@ class Camera(AbstractContextManager["Camera"]):
         self, model: mujoco.MjModel, width_px: int, height_px: int, *, shadows: bool = False, supersample: int = 1
     ) -> None:
         self._supersample = supersample
-        try:
-            self._renderer = mujoco.Renderer(model, height_px * supersample, width_px * supersample)
-        except Exception as error:  # GL backends raise various types
-            raise EnvironmentMissingError(
-                f"cannot create an off-screen OpenGL context (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}",
-                remedy="apt-get install libegl1 libgl1-mesa-dri, then MUJOCO_GL=egl",
-            ) from error
+        self._renderer = off_screen(model, width_px * supersample, height_px * supersample)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[GROUP_COLLISION] = 0
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):

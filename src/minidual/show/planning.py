@@ -15,6 +15,7 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import PHASES
 from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
+from minidual.plant.render import off_screen
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
@@ -125,7 +126,7 @@ def _camera(lookat: tuple[float, float, float], distance: float, azimuth: float,
 
 
 def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> Any:
-    renderer, option = mujoco.Renderer(poser.model, 720, 840, max_geom=20_000), mujoco.MjvOption()
+    renderer, option = off_screen(poser.model, 840, 720, max_geom=20_000), mujoco.MjvOption()
     option.geomgroup[GROUP_COLLISION] = option.geomgroup[GROUP_MARKER] = 0
     try:
         renderer.update_scene(poser.place(trajectory.q[-1]), camera, scene_option=option)
@@ -177,7 +178,7 @@ def write_times(outcomes: Outcomes, path: Path, median_max_s: Mapping[str, float
     spread.grid(axis="x", which="both", alpha=0.25)
     spread.set_yticks(range(len(groups)), groups)
     spread.set_ylim(-0.6, len(groups) - 0.3)
-    spread.set_xlabel("goal in to proven trajectory out [ms]; bar: median, dashed: its limit")
+    spread.set_xlabel("goal in to proven trajectory out [ms]; bar: median; dashed: its limit, if it has one")
     left = np.zeros(len(groups))
     for phase in _TIMED:
         times = ([o.result.times_s[phase] for o in outcomes[g] if o.result is not None] for g in groups)

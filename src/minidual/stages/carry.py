@@ -17,7 +17,7 @@ from minidual.show.figures.film import film_trial
 from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.task import Trial, make_task, pose_of
 from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics, summarise
@@ -62,7 +62,9 @@ def run(context: StageContext) -> StageResult:
     with context.progress.task("films", len(shown)) as bar:
         for (label, i), film in zip(shown.items(), ("carry.mp4", "worst.mp4"), strict=True):
             title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
-            draw_trial(logs[label], task.scene, robot_from(config.robot), context.folder / f"{label}.png", title=title)
+            goal = pose_of(task.objects[task.carried].body, trials[i].goal[task.carried])[:3, 3]
+            picture, robot = context.folder / f"{label}.png", robot_from(config.robot)
+            draw_trial(logs[label], task.scene, robot, picture, goal=goal, title=title)
             film_trial(METHOD, inputs, trials[i], context.folder / film)
             bar.advance()
 

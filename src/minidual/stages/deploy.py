@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from minidual.config.learning import DeployConfig
 from minidual.config.root import Config
@@ -15,6 +16,7 @@ from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
+from minidual.gate.verdict import CONFIG_FILE
 from minidual.plant.render import Camera, Image
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import occlusion, on_object
@@ -25,7 +27,7 @@ from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task, placement
 from minidual.trials.conditions import CLEAN, CONDITIONS
-from minidual.trials.methods import MethodInputs
+from minidual.trials.methods import MethodInputs, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import Bench, run_trials
 
@@ -73,7 +75,9 @@ def run(context: StageContext) -> StageResult:
     config, trained = context.config, context.upstream["train-act"]
     checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
     watch = watch_trials(context.view)
-    episodes = episode_paths(context.upstream["teleop-record"] / "episodes")
+    recorded = context.upstream["teleop-record"]
+    check_able(METHOD, [make_task(config)], yaml.safe_load((recorded / CONFIG_FILE).read_text("utf-8"))["task"])
+    episodes = episode_paths(recorded / "episodes")
     starts, seen_n = deploy_starts(config, context.seed, [read_meta(path).trial for path in episodes])
     sets = {name: (CLEAN, trials) for name, trials in starts.items()}
     for name in config.deploy.conditions:

@@ -256,10 +256,8 @@ def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.
         thing.rgba[:] = *OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))], 1.0
 
 
-def _in_turn(
-    changes: Sequence[Change], model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator
-) -> None:
-    for change in changes:
+def _in_turn(each: Sequence[Change], model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+    for change in each:
         change(model, task, trial, rng)
 
 

@@ -19,7 +19,7 @@ from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
 from minidual.tasks.judge import Judge, begin
-from minidual.tasks.task import TASKS, Trial, level_part, make_task, placement
+from minidual.tasks.task import TASKS, Trial, level_part, make_task, placement, pose_of
 
 CONTROL_HZ = 50
 """Rate of actions and observations."""
@@ -164,9 +164,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         level, grasps = level_part(T), self._task.objects[name].grasps
         tcps = zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
         hands = [float(np.linalg.norm((level @ grasps[s] - tcp)[:3, 3])) for s, tcp in tcps if s in grasps]
-        x, y, _ = placement(trial.goal[name])
-        goal = float(np.linalg.norm(T[:3, 3] - (x, y, self.scene.objects[name].rest_height_m)))
-        return -(sum(hands) / len(hands) + goal)
+        goal = float(np.linalg.norm((T - pose_of(self._task.objects[name].body, trial.goal[name]))[:3, 3]))
+        return -(sum(hands) / max(len(hands), 1) + goal)
 
     def _observe(self, trial: Trial) -> Observation:
         world = self._world

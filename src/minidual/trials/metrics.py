@@ -71,7 +71,7 @@ class TrialMetrics:
         if self.success:
             return "success"
         stop = f" (stopped itself: {self.aborted})" if self.aborted else ""
-        return f"{self.failure} at {self.failed_at_s:.2f} s: {self.reason}{stop}"
+        return f"not '{self.failure}' at {self.failed_at_s:.2f} s: {self.reason}{stop}"
 
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON."""

@@ -139,13 +139,11 @@ class HeldCurve:
         speed = np.sqrt(np.sum(first**2, axis=1) + _STILL)
         return speed if order == 1 else np.sum(first * self.path.coordinates(s, 2), axis=1) / speed
 
-    def timed(
-        self, along: PathLimits, limits: MotionLimits, kinematics: Kinematics, found_by: str
-    ) -> CarriedTrajectory:
+    def timed(self, along: PathLimits, limits: MotionLimits, kinematics: Kinematics, how: str) -> CarriedTrajectory:
         """Return the fastest trajectory within the limits, unproven, or raise TimingError."""
         motion, s = time_path(self, "both_arms", limits, kinematics, along)
         samples = motion.times, motion.q, motion.v, motion.a, motion.group
-        return CarriedTrajectory(*samples, self.path.poses(s), *self.residual, found_by=found_by)
+        return CarriedTrajectory(*samples, self.path.poses(s), *self.residual, found_by=how)
 
 
 def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:

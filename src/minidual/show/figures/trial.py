@@ -6,16 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Array, Robot
 from minidual.show.figures.canvas import BLUE, GREEN, INK, ORANGE, limit_line, new_figure
 from minidual.trials.measures import TrialLog
 
 
-def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, title: str) -> None:
-    """Draw object pose, forces, and torque ratios."""
+def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, goal: Array, title: str) -> None:
+    """Draw object pose, its goal (3,) [m], forces, and torque ratios."""
     figure, ((motion, tilt), (force, torque)) = new_figure(2, 2, 11, 6.4, sharex=True)
     task = scene.task
-    goal = np.array([*task.goal_xy_m, scene.object.rest_height_m])
     for k, (name, colour) in enumerate((("x", BLUE), ("y", ORANGE), ("z", GREEN))):
         motion.plot(log.t, log.position[:, k], color=colour, label=name)
         motion.axhline(goal[k], color=colour, lw=0.8, ls=":")

@@ -183,9 +183,7 @@ def single_joint_steps(rig: Rig, step_rad: float, duration_s: float) -> list[Tra
     return [step_response(rig, robot.home + alone, duration_s) for alone in np.diag(away)]
 
 
-def sine_reference(
-    robot: Robot, amplitude_rad: float, frequency_hz: float, t: float | Array
-) -> tuple[Array, Array, Array]:
+def sine_reference(robot: Robot, amplitude_rad: float, rate_hz: float, t: float | Array) -> tuple[Array, Array, Array]:
     """Return (q, v, a) of all joints swinging about home, each (n,), or (T, n) for `t` (T, 1).
 
     q = home - A cos(w t), from rest. Arms that were mirrored would meet.
@@ -193,11 +191,11 @@ def sine_reference(
     Raises:
         ValueError: The swing exceeds position or velocity limits.
     """
-    w, home = 2.0 * np.pi * frequency_hz, robot.home
+    w, home = 2.0 * np.pi * rate_hz, robot.home
     if (home + amplitude_rad > robot.q_upper).any() or (home - amplitude_rad < robot.q_lower).any():
         raise ValueError(f"a swing of {amplitude_rad} rad about home leaves the joint limits")
     if (amplitude_rad * w > robot.v_max).any():
-        raise ValueError(f"a swing of {amplitude_rad} rad at {frequency_hz} Hz leaves the joints' velocity limits")
+        raise ValueError(f"a swing of {amplitude_rad} rad at {rate_hz} Hz leaves the joints' velocity limits")
     swing = np.full(robot.dof, amplitude_rad)
     return home - swing * np.cos(w * t), swing * w * np.sin(w * t), swing * w**2 * np.cos(w * t)
 
