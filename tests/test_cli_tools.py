@@ -101,7 +101,7 @@ def test_an_aside_runs_instead_of_the_stage(run):
         (["--other", "--how-fast", "2"], "--how-fast goes with --tune of first, not with --other"),
         (["--other", "--queries", "2"], "--queries goes with --tune of first, not with --other"),
         (["--tune", "--mood", "good"], "--mood goes with the stage first itself, not with --tune"),
-        (["--tune", "--other"], "--other goes with --other of first, not with --tune"),
+        (["--tune", "--other"], "--tune and --other exclude each other"),
         (["--tune", "--force"], "--force goes with the stage first itself, not with --tune"),
         (["--tune", "--yes"], "--yes goes with the stage first itself, not with --tune"),
     ],

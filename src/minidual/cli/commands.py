@@ -77,7 +77,9 @@ def _was_typed(value: Any) -> bool:
 
 
 def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Mapping[str, Any]) -> None:
-    chosen = aside or entry
+    chosen, typed = aside or entry, [f"--{item.trigger}" for item in entry.asides if _was_typed(values[item.trigger])]
+    if len(typed) > 1:
+        raise UsageError(f"{' and '.join(typed)} exclude each other; type one of them")
     takers: dict[str, list[StageEntry | ToolEntry]] = {}
     for command in (entry, *entry.asides):
         for option in command.options:

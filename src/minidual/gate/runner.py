@@ -76,15 +76,13 @@ class Runner:
             self._validate(gate, name)
             return self._run_locked(gate, name, force, waiver)
 
-    def run_until(
-        self, last: str | None = None, *, force: bool = False, waiver: str | None = None
-    ) -> Iterator[Outcome]:
-        """Run `last` and all that it requires, or every stage; yield each outcome.
+    def run_until(self, end: str | None = None, *, force: bool = False, waiver: str | None = None) -> Iterator[Outcome]:
+        """Run `end` and all that it requires, or every stage; yield each outcome.
 
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """
-        names = self.table.until(last)
-        command = "run" if last is None else f"run --until {last}"
+        names = self.table.until(end)
+        command = "run" if end is None else f"run --until {end}"
         with disk_errors(self.store.folder), self.store.writing(self.command(command), names):
             for name in names:
                 self._validate(self._gate(), name)

@@ -115,9 +115,7 @@ class ArmIK:
         # At limits the hand may be on target though the posture has not converged, or stay away where descent does not.
         return IKSolution(q, residual_m, residual_rad, True) if off < _SMALL else self.solve(T_world_tcp, q_start)
 
-    def solutions(
-        self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, restarts_n: int
-    ) -> Iterator[Array]:
+    def solutions(self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, tries_n: int) -> Iterator[Array]:
         """Yield distinct solutions (n,): the nearest to q_near, then from home and random starts.
 
         Raises:
@@ -126,7 +124,7 @@ class ArmIK:
         found: list[Array] = []
         best: IKSolution | None = None
         first = self.resting(T_world_tcp, q_near, q_near, np.ones(self._n)).q, self._home
-        for attempt in range(restarts_n):
+        for attempt in range(tries_n):
             start = first[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper)
             solution = self.solve(T_world_tcp, start)
             if solution.reached:
@@ -139,7 +137,7 @@ class ArmIK:
             x, y, z = T_world_tcp[:3, 3]
             what = f"the {self.arm} hand cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m as asked"
             remedy = "move the goal nearer to the base or change its orientation"
-            raise IKUnreachableError(f"{what}: the best of {restarts_n} starts stays {best.off} away", remedy=remedy)
+            raise IKUnreachableError(f"{what}: the best of {tries_n} starts stays {best.off} away", remedy=remedy)
 
 
 @functools.cache
