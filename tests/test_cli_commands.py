@@ -255,13 +255,13 @@ def test_the_next_command_after_an_interruption_has_its_options(cli):
         raise KeyboardInterrupt
 
     cli.bench.first.behaviour = interrupt
-    assert cli("first", "--queries", "3", "--mood", "good")[0] == 130
+    assert cli("first", "--queries", "3", "--mood", "good day")[0] == 130
     _, out, _ = cli("status")
     assert "next: minidual first --run toys" in out
-    assert out.rstrip().endswith("--queries 3 --mood good")
-    assert "with --queries 3 --mood good, interrupted" in cli.bench.gate().state("first").why()
+    assert out.rstrip().endswith("--queries 3 --mood 'good day'")
+    assert "with --queries 3 --mood 'good day', interrupted" in cli.bench.gate().state("first").why()
     cli.bench.first.behaviour = None
-    assert cli("first", "--queries", "3", "--mood", "good")[0] == 0
+    assert cli("first", "--queries", "3", "--mood", "good day")[0] == 0
     assert "--queries" not in cli("status")[1]
 
 

@@ -1,5 +1,6 @@
 """Run stages whose gates are open."""
 
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -135,7 +136,7 @@ class Runner:
         fingerprint = gate.fingerprint(name)
         verdicts = gate.verdicts(name)
         of_run = {"", *(override.text for override in self.loaded.overrides)}
-        typed = " ".join(text for text in gate.typed(name)[1:] if text not in of_run)
+        typed = " ".join(shlex.join(text.split(" ", 1)) for text in gate.typed(name)[1:] if text not in of_run)
         folder = self.store.begin(name, loaded.to_yaml(), entry.keeps, typed)
         context = StageContext(
             folder=folder,
