@@ -167,5 +167,5 @@ def test_ompl_gives_up_and_says_so(constraint, q_held, move):
     checker.allow(300, time.perf_counter() + 30.0)
     found = search_manifold(constraint, checker, q_held, q_goal, space="atlas", seed=1)
     assert found is None
-    with pytest.raises(UsageError, match="no constrained space 'tangent'"):
+    with pytest.raises(UsageError, match="no state space 'tangent'"):
         search_manifold(constraint, checker, q_held, q_goal, space="tangent", seed=1)

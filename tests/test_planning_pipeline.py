@@ -367,7 +367,7 @@ def test_a_straight_way_past_a_singular_posture_is_refused_before_anything_waits
     state = replace(START, q=q, objects={})
     down = rot_z(np.pi / 2 - 0.1) @ rot_x(np.pi)
     there = Tools(PlanningScene(), {}, planner)
-    with pytest.raises(Failure, match=r"0\.62 m straight on take 1\d\.\d s instead of 2\.1") as caught:
+    with pytest.raises(Failure, match=r"0\.62 m straight in 1\d\.\d s instead of 2\.1") as caught:
         straight(there, "carry", state, {"right": pose(down, (0.56, 0.03, 0.37))}, PlanningScene())
     assert caught.value.reason == "crawls"
     beside = straight(there, "carry", state, {"right": pose(down, (0.56, -0.2, 0.37))}, PlanningScene())

@@ -468,7 +468,7 @@ def test_a_recording_of_other_inputs_is_set_aside_and_named(tmp_path: Path, toys
     left.parent.mkdir()
     left.touch()
     note = claim(folder, {"seed": 1, "code": {"a": "2"}}, "old")
-    assert "0 demonstrations are there; removed .episode_000009.hdf5.999999999.partial, which is half-written" in note
+    assert "demonstrations so far: 0; removed .episode_000009.hdf5.999999999.partial, which is half-written" in note
     assert not left.exists()
 
 
@@ -530,7 +530,7 @@ def test_the_command_typed_again_after_a_kill_goes_on(
     os.waitpid(child, 0)
 
     assert run_command_line(typed, STAGES, TOOLS) == 0
-    assert "continued: 3 demonstrations are there" in capsys.readouterr().err
+    assert "continued: demonstrations so far: 3" in capsys.readouterr().err
     now = {path.name: path.stat().st_mtime_ns for path in sorted(published.glob("episodes/*.hdf5"))}
     assert list(now) == ["episode_000000.hdf5", "episode_000002.hdf5", "episode_000003.hdf5"]
     assert finished.items() < now.items()

@@ -219,7 +219,7 @@ def reading(what: Path | str, remedy: str, *others: type[Exception]) -> Generato
         raise
     except (*DAMAGED, *others) as error:
         said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise DataError(f"{what} is missing, truncated or corrupt; reading it: {said:.300}", remedy=remedy) from error
+        raise DataError(f"{what} is missing, cut or corrupt, and cannot be read: {said:.300}", remedy=remedy) from error
 
 
 def read_json(path: Path, bytes_max: int = JSON_BYTES_MAX) -> Any:

@@ -176,7 +176,7 @@ def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array
     alone_s, takes_s = way_m / speed + speed / acceleration, move.trajectory.duration_s
     if takes_s > _CRAWL_RATIO * alone_s:
         why = "the arms pass a nearly singular posture"
-        raise Failure("crawls", f"{phase}: {way_m:.2f} m straight take {takes_s:.1f} s instead of {alone_s:.1f}: {why}")
+        raise Failure("crawls", f"{phase}: {way_m:.2f} m straight in {takes_s:.1f} s instead of {alone_s:.1f}: {why}")
     return Segment(phase, move.trajectory, state.openings, scene, move.verification)
 
 
