@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from arm_scripts import pinch_rod
 
+from minidual.config.loader import load_config
 from minidual.control.joint_control import JointLoop
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant import render
-from minidual.plant.model import CAMERAS
+from minidual.plant.model import CAMERAS, build_model
 from minidual.plant.render import Camera, write_video
 from minidual.stages.env_check.pictures import check_cameras
+from minidual.tasks.task import TASKS, make_task, pose_of
 
 
 def test_every_camera_sees_something_and_each_something_else(visual_world):
@@ -130,3 +132,34 @@ def test_rendering_does_not_move_the_world(visual_world):
     assert np.array_equal(visual_world.data.qpos, before[0])
     assert visual_world.time == before[1]
     assert isinstance(visual_world.data, mujoco.MjData)
+
+
+def seen_from(name: str, width_px: int | None = None, opening_deg: float | None = None) -> float:
+    """Return how far the starts and goals of a task reach out of the middle of the recorded picture; 1 is its rim."""
+    settings = [f"task={name}"] + ([] if width_px is None else [f"scene.camera.width_px={width_px}"])
+    task = make_task(load_config(overrides=settings).config)
+    model = build_model(task.scene)
+    camera, size = model.camera("high"), task.scene.camera
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, camera.quat)
+    up = np.tan(np.radians((opening_deg or camera.fovy[0]) / 2.0))
+    right, farthest = up * size.width_px / size.height_px, 0.0
+    for index in range(100):
+        trial = task.trial(1, "tests", index)
+        for where in (trial.start, trial.goal):
+            for item in where:
+                T = pose_of(task.objects[item].body, where[item])
+                for z in (0.0, task.objects[item].body.rest_height_m):
+                    x, y, back = (T[:3, 3] + (0.0, 0.0, z) - camera.pos) @ R.reshape(3, 3)
+                    farthest = max(farthest, abs(x / back) / right, abs(y / back) / up)
+    return farthest
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_start_and_goal_of_a_task_is_well_in_the_recorded_picture(name: str) -> None:
+    assert seen_from(name) < 0.9
+
+
+def test_the_picture_that_cut_bottles_off_is_told() -> None:
+    """The negative control: 128 pixels and 64 degrees, as `handover` was recorded before."""
+    assert seen_from("handover", 128, 64.1) > 0.97
