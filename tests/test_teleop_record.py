@@ -226,11 +226,14 @@ def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, Recording]
     first, second = recorded[1].attempts
     broken = dataclasses.replace(second, faults=("cameras_swapped: ...",), sync_error_max_s=float("nan"))
     first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
-    numbers = Recording((first, broken), workers=2).numbers(conversion_s=20.0)
+    numbers = Recording((first, broken), workers=2).numbers(60.0)
     assert numbers["schema_ok"] is False
     assert np.isnan(numbers["sync_error_max_s"]), "an unknown value must not vanish"
     assert numbers["recorded_per_min"] == pytest.approx(3.0)
-    assert numbers["episodes_per_min"] == pytest.approx(2.0), "conversion counts"
+    assert numbers["episodes_per_min"] == pytest.approx(2.0), "whatever kept it waiting counts"
+    before, again = dataclasses.replace(first, adopted=True), dataclasses.replace(broken, wall_s=0.0)
+    numbers = Recording((before, again), workers=1).numbers(20.0)
+    assert numbers["episodes_per_min"] == pytest.approx(2.0), "the time before an interruption counts, too"
 
 
 def test_images_taken_after_the_joints_are_counted_and_refused(tmp_path: Path) -> None:

@@ -59,6 +59,7 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
             view=view,
             run_folder=folder,
             name=tool.name,
+            gate=session.gate(),
             shipped=session.loaded.shipped,
             command=session.typed.command,
         )
@@ -193,8 +194,7 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     """
     if values["stage"] is None:
         return _show_status(session, explained=True)
-    entry = session.table[values["stage"]]
-    gate = session.gate()
+    entry, gate = session.table[values["stage"]], session.gate()
     state = gate.state(entry.name)
     upstream = {name: gate.state(name).state for name in entry.requires}
     lowest = gate.lowest()

@@ -153,8 +153,7 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
         remarks = [state.why()]
         if verdict is not None:
             results = [check.passed for check in verdict.checks if check.passed is not None]
-            checks = f"{sum(results)}/{len(results)}"
-            took = f"{verdict.duration_s:.1f} s"
+            checks, took = f"{sum(results)}/{len(results)}", f"{verdict.duration_s:.1f} s"
             remarks += [label(verdict), *state.warnings]
         table.add_row(state.name, state_text(state.state), checks, took, Text("\n".join(filter(None, remarks))))
     console.print(table)

@@ -110,8 +110,7 @@ class Session:
         """
         from minidual.show.view import make_view
 
-        name = values.get("view") or default
-        watching = OPTIONS["watching"]
+        name, watching = values.get("view") or default, OPTIONS["watching"]
         typed = overrides(watching, {option.name: values.get(option.key) for option in watching})
         if typed and name != "web":
             raise UsageError(f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}")

@@ -25,8 +25,7 @@ class CoalEngine:
     """Checks a scene or `Pairs`; `items`: geometry objects by part."""
 
     def __init__(self, scene: Any) -> None:
-        self.model = Kinematics(scene.robot).model
-        self.geometry = robot_geometry(scene.robot).copy()
+        self.model, self.geometry = Kinematics(scene.robot).model, robot_geometry(scene.robot).copy()
         self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)

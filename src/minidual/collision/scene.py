@@ -107,8 +107,7 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
     engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo alone reports which pairs touch
     at_home = np.zeros(len(pairs), dtype=bool)
     at_home[[rows[pair] for pair in engine.touching_pairs(robot.home)]] = True
-    own = robot.groups[f"{SIDES[0]}_arm"]
-    rng = stream(_SEED, "allowed-collisions")
+    own, rng = robot.groups[f"{SIDES[0]}_arm"], stream(_SEED, "allowed-collisions")
     counts, kinds = np.zeros(len(pairs), dtype=int), np.full(len(pairs), "", dtype="U7")
     rounds: list[dict[str, Any]] = []
     total, quiet, batch = 0, 0, samples_min
@@ -161,8 +160,7 @@ def _structural_pairs(robot: Robot) -> dict[tuple[str, str], str]:
 
 def model_hash(robot: Robot) -> str:
     """Hash geometry (URDF, meshes), limits and home, without installation paths."""
-    urdf = pair_urdf(robot)
-    digest = hashlib.sha256(_RULE_VERSION.encode())
+    urdf, digest = pair_urdf(robot), hashlib.sha256(_RULE_VERSION.encode())
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
     for file in sorted(set(re.findall(r'filename="([^"]+)"', urdf))):
         digest.update(Path(file).read_bytes())

@@ -74,8 +74,7 @@ def read_document(path: Path) -> Document:
 
 def parse_document(text: str, source: str) -> Document:
     """Parse YAML text; errors call it `source`."""
-    document = Document(source, {})
-    node = _compose(text, source)
+    document, node = Document(source, {}), _compose(text, source)
     if isinstance(node, yaml.MappingNode):
         document.tree = _build(node, "", document)
     elif node is not None:

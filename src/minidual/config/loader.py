@@ -50,8 +50,7 @@ class LoadedConfig(NamedTuple):
         """Return a validated copy with values replaced."""
         if not overrides:
             return self
-        document = copy.deepcopy(self.document)
-        resolved = self.config.model_dump(mode="json")
+        document, resolved = copy.deepcopy(self.document), self.config.model_dump(mode="json")
         for override in overrides:
             _apply(document, override, resolved)
         config = validate_document(document, Config)
@@ -209,9 +208,7 @@ def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple
     text = text.replace("input should", "must").replace("a valid list", "a list").replace("an object", "a section")
     if isinstance(value, str):
         number = kind.startswith(("int", "float"))
-        remedy = (
-            "write true or false" if kind.startswith("bool") else "write a number without quotes" if number else None
-        )
+        remedy = "write true or false" if "bool" in kind else "write a number without quotes" if number else None
         return f"{text}, is the text '{value}'", remedy
     return text + (f", is {json.dumps(value)}" if isinstance(value, bool | int | float | None) else ""), None
 

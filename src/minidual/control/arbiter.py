@@ -67,8 +67,7 @@ class CommandArbiter:
         admit: Callable[[Command], Reason | None] = lambda command: None,
     ) -> None:
         self.config = ArbiterConfig() if config is None else config
-        self._robot = robot
-        self.underway = Underway(control_dt_s, robot, admit)
+        self._robot, self.underway = robot, Underway(control_dt_s, robot, admit)
         self.on_confirm: Callable[[str], None] = lambda mode: None
         """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
@@ -147,8 +146,7 @@ class CommandArbiter:
         Raises:
             UsageError: Time runs backwards, or the first posture is not finite.
         """
-        dt = self._elapsed(now_s)
-        posture = self._posture(q_measured)
+        dt, posture = self._elapsed(now_s), self._posture(q_measured)
         speed = float(np.max(np.abs(v_measured)))  # NaN counts as not still
         if self.source in self._affirmed:
             self._alive_s = now_s
@@ -257,8 +255,7 @@ class CommandArbiter:
     def _settle(self, mode: str, since_s: float, now_s: float, speed: float, posture: Array) -> str | None:
         waited, still_speed = now_s - since_s, self.config.still_speed_rad_s
         if speed < still_speed and not self.underway.executions:
-            self._switch = None
-            self._target = posture
+            self._switch, self._target = None, posture
             self.source = None if mode == HOLD else mode
             self.state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
             self._heard_s = now_s

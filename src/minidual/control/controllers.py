@@ -52,9 +52,7 @@ class Payload:
         """
         if not (arm in (0, 1) and 0.0 <= mass_kg * GRAVITY_M_PER_S2 <= LOAD_MAX_N):
             most_kg = LOAD_MAX_N / GRAVITY_M_PER_S2
-            raise UsageError(
-                f"arm {arm} cannot be told to bear {mass_kg} kg: arms are 0 and 1, and bear 0 to {most_kg:.2f} kg"
-            )
+            raise UsageError(f"arm {arm} cannot be told to bear {mass_kg} kg: arms 0 and 1 bear 0 to {most_kg:.2f} kg")
         self._wanted_n[arm] = mass_kg * GRAVITY_M_PER_S2
 
     def take_over(self, force_n: float) -> None:

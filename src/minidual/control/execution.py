@@ -112,8 +112,7 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
         super().__init__(command, dt_s)
         self.joints = robot.groups[command.group]
-        self._a_max = robot.a_max[self.joints]
-        self._columns = own_columns(command, robot)
+        self._a_max, self._columns = robot.a_max[self.joints], own_columns(command, robot)
         times = np.minimum(np.arange(self._steps + 1) * dt_s, command.motion.duration_s)
         self._q, self._v, self._a = (x[:, self._columns] for x in command.motion.sample_many(times))
         self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
@@ -199,8 +198,7 @@ class Underway:
                 joints = execution.joints
                 target[joints] = np.clip(execution.q, self._robot.q_lower[joints], self._robot.q_upper[joints])
         running = tuple(e for e in self.executions if not e.finished)
-        ended = len(running) < len(self.executions)
-        self.executions = running
+        ended, self.executions = len(running) < len(self.executions), running
         return target, ended
 
     def brake(self) -> None:

@@ -265,8 +265,7 @@ class RestingEstimate:
     """
 
     def __init__(self, T_world_object: Array) -> None:
-        self.T_world_object = T_world_object.copy()
-        self.samples_n = 1
+        self.T_world_object, self.samples_n = T_world_object.copy(), 1
         self.innovation = (0.0, 0.0)
 
     def add(self, T_world_object: Array, least_gain: float = 0.0) -> None:
@@ -339,7 +338,6 @@ class HeldEstimate:
 
 def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
     """Return T moved towards the sample, and their innovation."""
-    offset = sample[:3, 3] - T[:3, 3]
-    turn = rotation_log(T[:3, :3].T @ sample[:3, :3])
+    offset, turn = sample[:3, 3] - T[:3, 3], rotation_log(T[:3, :3].T @ sample[:3, :3])
     moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)
     return moved, (math.sqrt(offset @ offset), math.sqrt(turn @ turn))

@@ -31,8 +31,7 @@ class ReferenceFilter:
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
         self._v_max = self._v_allowed = 0.95 * robot.v_max
         self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
-        self._state = np.zeros((6, robot.dof))
-        self._slewing = False
+        self._state, self._slewing = np.zeros((6, robot.dof)), False
 
     def limit_speed(self, share: float) -> None:
         """Follow targets at most at this share of full speed."""
@@ -84,8 +83,7 @@ class JointLoop[P: Plant]:
     """Drives a world from joint and gripper targets."""
 
     def __init__(self, world: P, kinematics: Kinematics) -> None:
-        self.world = world
-        self.controller = ComputedTorque(kinematics)
+        self.world, self.controller = world, ComputedTorque(kinematics)
         self.reference, self.grippers = ReferenceFilter(world.dt, kinematics.robot), Grippers(world)
         self.reset()
 

@@ -181,8 +181,7 @@ class Mailbox:
         """Forget all commands and refuse earlier stamps: a late action chunk never runs."""
         self._latest.clear()
         self._timed.clear()
-        self._sequence = None
-        self._not_before_s = now_s
+        self._sequence, self._not_before_s = None, now_s
 
     def drop(self, arm: int) -> None:
         """Forget an arm's streamed command."""

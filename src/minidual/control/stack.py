@@ -116,8 +116,7 @@ class ControlStack[P: Plant]:
         )
         self.affirm = self.arbiter.affirm
         """Reports a source as alive; call at the arbiter's rate."""
-        self.arbiter.speed = self._speed
-        self.arbiter.on_flush = self._flush_listeners
+        self.arbiter.speed, self.arbiter.on_flush = self._speed, self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown, self._due, self._pending = 0, True, False
@@ -339,8 +338,7 @@ class ControlStack[P: Plant]:
         sag, still = np.abs(reference - q).max(), np.abs(v).max() < self._config.still_speed_rad_s
         if not (still and _SAG_MIN_RAD <= sag <= _SAG_MAX_RAD):
             return None
-        held = q.copy()
-        wanted = [T[2, 3] for T in self.kinematics.tcp_poses(reference)]
+        held, wanted = q.copy(), [T[2, 3] for T in self.kinematics.tcp_poses(reference)]
         for arm, T in enumerate(self.kinematics.tcp_poses(q)):
             if T[2, 3] < wanted[arm]:  # something else has moved a hand that is not lower
                 joints = self._robot.joints_of(arm)

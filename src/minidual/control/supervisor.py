@@ -241,16 +241,14 @@ class Supervisor:
         return self._bound_torque(tau, step)
 
     def _bound_torque(self, tau: Array, step: Array) -> Array:
-        bounds = self.bounds
-        in_order = self._tick - 1 - self._looked_tick
+        bounds, in_order = self.bounds, self._tick - 1 - self._looked_tick
         if in_order:  # ticks within bounds since the last check: their requested torque was applied unchanged
             self._saturated[:] = 0
             np.maximum(self._jumps - in_order, 0, out=self._jumps)
             jump = step
         else:
             jump = tau - self._asked
-        self._looked_tick = self._tick
-        self._asked = tau.copy()
+        self._looked_tick, self._asked = self._tick, tau.copy()
         self._saturated = np.where(np.abs(tau) >= reflexes.SATURATED * bounds.tau_max, self._saturated + 1, 0)
         self._trip_lasting("torque_saturation", self._saturated, self.config.saturation_s, tau, bounds.tau_max)
         # A target that jumps makes the torque jump in a few ticks, which the limiter absorbs; chatter jumps in

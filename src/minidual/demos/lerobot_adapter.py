@@ -18,7 +18,7 @@ os.environ.setdefault("HF_HUB_OFFLINE", "1")  # LeRobot reads it on import
 import av.logging
 import numpy as np
 from lerobot.configs.video import RGBEncoderConfig
-from lerobot.datasets import video_utils
+from lerobot.datasets import compute_stats, dataset_writer, video_utils
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.utils.utils import SuppressProgressBars
 from numpy.typing import NDArray
@@ -34,6 +34,13 @@ SOURCES_FILE = "meta/minidual_sources.json"
 _VIDEO_FILE_MB = 4  # an episode is added by writing its whole file again
 IMAGE_DIFFERENCE_MAX = 6.0
 """Limit of an image's mean difference to the recorded one, of 255."""
+_SHORTCUTS: Any = (
+    (compute_stats, "auto_downsample_height_width", lambda picture: picture[:, 2::4, 2::4]),
+    (dataset_writer, "embed_images", lambda table: table),
+)
+"""Of LeRobot: statistics of pictures (3, H, W) from every fourth row and column, and tables, which hold no pictures, as
+they are. A demonstration of 405 ticks takes 0.6 s of processor time instead of 1.2.
+"""
 
 
 def state_names(robot: Robot) -> tuple[str, ...]:
@@ -82,6 +89,9 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
         # LeRobot reports a video that it cannot end in time, and goes on without it.
         stack.callback(video_utils.logger.removeFilter, _raise_report)
         video_utils.logger.addFilter(_raise_report)
+        for module, member, instead in _SHORTCUTS:
+            stack.callback(setattr, module, member, getattr(module, member))
+            setattr(module, member, instead)
         dataset = LeRobotDataset.create(
             repo_id=f"local/{name}",
             fps=int(given.meta.fps),

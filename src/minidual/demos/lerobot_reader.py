@@ -161,10 +161,8 @@ def read_dataset(root: Path | str) -> LeRobotTables:
         if declared != (len(rows), len(starts)):
             held = f"the tables hold {len(rows)} in {len(starts)}"
             raise ValueError(f"info.json declares {declared[0]} frames in {declared[1]} episodes, {held}")
-        follow = np.array_equal(np.r_[starts, len(rows)], np.r_[0, stops]) and np.all(stops > starts)
-        if not (
-            follow and np.array_equal(index, rows) and np.array_equal(frame, rows - np.repeat(starts, stops - starts))
-        ):
+        ok = np.array_equal(np.r_[starts, len(rows)], np.r_[0, stops]) and np.all(stops > starts)
+        if not (ok and np.array_equal(index, rows) and np.array_equal(frame, rows - np.repeat(starts, stops - starts))):
             raise ValueError("row or frame indices do not run without gaps")
         if action_names != names:
             raise ValueError(f"action is named {action_names}, state {names}")

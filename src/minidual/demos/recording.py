@@ -89,14 +89,14 @@ class Recording(NamedTuple):
         """Demonstrations in order."""
         return tuple(a for a in self.attempts if a.kept)
 
-    def numbers(self, conversion_s: float = 0.0) -> dict[str, float]:
+    def numbers(self, elapsed_s: float = 0.0) -> dict[str, float]:
         """Return the judged numbers; NaN propagates and fails its check.
 
-        Rates leave process start out; `episodes_per_min` includes `conversion_s`.
+        Rates leave process start out. `elapsed_s`: from the first attempt to the finished dataset, of this process.
         """
         qualities = [cast(EpisodeQuality, a.quality) for a in self.kept]
         latencies = np.concatenate([a.latencies_s for a in self.attempts])
-        recording_s = sum(a.wall_s for a in self.attempts) / self.workers
+        recording_s, before_s = (sum(a.wall_s for a in self.attempts if a.adopted >= k) / self.workers for k in (0, 1))
         synchronised = [a.sync_error_max_s for a in self.attempts if a.kept or np.isfinite(a.sync_error_max_s)]
         return {
             "episodes": len(self.kept),
@@ -107,7 +107,7 @@ class Recording(NamedTuple):
             "sync_error_max_s": float(np.max(synchronised)),
             "latency_p50_s": float(np.percentile(latencies, 50)),
             "latency_p99_s": float(np.percentile(latencies, 99)),
-            "episodes_per_min": 60.0 * len(self.kept) / (recording_s + conversion_s),
+            "episodes_per_min": 60.0 * len(self.kept) / max(recording_s, before_s + elapsed_s),
             "recorded_per_min": 60.0 * len(self.kept) / recording_s,
             "recorded_ticks": sum(quality.ticks for quality in qualities),
         }

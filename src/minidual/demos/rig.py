@@ -129,8 +129,7 @@ class Rig:
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job, self.kinematics = job, Kinematics(job.robot)
-        self.world = World(job.task.scene, job.robot, visuals=True)
-        self._cameras = tuple(cameras)
+        self.world, self._cameras = World(job.task.scene, job.robot, visuals=True), tuple(cameras)
         self._eye = Camera.recorded(self.world.model, self.world.scene.camera) if cameras else None
         supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
         rate_hz = job.teleop.rate_hz

@@ -60,8 +60,7 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
         self._partial = durable.partial_path(self.path)
         self._rows: dict[str, list[NDArray[np.float64]]] = {field.name: [] for field in schema.FIELDS}
         self._images: dict[str, h5py.Dataset] = {}
-        self._closed = False
-        self._disk = _Disk(self._partial, "w+")
+        self._closed, self._disk = False, _Disk(self._partial, "w+")
         self._file = h5py.File(self._disk, "w")
 
     def __exit__(self, *error: object) -> None:

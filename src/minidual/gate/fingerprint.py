@@ -243,7 +243,5 @@ def _reached(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif (
-            isinstance(node, ast.Constant) and isinstance(node.value, str) and (match := _TARGET.fullmatch(node.value))
-        ):
-            yield match[1]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and (hit := _TARGET.fullmatch(node.value)):
+            yield hit[1]

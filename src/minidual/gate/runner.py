@@ -133,8 +133,7 @@ class Runner:
         entry = self.table[name]
         run = entry.load()
         options, loaded = gate.effective(name, None)
-        fingerprint = gate.fingerprint(name)
-        verdicts = gate.verdicts(name)
+        fingerprint, verdicts = gate.fingerprint(name), gate.verdicts(name)
         of_run = {"", *(override.text for override in self.loaded.overrides)}
         typed = " ".join(shlex.join(text.split(" ", 1)) for text in gate.typed(name)[1:] if text not in of_run)
         folder = self.store.begin(name, loaded.to_yaml(), entry.keeps, typed)

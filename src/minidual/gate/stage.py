@@ -143,12 +143,14 @@ class ToolContext(Context):
     Attributes:
         run_folder: Need not exist.
         name: Of its output folder.
+        gate: Of the run, a `Gate`.
         shipped: Shipped profile that the profile is or extends.
         command: Turns "plan" into the full command.
     """
 
     run_folder: Path
     name: str
+    gate: Any = None
     shipped: str | None = None
     command: Callable[[str], str] = "minidual {}".format
 

@@ -107,8 +107,7 @@ class Planner:
     def __init__(
         self, scene: PlanningScene | None = None, config: PlannerConfig | None = None, *, robot: Robot = DUAL_PANDA
     ) -> None:
-        self.config = config or PlannerConfig()
-        self.scene = scene or PlanningScene(robot=robot)
+        self.config, self.scene = config or PlannerConfig(), scene or PlanningScene(robot=robot)
         self.robot = self.scene.robot
         self.kinematics = Kinematics(self.robot)
         self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)

@@ -164,9 +164,7 @@ def posture_at(
     return q
 
 
-GROUP_ARMS: Registry[tuple[str, ...]] = Registry(
-    "group", {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES}
-)
+GROUP_ARMS = Registry[tuple[str, ...]]("group", {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES})
 _ROUNDING_RAD = 1e-9
 
 
@@ -197,8 +195,7 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot, what: s
         OutOfLimitsError: See `check_joints`.
         UsageError: The goal moves another arm.
     """
-    joints = robot.groups[group]
-    q_goal = np.asarray(q_goal, dtype=float)
+    joints, q_goal = robot.groups[group], np.asarray(q_goal, dtype=float)
     full = np.array(q_start)
     if q_goal.shape == full[joints].shape:
         full[joints] = q_goal
@@ -261,8 +258,7 @@ def pose_goals(
     found: dict[str, list[Array]] = {side: [] for side in solutions}
     while True:
         new = {side: list(itertools.islice(more, goals_n)) for side, more in solutions.items()}
-        found = {side: found[side] + new[side] for side in found}
-        combined = []
+        found, combined = {side: found[side] + new[side] for side in found}, []
         for parts in itertools.product(*found.values()):
             q = np.array(q_start)
             for side, part in zip(found, parts, strict=True):

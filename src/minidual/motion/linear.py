@@ -44,8 +44,7 @@ class Line:
     """Line between tcp poses (4, 4), turning about one axis."""
 
     def __init__(self, T_start: Array, T_end: Array) -> None:
-        self._start = T_start
-        self._shift = T_end[:3, 3] - T_start[:3, 3]
+        self._start, self._shift = T_start, T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
         self.length_m = float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
         """Includes rotation, weighted."""
@@ -98,8 +97,7 @@ class LinearPlanner:
             LinearMoveError, TimingError: It covers less than `fraction_min`, deviates, or is not proven.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
-        checked = check_targets(group, targets)
-        q_start = check_joints(q_start, "start", self._robot)
+        checked, q_start = check_targets(group, targets), check_joints(q_start, "start", self._robot)
         require_free(engines, q_start, "start")
         tips = dict(zip(SIDES, self._kinematics.tcp_poses(q_start), strict=True))
         lines = {arm: Line(tips[arm], T) for arm, T in checked.items()}
@@ -126,10 +124,8 @@ class LinearPlanner:
             remedy="start from a posture farther from a singularity",
         )
 
-    def _follow(
-        self, q_start: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array
-    ) -> tuple[Array, str]:
-        Q = [q_start]
+    def _follow(self, q0: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array) -> tuple[Array, str]:
+        Q = [q0]
         for mark in marks[1:]:
             q = Q[-1].copy()
             for arm, line in lines.items():

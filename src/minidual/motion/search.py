@@ -51,8 +51,7 @@ class EdgeChecker:
         solids, self.robot = engines.solids, engines.solids.robot
         self.padding_m, self.step_rad, self.checks_n = padding_m, step_rad, 0
         self.checks_end = self.deadline = math.inf
-        rows = solids.of_arms(arms)
-        tight = np.array(ends).reshape(-1, self.robot.dof)
+        rows, tight = solids.of_arms(arms), np.array(ends).reshape(-1, self.robot.dof)
         clearances = np.array([solids.clearance(q[None], padding_m, rows) for q in tight])
         near = clearances < padding_m
         keep = float(padding_m), tight[near], _KEEP_FRACTION * np.maximum(0.0, clearances[near]), RELAX_RAD

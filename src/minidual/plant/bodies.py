@@ -96,8 +96,7 @@ class NamedObject:
         first = int(model.sensor(contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])).adr[0])
         pads = data.sensordata[first : first + 12].reshape(4, 3)
         palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
-        axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]
-        self._seen = np.zeros(16)
+        axes, self._seen = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms], np.zeros(16)
         self._look = pads, self._R, self._p, *axes, self._seen
 
     def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:

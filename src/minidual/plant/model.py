@@ -112,8 +112,7 @@ def build_model(scene: SceneConfig, robot: Robot = DUAL_PANDA, *, visuals: bool 
 def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visuals: bool) -> None:
     for name in robot.joint_names:
         joint = spec.joint(name)
-        joint.armature = robot.arm.armature
-        joint.damping = [robot.arm.damping, 0.0, 0.0]
+        joint.armature, joint.damping = robot.arm.armature, [robot.arm.damping, 0.0, 0.0]
         joint.frictionloss = robot.arm.friction
     for name in robot.finger_joint_names:
         spec.joint(name).armature = robot.hand.finger_armature_kg
@@ -122,11 +121,9 @@ def _dress_arms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot, *, visual
         for body in [body for body in spec.bodies if body.name.startswith(f"{arm}_")]:
             for index, geom in enumerate(body.geoms):
                 geom.name = f"{body.name}_collision{index}"
-                geom.group = GROUP_COLLISION
-                geom.rgba = [0.6, 0.6, 0.65, 1.0]
+                geom.group, geom.rgba = GROUP_COLLISION, [0.6, 0.6, 0.65, 1.0]
                 if body.name in fingers and abs(geom.pos[2] - robot.hand.pad_height_m) < 1e-6:
-                    geom.name = f"{body.name}_pad"
-                    geom.condim = 4
+                    geom.name, geom.condim = f"{body.name}_pad", 4
                     geom.friction = [scene.object.friction, 0.01, 0.0001]
                     geom.solref, geom.solimp = SOLREF, SOLIMP
         for first, second in never_touching(robot.arm):

@@ -122,8 +122,7 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
         DataError: A field is missing, of another shape, or holds a value that no model has.
     """
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    now = physical_fields(model)
-    changed = []
+    now, changed = physical_fields(model), []
     for name, values in now.items():
         recorded = fields.get(name)
         if recorded is None or recorded.shape != values.shape:

@@ -42,8 +42,7 @@ class Camera(AbstractContextManager["Camera"]):
         self._option.geomgroup[GROUP_COLLISION] = 0
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._renderer.scene.flags[flag] = int(shadows)
-        self._model = model
-        self._names = [model.camera(i).name for i in range(model.ncam)]
+        self._model, self._names = model, [model.camera(i).name for i in range(model.ncam)]
 
     @classmethod
     def recorded(cls, model: mujoco.MjModel, config: CameraConfig) -> Self:

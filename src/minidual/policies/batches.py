@@ -71,8 +71,7 @@ class BatchMaker:
 
     def training(self, rows: Rows, rng: np.random.Generator) -> dict[str, Tensor]:
         """Return an augmented batch."""
-        config = self._config
-        state = self._demos.state[rows].copy()
+        config, state = self._config, self._demos.state[rows].copy()
         sigma = np.where(self._demos.phase[rows] == 0, config.state_noise_approach_rad, config.state_noise_rad)
         n = self._demos.joints_n
         state[:, :n] += (rng.standard_normal((len(rows), n)) * sigma[:, None]).astype(np.float32)

@@ -39,9 +39,7 @@ class PolicyRuntime:
     ) -> None:
         self.policy, self.joints_n, self.cameras = policy, policy.dim - GRIPPERS_N, policy.cameras
         if not 1 <= n_action_steps <= policy.chunk_size:
-            raise UsageError(
-                f"n_action_steps {n_action_steps} is outside 1..{policy.chunk_size}, the chunk of this checkpoint"
-            )
+            raise UsageError(f"n_action_steps {n_action_steps} is outside 1..{policy.chunk_size}, this policy's chunk")
         self._steps, self._blend = n_action_steps, blend_ticks
         self._lower, self._upper = np.full(policy.dim, -np.inf), np.full(policy.dim, np.inf)
         if limits is not None:
@@ -116,7 +114,7 @@ class PolicyRuntime:
         array, dim = np.asarray(state, dtype=np.float32), self.policy.dim
         if array.shape != (dim,):
             raise DataError(
-                f"the state has shape {array.shape}; the policy reads ({dim},): {self.joints_n} joints, 2 grippers"
+                f"the state has shape {array.shape}; it must be ({dim},): {self.joints_n} joints, 2 grippers"
             )
         if not np.isfinite(array).all():
             raise DataError(f"the state is not finite at index {int(np.flatnonzero(~np.isfinite(array))[0])}")

@@ -275,8 +275,7 @@ class _Loop:
             return 0
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])
-        self.average = saved["average"]
-        self.state = _State(**saved["state"])
+        self.average, self.state = saved["average"], _State(**saved["state"])
         self.state.curve = [LossRow(**row) for row in saved["state"]["curve"]]
         return self.state.step
 

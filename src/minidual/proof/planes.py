@@ -99,8 +99,7 @@ def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tuple[float, Vector]:
     """Return solid k's extent along `way`, without ball, and its extreme point."""
     vertices, solids = geometry[1], geometry[2]
-    own = _turned_back(R, way)
-    at = solids[k].first
+    own, at = _turned_back(R, way), solids[k].first
     far, total = -np.inf, 0.0
     for i in range(at, solids[k].end):
         d = _dot(vertices[i], own)

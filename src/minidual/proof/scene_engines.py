@@ -177,8 +177,7 @@ class SceneEngines:
 
     def __init__(self, scene: PlanningScene, step_rad: float = STEP_RAD, kinematics: Kinematics | None = None) -> None:
         self.scene, self.solids = scene, Solids(scene)
-        self._step_rad = step_rad
-        self._kinematics = kinematics or Kinematics(scene.robot)
+        self._step_rad, self._kinematics = step_rad, kinematics or Kinematics(scene.robot)
         self.engine: Callable[[str], Any] = functools.cache(lambda name: ENGINES[name](scene))
         """Return an engine by name, built on first use (20 ms)."""
 

@@ -120,8 +120,7 @@ class Trajectory:
 def full_model(robot: Robot) -> tuple[Any, list[int], Array]:
     """Return Pinocchio's model with fingers, their joints, and a configuration with open hands."""
     full = pin.buildModelFromXML(pair_urdf(robot))
-    fingers = [full.getJointId(name) for name in robot.finger_joint_names]
-    q = pin.neutral(full)
+    fingers, q = [full.getJointId(name) for name in robot.finger_joint_names], pin.neutral(full)
     for joint in fingers:
         q[full.joints[joint].idx_q] = robot.hand.travel_m
     return full, fingers, q

@@ -212,8 +212,7 @@ def rotation_log(R: Array) -> Array:
     Near pi the axis comes from the symmetric part; the antisymmetric one loses digits.
     """
     vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
-    sine = 0.5 * math.sqrt(vee @ vee)
+    cosine, sine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0), 0.5 * math.sqrt(vee @ vee)
     angle = math.atan2(sine, cosine)
     if angle < 1e-6:
         return 0.5 * vee

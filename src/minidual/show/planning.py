@@ -140,8 +140,7 @@ def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> A
 
 
 def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alpha: float) -> None:
-    before = shown.ngeom
-    moving = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
+    before, moving = shown.ngeom, int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
     mujoco.mjv_addGeoms(poser.model, poser.place(q), option, mujoco.MjvPerturb(), moving, shown)
     for geom in shown.geoms[before : shown.ngeom]:
         geom.rgba[3] *= alpha

@@ -133,8 +133,7 @@ class CarryWatch:
 
     def let_go(self) -> None:
         """From now on, estimate an object at rest."""
-        self._resting = RestingEstimate(self.T_world_object)
-        self._held = None
+        self._resting, self._held = RestingEstimate(self.T_world_object), None
 
     # Faults ------------------------------------------------------------------------------------------------
 

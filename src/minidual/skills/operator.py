@@ -82,8 +82,7 @@ class ScriptedOperator:
         kinematics = kinematics or Kinematics()
         self._robot = robot = kinematics.robot
         self._costs = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
-        self._home_poses = kinematics.tcp_poses(robot.home)
-        self._grasps = grasp_offsets(scene)
+        self._home_poses, self._grasps = kinematics.tcp_poses(robot.home), grasp_offsets(scene)
 
     def style(self, seed: int, trial: Trial) -> Style:
         """Draw the style of a trial."""
@@ -120,10 +119,8 @@ class ScriptedOperator:
         shifts = zip(style.shifts_m, self._grasps, strict=True)
         grasps = [pose(np.eye(3), (0.0, shift, 0.0)) @ T for shift, T in shifts]
         ticks = round(phases["rest"][1] * rate_hz)
-        times = np.arange(ticks) / rate_hz
-        error = self.approach_error(seed, trial)
-        q = np.empty((ticks, self._robot.dof))
-        current = self._robot.home.copy()
+        times, error = np.arange(ticks) / rate_hz, self.approach_error(seed, trial)
+        q, current = np.empty((ticks, self._robot.dof)), self._robot.home.copy()
         for k, t in enumerate(times.tolist()):
             progress = {name: minimum_jerk((t - start) / (end - start))[0] for name, (start, end) in phases.items()}
             hands = self._hand_poses(trial, error, grasps, progress)

@@ -74,8 +74,7 @@ def run(context: StageContext) -> StageResult:
     """Run every trained policy on held-out and training starts; film one success and one failure."""
     config, trained = context.config, context.upstream["train-act"]
     checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
-    watch = watch_trials(context.view)
-    recorded = context.upstream["teleop-record"]
+    watch, recorded = watch_trials(context.view), context.upstream["teleop-record"]
     check_able(METHOD, [make_task(config)], yaml.safe_load((recorded / CONFIG_FILE).read_text("utf-8"))["task"])
     episodes = episode_paths(recorded / "episodes")
     starts, seen_n = deploy_starts(config, context.seed, [read_meta(path).trial for path in episodes])
@@ -184,8 +183,7 @@ def measure_inference(checkpoint: Path, context: StageContext) -> float:
     """Return inferences per second of the runtime, run alone."""
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
-    rng = stream(context.seed, "deploy/inference")
-    state = np.concatenate([robot.home, np.ones(2)])
+    rng, state = stream(context.seed, "deploy/inference"), np.concatenate([robot.home, np.ones(2)])
     for _ in range(_INFERENCES_N):
         pictures = {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}
         runtime.predict_chunk(pictures, state)

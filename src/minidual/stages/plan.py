@@ -142,8 +142,7 @@ def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
 def held_checks(outcomes: Moves, driven: Sequence[Execution], config: PlanConfig) -> list[Check]:
     """Return the checks of the held-object moves."""
     held, first, second = config.held, outcomes["first"], outcomes["second"]
-    every = [*first, *second]
-    nothing = [(np.nan, np.nan)]
+    every, nothing = [*first, *second], [(np.nan, np.nan)]
     strays = np.max([(o.residual_m, o.residual_rad) for o in every if o.ok] or nothing, axis=0).tolist()
     errors = np.max([(e.error_max_m, e.error_max_rad) for e in driven] or nothing, axis=0).tolist()
     undecided, unreachable = (sum(getattr(o.move, n) for o in every) for n in ("undecided_n", "unreachable_n"))

@@ -19,8 +19,7 @@ from minidual.trials.runner import Bench
 
 def plan_task(context: ToolContext) -> ToolResult:
     """Solve the --task; exit 1 if unsolved or failed, 2 if unknown."""
-    name = context.options["task"]
-    video = target_file("video", context.options.get("video"), ".mp4")
+    name, video = context.options["task"], target_file("video", context.options.get("video"), ".mp4")
     config = TASKS[name](replaced(context.config, task=name)).config
     bench = Bench("moveit", MethodInputs(config, context.seed))
     trial = bench.task.trial(context.seed, "plan", 0)

@@ -32,8 +32,7 @@ def plan_once(context: ToolContext) -> ToolResult:
     """Plan from --from to --to; exit 1 if no path, 2 if the query is invalid."""
     options = context.options
     targets = {name: target_file(name, options.get(name), end) for name, end in _ENDINGS.items()}
-    group = options.get("group", "both_arms")
-    budget_s = options.get("budget-s")
+    group, budget_s = options.get("group", "both_arms"), options.get("budget-s")
     if budget_s is not None and not 0.0 < budget_s <= _BUDGET_MAX_S:
         raise UsageError(f"--budget-s is {budget_s:g}; 0 < value <= {_BUDGET_MAX_S:g}")
     planner, scene, q_start, notes = _prepare(context, group)
@@ -115,8 +114,7 @@ def _write(targets: Targets, context: ToolContext, scene: PlanningScene, result:
 
 
 def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
-    proof = result.verification
-    planned_s = result.total_s - result.times_s.get("scene", 0.0)
+    proof, planned_s = result.verification, result.total_s - result.times_s.get("scene", 0.0)
     spent = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in result.times_s.items() if s > 0.0)
     way = "straight line" if result.direct else f"{len(result.path)} vertices"
     tried = f"{result.attempts_n} attempt{'s' if result.attempts_n != 1 else ''}"

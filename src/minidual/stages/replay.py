@@ -24,8 +24,7 @@ def replay_tool(context: ToolContext) -> ToolResult:
     if not 1 <= frames <= 48:
         raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
     video = target_file("video", options.get("video"), ".mp4")
-    picture = target_file("picture", options.get("picture"), ".png")
-    path = Path(options["file"])
+    picture, path = target_file("picture", options.get("picture"), ".png"), Path(options["file"])
     recording = read_recording(path)
     begin, end = options.get("from-s", recording.start_s), options.get("to-s", recording.end_s)
     step_s = (end - begin) / (4 * frames) if video is None else 1.0 / (FILM_FPS * slowdown)

@@ -69,18 +69,18 @@ def run(context: StageContext) -> StageResult:
         context.progress.note(earlier)
     if leader.usage:
         context.progress.note(leader.usage)
-    watch, attempts, began = watch_recording(context.view), list[rig.Attempt](), time.perf_counter()
+    watch, attempts, began = watch_recording(context.view), list[rig.Attempt](), 0.0
 
     def demonstrations() -> Generator[Path]:
         nonlocal began
         with context.progress.task("demonstrations", teleop.episodes_n) as task:
             for attempt in recording.attempts_of(job, context.workers, watch):
                 attempts.append(attempt)
+                began = began or time.perf_counter() - attempt.wall_s
                 why = "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
                 task.advance(int(attempt.kept), why)
                 if attempt.path is not None and attempt.kept:
                     yield attempt.path
-        began = time.perf_counter()
         write_csv(folder / "quality.csv", [attempt.row() for attempt in attempts])
 
     with closing(demonstrations()) as coming:  # an interruption ends the workers here

@@ -76,8 +76,7 @@ def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Fa
 
 def replayed(inputs: MethodInputs) -> Factory:
     """Drive the plan of the first demonstration's trial, whatever the start."""
-    task = make_task(inputs.config)
-    widen = inputs.config.teleop.widen
+    task, widen = make_task(inputs.config), inputs.config.teleop.widen
     shown, drive = task.trial(inputs.seed, "demonstrations", 0, widen=widen), _plans(inputs, task)
     poses = {name: pose_of(task.objects[name].body, T) for name, T in shown.start.items()}
     return lambda world, kinematics, trial: drive(world, kinematics, shown, poses)

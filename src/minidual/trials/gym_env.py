@@ -136,8 +136,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
             finite = np.count_nonzero(np.isfinite(wanted))
             raise UsageError(f"an action is {self.action_space.shape} finite numbers; {wanted.shape} has {finite}")
-        wanted = np.clip(wanted, self._actions.low, self._actions.high)
-        diverged = False
+        wanted, diverged = np.clip(wanted, self._actions.low, self._actions.high), False
         try:
             for _ in range(self._substeps):
                 self._loop.step(wanted[:-2], wanted[-2:])

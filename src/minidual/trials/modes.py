@@ -154,8 +154,7 @@ class ModesDemo:
         stack, switch = self.stack, self.switches[-1]
         stack.step()
         now = np.array([stack.output.q_target, stack.manager.reference, stack.applied, stack.manager.tau])
-        steps = np.abs(now - (now if self._last is None else self._last))
-        self._last = now
+        steps, self._last = np.abs(now - (now if self._last is None else self._last)), now
         self._measure(switch, *steps)
         if self._steps % _LOG_EVERY == 0:
             names = ("reference_step_max_rad", "torque_step_max_nm", "torque_step_asked_max_nm")

@@ -28,8 +28,7 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
         raise UsageError(f"{successes} successes in {n} trials; there must be 0 to {n}")
     rate = successes / n
     centre = rate + _Z * _Z / (2 * n)
-    half = _Z * math.sqrt(rate * (1 - rate) / n + _Z * _Z / (4 * n * n))
-    scale = 1 + _Z * _Z / n
+    half, scale = _Z * math.sqrt(rate * (1 - rate) / n + _Z * _Z / (4 * n * n)), 1 + _Z * _Z / n
     # Exactly 0 or 1 at the ends, despite rounding.
     low = 0.0 if successes == 0 else (centre - half) / scale
     high = 1.0 if successes == n else (centre + half) / scale

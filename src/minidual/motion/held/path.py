@@ -122,8 +122,7 @@ class HeldCurve:
 
     def __init__(self, path: ObjectPath, marks: Array, Q: Array) -> None:
         self.path, self.marks, self.knots = path, marks, path.curve.knots
-        self.spline = CubicSpline(marks, Q)
-        self.length = float(marks[-1])
+        self.spline, self.length = CubicSpline(marks, Q), float(marks[-1])
         self.residual = (np.inf, np.inf)
         """Largest error between solved points ([m], [rad])."""
 

@@ -127,8 +127,7 @@ class HeldPlanner:
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
-        hands = HandsIK(grasps, self.planner.robot)
-        path = ObjectPath.through(Ts_world_object)
+        hands, path = HandsIK(grasps, self.planner.robot), ObjectPath.through(Ts_world_object)
         hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
         motion = curve.timed(along or PathLimits(), _LIMITS, self.planner.kinematics, "continuation")

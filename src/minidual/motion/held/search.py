@@ -103,8 +103,7 @@ class HeldSpace:
 
 class _Tree:
     def __init__(self, roots: Sequence[Array]) -> None:
-        self.points = np.array(roots, dtype=float)
-        self.parents = [-1] * len(roots)
+        self.points, self.parents = np.array(roots, dtype=float), [-1] * len(roots)
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
         """Return one of the `among` nearest points."""

@@ -78,8 +78,7 @@ class KeypointEncoder(nn.Module):
         )
         around = [nn.Conv2d(64, 64, 3, padding=dilation, dilation=dilation) for dilation in (1, 2)]
         self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around))
-        self.heads = nn.Conv2d(64, keypoints, 1)
-        self.pool = SpatialSoftmax(keypoints)
+        self.heads, self.pool = nn.Conv2d(64, keypoints, 1), SpatialSoftmax(keypoints)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

@@ -53,9 +53,9 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
         while len(taken) < len(_AROUND_S):  # it ended earlier
             take()
     title = f"{result.method}, {result.condition}, trial {result.index}"
-    return list(
-        zip((title, f"not '{result.failure}' at {result.failed_at_s:.2f} s", result.reason[:50]), taken, strict=True)
-    )
+    return [
+        *zip((title, f"not '{result.failure}' at {result.failed_at_s:.2f} s", result.reason[:50]), taken, strict=True)
+    ]
 
 
 def film_demonstration(job: Job, index: int, path: Path) -> None:

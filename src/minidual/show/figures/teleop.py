@@ -31,8 +31,7 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
 
     index, recorded = next((a.trial.index, a.path) for a in attempts if a.kept and a.path is not None)
     episode = read_episode(recorded, cameras=())
-    t = episode.timestamps - episode.timestamps[0]
-    per_arm = episode.qpos.shape[1] // 2
+    t, per_arm = episode.timestamps - episode.timestamps[0], episode.qpos.shape[1] // 2
     for k, joint in enumerate(dict.fromkeys((0, 1, per_arm // 2, per_arm - 1))):
         motion.plot(t, episode.action[:, joint], color=f"C{k}", lw=0.9, ls="--")
         motion.plot(t, episode.qpos[:, joint], color=f"C{k}", lw=1.2, label=f"left joint {joint + 1}")

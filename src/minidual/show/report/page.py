@@ -58,9 +58,7 @@ def build_report(given: StageContext, folder: Path) -> Report:
             for task, under in asked
         }
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
-        figures = {
-            task: benchmark_figures(table, [t for t in trials if t["task"] == task]) for task, table in tables.items()
-        }
+        figures = {k: benchmark_figures(table, [t for t in trials if t["task"] == k]) for k, table in tables.items()}
         report = Report(given, tables, figures, media)
         content, page = dumps(document(report)), render_page(report)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, jinja2.UndefinedError) as error:

@@ -93,8 +93,7 @@ class Scene:
             corners = _FLOOR_HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
             faces, position = np.array([[0, 1, 2], [0, 2, 3]]), (0.0, 0.0, float(model.geom_pos[planes[0], 2]))
             scene.add_mesh_simple("/floor", corners, faces, color=_FLOOR_RGB, position=position, cast_shadow=False)
-        drawn = {mesh.body for mesh in self._meshes}
-        rest = mujoco.MjData(model)
+        drawn, rest = {mesh.body for mesh in self._meshes}, mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
         self._frames = self._add_bodies("/scene", rest, drawn)
         self._moving = [body for body in moving_bodies(model) if body in drawn]

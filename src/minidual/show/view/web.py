@@ -58,8 +58,7 @@ class WebView:
         self._closed, self.panel = False, Panel(self._server)
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
-        self._overlay = Overlay()
-        self._period_s = 1.0 / config.rate_hz
+        self._overlay, self._period_s = Overlay(), 1.0 / config.rate_hz
         self._frame_due_s = self._panel_due_s = 0.0
         self._config = config
 

@@ -100,8 +100,7 @@ class Drive:
         """Choose the controllers of a segment."""
 
     def _stopped(self, error: ReflexError) -> None:
-        self.aborted = f"phase '{self.phase}': {error.message}"
-        self._left = []
+        self.aborted, self._left = f"phase '{self.phase}': {error.message}", []
 
     def _abort(self, reason: str) -> None:
         self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"

@@ -211,11 +211,9 @@ def start_swing(rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s:
     return motion
 
 
-def sine_response(
-    rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s: float, on_step: OnStep = None
-) -> Tracking:
+def sine_response(rig: Rig, swing_rad: float, rate_hz: float, duration_s: float, on_step: OnStep = None) -> Tracking:
     """Swing all joints about home."""
-    motion = start_swing(rig, amplitude_rad, frequency_hz, duration_s)
+    motion = start_swing(rig, swing_rad, rate_hz, duration_s)
     return track(rig, motion.q[1 : 1 + round(duration_s / rig.world.dt)], on_step)
 
 
@@ -230,8 +228,7 @@ the swing.
 
 def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list[JointResponse]:
     """Return one row per joint."""
-    errors = sine.reference - sine.measured
-    rows = []
+    errors, rows = sine.reference - sine.measured, []
     for j, step in enumerate(steps):
         way, share = float(step.reference[-1, j] - step.start[j]), step.share(j)
         first, last = share >= 0.1, share >= 0.9

@@ -95,8 +95,7 @@ _PROVEN = ("samples_n", "velocity_ratio", "acceleration_ratio", "jerk_ratio", "t
 
 def plan_query(planner: Planner, query: Query) -> Outcome:
     """Plan one query, timed from goal to proven trajectory."""
-    begin = perf_counter()
-    engines = planner.engines(query.scene)
+    begin, engines = perf_counter(), planner.engines(query.scene)
     scene_s = perf_counter() - begin
     where, how = (query.group, query.q_start), {"scene": query.scene, "seed": query.seed}
     if query.as_poses:
@@ -151,8 +150,7 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     """
     planner = Planner(scene)
     engine, robot = planner.engines().engine, planner.robot
-    rng = stream(seed, "plan/engine-agreement")
-    half = states_n // 2
+    rng, half = stream(seed, "plan/engine-agreement"), states_n // 2
     uniform = rng.uniform(robot.q_lower, robot.q_upper, (half, robot.dof))
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
     Q = np.vstack([uniform, np.clip(near_home, robot.q_lower, robot.q_upper)])
@@ -236,8 +234,7 @@ def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], lis
 def failed_carries(config: Config, count: int) -> list[str]:
     """Plan `count` carries as method moveit does; return a line for each failure."""
     task, seed, planner = make_task(Config(scene=config.scene)), config.seed, _planner(config)
-    body = task.objects[task.carried].body
-    failures = []
+    body, failures = task.objects[task.carried].body, []
     for k in range(count):
         trial = task.trial(seed, "plan", k)
         start = State(planner.robot.home, {body.name: pose_of(body, trial.start[body.name])})

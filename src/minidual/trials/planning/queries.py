@@ -107,12 +107,10 @@ class QueryGenerator:
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
         """Return the query of one scene, or None."""
-        arms = GROUP_ARMS[group]
-        kind = self.kind(group, index)
+        arms, kind = GROUP_ARMS[group], self.kind(group, index)
         scene = scene_of(self.seed, group, index, attempt, self.obstacles_n, self.robot)
         rng = stored_stream(self.seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
-        engine = MujocoEngine(scene)
-        crossed_at_goal = bool(rng.integers(2))
+        engine, crossed_at_goal = MujocoEngine(scene), bool(rng.integers(2))
         for _ in range(_PAIRS_TRIES_N):
             crossed = kind == "crossing"
             start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not crossed_at_goal)
