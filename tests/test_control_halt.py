@@ -434,7 +434,7 @@ def test_a_load_that_no_hand_bears_is_refused(arm: int, mass_kg: float) -> None:
     """Before, NaN and negative masses took a load away, and -1 was the right arm."""
     payload = Payload(Kinematics(), 1e-3)
     payload.bear(0, 1.0)
-    with pytest.raises(UsageError, match=r"arms are 0 and 1, and bear 0 to 3.06 kg"):
+    with pytest.raises(UsageError, match=r"arms 0 and 1 bear 0 to 3.06 kg"):
         payload.bear(arm, mass_kg)
     payload.torque(HOME, HOME, (0, 1), learn=False)
     assert payload.force_n == [1.0, 0.0], "the load before is borne on"
