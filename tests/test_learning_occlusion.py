@@ -42,6 +42,12 @@ def test_a_predictor_that_reads_the_background_has_a_small_ratio() -> None:
     assert on_object(changes, image, without) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_camera_that_does_not_see_the_object_has_no_share_in_looking() -> None:
+    image = picture()
+    assert on_object(occlusion(redness, image), image, image) == 0.0
+
+
 def test_a_covered_cell_shows_its_surroundings() -> None:
     seen: list[np.ndarray] = []
 

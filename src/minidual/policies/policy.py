@@ -177,8 +177,8 @@ def occlusion(predict: Callable[[Image], NDArray[np.float64]], image: Image) -> 
 
 
 def on_object(changes: NDArray[np.float64], image: Image, without: Image) -> float:
-    """Return the mean change in cells with the object over the others; `without` lacks it."""
+    """Return the mean change in cells with the object over the others, 0 where it is not seen; `without` lacks it."""
     rows, columns = changes.shape
     differs = (image != without).any(axis=2)[: CELL_PX * rows, : CELL_PX * columns]
     shown = differs.reshape(rows, CELL_PX, columns, CELL_PX).any(axis=(1, 3))
-    return float(changes[shown].mean() / changes[~shown].mean())
+    return float(changes[shown].mean() / changes[~shown].mean()) if shown.any() else 0.0
