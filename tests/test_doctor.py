@@ -25,7 +25,7 @@ from minidual.gate.table import StageEntry, StageTable
 from minidual.policies.policy import EmittedActions
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages import doctor
-from minidual.stages.registry import STAGES
+from minidual.stages.registry import STAGES, TOOLS
 
 adapter = late("minidual.demos.lerobot_adapter")
 
@@ -92,8 +92,11 @@ def test_stages_run_with_the_sizes_of_smoke_and_the_settings_of_the_run(patient:
     assert config.teleop.cameras == ("high", "left")
 
 
-def test_the_real_stages_up_to_carry_are_examined() -> None:
+def test_the_real_stages_up_to_carry_are_examined_and_can_be_stopped() -> None:
     assert list(STAGES.until("carry")) == ["env-check", "plan", "carry"]
+    (tool,) = (tool for tool in TOOLS if tool.name == "doctor")
+    assert tool.moves, "`minidual stop` finds only what moves arms"
+    assert tool.load() is doctor.doctor
 
 
 def test_a_failed_check_is_a_fault_with_its_remedy(patient: Patient) -> None:
