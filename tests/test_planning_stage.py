@@ -123,6 +123,8 @@ def test_group_checks_can_fail(outcomes):
     limited = PlanConfig(time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01), time_p99_max_s=0.1)
     assert failing(group_checks("left_arm", quick, limited)) == set()
     assert failing(group_checks("left_arm", late, limited)) == {"left_arm.replan_median_s", "left_arm.replan_p99_s"}
+    remedies = {check.name: check.remedy for check in group_checks("left_arm", late, limited)}
+    assert "--set plan.time_median_max_s.left_arm=0.2" in remedies["left_arm.replan_median_s"]
     assert failing(group_checks("left_arm", late, limited, "second_seed.")) == {
         "second_seed.left_arm.replan_median_s",
         "second_seed.left_arm.replan_p99_s",

@@ -82,7 +82,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, pr
         "line_blocked_rate": blocked_n / len(outcomes),
     }
     goal_s, names = _GOAL_S[group], {"core_share": core_share, "blocked_n": blocked_n, "queries_n": len(outcomes)}
-    names |= {"excellent_s": _EXCELLENT_S[group], "goal_s": goal_s}
+    names |= {"excellent_s": _EXCELLENT_S[group], "goal_s": goal_s, "group": group}
     return worded("plan", rows, f"{prefix}{group}.", reached="reached" if median < goal_s else "missed", **names)
 
 
