@@ -74,6 +74,16 @@ def test_the_tables_count_rows_and_name_what_is_inside(made: tuple) -> None:
     assert [path.name for path in root.parent.iterdir() if path.name.startswith(".")] == []
 
 
+def test_statistics_of_sampled_pictures_are_those_of_all_pixels_and_lerobot_is_left_as_it_was(made: tuple) -> None:
+    root, sources, _ = made
+    table = pq.read_table(next((root / "meta" / "episodes").glob("*/*.parquet"))).to_pydict()
+    for stored, source in zip(table[f"stats/{HIGH}/mean"], sources, strict=True):
+        recorded = read_episode(source).images["high"].mean(axis=(0, 1, 2)) / 255.0
+        assert np.ravel(stored) == pytest.approx(recorded, abs=0.005), "of 0.03 that may differ"
+    picture = np.zeros((3, 96, 128), np.uint8)
+    assert adapter.compute_stats.auto_downsample_height_width(picture).shape == picture.shape
+
+
 def test_memory_holds_what_was_recorded(made: tuple) -> None:
     root, sources, _ = made
     data = read_dataset(root)
