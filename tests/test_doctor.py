@@ -28,6 +28,7 @@ from minidual.stages import doctor
 from minidual.stages.registry import STAGES, TOOLS
 
 adapter = late("minidual.demos.lerobot_adapter")
+SETTINGS = ["teleop.cameras=[high,left]", "plan.planner.range_rad=0.9", "plan.success_rate_min=0.99"]
 
 
 class Patient:
@@ -37,7 +38,7 @@ class Patient:
         names = "env-check", "plan", "carry"
         self.toys = [Toy(name, names[:k][-1:]) for k, name in enumerate(names)]
         self.table = StageTable([StageEntry(t.name, t, t.requires, "Toy") for t in self.toys], ("numpy",))
-        self.store, self.loaded = RunStore(root, "patient"), load_config("standard", ["teleop.cameras=[high,left]"])
+        self.store, self.loaded = RunStore(root, "patient"), load_config("standard", SETTINGS)
 
     def run(self) -> None:
         list(Runner(self.table, self.store, self.loaded).run_until(None))
@@ -89,6 +90,9 @@ def test_stages_run_with_the_sizes_of_smoke_and_the_settings_of_the_run(patient:
     config, smoke = patient.toys[2].contexts[0].config, load_config("smoke").config
     assert (config.plan.queries_n, config.carry.trials_n) == (smoke.plan.queries_n, smoke.carry.trials_n)
     assert config.carry.limits == patient.loaded.config.carry.limits != smoke.carry.limits
+    assert config.plan.time_median_max_s == smoke.plan.time_median_max_s
+    assert config.plan.planner == patient.loaded.config.plan.planner != smoke.plan.planner
+    assert config.plan.success_rate_min == 0.99 != smoke.plan.success_rate_min
     assert config.teleop.cameras == ("high", "left")
 
 

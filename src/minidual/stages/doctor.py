@@ -18,7 +18,11 @@ from minidual.policies.policy import exercise_checkpoint
 from minidual.robot.pair import GRIPPERS_N, robot_from
 from minidual.stages.words import worded
 
-_LAST_OF_SIMULATOR = "carry"
+_SIZES = {
+    "plan": ("queries_n", "second_queries_n", "held", "time_median_max_s", "time_p99_max_s"),
+    "carry": ("trials_n",),
+}
+"""Taken from `smoke`, which limits no planning time."""
 
 
 class Fault(NamedTuple):
@@ -31,16 +35,13 @@ class Fault(NamedTuple):
 
 Examination = tuple[str, Sequence[Fault]]
 """What was examined, or "" for nothing, and its faults."""
+Examine = Callable[[ToolContext], Examination]
 
 
 def doctor(context: ToolContext) -> ToolResult:
     """Examine every part, whatever is wrong with the others; exit 1 if anything is."""
-    parts: dict[str, Callable[[ToolContext], Examination]] = {
-        "results": results,
-        "recordings": recordings,
-        "policy": policy,
-    }
-    parts = {name: partial(stage, name) for name in context.gate.table.until(_LAST_OF_SIMULATOR)} | parts
+    parts: dict[str, Examine] = {name: partial(stage, name) for name in context.gate.table.until("carry")}
+    parts |= {"results": results, "recordings": recordings, "policy": policy}
     rows, found = list[dict[str, Any]](), list[dict[str, Any]]()
     for part, examine in parts.items():
         context.progress.note(f"doctor: {part}")
@@ -58,12 +59,14 @@ def doctor(context: ToolContext) -> ToolResult:
 
 
 def stage(name: str, context: ToolContext) -> Examination:
-    """Run a stage with as many queries and trials as `smoke`."""
+    """Run a stage with the run's settings, as many queries and trials as `smoke`, and no limit on planning times."""
     small, config, entry = load_config("smoke").config, context.config, context.gate.table[name]
-    carry = config.carry.model_copy(update={"trials_n": small.carry.trials_n})
-    config = entry.resolved(config.model_copy(update={"plan": small.plan, "carry": carry}), checked=True)
+    for part, names in _SIZES.items():
+        sized = getattr(config, part).model_copy(update={size: getattr(getattr(small, part), size) for size in names})
+        config = config.model_copy(update={part: sized})
     (folder := context.output / name).mkdir()
     shared: dict[str, Any] = {key: getattr(context, key) for key in ("seed", "progress", "workers", "view")}
+    config = entry.resolved(config, checked=True)
     done = entry.load()(StageContext(config=config, profile="smoke", folder=folder, **shared))
     return f"{len(done.checks)} checks", _failed(done.checks)
 
