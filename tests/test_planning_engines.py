@@ -141,14 +141,14 @@ def test_distances_of_both_engines_are_the_same(scene, engines):
 def test_no_part_reaches_farther_than_its_reach(scene, engines):
     """Turning one joint moves no vertex by more than the reach times the angle; the bound is not absurdly wide."""
     solids = SceneEngines(scene).solids
-    _, vertices, shapes, parts, _, reach = solids.geometry
+    _, clusters, shapes, parts, _, reach = solids.geometry
 
     def points(q, k):
         work = solids.workspace()
         planes._place(solids.geometry, q, 0, work)
         R, p = work[1], work[2]
-        own = vertices[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
-        return own @ R[0, parts[k]["frame"]].T + p[0, parts[k]["frame"]]
+        own = clusters[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
+        return own["vertices"].reshape(-1, 3) @ R[0, parts[k]["frame"]].T + p[0, parts[k]["frame"]]
 
     tightest, turn = 0.0, 1e-3
     for q in states(10, seed=4):

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from panda import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
+from scipy.interpolate import PPoly
 
 from minidual.collision.errors import TimingError
 from minidual.collision.scene import PlanningScene
@@ -85,6 +86,19 @@ def test_rounded_corners_are_smooth_and_cut_inside():
     assert (corner[:, 1] >= -1e-12).all()
     assert (corner[:, 0] - corner[:, 1] >= 0.7 - 1e-12).all()  # within the triangle that the corner cuts off
     assert np.linalg.norm(curve.at(s, 1), axis=1).max() <= 1.0 + 1e-12
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_curve_is_the_piecewise_polynomial_of_its_coefficients(order):
+    """Against scipy's, at places in no order, on knots, and beyond both ends."""
+    rng = np.random.default_rng(5)
+    curve = rounded(rng.normal(size=(5, 3)), 0.3)
+    s = rng.permutation(np.concatenate([curve.knots, rng.uniform(-0.2, curve.length + 0.2, 200)]))
+    other = (
+        PPoly(curve.coefficients, curve.knots).derivative(order) if order else PPoly(curve.coefficients, curve.knots)
+    )
+    np.testing.assert_allclose(curve.at(s, order), other(s), atol=1e-9)
+    assert np.isnan(curve.at(np.array([np.nan, 0.1]), order)).all(axis=1).tolist() == [True, False]
 
 
 def test_a_blocked_corner_is_rounded_less():

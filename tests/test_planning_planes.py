@@ -10,6 +10,7 @@ from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines, first_stretches
+from minidual.proof.solids import _clusters
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
 
@@ -114,7 +115,7 @@ def test_the_solids_are_what_mujoco_compiled(scene, arm):
     scene = PlanningScene(scene.obstacles, (held,), robot=robot)
     engines = SceneEngines(scene)
     rng = np.random.default_rng(1)
-    _, vertices, solids, parts, *_ = engines.solids.geometry
+    _, clusters, solids, parts, *_ = engines.solids.geometry
     seen = 0
     for q in robot.home + rng.uniform(-0.8, 0.8, (6, robot.dof)):
         engines.engine("mujoco").contact_count(q)
@@ -126,7 +127,7 @@ def test_the_solids_are_what_mujoco_compiled(scene, arm):
                 own = R[part["frame"]].T @ n
                 far = (
                     max(
-                        (vertices[s["first"] : s["end"]] @ own).max()
+                        (clusters["vertices"][s["first"] : s["end"]] @ own).max()
                         + s["ball"]
                         + s["disc"] * np.linalg.norm(np.cross(own, s["axis"]))
                         for s in solids[part["first"] : part["end"]]
@@ -192,7 +193,7 @@ def test_clearance_is_sure_and_nearly_exact(engines, distances):
 def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
     """On straight lines in joint space, seen from the world and from every link that carries the part, on a fine grid."""
     solids = engines.solids
-    _, vertices, shapes, parts, *_ = solids.geometry
+    _, clusters, shapes, parts, *_ = solids.geometry
     moving = [k for k in range(len(parts)) if parts[k]["frame"] > 0]
     rng = np.random.default_rng(6)
     table = np.empty((len(parts) + 1, 8))
@@ -205,7 +206,8 @@ def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
         for row in moving:
             k = row
             frame = int(parts[k]["frame"])
-            points = vertices[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
+            own = clusters[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
+            points = own["vertices"].reshape(-1, 3)
             base = 0 if frame <= 7 else 7
             for inner in range(frame - base):
                 seen_from = inner + base if inner else 0
@@ -289,13 +291,13 @@ def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
     assert asked.sum() == 2
 
 
-@pytest.mark.parametrize("spoil", ["q", "v", "reach", "all vertices", "one vertex", "last vertices"])
+@pytest.mark.parametrize("spoil", ["q", "v", "reach", "all clusters", "last cluster", "later clusters"])
 def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
     solids = engines.solids
     trajectory = wave(HOME, 0.02, seed=8)
     assert prove(solids, trajectory)[1] < 0
-    joints, vertices, shapes, parts, pairs, reach = solids.geometry
-    q, v, reach, points = trajectory.q.copy(), trajectory.v.copy(), reach.copy(), vertices.copy()
+    joints, clusters, shapes, parts, pairs, reach = solids.geometry
+    q, v, reach, balls = trajectory.q.copy(), trajectory.v.copy(), reach.copy(), clusters.copy()
     if spoil == "q":
         q[50, 2] = np.nan
     elif spoil == "v":
@@ -303,23 +305,55 @@ def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
     elif spoil == "reach":
         reach[4, 0] = np.nan
     else:
-        # Balls round the parts that settle nothing, so that the vertices must.
+        # Balls round the parts that settle nothing, so that the clusters must.
         parts = parts.copy()
         parts["radius"] = np.nan
-        if spoil == "all vertices":
-            points[:] = np.nan
-        elif spoil == "one vertex":
-            points[shapes["end"] - 1, 1] = np.nan
+        if spoil == "all clusters":
+            balls["radius"] = np.nan
+        elif spoil == "last cluster":
+            balls["centre"][shapes["end"] - 1, 1] = np.nan
         else:
-            points[np.setdiff1d(np.arange(len(points)), shapes["first"])] = np.nan
+            balls["radius"][np.setdiff1d(np.arange(len(balls)), shapes["first"])] = np.nan
     every = np.arange(len(pairs))
-    spoiled = (joints, points, shapes, parts, pairs, reach)
+    spoiled = (joints, balls, shapes, parts, pairs, reach)
     stretches, work = first_stretches(trajectory.q, 0.5), solids.workspace(len(q))
     _, failed, _ = planes.prove(spoiled, q, v, trajectory.dt_s, stretches, every, 2e-5, work)
     assert failed >= 0
-    if "vert" in spoil:
+    if "cluster" in spoil:
         said = planes.clearance(spoiled, q[:1], every, 0.04, solids.workspace())
         assert said == -np.inf
+
+
+@pytest.mark.parametrize("arm", list(ARM_MODELS))
+def test_no_vertex_lies_outside_the_ball_of_its_cluster(scene, arm):
+    """So a solid's extent, found by skipping clusters, is that of all its vertices."""
+    robot = Robot(ARM_MODELS[arm])
+    solids = SceneEngines(PlanningScene(scene.obstacles, robot=robot)).solids
+    clusters, shapes = solids.geometry[1:3]
+    away = np.linalg.norm(clusters["vertices"] - clusters["centre"][:, None], axis=2)
+    assert (away <= clusters["radius"][:, None] + 1e-15).all()
+    rng, still = np.random.default_rng(2), (np.eye(3), np.zeros(3))
+    asked = 0
+    for way in rng.normal(size=(50, 3)):
+        way /= np.linalg.norm(way)
+        for k in np.flatnonzero(shapes["disc"] == 0.0):
+            own = clusters["vertices"][shapes["first"][k] : shapes["end"][k]].reshape(-1, 3)
+            far, point = planes._farthest(solids.geometry, int(k), *still, tuple(way))
+            assert far == pytest.approx((own @ way).max(), abs=1e-15)
+            assert (own == point).all(axis=1).any()
+            asked += shapes["end"][k] - shapes["first"][k] > 4
+    assert asked > 200
+
+
+def test_every_vertex_is_in_a_cluster_and_a_nan_one_spoils_its_ball():
+    rng = np.random.default_rng(3)
+    for n in (1, 2, 7, 8, 9, 15, 16, 17, 100, 152):
+        points = rng.normal(size=(n, 3))
+        rows = _clusters(points)
+        assert len(rows) <= -(-n // 8) + 1
+        assert {tuple(x) for _, _, own in rows for x in own} == {tuple(x) for x in points}
+        points[n // 2] = np.nan
+        assert sum(not np.isfinite(radius) for _, radius, _ in _clusters(points)) >= 1
 
 
 def test_clearance_of_a_state_that_is_none_is_nothing_and_ends(engines):

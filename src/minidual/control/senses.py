@@ -166,8 +166,7 @@ class JointSense:
         """Return (q, v) after steps under the torques applied in them."""
         q, v, arm = self.q, self.v, self._robot.arm
         for step in steps:
-            tau = self.applied[step % _KEPT]
-            friction = arm.damping * v + arm.friction * np.tanh(v / 0.02)
+            tau, friction = self.applied[step % _KEPT], arm.damping * v + arm.friction * np.tanh(v / 0.02)
             v = v + self._dt * np.array(pin.aba(self._model, self._data, q, v, tau - friction))
             q = q + self._dt * v
         return q, v

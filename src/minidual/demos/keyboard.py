@@ -78,8 +78,7 @@ class KeyboardLeader(Leader):
         moves = zip(self._start, wanted, strict=True)
         try:
             left, right = (pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in moves)
-            self._q = posture_at(self._robot, (left, right), self._q, self._robot.home)
-            self._offset = wanted
+            self._q, self._offset = posture_at(self._robot, (left, right), self._q, self._robot.home), wanted
         except UsageError:  # out of reach: stay, and reset the goal to the present position
             self._goal = self._offset.copy()
         return self._q.copy(), self._open.copy()

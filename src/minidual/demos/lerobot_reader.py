@@ -92,8 +92,7 @@ class LeRobotTables:
 
         `progress` gets the count since its last call.
         """
-        frames = self.frames(camera)
-        result = _room_for((len(self), *self.cameras[camera], 3), folder)
+        frames, result = self.frames(camera), _room_for((len(self), *self.cameras[camera], 3), folder)
         for count, (row, image) in enumerate(frames, start=1):
             result[row] = image
             if progress is not None and (count % 1000 == 0 or count == len(self)):

@@ -175,8 +175,7 @@ class Gate:
         except UsageError as error:
             reason = f"it was made with an option that is not valid now: {error.message}"
             return StageState(name, "stale", (reason,), (), verdict, sha256, folder)
-        reasons = manifest_changes(folder, verdict.artefacts)
-        extra = strays(folder, verdict.artefacts)
+        reasons, extra = manifest_changes(folder, verdict.artefacts), strays(folder, verdict.artefacts)
         # Later stages read whole subfolders (episodes, data sets, checkpoints).
         reasons += [f"{path} is not one of its artefacts; move it away" for path in extra if "/" in path]
         reasons += verdict.fingerprint.differences(now)

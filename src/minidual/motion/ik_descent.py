@@ -30,8 +30,7 @@ _cross, _dot, _solve_gram = _algebra
 def _logarithm(R: Array, w: Array) -> float:
     """Fill the rotation vector w (3,) of R; return its angle, 0 to pi."""
     x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
-    sine = math.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
     angle = math.atan2(sine, cosine)
     if angle > _NEAR_HALF_TURN:
         # The longest column of (R + R^T) / 2 - cos I ~ axis axis^T.

@@ -55,8 +55,7 @@ class Line:
 
     def off(self, T: Array, x: float) -> tuple[float, float]:
         """Return the distance from the line [m] and from the orientation at x [rad]."""
-        moved = T[:3, 3] - self._start[:3, 3]
-        length = float(np.linalg.norm(self._shift))
+        moved, length = T[:3, 3] - self._start[:3, 3], float(np.linalg.norm(self._shift))
         along = self._shift * float(moved @ self._shift) / length**2 if length > _STILL_M else np.zeros(3)
         angle = float(np.linalg.norm(pin.log3(self.at(x)[:3, :3].T @ T[:3, :3])))
         return float(np.linalg.norm(moved - along)), angle

@@ -9,14 +9,14 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from pydantic import Field
 
 from minidual.collision.errors import TimingError
 from minidual.config.base import StrictModel
 from minidual.config.planning import MotionLimits
 from minidual.robot.compiled import ROWS, VECTOR, floats, kernel
-from minidual.robot.kinematics import Kinematics, Trajectory, largest
+from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array, Indices
 
 _NEWTON_STEPS_MAX = 200
@@ -135,7 +135,7 @@ def time_path(
     """
     robot, factor = kinematics.robot, 1.0
     v_max, a_max = limits.velocity_scale * robot.v_max, limits.acceleration_scale * robot.a_max
-    jerk_max = limits.jerk_scale * robot.jerk_max
+    most_allowed = np.stack([v_max, a_max, limits.jerk_scale * DT_S * robot.jerk_max])
     columns = np.arange(robot.dof)[robot.groups[group]]
     bounds = np.stack([v_max, a_max])[:, columns]
     if along is not None:
@@ -146,13 +146,9 @@ def time_path(
     s, sd = fastest_profile(path, columns, *bounds)
     for _ in range(_SLOWDOWNS_MAX):
         times, at, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
-        first, second = (path.at(at, order)[:, : robot.dof] for order in (1, 2))
-        v = first * speed[:, None]
-        a = second * speed[:, None] ** 2 + first * acceleration[:, None]
-        # np.maximum propagates NaN, and Trajectory refuses it.
-        factor = float(np.max(largest(v) / v_max))
-        factor = np.maximum(factor, math.sqrt(np.max(largest(a) / a_max)))
-        factor = np.maximum(factor, math.cbrt(np.max(largest(np.diff(a, axis=0)) / jerk_max) / DT_S))
+        v, a, most = _motion(floats(path.at(at, 1)), floats(path.at(at, 2)), speed, acceleration, robot.dof)
+        speeds, accelerations, jumps = (float(share) for share in np.max(most / most_allowed, axis=1))
+        factor = max(speeds, math.sqrt(accelerations), math.cbrt(jumps))
         if not factor > 1.0 + 1e-9:
             q = path.at(at)[:, : robot.dof]
             ratio = np.max(kinematics.torque_use(q, v, a, DT_S, _TORQUE_EVERY)) / limits.torque_scale
@@ -162,6 +158,22 @@ def time_path(
                 return Trajectory(times, q, v, a, group), at
         sd = sd / (factor * 1.001)
     raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
+
+
+@kernel(types.UniTuple(ROWS, 3)(ROWS, ROWS, VECTOR, VECTOR, types.intp))
+def _motion(first: Array, second: Array, speed: Array, acceleration: Array, dof: int) -> tuple[Array, Array, Array]:
+    """Return velocities, accelerations (n, dof) and the largest of both and of the accelerations' changes (3, dof).
+
+    Path derivatives are (n, d >= dof), path speed and acceleration (n,). NaN stays in v and a; `Trajectory` refuses it.
+    """
+    v, a, most = np.empty((len(speed), dof)), np.empty((len(speed), dof)), np.zeros((3, dof))
+    for i in range(len(speed)):
+        for j in range(dof):
+            v[i, j] = first[i, j] * speed[i]
+            a[i, j] = second[i, j] * (speed[i] * speed[i]) + first[i, j] * acceleration[i]
+            most[0, j], most[1, j] = max(most[0, j], abs(v[i, j])), max(most[1, j], abs(a[i, j]))
+            most[2, j] = max(most[2, j], abs(a[i, j] - a[max(i - 1, 0), j]))
+    return v, a, most
 
 
 def resting(q: Array, duration_s: float, group: str) -> Trajectory:

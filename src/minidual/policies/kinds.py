@@ -164,8 +164,7 @@ def draw_loss(result: TrainResult, path: Path) -> None:
     from matplotlib.figure import Figure
 
     columns = {name: np.array([getattr(row, name) for row in result.curve], float) for name in LOSSES}
-    steps = [row.step for row in result.curve]
-    figure = Figure(figsize=(9.0, 5.4), dpi=140, layout="constrained")
+    steps, figure = [row.step for row in result.curve], Figure(figsize=(9.0, 5.4), dpi=140, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     above.plot(steps, columns["l1"], color="#9ec5e8", linewidth=0.8)
     for name, (label, colour, style) in LOSSES.items():

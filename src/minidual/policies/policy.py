@@ -113,9 +113,7 @@ class PolicyRuntime:
     def _checked_state(self, state: Array) -> NDArray[np.float32]:
         array, dim = np.asarray(state, dtype=np.float32), self.policy.dim
         if array.shape != (dim,):
-            raise DataError(
-                f"the state has shape {array.shape}; it must be ({dim},): {self.joints_n} joints, 2 grippers"
-            )
+            raise DataError(f"the state has shape {array.shape}, not ({dim},): {self.joints_n} joints, 2 grippers")
         if not np.isfinite(array).all():
             raise DataError(f"the state is not finite at index {int(np.flatnonzero(~np.isfinite(array))[0])}")
         return array

@@ -103,8 +103,7 @@ class _Loop:
         self.ahead: Future[tuple[int, dict[str, torch.Tensor]]] | None = None
         self.batches = BatchMaker(demos, config, stats)
         self.rows, weights = rows, np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
-        self.cumulative_weights = np.cumsum(weights)
-        count = min(VALIDATION_ROWS, len(validation_rows))
+        self.cumulative_weights, count = np.cumsum(weights), min(VALIDATION_ROWS, len(validation_rows))
         self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
         rate, decay = config.learning_rate, config.weight_decay

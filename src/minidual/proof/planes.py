@@ -21,8 +21,10 @@ from minidual.robot.pair import Array
 
 JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
 """Parent frame (0: world, k + 1: joint k) and placement; the joint turns about z."""
+CLUSTER = np.dtype([("centre", "f8", 3), ("radius", "f8"), ("vertices", "f8", (8, 3))])
+"""Neighbouring vertices of a solid (the last may repeat) in its frame, and their ball [m]."""
 SOLID = np.dtype([("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("axis", "f8", 3)])
-"""Vertex rows, radii of ball and disc [m], disc axis."""
+"""Cluster rows, radii of ball and disc [m], disc axis."""
 PART = np.dtype([("first", "i8"), ("end", "i8"), ("frame", "i8"), ("centre", "f8", 3), ("radius", "f8")])
 """Solid rows, frame, bounding ball [m]."""
 PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
@@ -30,8 +32,8 @@ PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", 
 
 Rows = Any
 """Records or integers, (n,)."""
-Geometry = tuple[Rows, Array, Rows, Rows, Rows, Array]
-"""Joints (dof,), vertices (v, 3) [m] in their frames, solids, parts, pairs, reach (parts, dof / 2) [m]."""
+Geometry = tuple[Rows, Rows, Rows, Rows, Rows, Array]
+"""Joints (dof,), clusters, solids, parts, pairs, reach (parts, dof / 2) [m]."""
 Work = tuple[Array, Array, Array, Array, Array, Array, Array]
 """Plane directions; frame poses R, p and part centres C of n states; a pair's poses R, p at two ends; a simplex."""
 Keep = tuple[float, Array, Array, float]
@@ -98,18 +100,21 @@ def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
 @inlined
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tuple[float, Vector]:
     """Return solid k's extent along `way`, without ball, and its extreme point."""
-    vertices, solids = geometry[1], geometry[2]
-    own, at = _turned_back(R, way), solids[k].first
+    clusters, solids = geometry[1], geometry[2]
+    own, at, of = _turned_back(R, way), solids[k].first, 0
     far, total = -np.inf, 0.0
     for i in range(at, solids[k].end):
-        d = _dot(vertices[i], own)
-        total += d
-        if d > far:
-            far = d
-            at = i
+        most = _dot(clusters[i].centre, own) + clusters[i].radius
+        total += most
+        if most <= far:
+            continue  # most clusters; a state's check takes 3.3 us, 4.5 with every vertex asked
+        for j in range(8):
+            d = _dot(clusters[i].vertices[j], own)
+            if d > far:
+                far, at, of = d, i, j
     if not abs(total) < np.inf:
         far = np.nan  # the comparison drops NaN, the sum does not
-    point = _vector(vertices[at])
+    point = _vector(clusters[at].vertices[of])
     disc, axis = solids[k].disc, solids[k].axis
     if disc > 0.0:
         across = _minus(own, _times(_dot(own, axis), axis))
@@ -367,9 +372,13 @@ def _blocked(geometry: Geometry, chosen: Rows, i: int, j: int, need: float, move
 def bends(q: Array, v: Array, dt: float) -> Array:
     """Return the cubics' departures (n - 1, dof) [rad] from their chords."""
     # A cubic's second derivative is largest at an end; an eighth of it bounds the departure.
-    rise, before, after = q[1:] - q[:-1], v[:-1] * dt, v[1:] * dt
-    first, last = 6.0 * rise - 4.0 * before - 2.0 * after, -6.0 * rise + 2.0 * before + 4.0 * after
-    return 0.125 * np.maximum(np.abs(first), np.abs(last))
+    out = np.empty((len(q) - 1, q.shape[1]))
+    for k in range(len(out)):
+        for c in range(q.shape[1]):
+            rise, before, after = q[k + 1, c] - q[k, c], v[k, c] * dt, v[k + 1, c] * dt
+            first, last = 6.0 * rise - 4.0 * before - 2.0 * after, 6.0 * rise - 2.0 * before - 4.0 * after
+            out[k, c] = 0.125 * max(abs(first), abs(last))  # one that is NaN makes the other NaN
+    return out
 
 
 @kernel()
@@ -394,11 +403,9 @@ def prove(
     n, dof = q.shape
     asked = np.zeros(n, dtype=np.bool_)
     step, off = np.empty(dof), np.empty(dof)
-    bend = bends(q, v, dt)
-    table = np.empty((len(geometry[3]) + 1, geometry[5].shape[1] + 1))
+    bend, table = bends(q, v, dt), np.empty((len(geometry[3]) + 1, geometry[5].shape[1] + 1))
     moved = table.reshape(-1)
-    order = chosen.copy()
-    top = len(stretches)
+    order, top = chosen.copy(), len(stretches)
     stack = np.empty((top + 64, 2), dtype=np.int64)
     stack[:top] = stretches[::-1]
     while top > 0:

@@ -23,9 +23,9 @@ _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 
 
 class _Part(NamedTuple):
-    """Vertices (n, 3) [m] in a joint's frame; rows of `planes.SOLID`, counted from 0, of `planes.PART` and reach."""
+    """Clusters in a joint's frame; rows of `planes.SOLID`, counted from 0, of `planes.PART` and reach."""
 
-    vertices: Array
+    clusters: np.ndarray
     solids: tuple[tuple[Any, ...], ...]
     ball: tuple[Any, ...]
     reach: Array
@@ -49,11 +49,11 @@ class Solids:
         for part in (parts[name] for name in scene.names):
             balls.append((len(rows), len(rows) + len(part.solids), *part.ball))
             rows += [(end + first, end + last, *shape) for first, last, *shape in part.solids]
-            end += len(part.vertices)
+            end += len(part.clusters)
         self._parts = np.array(balls, dtype=planes.PART)
         self.geometry = (
             _joints(self.robot),
-            np.vstack([parts[name].vertices for name in scene.names]),
+            np.concatenate([parts[name].clusters for name in scene.names]),
             np.array(rows, dtype=planes.SOLID),
             self._parts,
             self._pairs({name: k for k, name in enumerate(scene.names)}),
@@ -130,12 +130,13 @@ def _robot_parts(robot: Robot) -> dict[str, _Part]:
 def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _Part:
     points: list[Array] = []
     rows: list[tuple[Any, ...]] = []
-    end = 0
+    clusters: list[tuple[Array, float, Array]] = []
     for shape, place in solids:
         corners, ball, disc = _corners(shape)
         points.append(corners @ place.rotation.T + place.translation)
-        rows.append((end, end + len(corners), ball, disc, place.rotation[:, 2].tolist()))
-        end += len(corners)
+        first = len(clusters)
+        clusters += _clusters(points[-1])
+        rows.append((first, len(clusters), ball, disc, place.rotation[:, 2].tolist()))
 
     def radius(centre: Array) -> float:
         return max(
@@ -151,7 +152,18 @@ def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _P
     for k in range(frame, 0 if frame <= n else n, -1):
         reach[(k - 1) % n] = far
         far += float(np.linalg.norm(joints[k - 1]["p"]))
-    return _Part(vertices, tuple(rows), (frame, centre.tolist(), radius(centre)), reach)
+    return _Part(np.array(clusters, dtype=planes.CLUSTER), tuple(rows), (frame, centre.tolist(), radius(centre)), reach)
+
+
+def _clusters(points: Array) -> list[tuple[Array, float, Array]]:
+    """Return rows of `planes.CLUSTER`: points (n, 3) halved across their longest side until few are left."""
+    if len(points) > 8:
+        order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
+        cut = 8 * ((len(points) + 8) // 16)
+        return [*_clusters(points[order[:cut]]), *_clusters(points[order[cut:]])]
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.linalg.norm(points - centre, axis=1).max())
+    return [(centre, radius, points[np.minimum(np.arange(8), len(points) - 1)])]
 
 
 def _corners(shape: Any) -> tuple[Array, float, float]:

@@ -71,8 +71,7 @@ class Trajectory:
 
         q is a cubic Hermite interpolant, v its derivative; a is linear.
         """
-        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
-        h = self.dt_s
+        t, h = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s), self.dt_s
         i = np.minimum((t / h).astype(int), len(self.times) - 2)
         x = ((t - self.times[i]) / h)[:, None]
         q0, q1, v0, v1 = self.q[i], self.q[i + 1], self.v[i] * h, self.v[i + 1] * h
@@ -111,8 +110,7 @@ class Trajectory:
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
         """Write time, q, v, a atomically."""
         header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
-        table = np.column_stack([self.times, self.q, self.v, self.a])
-        header = ",".join(["time_s", *header])
+        table, header = np.column_stack([self.times, self.q, self.v, self.a]), ",".join(["time_s", *header])
         with replacing(path) as partial:  # cut off, it would be a shorter trajectory
             np.savetxt(partial, table, "%.9g", ",", "\r\n", header, comments="", encoding="utf-8")
 

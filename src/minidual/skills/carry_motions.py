@@ -105,8 +105,7 @@ def joint_move(
         duration_s = max(_LEAST_S, _time(q1 - q0, speed, acceleration))
     steps = int(np.ceil(duration_s / dt_s))
     s, way, whole_s = (np.arange(steps + 1) / steps)[:, None], q1 - q0, steps * dt_s
-    q = q0 + s**3 * (10.0 + s * (6.0 * s - 15.0)) * way
-    v = 30.0 * s**2 * (1.0 - s) ** 2 / whole_s * way
+    q, v = q0 + s**3 * (10.0 + s * (6.0 * s - 15.0)) * way, 30.0 * s**2 * (1.0 - s) ** 2 / whole_s * way
     a = 60.0 * s * (1.0 + s * (2.0 * s - 3.0)) / whole_s**2 * way
     times: Array = np.arange(steps + 1, dtype=float) * dt_s
     return Trajectory(times, q, v, a, "both_arms")

@@ -77,10 +77,8 @@ def _failed(checks: Sequence[Check]) -> list[Fault]:
 
 def results(context: ToolContext) -> Examination:
     """Judge the stages that have run or were begun."""
-    states = [
-        state for state in map(context.gate.state, context.gate.table) if state.state not in ("missing", "blocked")
-    ]
-    bad = [state for state in states if state.state != "pass"]
+    states = [s for s in map(context.gate.state, context.gate.table) if s.state not in ("missing", "blocked")]
+    bad = [s for s in states if s.state != "pass"]
     found = [Fault(f"{s.name} is {s.state}", s.why(), context.command(f"explain {s.name}")) for s in bad]
     return ", ".join(state.name for state in states), found
 

@@ -158,8 +158,7 @@ def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array],
     step = path.length
     for _ in range(_REFINEMENTS):
         marks = np.linspace(0.0, path.length, count + 1, dtype=np.float64)
-        curve = HeldCurve(path, marks, solve(marks, path.poses(marks)))
-        step = float(marks[1])
+        curve, step = HeldCurve(path, marks, solve(marks, path.poses(marks))), float(marks[1])
         between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])
         strays = curve.residual = hands.strays(curve.spline(between), path.poses(between))
         if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:

@@ -159,8 +159,7 @@ def search_object(
 
 def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
     way = x - z[X]
-    share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
-    aim = z.copy()
+    share, aim = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M)), z.copy()
     aim[X] = x if share == 1.0 else z[X] + share * way
     aim[Q] += _EXTEND_M * space.hands.off_limits(z[Q])
     if elbows is not None:

@@ -144,8 +144,7 @@ class Cell:
 
     def excellent(self, indicator: Indicator) -> bool:
         """Return whether the value beats the excellent limit."""
-        measure = self.measures.get(indicator.key)
-        judged = self.competes or indicator is SUCCESS
+        measure, judged = self.measures.get(indicator.key), self.competes or indicator is SUCCESS
         return judged and measure is not None and indicator.is_excellent(measure.value)
 
 

@@ -127,15 +127,13 @@ def run(context: StageContext) -> StageResult:
     robot = robot_from(context.config.robot)
     sine_wave = config.sine_amplitude_rad, config.sine_frequency_hz
     with context.progress.task("environment", 8) as task:
-        libraries = required_libraries()
-        model = build_model(context.config.scene, robot, visuals=True)
+        libraries, model = required_libraries(), build_model(context.config.scene, robot, visuals=True)
         joints = measure.drivable_joints(model, robot)
         installed = installation_checks(libraries, len(joints), robot)
         if len(joints) != robot.dof:  # no world can be built on it; this check says why
             return StageResult(checks=installed)
         world, kinematics = World(context.config.scene, robot, model=model), Kinematics(robot)
-        contacts = tracking.arm_contacts(world)
-        cameras = pictures.check_cameras(world, folder / "cameras.png")
+        contacts, cameras = tracking.arm_contacts(world), pictures.check_cameras(world, folder / "cameras.png")
         task.advance(note="cameras")
         rig, postures = tracking.Rig(world, kinematics, context.config), Postures(1.0 / FILM_FPS)
         moved = measure.torque_pulse_mapping(world, rig.supervisor, kinematics, pulse_share=config.pulse_share)

@@ -197,8 +197,7 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     """Plan and measure one move; building its scene is not timed."""
-    engines = planner.planner.engines(move.query.scene)
-    attempt = attempted(lambda: planner.plan(move.query))
+    engines, attempt = planner.planner.engines(move.query.scene), attempted(lambda: planner.plan(move.query))
     outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result
     if plan is None:
         return outcome
