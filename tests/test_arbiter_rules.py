@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from panda import HOME, Q_UPPER
+from panda import A_MAX, HOME, Q_UPPER
 
 from minidual.config.control import ArbiterConfig
 from minidual.control.arbiter import ArbiterOutput, CommandArbiter
@@ -282,6 +282,28 @@ def test_one_arm_drives_while_the_other_is_held(desk: Desk) -> None:
     for _ in range(5):  # the left arm's command grows stale
         out = desk.drive("moveit", HOME[7:] - 0.05, group="right_arm")
     np.testing.assert_array_equal(out.q_target[:7], HOME[:7] + 0.05)
+
+
+@pytest.mark.parametrize("other", ["streams", "falls silent too"])
+def test_an_arm_whose_commands_end_in_motion_stops_where_it_can(desk: Desk, other: str) -> None:
+    """Before, it went on to its last target while the other arm's commands came: 0.375 rad under an override of 0.1."""
+    desk.hand_over("teleop")
+    for k in range(1, 6):  # targets run ahead of arms that an override slows down
+        assert desk.propose("teleop", HOME[:7] + 0.07 * k, group="left_arm") == ""
+        desk.drive("teleop", HOME[7:] + 0.01 * k, group="right_arm")
+    desk.q, desk.v = HOME + 0.1, np.where(np.arange(14) < 7, 0.2, 0.0)
+    for _ in range(7):
+        if other == "streams":
+            assert desk.propose("teleop", HOME[7:] + 0.05, group="right_arm") == ""
+        out = desk.tick()
+    # Within the distance in which it comes to rest with half of its acceleration limits.
+    assert (out.q_target[:7] >= HOME[:7] + 0.1).all()
+    assert (out.q_target[:7] <= HOME[:7] + 0.1 + 0.2**2 / A_MAX[:7] + 1e-12).all()
+    np.testing.assert_array_equal(out.q_target[7:], HOME[7:] + 0.05)
+    assert out.state == (ArbiterState.ACTIVE if other == "streams" else ArbiterState.STALE)
+    assert desk.refused == ([("teleop", "stale")] if other == "streams" else [])
+    out = desk.drive("teleop", HOME[:7] + 0.1, group="left_arm")
+    np.testing.assert_array_equal(out.q_target[:7], HOME[:7] + 0.1, "it may come back")
 
 
 def test_grippers_keep_their_grip_through_a_switch(desk: Desk) -> None:

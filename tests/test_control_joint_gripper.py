@@ -108,6 +108,22 @@ def test_a_grip_that_is_no_number_moves_no_finger_and_is_a_fault(hands, grippers
     assert grippers.fault == "", "an opened hand has nothing to lose"
 
 
+@pytest.mark.parametrize("since", ["before it closes", "while it holds"])
+def test_fingers_that_are_no_number_are_a_fault_of_a_closed_hand(hands, grippers, monkeypatch, since):
+    """Before, such a hand could lose what it held, and no fault said so."""
+    if since == "while it holds":
+        run(hands, grippers, [0.0, 0.0])
+    monkeypatch.setattr(Hands, "fingers", np.array([np.nan, 0.02]))
+    targets = run(hands, grippers, [0.0, 1.0], steps=3)
+    assert grippers.fault == "", "one reading may be missing"
+    targets = np.vstack([targets, run(hands, grippers, [0.0, 1.0], steps=20)])
+    assert grippers.fault.startswith("the left hand: ")
+    assert "fingers +nan mm" in grippers.fault
+    assert np.isfinite(targets).all()
+    run(hands, grippers, [1.0, 1.0])
+    assert grippers.fault == "", "an opened hand has nothing to lose"
+
+
 def test_targets_ramp_and_never_jump(hands, grippers):
     targets = np.vstack([run(hands, grippers, [0.0, 1.0]), run(hands, grippers, [1.0, 0.0])])
     assert np.abs(np.diff(targets, axis=0)).max() <= 0.08 * DT + 1e-12

@@ -31,12 +31,14 @@ KINEMATICS = Kinematics()
 class Sensor(TrueObject):
     """The object's true state, unless it fails."""
 
-    failing = False
+    failing, off_m = False, (0.0, 0.0, 0.0)
 
     def read(self) -> tuple[ObjectState, float]:
         if self.failing:
             raise OSError("the camera is gone")
-        return super().read()
+        state, felt_n = super().read()
+        state.T_world_object[:3, 3] += self.off_m
+        return state, felt_n
 
 
 class Carried:
@@ -194,6 +196,21 @@ def test_nan_in_a_halt_does_not_prevent_a_recovery(plant: FailingPlant, latched:
     run(600)
     assert names == ["not_finite"]
     hand_over(stack, "moveit")
+
+
+@pytest.mark.parametrize("off_m", [(0.05, 0.0, 0.0), (0.0, 0.0, -0.06), (np.nan, 0.0, 0.0)])
+def test_a_pose_that_jumps_in_a_hold_stops_the_arms_by_its_name(carried: Carried, off_m: tuple[float, ...]) -> None:
+    """Before, a jump of 50 mm drove joints by 0.12 rad to where the object was not, and no fault said so."""
+    stack, q = carried.stack, carried.world.q.copy()
+    carried.sensor.off_m = off_m
+    carried.run(600)
+    assert len(carried.names) == 1
+    assert stack.reflex is not None
+    if np.isfinite(off_m).all():
+        assert f"the object is {1e3 * abs(sum(off_m)):.0f} mm" in stack.reflex.message
+        assert "away from where it was a tick before" in stack.reflex.message
+    assert np.abs(carried.world.q - q).max() < 0.02
+    assert carried.height_m > 0.13, "the hands keep what they hold"
 
 
 def test_an_object_that_is_torn_out_is_named_under_joint_control(carried: Carried) -> None:

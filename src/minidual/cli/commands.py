@@ -44,8 +44,7 @@ def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) ->
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run a tool and print its result."""
     typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
-    config = session.loaded.with_overrides(overrides(tool.options, typed)).config
-    folder = session.store.folder
+    config, folder = session.loaded.with_overrides(overrides(tool.options, typed)).config, session.store.folder
     found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock"
     lock = run_lock(*found_by_stop) if tool.moves else nullcontext()
     with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
@@ -196,8 +195,7 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         return _show_status(session, explained=True)
     entry, gate = session.table[values["stage"]], session.gate()
     state = gate.state(entry.name)
-    upstream = {name: gate.state(name).state for name in entry.requires}
-    lowest = gate.lowest()
+    upstream, lowest = {name: gate.state(name).state for name in entry.requires}, gate.lowest()
     if not session.typed.json:
         print_explanation(session.data, entry, state, upstream)
         if state.state == "pass":

@@ -15,7 +15,7 @@ from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, Join
 from minidual.control.execution import Execution, Underway
 from minidual.control.mailbox import Mailbox, check_openings
 from minidual.errors import UsageError, unknown_name
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import SIDES, Array, Robot
 
 _STOP_SHARE = 0.5
 """Share of the joints' acceleration limits for stopping at a switch."""
@@ -87,6 +87,8 @@ class CommandArbiter:
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
         self._affirmed: set[str] = set()
+        self._streamed: set[int] = set()
+        """Arms with a fresh streamed command."""
         self._alive_s, self.speed = 0.0, self.config.speed_override
         """Share of full speed, from the next tick on."""
 
@@ -169,11 +171,9 @@ class CommandArbiter:
             if ended and not (cut and self._is_gone(now_s)):
                 self.state, self._heard_s = ArbiterState.WAITING, now_s
             self._begin_timed(self.source, now_s, posture)
-            before, driven = self.state, self._drive(self.source, now_s, dt)
-            if self.state is ArbiterState.STALE is not before and not self.underway.executions:
-                rest = self._where_they_stop(posture, v_measured)
-                if np.abs(self._target - rest).max() > self.config.switch_step_max_rad:  # else loaded arms would sag
-                    self._target = rest
+            before, driven = self._streamed, self._drive(self.source, now_s, dt)
+            if silent := before - self._streamed:
+                self._stop_silent(silent, self._where_they_stop(posture, v_measured))
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
         refusals, self._refusals = tuple(self._refusals), []
@@ -188,6 +188,17 @@ class CommandArbiter:
             halted=halted,
             speed=self.speed,
         )
+
+    def _stop_silent(self, arms: set[int], rest: Array) -> None:
+        for arm in arms:
+            joints = self._robot.joints_of(arm)
+            away = np.abs(self._target - rest)[joints].max()
+            if self.underway.busy((arm,)) or not away > self.config.switch_step_max_rad:  # there loaded arms would sag
+                continue
+            self._target = self._target.copy()
+            self._target[joints] = rest[joints]
+            if self.state in (ArbiterState.ACTIVE, ArbiterState.ALIGNING):  # the other arm's commands go on
+                self._refuse(self.source or HOLD, "stale", f"{SIDES[arm]} arm: no command for {self.config.stale_s} s")
 
     def stand(self, q: Array) -> None:
         """Forget the joint target: what drove the arms to q (n,) had none."""
@@ -247,6 +258,7 @@ class CommandArbiter:
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
+        self._streamed = set()
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:
@@ -293,12 +305,11 @@ class CommandArbiter:
         return fresh
 
     def _drive(self, source: str, now_s: float, dt: float) -> bool:
-        fresh = self._fresh(source, now_s)
-        was_aligning = self.state == ArbiterState.ALIGNING
+        fresh, was_aligning = self._fresh(source, now_s), self.state == ArbiterState.ALIGNING
+        self._streamed = set(fresh)
         if fresh:
             newest_s = max(c.stamp_s for c in fresh.values())
-            self._heard_s = max(self._heard_s, newest_s)
-            self._alive_s = max(self._alive_s, min(now_s, newest_s))
+            self._heard_s, self._alive_s = max(self._heard_s, newest_s), max(self._alive_s, min(now_s, newest_s))
         driven = self._run_timed(now_s)
         if not fresh:
             if not driven:

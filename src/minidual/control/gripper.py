@@ -79,7 +79,7 @@ def advance(
             wide_n += hands[_TARGET, i] == travel_m
             continue
         moved = fingers[i] - hands[_HELD, i]
-        away = abs(moved) > _NOTHING_M  # opened, or closed on less than it held
+        away = abs(moved) > _NOTHING_M or math.isnan(fingers[i])  # opened, closed on less than it held, or not known
         way = gain * (felt[i] - force_n)
         target = min(hands[_TARGET, i] + (step_m if way > step_m else -step_m if way < -step_m else way), travel_m)
         if felt[i] >= _NEAR * force_n and not away:

@@ -184,8 +184,7 @@ class HandImpedance(ComputedTorque):
         held = self._held = self.held
         self._other, self._learnt = self.other, np.zeros(6)
         T, J = self._placed(q)
-        M = self._kinematics.mass_matrix(q)[self._joints, self._joints]
-        axes = np.kron(np.eye(2), T[:3, :3])
+        M, axes = self._kinematics.mass_matrix(q)[self._joints, self._joints], np.kron(np.eye(2), T[:3, :3])
         squares, modes = np.linalg.eigh(axes.T @ inertia_at_hand(M, J, self._arm) @ axes)
         half = (modes * np.sqrt(np.minimum(squares, _HEAVIEST))) @ modes.T * np.sqrt(self._law["K"][0])
         self._law["D"], self._law["centre"] = DAMPING_RATIO * (half + half.T), held.centre_m
@@ -315,8 +314,7 @@ class HeldEstimate:
         self._history.append(T_world_hands)
         if sample is not None and age_ticks < len(self._history):
             self._samples_n += 1
-            gain = max(1.0 / self._samples_n, self._least_gain)
-            T_then = self._history[-1 - age_ticks]
+            gain, T_then = max(1.0 / self._samples_n, self._least_gain), self._history[-1 - age_ticks]
             way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
             self.moved_m = math.sqrt(way_m @ way_m)
             moved, self.innovation = _towards(self._T_hands_object, inverse(T_then) @ sample, gain)

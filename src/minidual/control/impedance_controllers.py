@@ -12,7 +12,7 @@ from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
 from minidual.control.impedance import SQUEEZE_CEILING_N, HandImpedance, HeldObject, ObjectImpedance, ObjectState
 from minidual.control.kernels import within
-from minidual.errors import UsageError
+from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, deviation
 
@@ -55,6 +55,7 @@ class ObjectImpedanceController(Controller):
         self._law: ObjectImpedance | None = None
         self._execution: ObjectExecution | None = None
         self.desired: ObjectState | None = None
+        self._seen: ObjectState | None = None
         self._squeeze = self._squeeze_wanted = 0.0
         self._near: Array | None = None
         self.reference = np.zeros(self._kinematics.robot.dof)
@@ -70,10 +71,10 @@ class ObjectImpedanceController(Controller):
         far = self._away(command.motion.at(0.0), _START)
         return ("far_start", f"the path starts {far}") if far else None
 
-    def _away(self, wanted: ObjectState, bounds: tuple[float, float]) -> str:
+    def _away(self, wanted: ObjectState, bounds: tuple[float, float], what: str = "the object") -> str:
         """Return how far off the object is, if it is beyond the bounds [m, rad]; NaN is."""
         away_m, away_rad = deviation(self._ready()[1].read()[0].T_world_object, wanted.T_world_object)
-        far = f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from the object; bounds {bounds[0]} m, {bounds[1]} rad"
+        far = f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from {what}; bounds {bounds[0]} m, {bounds[1]} rad"
         return "" if away_m <= bounds[0] and away_rad <= bounds[1] else far
 
     def not_ready(self) -> str:
@@ -90,7 +91,7 @@ class ObjectImpedanceController(Controller):
         measured, internal_force = self._ready()[1].read()
         self.desired = ObjectState(measured.T_world_object)
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
-        self._execution = None
+        self._execution = self._seen = None
         self.reference, self._v = np.array(q, dtype=float), v
 
     @property
@@ -110,6 +111,9 @@ class ObjectImpedanceController(Controller):
                 if execution is not self._execution:
                     self._near = None
                 self._execution = execution
+        if self._seen is not None and (far := self._away(self._seen, OFF_PATH, "where it was a tick before")):
+            raise DataError(f"the object is {far}", remedy="look at what measures its pose: nothing moves as fast")
+        self._seen = ObjectState(self._ready()[1].read()[0].T_world_object.copy())
         if self._execution is not None:
             self._give_room(self._execution)
             if far := self._away(self._execution.desired, OFF_PATH):

@@ -134,8 +134,7 @@ class SupervisedStop:
         """Return the decrease of r (n,) [1/s] at the largest feasible braking, common but near position limits."""
         speed = np.abs(v)
         slope = self._brake / np.maximum(speed, self._brake * _LEAST_S)
-        common = slope.min()
-        room = np.where(v > 0.0, self._robot.q_upper - q, q - self._robot.q_lower)
+        common, room = slope.min(), np.where(v > 0.0, self._robot.q_upper - q, q - self._robot.q_lower)
         slope[speed * (0.5 / common + _RAMP_S) <= room] = common
         for share in _SLOWER:
             shared = share * slope

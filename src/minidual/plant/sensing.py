@@ -66,8 +66,7 @@ class Sensors:
         return reading  # at rest before the trial
 
     def _sample_pose(self) -> Array:
-        T = self._object.pose()
-        error = self._bias + self._scale * self._rng.standard_normal(6)
+        T, error = self._object.pose(), self._bias + self._scale * self._rng.standard_normal(6)
         T[:3, 3] += error[:3]
         T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]
         return T

@@ -19,8 +19,7 @@ def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDAr
     light = rng.uniform(min(config.light_log), max(config.light_log), n)
     gains = rng.uniform(-1.0, 1.0, (n, 3)) * config.channel_gain_log
     mixing = rng.uniform(-1.0, 1.0, (n, 3, 3)) * config.channel_mixing
-    offset = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3))
-    order = np.argsort(rng.random((n, 3)), axis=1)
+    offset, order = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3)), np.argsort(rng.random((n, 3)), axis=1)
     order[rng.random(n) >= config.permuted_share] = np.arange(3)
     diagonal = np.arange(3)
     mixing[:, diagonal, diagonal] = 0.0

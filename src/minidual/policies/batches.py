@@ -86,8 +86,7 @@ class BatchMaker:
     def _assemble(self, rows: Rows, state: NDArray[np.float32], pictures: dict[str, Image]) -> dict[str, Tensor]:
         demos, device = self._demos, self._config.device
         ahead = rows[:, None] + np.arange(self._config.chunk_size)
-        chunk = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])]
-        ticks = demos.keyframe_ticks[rows]
+        chunk, ticks = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])], demos.keyframe_ticks[rows]
         to_come = (ticks >= 0) & (np.arange(ticks.shape[1]) >= demos.phase[rows][:, None])
         batch: dict[str, Tensor] = {
             STATE: normalise(torch.from_numpy(state).to(device), self._stats[STATE]),

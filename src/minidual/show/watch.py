@@ -175,7 +175,6 @@ class StackNarrator:
     def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
         times: Array = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS, dtype=np.float64)
         qs = np.tile(self.stack.plant.q, (len(times), 1))
-        group = self.kinematics.robot.groups[command.group]
-        found = command.motion.sample_many(times)[0]
+        group, found = self.kinematics.robot.groups[command.group], command.motion.sample_many(times)[0]
         qs[:, group] = found if found.shape[1] == qs[:, group].shape[1] else found[:, group]
         return tcp_preview(self.kinematics, qs).paths

@@ -176,8 +176,7 @@ class ImpedanceCarry:
         T_object, scene = watch.T_world_object, world.scene
         goal = placement(self._trial.goal[scene.object.name])
         path = plan_path(scene, world.robot, self._config.pace, goal, T_object, world.q, rest_m)
-        T_level_object = inverse(level_part(T_object)) @ T_object
-        tcps = self._kinematics.tcp_poses(world.q)
+        T_level_object, tcps = inverse(level_part(T_object)) @ T_object, self._kinematics.tcp_poses(world.q)
         held = held_object(scene, T_object, tcps)
         stack.impedance.configure(held, self._config.impedance)
         watch.take_hold()

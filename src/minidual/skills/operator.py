@@ -115,8 +115,7 @@ class ScriptedOperator:
             UsageError: A pose is out of reach.
         """
         style = self.style(seed, trial)
-        phases = self.phases(style)
-        shifts = zip(style.shifts_m, self._grasps, strict=True)
+        phases, shifts = self.phases(style), zip(style.shifts_m, self._grasps, strict=True)
         grasps = [pose(np.eye(3), (0.0, shift, 0.0)) @ T for shift, T in shifts]
         ticks = round(phases["rest"][1] * rate_hz)
         times, error = np.arange(ticks) / rate_hz, self.approach_error(seed, trial)

@@ -50,8 +50,7 @@ def condition_checks(
 
     It must be complete and finite; disturbed success has no limit.
     """
-    known = {(c.method, c.condition): c for c in cells}
-    asked = [(m, c) for m in methods for c in conditions]
+    known, asked = {(c.method, c.condition): c for c in cells}, [(m, c) for m in methods for c in conditions]
     holes: list[str] = []
     for m, c in asked:
         cell = known.get((m, c))

@@ -183,8 +183,7 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
     current = int(np.argmin(space.distance(z, tree.points)))
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])
-        share = min(1.0, _CONNECT_M / max(away, _SAME_M))
-        point = tree.points[current]
+        share, point = min(1.0, _CONNECT_M / max(away, _SAME_M)), tree.points[current]
         step = z if share == 1.0 else space.solved_free(point + share * (z - point))
         if step is None or not space.edge_free(point, step):
             return None
