@@ -348,10 +348,16 @@ def test_a_trajectory_is_the_arbiters_own(plant: FailingPlant) -> None:
 def test_without_a_supervisor_the_error_is_the_callers(plant: FailingPlant) -> None:
     stack = stack_on(plant)
     plant.lies["q"] = breaks
+    told = len(plant.torques)
     with pytest.raises(ZeroDivisionError):
         stack.step()
-    with pytest.raises(UsageError):
+    plant.lies.clear()
+    with pytest.raises(UsageError, match="a source gave up"):
         stack.fail(UsageError("a source gave up"))
+    for _ in range(100):
+        stack.step()
+    assert len(plant.torques) - told == 101
+    assert np.abs(plant.q - HOME).max() < 1e-3
 
 
 @pytest.mark.parametrize("names", [("left_hand", "right_hand"), ("left_arm", "right_arm")])

@@ -10,7 +10,7 @@ import pytest
 from minidual.collision import scene as scene_module
 from minidual.collision.engines import MujocoEngine
 from minidual.collision.scene import TABLE, Attached, PlanningScene, acm_report, build_acm
-from minidual.collision.shapes import Box, Capsule, Cylinder, Pairs, Sphere
+from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Pairs, Sphere
 from minidual.errors import UsageError
 from minidual.robot.description import collision_links, links_of, never_touching
 from minidual.robot.pair import DUAL_PANDA, PANDA
@@ -39,6 +39,9 @@ def test_joints_before_counts_the_joints_that_move_a_link():
     assert "left_table" not in links
 
 
+FLAT = np.array([[0, 0, 0], [0.1, 0, 0.05], [0, 0.1, 0.05], [0.1, 0.1, 0.1]], dtype=float)
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -46,11 +49,20 @@ def test_joints_before_counts_the_joints_that_move_a_link():
         (lambda: Sphere("s", (0, float("nan"), 0), radius_m=0.1), "not finite"),
         (lambda: Cylinder("c", (0, 0, 0), (1.0, 0.5, 0.0, 0.0)), "not of length 1"),
         (lambda: Capsule("", (0, 0, 0)), "needs a name"),
+        (lambda: Box("grain", (0, 0, 0), size_m=(0.1, 0.1, 1e-5)), "must be 0.0001 or more"),
+        (lambda: Mesh("m", (0, 0, 0), pieces=(FLAT.tobytes(),)), "no solid"),
+        (lambda: Mesh("m", (0, 0, 0), pieces=(np.outer(range(4), [0.1, 0.2, 0.3]).tobytes(),)), "no solid"),
     ],
 )
 def test_bad_shapes_are_refused(make, says):
     with pytest.raises(UsageError, match=says):
         make()
+
+
+def test_a_quaternion_a_little_off_unit_length_turns_and_does_not_shrink():
+    """Before, a wall of 1 km was 0.4 mm nearer to the collision libraries than to the proof."""
+    R = Box("w", (0, 0, 0), (0.7071065, 0.0, 0.0, 0.7071065)).T_parent_shape[:3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15)
 
 
 def test_two_things_of_one_name_are_refused():

@@ -17,7 +17,7 @@ from minidual.proof.scene_engines import limit_use
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import DUAL_PANDA
 
-HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
+HOME, Q_LOWER, Q_UPPER, JERK_MAX = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper, DUAL_PANDA.jerk_max
 H = 0.001
 
 
@@ -56,8 +56,40 @@ def test_what_happens_only_between_two_samples_is_seen(kinematics):
     q, v[0, 5], v[1, 5] = np.tile(HOME, (3, 1)), 1.0, -1.0
     q[:, 5] = Q_UPPER[5]
     use, broken = limit_use(Trajectory(np.arange(3) * H, q, v, a, "both_arms"), kinematics)
-    assert use["limit_margin_rad"] == pytest.approx(-0.25 * H)
+    assert -H / 3.0 - 1e-12 <= use["limit_margin_rad"] <= -0.25 * H  # its control points contain the cubic
     assert "position limit" in broken
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("dt_s", [0.001, 0.05])
+def test_limits_hold_on_the_whole_cubic_between_samples(kinematics, seed, dt_s):
+    """Against samples a hundred times as dense, of position, speed and acceleration."""
+    rng = np.random.default_rng(seed)
+    q, v = HOME + np.cumsum(rng.normal(0.0, dt_s, (6, 14)), axis=0), rng.normal(0.0, 1.0, (6, 14))
+    motion = Trajectory(np.arange(6) * dt_s, q, v, np.zeros_like(q), "both_arms")
+    use, _ = limit_use(motion, kinematics)
+    fine = np.linspace(0.0, motion.duration_s, 501)
+    x, speed, _ = motion.sample_many(fine)
+    acceleration = np.abs(np.diff(speed, axis=0)) / (0.01 * dt_s)
+    assert use["velocity_ratio"] == pytest.approx((np.abs(speed) / DUAL_PANDA.v_max).max(), rel=2e-3)
+    assert use["acceleration_ratio"] == pytest.approx((acceleration / DUAL_PANDA.a_max).max(), rel=0.02)
+    margin = np.minimum(x - Q_LOWER, Q_UPPER - x).min()
+    assert margin - dt_s <= use["limit_margin_rad"] <= margin + 1e-9
+
+
+def test_a_motion_that_starts_or_ends_with_an_acceleration_needs_its_jerk(kinematics):
+    """Before, the arms' rest before and after it did not count."""
+    x = np.linspace(0.0, 1.0, 201)[:, None]
+    q = HOME + 0.02 * (3 * x**2 - 2 * x**3)
+    v, a = 0.02 * (6 * x - 6 * x**2) / 0.2 + 0.0 * q, 0.02 * (6 - 12 * x) / 0.04 + 0.0 * q
+    use, _ = limit_use(Trajectory(np.arange(201) * H, q, v, a, "both_arms"), kinematics)
+    assert use["jerk_ratio"] == pytest.approx((3.0 / H / JERK_MAX).max(), rel=1e-6)
+    limits = MotionLimits(smoothing_s=0.0)
+    line = rounded(np.vstack([HOME, HOME + np.eye(14)[0] * 0.5]), 0.1)
+    motion, _ = timing.time_path(line, "left_arm", limits, kinematics)
+    ends = np.abs(motion.a[[0, -1]]) / H / JERK_MAX
+    assert 0.5 < ends.max() <= 0.95 + 1e-6
+    assert limit_use(motion, kinematics)[1] == ""
 
 
 def wave(n=201, fastest=40.0):

@@ -61,8 +61,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str 
     """
     if not rows:
         raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
-    text = io.StringIO()
-    names = list(dict.fromkeys(name for row in rows for name in row))
+    text, names = io.StringIO(), list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)

@@ -19,6 +19,7 @@ from minidual.robot.pair import Array, Robot, pose, rotation_from_quat
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
+LENGTH_MIN_M = 1e-4  # MuJoCo compiles no smaller obstacle
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,10 @@ class _Shape:
             raise UsageError(f"obstacle '{self.name}' has a number that is not finite: {numbers}")
         if abs(math.fsum(v * v for v in self.quat_wxyz) - 1.0) > 1e-6:
             raise UsageError(f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1")
-        if min(self.lengths()) <= 0.0:
-            raise UsageError(f"obstacle '{self.name}' has length {min(self.lengths())} m; every length must be > 0")
+        if (least := min(self.lengths())) < LENGTH_MIN_M:
+            raise UsageError(
+                f"obstacle '{self.name}' has length {least} m; every length must be {LENGTH_MIN_M} or more"
+            )
 
     def lengths(self) -> list[float]:
         """Return all lengths [m]."""
@@ -45,7 +48,8 @@ class _Shape:
     @property
     def T_parent_shape(self) -> Array:
         """Pose (4, 4) in the world, or the link that holds it."""
-        return pose(rotation_from_quat(np.array(self.quat_wxyz)), np.array(self.position_m))
+        quat = np.array(self.quat_wxyz)
+        return pose(rotation_from_quat(quat / np.linalg.norm(quat)), np.array(self.position_m))
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ class Mesh(_Shape):
         if not self.pieces:
             raise UsageError(f"obstacle '{self.name}': a mesh needs at least one convex piece")
         for vertices in self.vertices():
-            if len(vertices) < 4 or not np.isfinite(vertices).all():
+            if len(vertices) < 4 or not np.isfinite(vertices).all() or _flat(vertices):
                 raise UsageError(f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices")
         super().__post_init__()
 
@@ -103,6 +107,10 @@ class Mesh(_Shape):
     def vertices(self) -> tuple[Array, ...]:
         """Return each piece's vertices (n, 3) [m], in the shape's frame."""
         return tuple(np.frombuffer(piece, dtype=float).reshape(-1, 3) for piece in self.pieces)
+
+
+def _flat(vertices: Array) -> bool:  # libraries of hulls end the process
+    return np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[2] < 1e-6 * np.ptp(vertices, axis=0).max()
 
 
 Shape = Box | Cylinder | Capsule | Sphere | Mesh

@@ -177,17 +177,9 @@ class CommandArbiter:
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
         refusals, self._refusals = tuple(self._refusals), []
-        return ArbiterOutput(
-            q_target=self._target.copy(),
-            gripper=self._gripper.copy(),
-            state=self.state,
-            active_source=self.source if driven else None,
-            switched_to=switched_to,
-            refusals=refusals,
-            executions=self.underway.executions,
-            halted=halted,
-            speed=self.speed,
-        )
+        targets, who = (self._target.copy(), self._gripper.copy()), self.source if driven else None
+        now = self.underway.executions, halted, self.speed
+        return ArbiterOutput(*targets, self.state, who, switched_to, refusals, *now)
 
     def _stop_silent(self, arms: set[int], rest: Array) -> None:
         for arm in arms:
@@ -275,8 +267,7 @@ class CommandArbiter:
             return mode
         if waited >= self.config.settle_timeout_s:
             self._switch = None
-            self.state = ArbiterState.STOPPED
-            fastest = f"fastest joint {speed:.3f} rad/s after {waited:.3f} s"
+            self.state, fastest = ArbiterState.STOPPED, f"fastest joint {speed:.3f} rad/s after {waited:.3f} s"
             self._refuse(mode, "not_still", f"{fastest}; still means below {still_speed} rad/s")
         return None
 
@@ -358,7 +349,9 @@ class CommandArbiter:
 
     def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
         robot = self._robot
-        v = np.clip(v_measured, -robot.v_max, robot.v_max)
+        v, wanted = np.clip(v_measured, -robot.v_max, robot.v_max), self._target
         if not np.isfinite(v).all():
             return posture.copy()
-        return np.clip(posture + v * np.abs(v) / (2.0 * _STOP_SHARE * robot.a_max), robot.q_lower, robot.q_upper)
+        rest = np.clip(posture + v * np.abs(v) / (2.0 * _STOP_SHARE * robot.a_max), robot.q_lower, robot.q_upper)
+        ahead = ((wanted - posture) * v >= 0.0) | (np.abs(wanted - posture) < self.config.switch_step_max_rad)
+        return np.where(ahead & ((rest - wanted) * v > 0.0), wanted, rest)  # never beyond what was commanded

@@ -115,10 +115,12 @@ class Grippers:
         self._hands[_TARGET] = self.targets_m
         self.forget_grip()
 
-    def forget_grip(self) -> None:
-        """Expect no grip until hands close on something anew."""
+    def forget_grip(self, *, excused: bool = False) -> None:
+        """Expect no grip until hands close on something anew; `excused`: nor fingers to be measured, where they are not."""
         self._hands[_HELD:], self.fault = [[math.nan], [0.0]], ""
         """fault: which hand lost its grip, or empty."""
+        if excused:
+            self._hands[_LOST_N, np.isnan(self._plant.fingers)] = -np.inf
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
@@ -132,7 +134,7 @@ class Grippers:
         """Advance towards command (2,); return finger targets (2,) [m]."""
         if self.wide and min(command.tolist()) > OPEN_ABOVE:
             return self.targets_m
-        grip, fingers = self._plant.grip, self._plant.fingers
+        grip, fingers = (np.asarray(x, dtype=float).reshape(2) for x in (self._plant.grip, self._plant.fingers))
         found = advance(command, grip, fingers, self._hands, self._force_n, self._how)
         self.targets_m, self.wide = self._hands[_TARGET].copy(), found >= _WIDE
         if found & _OPENS:

@@ -14,7 +14,7 @@ from minidual.control.impedance import SQUEEZE_CEILING_N, HandImpedance, HeldObj
 from minidual.control.kernels import within
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, deviation
+from minidual.robot.pair import SIDES, Array, deviation, inverse
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
@@ -23,8 +23,10 @@ _START, OFF_PATH = (0.02, 0.1), (0.04, 0.15)
 SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
 """Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
 singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
-_AHEAD, _PACE_MIN, _NEARER, _SPEED_SHARE = 10, 0.1, 1e-4, 0.9
-"""_AHEAD: arbiter's ticks that a path looks ahead; it slows down within 0.25 s."""
+_AHEAD_S, _PACE_MIN, _NEARER, _SPEED_SHARE = 0.2, 0.1, 1e-4, 0.9
+"""_AHEAD_S: how far a path looks ahead; it slows down within 0.25 s."""
+_IN_HAND = 0.04, 0.5
+"""Largest distance [m] and angle [rad] by which an object may move in a hand; it turns between two pads."""
 
 
 class ObjectSensor(Protocol):
@@ -46,7 +48,7 @@ class ObjectImpedanceController(Controller):
 
     def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor | None) -> None:
         self._kinematics, self._sensor = kinematics, sensor
-        self._squeeze_step = SQUEEZE_RATE_N_PER_S * dt_s
+        self._squeeze_step, self._dt_s, self._updates = SQUEEZE_RATE_N_PER_S * dt_s, dt_s, 0
         self.forget()
 
     def forget(self) -> None:
@@ -55,7 +57,6 @@ class ObjectImpedanceController(Controller):
         self._law: ObjectImpedance | None = None
         self._execution: ObjectExecution | None = None
         self.desired: ObjectState | None = None
-        self._seen: ObjectState | None = None
         self._squeeze = self._squeeze_wanted = 0.0
         self._near: Array | None = None
         self.reference = np.zeros(self._kinematics.robot.dof)
@@ -89,9 +90,10 @@ class ObjectImpedanceController(Controller):
             self._next.engage(q)
         self._law = self._next
         measured, internal_force = self._ready()[1].read()
-        self.desired = ObjectState(measured.T_world_object)
+        self.desired = ObjectState(measured.T_world_object.copy())
+        self._T_tcp_objects = [inverse(T) @ self.desired.T_world_object for T in self._kinematics.tcp_poses(q)]
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
-        self._execution = self._seen = None
+        self._execution = None
         self.reference, self._v = np.array(q, dtype=float), v
 
     @property
@@ -111,9 +113,10 @@ class ObjectImpedanceController(Controller):
                 if execution is not self._execution:
                     self._near = None
                 self._execution = execution
-        if self._seen is not None and (far := self._away(self._seen, OFF_PATH, "where it was a tick before")):
-            raise DataError(f"the object is {far}", remedy="look at what measures its pose: nothing moves as fast")
-        self._seen = ObjectState(self._ready()[1].read()[0].T_world_object.copy())
+        for arm, T in enumerate(self._kinematics.tcp_poses(self.reference)):
+            held = ObjectState(T @ self._T_tcp_objects[arm])
+            if far := self._away(held, _IN_HAND, f"where the {SIDES[arm]} hand holds it"):
+                raise DataError(f"the object is {far}", remedy="look at what measures its pose, and at the grasp")
         if self._execution is not None:
             self._give_room(self._execution)
             if far := self._away(self._execution.desired, OFF_PATH):
@@ -129,7 +132,8 @@ class ObjectImpedanceController(Controller):
         share = float((np.abs(self._v) / robot.v_max).max()) / max(execution.rate, _PACE_MIN)  # at the full rate
         near = np.r_[(values - SLOW_AT[kind]) / (_STOP_AT - SLOW_AT)[kind], share]
         nearer, self._near = np.zeros_like(near) if self._near is None else near - self._near, near
-        *ahead, share = near + _AHEAD * np.maximum(nearer, 0.0)
+        ticks, self._updates = _AHEAD_S / (self._dt_s * max(1, self._updates)), 0
+        *ahead, share = near + ticks * np.maximum(nearer, 0.0)
         nearing = np.where(nearer[:-1] > _NEARER, ahead, 0.0)
         worst = int(nearing.argmax())
         execution.pace = max(_PACE_MIN, min(1.0 - float(nearing[worst]), _SPEED_SHARE / max(share, _SPEED_SHARE)))
@@ -152,7 +156,7 @@ class ObjectImpedanceController(Controller):
         # The hands slip above the friction limit: reduce the squeeze at once.
         self._squeeze = min(self._squeeze, sensor.grip_limit_n)
         measured, felt_n = sensor.read()
-        self.reference, self._v, desired = q, v, self.desired or measured
+        self.reference, self._v, desired, self._updates = q, v, self.desired or measured, self._updates + 1
         return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)
 
     def _ready(self) -> tuple[ObjectImpedance, ObjectSensor]:

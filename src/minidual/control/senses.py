@@ -138,8 +138,7 @@ class JointSense:
         if (apart | still).any() and not self.why:
             joint = int(np.argmax(apart | still))
             what = " and ".join(np.array(["position", "velocity"])[lost[:, joint]])
-            far = f"they differ by {abs(kept[_R, joint]):.4f} rad"
-            same_s = float(same[:, joint].max())
+            far, same_s = f"they differ by {abs(kept[_R, joint]):.4f} rad", float(same[:, joint].max())
             held = f"unchanged for {1e3 * same_s:.0f} ms, " if same_s else ""
             self.why = f"{what} of {self._robot.joint_names[joint]}: {held}{far}"
         self._lose(lost, float(same.min(axis=0)[apart | still].max(initial=0.0)))

@@ -4,7 +4,9 @@ The arbiter runs at its own rate, and at once for requests, halts and timed comm
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand,
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
+from minidual.control.impedance import InHand
 from minidual.control.impedance_controllers import HandImpedanceController, ObjectImpedanceController, ObjectSensor
 from minidual.control.reflexes import ReflexError
 from minidual.control.senses import Expected
@@ -33,6 +36,10 @@ _STOPPING: tuple[str, ...] = ("soft_stop",)
 _STOP_MAX_S = 2.0
 _SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
 """Distance from their reference at which arms sag under a load, and beyond which something else has moved them."""
+
+
+def _row(x: Any, n: int) -> Array:
+    return np.asarray(x, dtype=float).reshape(n)
 
 
 class PlantError(MinidualError):
@@ -99,6 +106,8 @@ class ControlStack[P: Plant]:
         self.impedance.forget()
         self.payload.reset()
         self.grippers.reset()
+        for hand in self.hands:
+            hand.law.held, hand.law.other = InHand(), None
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
         self.refusals: list[Refusal] = []
         """All since the reset."""
@@ -114,8 +123,6 @@ class ControlStack[P: Plant]:
             control_dt_s=self.plant.dt,
             admit=lambda command: self.manager.refuses(command),
         )
-        self.affirm = self.arbiter.affirm
-        """Reports a source as alive; call at the arbiter's rate."""
         self.arbiter.speed, self.arbiter.on_flush = self._speed, self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
@@ -124,9 +131,14 @@ class ControlStack[P: Plant]:
         self.reflex: MinidualError | None = None
         """Of the latched reflex."""
         self._failed: Exception | None = None
-        self._stop_ticks = 0
+        self._stop_ticks, self._before = 0, deque([(self.plant.time, self.plant.q)], maxlen=2)
+        """Time [s] and joints of the last arbiter's ticks."""
 
     # Commands --------------------------------------------------------------------------------------------
+
+    def affirm(self, source: str) -> None:
+        """Report a source as alive; call at the arbiter's rate."""
+        self.arbiter.affirm(source)
 
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None."""
@@ -225,7 +237,9 @@ class ControlStack[P: Plant]:
             UsageError: The arms move, or are not measured.
         """
         q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
-        speed, age_s = float(np.max(np.abs(v))), self.plant.time - self.plant.stamp_s
+        (then_s, q_then), age_s = self._before[0], self.plant.time - self.plant.stamp_s
+        moved = (q - q_then) / max(self.plant.time - then_s, self.plant.dt)  # velocities may be what has failed
+        speed = float(np.max(np.abs([v, 0.25 * moved])))  # arms that have just come to rest were faster
         if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._stale_s):
             measured = f"{speed:.3f} rad/s; at rest is below {still} rad/s; measured {1e3 * age_s:.0f} ms ago"
             remedy = f"go on with step() until they rest and are measured (within {1e3 * self._stale_s:.0f} ms)"
@@ -235,7 +249,7 @@ class ControlStack[P: Plant]:
             self.manager[name].activate(q, v)
         self.manager.fade_left = 0  # from torques that were never applied
         if isinstance(self.reflex, ReflexError) and self.reflex.reflex.name == "gripper_opened":
-            self.grippers.forget_grip()  # lost in the stop, it is yet to be named
+            self.grippers.forget_grip(excused=True)  # what is lost in the stop is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
         self._stand(self.output.gripper)
@@ -289,14 +303,13 @@ class ControlStack[P: Plant]:
         """
         if self.supervisor is None:
             raise error
-        if self._failed is None:
-            self._failed = error
+        self._failed = self._failed or error
 
     def _attempt[T](self, part: Callable[[], T], otherwise: T) -> T:
         try:
             return part()
         except Exception as error:
-            self.fail(error)
+            self._failed = self._failed or error
             return otherwise
 
     def arbitrate(self) -> ArbiterOutput:
@@ -320,11 +333,12 @@ class ControlStack[P: Plant]:
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._due = self._pending = False
+        self._before.append((plant.time, plant.q))
         self._hand_down()
         if output.halted:
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
             self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
-        self.manager.follow(output)
+        self._attempt(lambda: self.manager.follow(output), None)
         self.payload.follow(output.gripper, [self.grippers.lost(arm) for arm in (0, 1)])
         return output
 
@@ -358,7 +372,7 @@ class ControlStack[P: Plant]:
                 execution.step()
                 self._due = self._due or execution.finished
         except Exception as error:
-            self.fail(error)
+            self._failed = self._failed or error
         tau, stopped = self._torque(*self._measured())
         if self._off is not None:
             tau = self._off.limit(tau)
@@ -366,7 +380,7 @@ class ControlStack[P: Plant]:
         try:
             fingers_m = self.grippers.step(self.output.gripper)
         except Exception as error:
-            self.fail(error)
+            self._failed = self._failed or error
             fingers_m = self.grippers.targets_m
         plant.command(tau, fingers_m)
         plant.step()
@@ -376,27 +390,25 @@ class ControlStack[P: Plant]:
     def _measured(self) -> tuple[float, float | None, Array, Array]:
         plant = self.plant
         try:
-            return 0.0 + plant.time, plant.stamp_s, plant.q.reshape(n := len(self.applied)), plant.v.reshape(n)
+            q, v = _row(plant.q, len(self.applied)), _row(plant.v, len(self.applied))
+            return float(plant.time), None if (stamp_s := plant.stamp_s) is None else float(stamp_s), q, v
         except Exception as error:
-            self.fail(error)
+            self._failed = self._failed or error
         nothing = np.full(self._robot.dof, np.nan)
-        time_s, stamp_s = self._attempt(lambda: 0.0 + plant.time, np.nan), self._attempt(lambda: plant.stamp_s, None)
-        q, v = (self._attempt(lambda x=x: getattr(plant, x).reshape(nothing.shape), nothing) for x in "qv")
+        time_s, stamp_s = (self._attempt(lambda x=x: float(getattr(plant, x)), np.nan) for x in ("time", "stamp_s"))
+        q, v = (self._attempt(lambda x=x: _row(getattr(plant, x), len(nothing)), nothing) for x in "qv")
         return time_s, stamp_s, q, v
 
-    def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, MinidualError | None]:
-        if self.supervisor is None:
-            try:
-                return self._asked(time_s, stamp_s, q, v)[0], None
-            except MinidualError as error:
-                return self._fall_back(error, q, v), error
+    def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Exception | None]:
         tau, acceleration = self.applied, None
         if self._failed is None:
             try:
                 tau, acceleration = self._asked(time_s, stamp_s, q, v)
             except Exception as error:
-                self.fail(error)
+                self._failed = self._failed or error
         failed, self._failed = self._failed, None
+        if self.supervisor is None:
+            return (tau, None) if failed is None else (self._fall_back(q, v), failed)
         try:
             if failed is None:
                 return self.supervisor.guard(time_s, q, v, tau, acceleration, stamp_s), None
@@ -430,12 +442,15 @@ class ControlStack[P: Plant]:
             return Expected("free motion", None, manager.reference, "", off, bears_n)
         return Expected("closed hands", None, manager.reference, grippers.fault, off, bears_n)
 
-    def _fall_back(self, error: MinidualError, q: Array, v: Array) -> Array:
-        if self.manager.active == DEFAULT_CONTROLLERS:  # no other controller could hold the arms
-            raise error
-        self.manager.switch(DEFAULT_CONTROLLERS, q, v)
-        self.request(HOLD)
-        return self.manager.update(q, v)
+    def _fall_back(self, q: Array, v: Array) -> Array:
+        self.arbiter.underway.executions = ()
+        if self.source is not None or self.arbiter.switching:
+            self.request(HOLD)
+        if not np.isfinite(q).all():
+            return self.applied
+        if self.manager.active != DEFAULT_CONTROLLERS:
+            self.manager.switch(DEFAULT_CONTROLLERS, q, v)
+        return self.manager.update(q, v)  # raises if these have failed: no others could hold the arms
 
     def _confirmed(self, mode: str) -> None:
         names = self._wanted.pop(mode, self.manager.active)

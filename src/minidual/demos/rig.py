@@ -131,8 +131,7 @@ class Rig:
         self.job, self.kinematics = job, Kinematics(job.robot)
         self.world, self._cameras = World(job.task.scene, job.robot, visuals=True), tuple(cameras)
         self._eye = Camera.recorded(self.world.model, self.world.scene.camera) if cameras else None
-        supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
-        rate_hz = job.teleop.rate_hz
+        supervisor, rate_hz = trial_supervisor(job.supervisor, self.world.dt, job.robot), job.teleop.rate_hz
         stack = ControlStack(self.world, self.kinematics, job.arbiter, rate_hz=rate_hz, supervisor=supervisor)
         self.session = TeleopSession(stack, job.teleop, self._pictures)
         self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)

@@ -109,8 +109,7 @@ class Planner:
     ) -> None:
         self.config, self.scene = config or PlannerConfig(), scene or PlanningScene(robot=robot)
         self.robot = self.scene.robot
-        self.kinematics = Kinematics(self.robot)
-        self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)
+        self.kinematics, self._engines = Kinematics(self.robot), functools.lru_cache(_SCENES_KEPT)(self._built)
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
         """Return a scene's engines; the last eight scenes are cached.

@@ -172,7 +172,8 @@ def _motion(first: Array, second: Array, speed: Array, acceleration: Array, dof:
             v[i, j] = first[i, j] * speed[i]
             a[i, j] = second[i, j] * (speed[i] * speed[i]) + first[i, j] * acceleration[i]
             most[0, j], most[1, j] = max(most[0, j], abs(v[i, j])), max(most[1, j], abs(a[i, j]))
-            most[2, j] = max(most[2, j], abs(a[i, j] - a[max(i - 1, 0), j]))
+            most[2, j] = max(most[2, j], abs(a[i, j] - (a[i - 1, j] if i else 0.0)))
+    most[2] = np.maximum(most[2], np.abs(a[-1]))  # it rests before and after
     return v, a, most
 
 

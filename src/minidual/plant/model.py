@@ -236,8 +236,7 @@ def _add_actuators(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
         # The pinch force comes from a target inside the object, so the range extends below closed.
         reach = physics.finger_force_max_n / physics.finger_kp_n_per_m
         servo.ctrlrange, servo.ctrllimited = [-reach, robot.hand.travel_m], True
-        servo.forcerange = [-physics.finger_force_max_n, physics.finger_force_max_n]
-        servo.forcelimited = True
+        servo.forcerange, servo.forcelimited = [-physics.finger_force_max_n, physics.finger_force_max_n], True
 
 
 def _facing(position: tuple[float, float, float], target: tuple[float, float, float]) -> Array:

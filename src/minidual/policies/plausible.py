@@ -78,8 +78,7 @@ class Plausible:
         self._turned.append(turned & (self._sign != 0.0))
         self._turns += self._turned[-1].astype(int) - self._turned.popleft()
         self._sign = np.where(turned, np.sign(away), self._sign)
-        self._extreme = np.where(onward, q, self._extreme)
-        joint = int(np.argmax(self._turns))
+        self._extreme, joint = np.where(onward, q, self._extreme), int(np.argmax(self._turns))
         if self._turns[joint] > TURNS_MAX:
             bounds = {"swing_rad": SWING_RAD, "ticks": _WINDOW_TICKS, "bound_n": TURNS_MAX}
             named = {"joint": joint + 1, "joints_n": self._n, "turns_n": self._turns[joint]}

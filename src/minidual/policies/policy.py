@@ -147,8 +147,7 @@ class EmittedActions(NamedTuple):
 
 def exercise_checkpoint(checkpoint: Path, demos: Demonstrations, robot: Robot, device: str = "cpu") -> EmittedActions:
     """Run `checkpoint` on evenly spaced ticks, without clamping."""
-    runtime = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0)
-    chunks = []
+    runtime, chunks = PolicyRuntime.load(checkpoint, device, n_action_steps=1, blend_ticks=0), []
     for row in np.linspace(0, len(demos) - 1, min(_SAMPLES_N, len(demos))).astype(np.int64):
         images = {camera: demos.images[camera][row] for camera in demos.cameras}
         runtime.reset()

@@ -4,7 +4,7 @@ The certificate proves from few samples that a trajectory touches nothing. On ea
 separating plane (`minidual.proof.planes`). Unproven stretches are halved.
 The audit tests the certificate by dense sampling with all collision engines, too slow for every plan.
 
-Limits are checked midway between samples too, torque at every fourth sample.
+Limits are checked between samples too, torques every 4 ms.
 """
 
 import functools
@@ -17,25 +17,33 @@ from numba.core import types
 
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import ENGINES, PairDistance
+from minidual.errors import UsageError
 from minidual.proof import planes
 from minidual.proof.solids import Solids
 from minidual.robot.compiled import ROWS, floats, inlined, kernel
 from minidual.robot.kinematics import Kinematics, Trajectory
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import SIDES, Array, Robot
 
 _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6
-_TORQUE_EVERY = 4
+_TORQUE_S = 0.004
 _MISFIT = 0.05  # share of the acceleration limit; plans of 300 stored queries reach 0.016
+
+
+def _of(robot: Robot, trajectory: Trajectory) -> Robot:
+    if trajectory.q.shape[1] != robot.dof:
+        raise UsageError(f"the trajectory has {trajectory.q.shape[1]} joints, two {robot.arm.name} have {robot.dof}")
+    return robot
 
 
 def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[dict[str, float], str]:
     """Return the numbers of `Verification` but `samples_n`, and the first broken limit ("" if none)."""
-    robot, h = kinematics.robot, trajectory.dt_s
+    robot, h = _of(kinematics.robot, trajectory), trajectory.dt_s
     found = np.empty((8, robot.dof))
     _extremes(*(floats(x) for x in (trajectory.q, trajectory.v, trajectory.a)), h, found)
     below, above, speed, acceleration, change, jump, off_velocity, off_acceleration = found
-    torques = kinematics.torque_use(trajectory.q, trajectory.v, trajectory.a, h, _TORQUE_EVERY)
+    change = np.maximum(change, np.abs(trajectory.a[[0, -1]]).max(axis=0))  # the arms rest before and after
+    torques = kinematics.torque_use(trajectory.q, trajectory.v, trajectory.a, h, max(1, round(_TORQUE_S / h)))
     shares = speed / robot.v_max, acceleration / robot.a_max, change / h / robot.jerk_max, *torques
     worst = dict(zip(("velocity", "acceleration", "jerk", "torque", "torque_rate"), shares, strict=True))
     margin = np.minimum(-below - robot.q_lower, robot.q_upper - above)
@@ -67,9 +75,11 @@ def _larger(x: float, y: float) -> float:
 
 @kernel(types.void(ROWS, ROWS, ROWS, types.float64, ROWS))
 def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
-    """Fill (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2]."""
-    # A cubic whose mean speed differs from the mean end speed accelerates by six times the difference over the step. The
-    # acceleration's change (for a, half of it) is subtracted. NaN propagates.
+    """Fill (8, dof): maxima of -q, q, |v|, |a|, change of a, step of q, mismatch of v, mismatch of a [rad/s^2].
+
+    Of the samples and of the cubics between them, whose control points contain the positions.
+    """
+    # The change of a (for a itself, half of it) is subtracted from the mismatch: a may jump within the step. NaN propagates.
     most[:] = -np.inf
     for i in range(len(q)):
         for j in range(q.shape[1]):
@@ -77,14 +87,20 @@ def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
             most[2, j], most[3, j] = _larger(abs(v[i, j]), most[2, j]), _larger(abs(a[i, j]), most[3, j])
         for j in range(q.shape[1] if i else 0):
             rise, change = q[i, j] - q[i - 1, j], abs(a[i, j] - a[i - 1, j])
-            gain, mean_v = v[i, j] - v[i - 1, j], 0.5 * (v[i, j] + v[i - 1, j])
-            mean_a = 0.5 * (a[i, j] + a[i - 1, j])
-            q_middle, v_middle = 0.5 * (q[i, j] + q[i - 1, j]) - 0.125 * h * gain, 1.5 * rise / h - 0.5 * mean_v
-            most[0, j], most[1, j] = _larger(-q_middle, most[0, j]), _larger(q_middle, most[1, j])
-            most[2, j], most[3, j] = _larger(abs(v_middle), most[2, j]), _larger(abs(mean_a), most[3, j])
-            most[4, j], most[5, j] = _larger(change, most[4, j]), _larger(abs(rise), most[5, j])
-            most[6, j] = _larger(abs(6.0 * (rise / h - mean_v) / h) - change, most[6, j])
-            most[-1, j] = _larger(abs(gain / h - mean_a) - 0.5 * change, most[-1, j])
+            mean_v, mean_a = 0.5 * (v[i, j] + v[i - 1, j]), 0.5 * (a[i, j] + a[i - 1, j])
+            gain, bend = (
+                (v[i, j] - v[i - 1, j]) / h,
+                abs(6.0 * (rise / h - mean_v) / h),
+            )  # q'' is gain -+ bend at the ends
+            for near in (q[i - 1, j] + h * v[i - 1, j] / 3.0, q[i, j] - h * v[i, j] / 3.0):
+                most[0, j], most[1, j] = _larger(-near, most[0, j]), _larger(near, most[1, j])
+            turn = v[i - 1, j] - (3.0 * rise / h - 2.0 * mean_v)
+            at = turn / (2.0 * turn + h * gain)  # the speed is a parabola; its vertex may lie within the step
+            if 0.0 < at < 1.0:
+                most[2, j] = _larger(abs(v[i - 1, j] - at * turn), most[2, j])
+            most[3, j], most[5, j] = _larger(abs(gain) + bend, most[3, j]), _larger(abs(rise), most[5, j])
+            most[4, j], most[6, j] = _larger(change, most[4, j]), _larger(bend - change, most[6, j])
+            most[-1, j] = _larger(abs(gain - mean_a) - 0.5 * change, most[-1, j])
 
 
 _SLACK_M = 2e-5  # for rounding; the engines' vertices differ by 1e-7 m
@@ -95,8 +111,13 @@ _EVERY = 8  # samples; the length is only to divide the motion
 
 
 def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:
-    """Return the unproven pair and time, or "", and the number of stretch ends; never raises."""
+    """Return the unproven pair and time, or "", and the number of stretch ends.
+
+    Raises:
+        UsageError: A trajectory of another robot.
+    """
     q, v = floats(trajectory.q), floats(trajectory.v)
+    _of(solids.robot, trajectory)
     # Joints whose samples all agree may still move between them.
     moved = ((q != q[0]) | (v != 0.0)).any(axis=0)
     moving = solids.of_arms([side for side in SIDES if moved[solids.robot.groups[f"{side}_arm"]].any()])
@@ -112,11 +133,10 @@ def certify(solids: Solids, trajectory: Trajectory) -> tuple[str, int]:
 
 def first_stretches(q: Array, length_rad: float) -> np.ndarray:
     """Return first and last samples (s, 2) of stretches of about this length, summed over joints."""
-    gone = np.append(0.0, np.cumsum(np.abs(np.diff(q[::_EVERY], axis=0)).sum(axis=1)))
-    count = max(1, min(_STRETCHES_MAX, math.ceil(gone[-1] / length_rad)))
-    ends = np.unique(_EVERY * np.searchsorted(gone, np.arange(count) * gone[-1] / count))
-    ends = ends[ends < len(q) - 1]
-    return np.column_stack([ends, np.append(ends[1:], len(q) - 1)])
+    gone = float(np.abs(np.diff(q[::_EVERY], axis=0)).clip(max=1e6).sum())
+    count = max(1, min(_STRETCHES_MAX, len(q) - 1, math.ceil(gone / length_rad)))
+    ends = np.arange(count + 1) * (len(q) - 1) // count
+    return np.column_stack([ends[:-1], ends[1:]])
 
 
 def _refusal(solids: Solids, trajectory: Trajectory, samples: list[int], pair: int) -> tuple[str, int]:
@@ -186,7 +206,7 @@ class SceneEngines:
         return [] if self.solids.free(q, within_m) else self.engine("mujoco").closest(q, within_m)
 
     def verify(self, trajectory: Trajectory) -> Verification:
-        """Check limits and prove freedom from contact; never raises."""
+        """Check limits and prove freedom from contact; raises what `certify` raises."""
         use, broken = limit_use(trajectory, self._kinematics)
         reason, samples_n = certify(self.solids, trajectory)
         reason = reason or broken

@@ -63,7 +63,7 @@ class Solids:
     def _pairs(self, rows: dict[str, int]) -> np.ndarray:
         n, frames = self.robot.dof_per_arm, self._parts["frame"]
         width, still = n + 1, len(frames) * (n + 1)
-        a, b = np.array([[rows[name] for name in pair] for pair in self.pairs]).reshape(-1, 2).T
+        a, b = np.array([[rows[name] for name in pair] for pair in self.pairs], dtype=int).reshape(-1, 2).T
         f, g = frames[a], frames[b]
         # Two parts of one arm are described in the inner one's frame.
         one_arm = (f > 0) & (g > 0) & ((f > n) == (g > n))

@@ -1,7 +1,7 @@
 """Compile numeric loops with numba, cached on disk if possible.
 
-Without fastmath, operations keep their order and NaN propagates. Helpers share the kernel's file: numba's cache watches
-no other.
+Without fastmath, operations keep their order and NaN propagates. Helpers share the kernel's file, because numba's cache
+watches no other; after a change of `vectors.py` delete the `__pycache__` folders.
 """
 
 import sys

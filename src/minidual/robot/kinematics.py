@@ -97,14 +97,9 @@ class Trajectory:
     def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
         """Write every `every`-th sample and the last, atomically."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
-        content = {
-            "group": self.group,
-            "joint_names": list(joint_names),
-            "times_s": self.times[rows].round(6).tolist(),
-            "q_rad": self.q[rows].round(9).tolist(),
-            "v_rad_per_s": self.v[rows].round(9).tolist(),
-            "a_rad_per_s2": self.a[rows].round(9).tolist(),
-        }
+        columns = {"times_s": self.times, "q_rad": self.q, "v_rad_per_s": self.v, "a_rad_per_s2": self.a}
+        content: dict[str, Any] = {"group": self.group, "joint_names": list(joint_names)}
+        content |= {name: x[rows].round(9).tolist() for name, x in columns.items()}
         write_text(path, json.dumps(content))
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:

@@ -57,8 +57,7 @@ class CarryWatch:
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
         self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
-        self._least_n = 0.5 * _EASE_MARGIN * world.scene.task.internal_force_min_n
-        self.grip_limit_n = math.inf
+        self._least_n, self.grip_limit_n = 0.5 * _EASE_MARGIN * world.scene.task.internal_force_min_n, math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
         self.shifted = False
         """Whether the untouched object was shifted, and followed."""

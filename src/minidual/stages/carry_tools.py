@@ -38,8 +38,7 @@ def perturb(context: ToolContext) -> ToolResult:
     rows = [{**dict.fromkeys(measured[0], "-"), **row} for row in measured]  # the first, undisturbed, has all columns
     write_csv(context.output / "conditions.csv", rows)
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
-    failed = [r for r in found if not r.holds]
-    limit = f"points fewer than clean (limit {100 * DROP_MAX:.0f})"
+    failed, limit = [r for r in found if not r.holds], f"points fewer than clean (limit {100 * DROP_MAX:.0f})"
     notes = [f"{r.cell.condition}: {r.row()['successes']}, {100 * r.drop:.0f} {limit}: {r.example}" for r in failed]
     return ToolResult(
         lines=markdown(rows),

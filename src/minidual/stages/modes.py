@@ -101,8 +101,7 @@ def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, .
     trial = task.trial(seed, "modes", 0)
     world.reset(poses=trial.goal)  # as the last carry left it
     recorder = Recorder(world, window_s=1.0, seed=seed, folder=context.run_folder / "dumps")
-    world.recorder = recorder
-    supervisor = trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder))
+    world.recorder, supervisor = recorder, trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder))
     rate_hz = config.teleop.rate_hz
     stack = ControlStack(world, Kinematics(robot), config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
     planner = Planner(config=config.plan.planner, robot=robot)

@@ -93,8 +93,7 @@ class Condition:
         """Return why it does not apply, or an empty string."""
         if self.sense and self.sense not in METHODS[method].reads(make_task(config)):
             return f"{method} reads no {SENSES[self.sense]}"
-        values = {**self.instead_of, **self.settings_under(config)}
-        told = self.change is None or self.instead_of
+        values, told = {**self.instead_of, **self.settings_under(config)}, self.change is None or self.instead_of
         if told and values and all(value == attrgetter(path)(config) for path, value in values.items()):
             return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
         return ""

@@ -69,8 +69,7 @@ def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
     """
     held = log.airborne & (log.pinch.min(axis=1) > _HELD_N)
     span = np.linalg.norm(log.tcp[held, 0] - log.tcp[held, 1], axis=1)
-    missed = log.internal_force[held] - wanted_n
-    velocity = np.diff(log.position, axis=0) * LOG_RATE_HZ
+    missed, velocity = log.internal_force[held] - wanted_n, np.diff(log.position, axis=0) * LOG_RATE_HZ
     velocity[np.linalg.norm(velocity, axis=1) > _PUT_M_PER_S] = math.nan  # somebody put it there: no contact
     change = np.linalg.norm(velocity[_IMPULSE_ROWS:] - velocity[:-_IMPULSE_ROWS], axis=1)
     return {

@@ -88,10 +88,8 @@ class Bench:
     def _run(self, trial: Trial, disturb: Disturbance | None, on_step: StepHook) -> Judged:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
-        began_s = time.process_time()
-        method = self.factory(world, self.kinematics, trial)
-        wall = {"planning_s": time.process_time() - began_s}
-        every = round(1.0 / (LOG_RATE_HZ * world.dt))
+        began_s, method = time.process_time(), self.factory(world, self.kinematics, trial)
+        wall, every = {"planning_s": time.process_time() - began_s}, round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
         rows: list[tuple[Any, ...]] = []
         most, saturated, tau_max = np.zeros(2), np.zeros(world.robot.dof), np.array(world.robot.tau_max)
@@ -123,8 +121,7 @@ class Bench:
             finished_s = finished_s + world.dt if judge.finished else 0.0
             if method.done or finished_s > SETTLED_S:
                 break
-        log = TrialLog(*map(np.array, zip(*rows, strict=True)))
-        outcome = judge.outcome(world)
+        log, outcome = TrialLog(*map(np.array, zip(*rows, strict=True))), judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
         controls = self.task.together and "squeezed" in self.spec.demands

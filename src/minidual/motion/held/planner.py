@@ -176,8 +176,7 @@ class HeldWork:
         self._q_start = check_joints(query.q_start, "start", planner.robot)
         self._hands = HandsIK(query.grasps, planner.robot)
         T_goal = check_pose(query.T_world_goal, "the goal of the object")
-        self._engines = planner.engines(query.scene)
-        self._deadline = time.perf_counter() + budget_s
+        self._engines, self._deadline = planner.engines(query.scene), time.perf_counter() + budget_s
         self._T_start = self._object_at(self._q_start)
         self._hands.require_held(self._q_start, self._T_start)
         require_free(self._engines, self._q_start, "start")

@@ -174,8 +174,7 @@ class Report:
     def banners(self) -> list[Banner]:
         """The warnings, gravest first."""
         given, waivers = self.given, self.waivers
-        verdicts = given.verdicts.values()
-        gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
+        verdicts, gates = given.verdicts.values(), f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
         blocked = [joined([f"{stage} was {state}" for stage, state in w.blocking.items()]) for w in waivers]
         by_hand = zip(waivers, blocked, strict=True)
         opened = [f"gate of {w.stage}, {moment(w.at)}: “{w.reason}” ({states})" for w, states in by_hand]

@@ -45,8 +45,7 @@ def build_report(given: StageContext, folder: Path) -> Report:
         for stage, verdict in given.verdicts.items():
             media += collect_media(verdict, given.upstream[stage], folder)
         data = benchmark.data["tasks"] if benchmark else {}
-        asked = trials_asked(given.config).items()
-        own = next(iter(trials_asked(given.config)))
+        asked, own = trials_asked(given.config).items(), next(iter(trials_asked(given.config)))
         tables = {
             task: tabulate(
                 wanted.methods,

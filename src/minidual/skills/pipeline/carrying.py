@@ -37,8 +37,7 @@ class Carry:
     """
 
     def __init__(self, places: Sequence[Place], lift_m: float, tilt_max_rad: float = np.pi, min_m: float = 0.0) -> None:
-        self._tilt_max_rad = tilt_max_rad
-        self._places = sorted(places, key=lambda place: place.cost)
+        self._tilt_max_rad, self._places = tilt_max_rad, sorted(places, key=lambda place: place.cost)
         # as low as the task allows, where the arms reach no higher
         self._heights = tuple(dict.fromkeys((lift_m, *(max(h, min_m) for h in _OTHER_HEIGHTS_M))))
 

@@ -103,5 +103,4 @@ class Drive:
         self.aborted, self._left = f"phase '{self.phase}': {error.message}", []
 
     def _abort(self, reason: str) -> None:
-        self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"
-        self._left = []
+        self.aborted, self._left = f"the arbiter stopped phase '{self.phase}' ({reason})", []

@@ -37,8 +37,7 @@ def check_cameras(world: World, path: Path | None = None) -> CameraCheck:
         pictures = {name: camera.picture(world.data, name) for name in (*CAMERAS, "overview")}
         seen = {name: camera.bodies_seen(world.data, name) for name in ("high", *world.robot.sides)}
         fingers = [seen[side].get(f, 0.0) for side in world.robot.sides for f in world.robot.hand_links(side)[1:]]
-        objects = [seen["high"].get(name, 0.0) for name in world.objects]
-        renderer = _gl_renderer()
+        objects, renderer = [seen["high"].get(name, 0.0) for name in world.objects], _gl_renderer()
     if path is not None:
         kinds = {"high": "recorded", "left": "wrist, recorded", "right": "wrist, recorded", "overview": "for people"}
         sheet([(f"{name} ({kinds[name]})", picture) for name, picture in pictures.items()], 2, path, width_in=4.8)

@@ -161,8 +161,7 @@ def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    mine = tuple(f"{arm}_" for arm in arms)
-    theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
+    mine, theirs = tuple(f"{arm}_" for arm in arms), tuple(f"{arm}_" for arm in SIDES if arm not in arms)
     fixed = ("left_", "right_", "table")
 
     def between_mine_and(wanted: Callable[[str], bool]) -> bool:
