@@ -169,9 +169,12 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(browser: Bro
     assert foreign == []
 
 
+@pytest.mark.timeout(400)  # as above
 def test_a_closed_page_stops_nothing_and_ctrl_c_is_a_clean_end(
-    browser: Browser, process: subprocess.Popen[str]
+    browser: Browser, process: subprocess.Popen[str], address: str
 ) -> None:
+    browser.go(address)  # another worker than that of the test above has a command of its own, which still loads
+    assert shows_scene(browser.wait(shows_scene, limit_s=60.0))
     browser.go("about:blank")
     time.sleep(0.5)
     assert process.poll() is None
