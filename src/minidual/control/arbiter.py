@@ -177,9 +177,8 @@ class CommandArbiter:
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
         refusals, self._refusals = tuple(self._refusals), []
-        targets, who = (self._target.copy(), self._gripper.copy()), self.source if driven else None
-        now = self.underway.executions, halted, self.speed
-        return ArbiterOutput(*targets, self.state, who, switched_to, refusals, *now)
+        now = self._target.copy(), self._gripper.copy(), self.state, self.source if driven else None
+        return ArbiterOutput(*now, switched_to, refusals, self.underway.executions, halted, self.speed)
 
     def _stop_silent(self, arms: set[int], rest: Array) -> None:
         for arm in arms:

@@ -120,7 +120,7 @@ class Grippers:
         self._hands[_HELD:], self.fault = [[math.nan], [0.0]], ""
         """fault: which hand lost its grip, or empty."""
         if excused:
-            self._hands[_LOST_N, np.isnan(self._plant.fingers)] = -np.inf
+            self._hands[_LOST_N, np.isnan(self._plant.fingers)] = -np.inf  # until they are measured, or the hand opens
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""

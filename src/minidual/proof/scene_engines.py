@@ -88,10 +88,8 @@ def _extremes(q: Array, v: Array, a: Array, h: float, most: Array) -> None:
         for j in range(q.shape[1] if i else 0):
             rise, change = q[i, j] - q[i - 1, j], abs(a[i, j] - a[i - 1, j])
             mean_v, mean_a = 0.5 * (v[i, j] + v[i - 1, j]), 0.5 * (a[i, j] + a[i - 1, j])
-            gain, bend = (
-                (v[i, j] - v[i - 1, j]) / h,
-                abs(6.0 * (rise / h - mean_v) / h),
-            )  # q'' is gain -+ bend at the ends
+            gain = (v[i, j] - v[i - 1, j]) / h
+            bend = abs(6.0 * (rise / h - mean_v) / h)  # q'' is gain - bend at one end, gain + bend at the other
             for near in (q[i - 1, j] + h * v[i - 1, j] / 3.0, q[i, j] - h * v[i, j] / 3.0):
                 most[0, j], most[1, j] = _larger(-near, most[0, j]), _larger(near, most[1, j])
             turn = v[i - 1, j] - (3.0 * rise / h - 2.0 * mean_v)
