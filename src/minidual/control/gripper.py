@@ -67,6 +67,8 @@ def advance(
     this tick, and 4 if both are fully open.
     """
     found, wide_n, (gain, step_m, travel_m) = 0, 0, how
+    if len(felt) != 2 or len(fingers) != 2:
+        raise ValueError("the grip and the fingers of both hands are two numbers each")
     for i in range(2):
         if command[i] > OPEN_ABOVE:
             if not hands[_OPEN, i]:
@@ -134,7 +136,7 @@ class Grippers:
         """Advance towards command (2,); return finger targets (2,) [m]."""
         if self.wide and min(command.tolist()) > OPEN_ABOVE:
             return self.targets_m
-        grip, fingers = (np.asarray(x, dtype=float).reshape(2) for x in (self._plant.grip, self._plant.fingers))
+        grip, fingers = self._plant.grip, self._plant.fingers
         found = advance(command, grip, fingers, self._hands, self._force_n, self._how)
         self.targets_m, self.wide = self._hands[_TARGET].copy(), found >= _WIDE
         if found & _OPENS:
