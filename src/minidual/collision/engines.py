@@ -104,8 +104,7 @@ class MujocoEngine:
         for joint in robot.finger_joint_names:
             self.data.qpos[self.model.joint(joint).qposadr[0]] = robot.hand.travel_m
         self._addresses = np.array([int(self.model.joint(name).qposadr[0]) for name in robot.joint_names])
-        self.body_names = [self.model.body(i).name for i in range(self.model.nbody)]
-        self._margin_m = 0.0
+        self.body_names, self._margin_m = [self.model.body(i).name for i in range(self.model.nbody)], 0.0
 
     def contact_count(self, q: Array, margin_m: float = 0.0) -> int:
         """Count contacts at q (n,), and pairs nearer than `margin_m`."""

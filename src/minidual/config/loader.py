@@ -199,8 +199,7 @@ def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple
     dotted, where = ".".join(location), _origin(location, document)
     if kind == "extra_forbidden":
         known = sorted(_keys_at(problem["loc"][:-1], model))
-        remedy = unknown_name("key", location[-1], known).remedy
-        parent = ".".join(location[:-1]) or "the root"
+        remedy, parent = unknown_name("key", location[-1], known).remedy, ".".join(location[:-1]) or "the root"
         return f"{where}: {dotted}: no such key; {parent} has {', '.join(known)}", remedy
     if kind == "value_error":
         return f"{where}: {dotted or 'configuration'}: {problem['ctx']['error']}", None

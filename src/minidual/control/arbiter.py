@@ -87,8 +87,8 @@ class CommandArbiter:
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
         self._affirmed: set[str] = set()
-        self._streamed: set[int] = set()
-        """Arms with a fresh streamed command."""
+        self._streamed, self._stopping = set[int](), set[int]()
+        """Arms with a fresh streamed command, and arms on the way to where they can stop since theirs have ended."""
         self._alive_s, self.speed = 0.0, self.config.speed_override
         """Share of full speed, from the next tick on."""
 
@@ -171,8 +171,8 @@ class CommandArbiter:
             if ended and not (cut and self._is_gone(now_s)):
                 self.state, self._heard_s = ArbiterState.WAITING, now_s
             self._begin_timed(self.source, now_s, posture)
-            before, driven = self._streamed, self._drive(self.source, now_s, dt)
-            if silent := before - self._streamed:
+            heard, driven = self._streamed, self._drive(self.source, now_s, dt)
+            if (silent := heard - self._streamed) or self._stopping:
                 self._stop_silent(silent, self._where_they_stop(posture, v_measured))
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
@@ -180,16 +180,20 @@ class CommandArbiter:
         now = self._target.copy(), self._gripper.copy(), self.state, self.source if driven else None
         return ArbiterOutput(*now, switched_to, refusals, self.underway.executions, halted, self.speed)
 
-    def _stop_silent(self, arms: set[int], rest: Array) -> None:
-        for arm in arms:
-            joints = self._robot.joints_of(arm)
-            away = np.abs(self._target - rest)[joints].max()
-            if self.underway.busy((arm,)) or not away > self.config.switch_step_max_rad:  # there loaded arms would sag
-                continue
-            self._target = self._target.copy()
-            self._target[joints] = rest[joints]
-            if self.state in (ArbiterState.ACTIVE, ArbiterState.ALIGNING):  # the other arm's commands go on
+    def _stop_silent(self, silent: set[int], rest: Array) -> None:
+        """Hold arms where they can stop: at once if nobody drives, else in bounded steps, arm by arm."""
+        driven, bound = self.state in (ArbiterState.ACTIVE, ArbiterState.ALIGNING), self.config.switch_step_max_rad
+        way, self._target = rest - self._target, self._target.copy()
+        arms = {arm for arm in range(len(SIDES)) if arm not in self._streamed and not self.underway.busy((arm,))}
+        arms &= (self._stopping | silent) if driven else arms
+        # Nearer arms stay at their target: loaded ones would sag.
+        far = {arm for arm in arms if np.abs(way[self._robot.joints_of(arm)]).max() > bound}
+        for arm in (far | arms & self._stopping) if driven else (arms if far else ()):
+            if driven and arm in silent:
                 self._refuse(self.source or HOLD, "stale", f"{SIDES[arm]} arm: no command for {self.config.stale_s} s")
+            joints = self._robot.joints_of(arm)
+            self._target[joints] += np.clip(way[joints], -bound, bound) if driven else way[joints]
+        self._stopping = far if driven else set()
 
     def stand(self, q: Array) -> None:
         """Forget the joint target: what drove the arms to q (n,) had none."""
@@ -249,7 +253,7 @@ class CommandArbiter:
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
-        self._streamed = set()
+        self._streamed, self._stopping = set(), set()
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:

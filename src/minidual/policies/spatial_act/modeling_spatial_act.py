@@ -36,8 +36,7 @@ class SpatialSoftmax(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.channels = channels
-        self.log_inverse_temperature = nn.Parameter(torch.zeros(channels))
+        self.channels, self.log_inverse_temperature = channels, nn.Parameter(torch.zeros(channels))
 
     def forward(self, logits: Tensor) -> Tensor:
         """Map logits (B, K, h, w) in float32."""

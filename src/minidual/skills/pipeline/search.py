@@ -182,6 +182,5 @@ class Pipeline:
                 parts, states = zip(*((candidate.segments, candidate.end) for candidate in done), strict=True)
                 return Solution(self, tools, parts, (start, *states), record)
             push(_Node(done, total, self.stages[len(done)].offers(offer.end, tools)))
-        record.took_s = time.perf_counter() - began
-        record.ended = record.ended or "no way through"
+        record.took_s, record.ended = time.perf_counter() - began, record.ended or "no way through"
         raise TaskFailedError(self.name, record)
