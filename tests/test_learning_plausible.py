@@ -17,21 +17,20 @@ from minidual.policies.pilot import Picture, PolicyPilot
 from minidual.policies.plausible import SWING_RAD, TURNS_MAX, Plausible, PolicyStoppedError
 from minidual.policies.policy import PolicyRuntime
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA
 
 CHUNK = 5
 AWAY = np.eye(14)[0]
 
 
 class Scripted(ChunkPolicy):
-    """Emits what `target` says of each tick."""
+    """Emits what `target` says of each tick: joints alone with open hands, or with two openings."""
 
     def __init__(self, target: Callable[[int], np.ndarray]) -> None:
         self.chunk_size, self.dim, self.cameras = CHUNK, 16, {"high": (4, 4)}
         self._target, self._tick = target, 0
 
     def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
-        rows = [np.r_[self._target(self._tick + k), 1.0, 1.0] for k in range(CHUNK)]
+        rows = [np.r_[self._target(self._tick + k), 1.0, 1.0][:16] for k in range(CHUNK)]
         self._tick += CHUNK
         return np.array(rows)
 
@@ -49,6 +48,10 @@ def _fly(world: World, target: Callable[[int], np.ndarray], picture: Picture, se
     return pilot
 
 
+def _open(q: np.ndarray) -> np.ndarray:
+    return np.r_[q, 1.0, 1.0]
+
+
 def _ramp(tick: int) -> np.ndarray:
     return HOME + min(0.4, 0.01 * tick) * AWAY
 
@@ -62,11 +65,16 @@ OUTPUTS: dict[str, Callable[[int], np.ndarray]] = {
     "all_zero": lambda tick: np.zeros(14),
     "out_of_bounds": lambda tick: HOME + (1e6 if tick > 20 else 0.0) * AWAY,
     "oscillation": lambda tick: HOME + (0.04 if tick % 2 else -0.04) * AWAY,
+    "out_of_bounds: the policy asks the right hand for 1.6; bounds -0.5 to 1.5": lambda tick: np.r_[HOME, 1.0, 1.6],
+    "oscillation: the target of the left hand turned back 9 times by more than 0.2": lambda tick: np.r_[
+        HOME, tick % 2, 1.0
+    ],
 }
 
 
 @pytest.mark.parametrize(
-    ("name", "most_rad", "at_s"), [("all_zero", 1e-6, 0.05), ("out_of_bounds", 1e-6, 0.45), ("oscillation", 0.01, 0.25)]
+    ("name", "most_rad", "at_s"),
+    list(zip(OUTPUTS, (1e-6, 1e-6, 0.01, 1e-6, 1e-3), (0.05, 0.45, 0.25, 0.05, 0.25), strict=True)),
 )
 def test_a_broken_output_stops_the_trial_by_name(world: World, name: str, most_rad: float, at_s: float) -> None:
     """Zeros drove both arms 2.29 rad, 1e6 rad was followed to the limit, alternating targets shook for ever.
@@ -80,7 +88,7 @@ def test_a_broken_output_stops_the_trial_by_name(world: World, name: str, most_r
         moved = max(moved, float(np.abs(world.q - HOME).max()))
         named_s = min(named_s, world.time if pilot.aborted else np.inf)
     assert pilot.aborted is not None
-    assert pilot.aborted.startswith(f"{name}: ")
+    assert pilot.aborted.startswith(name)
     assert pilot.stack.reflex is None
     assert moved < most_rad
     assert named_s < at_s
@@ -89,19 +97,21 @@ def test_a_broken_output_stops_the_trial_by_name(world: World, name: str, most_r
 
 
 def test_slow_swings_are_noticed_too_and_a_task_is_not() -> None:
-    check = Plausible(Q_LOWER, Q_UPPER)
+    check = Plausible(np.r_[Q_LOWER, 0.0, 0.0], np.r_[Q_UPPER, 1.0, 1.0])
 
     def swing() -> None:
         for tick in range(2000):  # one turn in 20 ticks
-            check.action(HOME + 0.6 * SWING_RAD * (1.0 if tick % 40 < 20 else -1.0) * AWAY)
+            check.action(_open(HOME + 0.6 * SWING_RAD * (1.0 if tick % 40 < 20 else -1.0) * AWAY))
 
-    with pytest.raises(PolicyStoppedError, match=rf"joint 1 of 14 turned back 9 times .* bound {TURNS_MAX}"):
+    with pytest.raises(PolicyStoppedError, match=rf"joint 1 of 14 \[rad\] turned back 9 times .* bound {TURNS_MAX}"):
         swing()
     check.reset()
     for tick in range(2000):  # there and back four times in 20 s
-        check.action(HOME + 0.5 * np.sin(2.0 * np.pi * tick / 500) * AWAY)
+        check.action(_open(HOME + 0.5 * np.sin(2.0 * np.pi * tick / 500) * AWAY))
     for tick in range(2000):  # noise within the swing
-        check.action(HOME + 0.4 * SWING_RAD * (1.0 if tick % 2 else -1.0) * AWAY)
+        check.action(_open(HOME + 0.4 * SWING_RAD * (1.0 if tick % 2 else -1.0) * AWAY))
+    for tick in range(2000):  # hands that open and close twice in 4 s, and tremble by 0.1
+        check.action(np.r_[HOME, tick % 100 < 50, 1.0 - 0.1 * (tick % 2)])
 
 
 def test_a_sound_policy_flies_on(world: World) -> None:
@@ -193,7 +203,7 @@ def test_an_error_in_a_policy_is_raised_when_the_arms_rest(world: World) -> None
 
 
 def test_arms_that_stand_may_see_the_same_picture() -> None:
-    check = Plausible(DUAL_PANDA.q_lower, DUAL_PANDA.q_upper)
+    check = Plausible(np.full(16, -np.inf), np.full(16, np.inf))
     image = {"high": np.zeros((4, 4, 3), np.uint8)}
     for _ in range(100):
         check.pictures(image, HOME)

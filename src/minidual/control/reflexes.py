@@ -121,16 +121,9 @@ class TickBounds:
         self.v_max, self.tau_max = config.velocity_scale * robot.v_max, config.torque_scale * robot.tau_max
         self.tau_step = config.torque_rate_scale * robot.arm.tau_rate_max * dt_s
         self.a_max, self.a_step = config.acceleration_scale * robot.a_max, robot.jerk_max * dt_s
-        half = np.stack(
-            [
-                0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD,
-                self.v_max,
-                SATURATED * self.tau_max,
-                np.full(robot.dof, self.tau_step * (1.0 + 1e-9)),
-                self.a_max * (1.0 + 1e-9),
-                self.a_step * (1.0 + 1e-9),
-            ]
-        )
+        position = 0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD
+        steps = np.full(robot.dof, self.tau_step), self.a_max, self.a_step
+        half = np.stack([position, self.v_max, SATURATED * self.tau_max, *(x * (1.0 + 1e-9) for x in steps)])
         self.centre = np.zeros_like(half)
         self.centre[0] = 0.5 * (self.q_lower + self.q_upper)
         self.scale = 1.0 / half

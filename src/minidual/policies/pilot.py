@@ -22,7 +22,7 @@ PICTURE_AGE_MAX_S = 0.1  # three periods of a 30 Hz camera
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
-    """Load a checkpoint, clamped to the joint limits.
+    """Load a checkpoint, clamped to the limits of joints and openings.
 
     Raises:
         DataError, UsageError: Corrupt checkpoint, or one for other arms.
@@ -45,7 +45,7 @@ def next_command(runtime: PolicyRuntime, world: World, picture: Picture, sequenc
     action, n = runtime.act(images, np.concatenate([world.q, world.gripper])), runtime.joints_n
     if world.time - asked_s > PICTURE_AGE_MAX_S:
         raise PolicyStoppedError("late_answer", age_s=world.time - asked_s, limit_s=PICTURE_AGE_MAX_S)
-    return JointCommand(action[:n], np.clip(action[n:], 0.0, 1.0), asked_s, sequence)
+    return JointCommand(action[:n], action[n:], asked_s, sequence)
 
 
 def _taken(picture: Picture, name: str, world: World) -> Image:

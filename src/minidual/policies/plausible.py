@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from minidual.errors import DataError
 from minidual.registry import rows_beside
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 
 _STOPS: dict[str, dict[str, str]] = rows_beside(__file__)
 OVERSHOOT_RAD = 0.3  # networks regress to targets at a limit with some error
 _ZERO_RAD = 1e-9
-SWING_RAD = 0.05
-"""A joint target turns back when it leaves its last extreme by this much."""
+OVERSHOOT = 0.5
+"""Of an opening: half the travel."""
+SWING_RAD, SWING = 0.05, 0.2
+"""A joint target or an opening turns back when it leaves its last extreme by this much; hands switch over 0.2."""
 TURNS_MAX, _WINDOW_TICKS = 8, 200
 """Most turns of one joint in the last ticks (4 s at 50 Hz)."""
 MOVED_RAD = 0.1
@@ -31,22 +33,26 @@ class PolicyStoppedError(DataError):
 
 
 class Plausible:
-    """Checks one policy's pictures, chunks and actions; joints within lower to upper (n,) [rad].
+    """Checks one policy's pictures, chunks and actions within lower to upper (n + 2,): joints [rad], then openings.
 
     Every method raises PolicyStoppedError.
     """
 
     def __init__(self, lower: Array, upper: Array) -> None:
-        self._lower, self._upper, self._n = lower - OVERSHOOT_RAD, upper + OVERSHOOT_RAD, len(lower)
+        self._n = len(lower) - len(SIDES)
+        over, self._swing = np.repeat([[OVERSHOOT_RAD, OVERSHOOT], [SWING_RAD, SWING]], [self._n, len(SIDES)], axis=1)
+        self._lower, self._upper = lower - over, upper + over
+        joints, hands = (f"joint {k + 1} of {self._n} [rad]" for k in range(self._n)), (f"the {s} hand" for s in SIDES)
+        self._names = [*joints, *hands]
         self.reset()
 
     def reset(self) -> None:
         """Forget what was seen and emitted."""
         self._pictures: dict[str, tuple[int, Array]] = {}
         self._extreme: Array | None = None
-        self._sign = np.zeros(self._n)
-        self._turned: deque[NDArray[np.bool_]] = deque([np.zeros(self._n, dtype=bool)] * _WINDOW_TICKS)
-        self._turns = np.zeros(self._n, dtype=int)
+        self._sign = np.zeros_like(self._swing)
+        self._turned: deque[NDArray[np.bool_]] = deque([self._sign > 0.0] * _WINDOW_TICKS)
+        self._turns = np.zeros(len(self._swing), dtype=int)
 
     def pictures(self, images: Mapping[str, NDArray[np.uint8]], q: Array) -> None:
         """Check images (H, W, 3) taken at joints q (n,) [rad]."""
@@ -59,27 +65,26 @@ class Plausible:
                 raise PolicyStoppedError("frozen_picture", camera=camera, moved_rad=moved, bound_rad=MOVED_RAD)
 
     def chunk(self, chunk: Array) -> None:
-        """Check the joint targets (k, n) that will run."""
-        if (np.abs(chunk).max(axis=1) < _ZERO_RAD).any():
+        """Check the actions (k, n + 2) that will run."""
+        if (np.abs(chunk[:, : self._n]).max(axis=1) < _ZERO_RAD).any():
             raise PolicyStoppedError("all_zero")
         beyond = np.maximum(self._lower - chunk, chunk - self._upper)
-        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        if beyond[row, joint] > 0.0:
-            named = {"asked_rad": chunk[row, joint], "lower_rad": self._lower[joint], "upper_rad": self._upper[joint]}
-            raise PolicyStoppedError("out_of_bounds", joint=joint + 1, joints_n=self._n, **named)
+        row, k = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[row, k] > 0.0:
+            named = {"asked": chunk[row, k], "lower": self._lower[k], "upper": self._upper[k]}
+            raise PolicyStoppedError("out_of_bounds", what=self._names[k], **named)
 
-    def action(self, q: Array) -> None:
-        """Check that the joint targets q (n,) do not swing to and fro."""
+    def action(self, action: Array) -> None:
+        """Check that the targets (n + 2,) do not swing to and fro."""
         if self._extreme is None:
-            self._extreme = q.copy()
-        away = q - self._extreme
-        turned = (self._sign * away < -SWING_RAD) | ((self._sign == 0.0) & (np.abs(away) > SWING_RAD))
+            self._extreme = action.copy()
+        away, swing = action - self._extreme, self._swing
+        turned = (self._sign * away < -swing) | ((self._sign == 0.0) & (np.abs(away) > swing))
         onward = turned | (self._sign * away > 0.0)
         self._turned.append(turned & (self._sign != 0.0))
         self._turns += self._turned[-1].astype(int) - self._turned.popleft()
         self._sign = np.where(turned, np.sign(away), self._sign)
-        self._extreme, joint = np.where(onward, q, self._extreme), int(np.argmax(self._turns))
-        if self._turns[joint] > TURNS_MAX:
-            bounds = {"swing_rad": SWING_RAD, "ticks": _WINDOW_TICKS, "bound_n": TURNS_MAX}
-            named = {"joint": joint + 1, "joints_n": self._n, "turns_n": self._turns[joint]}
-            raise PolicyStoppedError("oscillation", **named, **bounds)
+        self._extreme, k = np.where(onward, action, self._extreme), int(np.argmax(self._turns))
+        if self._turns[k] > TURNS_MAX:
+            bounds = {"swing": swing[k], "ticks": _WINDOW_TICKS, "bound_n": TURNS_MAX}
+            raise PolicyStoppedError("oscillation", what=self._names[k], turns_n=self._turns[k], **bounds)

@@ -48,8 +48,8 @@ class PolicyRuntime:
                     f"the checkpoint drives {self.joints_n} joints; the limits are {np.shape(limits)}",
                     remedy="choose the arm that was recorded: --set robot.arm=NAME",
                 )
-            self._lower[: self.joints_n], self._upper[: self.joints_n] = limits
-        self._plausible = Plausible(self._lower[: self.joints_n], self._upper[: self.joints_n])
+            self._lower, self._upper = np.concatenate([limits, [[0.0] * GRIPPERS_N, [1.0] * GRIPPERS_N]], axis=1)
+        self._plausible = Plausible(self._lower, self._upper)
         self.times_s: list[float] = []
         """Inference times without rendering."""
         self.reset()
@@ -86,7 +86,7 @@ class PolicyRuntime:
             seen: dict[str, Any] = {c: i() if callable(i) and c in self.cameras else i for c, i in images.items()}
             chunk = self.predict_chunk(seen, state)
             self._plausible.pictures({camera: seen[camera] for camera in self.cameras}, np.asarray(state)[:n])
-            self._plausible.chunk(chunk[: self._steps + self._blend, :n])
+            self._plausible.chunk(chunk[: self._steps + self._blend])
             if self._chunk is not None:
                 left = self._chunk[self._cursor :]
                 # Without overlap the last action is held while the new chunk is blended in.
@@ -97,7 +97,7 @@ class PolicyRuntime:
             share = (self._cursor + 1) / (self._blend + 1)
             action = share * action + (1 - share) * self._old[self._cursor]
         self._cursor += 1
-        self._plausible.action(action[:n])
+        self._plausible.action(action)
         return np.clip(action, self._lower, self._upper)
 
     def predict_chunk(self, images: Mapping[str, Image], state: Array) -> Array:
