@@ -113,6 +113,33 @@ def test_an_object_that_slides_in_the_hands_by_less_than_the_bound_is_carried_on
     assert carried.names == []
 
 
+@pytest.mark.parametrize(
+    ("off", "named"), [(0.1 * np.eye(6)[1], True), (1.0 * np.eye(6)[3], True), (0.025 * np.eye(6)[0], False)]
+)
+def test_a_twist_that_the_hands_do_not_have_is_named(world: World, off: Array, named: bool) -> None:
+    """Before, a constant 0.1 m/s moved both hands by 23 mm without a name."""
+    carried = Carried(world)
+    before = [T[:3, 3].copy() for T in KINEMATICS.tcp_poses(world.q)]
+    carried.sensor.twist_off = tuple(off.tolist())
+    carried.run(2000)
+    assert carried.names == (["controller_failed"] if named else [])
+    if named:
+        assert "is said to move at" in carried.stack.reflex.message  # type: ignore[union-attr]
+    after = KINEMATICS.tcp_poses(world.q)
+    assert max(float(np.linalg.norm(T[:3, 3] - p)) for T, p in zip(after, before, strict=True)) < 0.015
+
+
+def test_a_noisy_twist_is_no_fault(world: World) -> None:
+    """0.02 m/s and 0.2 rad/s of white noise along each axis in every step."""
+    carried, rng = Carried(world), np.random.default_rng(0)
+
+    def noise() -> None:
+        carried.sensor.twist_off = tuple((rng.standard_normal(6) * np.repeat([0.02, 0.2], 3)).tolist())
+
+    carried.run(2000, noise)
+    assert carried.names == []
+
+
 @pytest.mark.parametrize("mass_kg", [2.0, 3.0])
 def test_a_latched_stop_lifts_no_hands_whose_object_is_gone_and_unseen(scene: SceneConfig, mass_kg: float) -> None:
     world = World(scene)  # its own model: the mass changes
@@ -303,6 +330,19 @@ def test_a_sensor_may_reuse_its_array(scene: SceneConfig, copies: bool) -> None:
     plant.pushed = np.zeros(14)
     run(stack, 2500)
     assert abs(here.pose()[1, 3] - start[1]) < 0.001
+
+
+def test_control_does_not_start_on_arms_that_move(scene: SceneConfig) -> None:
+    """`reset()` on a plant that goes on let the torque jump and the arms stop at once."""
+    plant = FailingPlant(scene)
+    stack = under_way(plant)
+    assert np.abs(plant.v).max() > 0.1
+    with pytest.raises(UsageError, match=r"the arms move at \d\.\d+ rad/s"):
+        stack.reset()
+    with pytest.raises(UsageError, match="control starts at rest"):
+        supervised(plant)
+    assert run(stack, 20) == []  # the refused reset has changed nothing
+    assert stack.source == "moveit"
 
 
 def test_a_reset_forgets_what_a_hand_was_told_to_hold(scene: SceneConfig) -> None:

@@ -31,14 +31,14 @@ KINEMATICS = Kinematics()
 class Sensor(TrueObject):
     """The object's true state, unless it fails."""
 
-    failing, off_m = False, (0.0, 0.0, 0.0)
+    failing, off_m, twist_off = False, (0.0, 0.0, 0.0), (0.0,) * 6
 
     def read(self) -> tuple[ObjectState, float]:
         if self.failing:
             raise OSError("the camera is gone")
         state, felt_n = super().read()
         state.T_world_object[:3, 3] += self.off_m
-        return state, felt_n
+        return state._replace(twist=state.twist + self.twist_off), felt_n
 
 
 class Carried:

@@ -10,7 +10,14 @@ from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
-from minidual.control.impedance import SQUEEZE_CEILING_N, HandImpedance, HeldObject, ObjectImpedance, ObjectState
+from minidual.control.impedance import (
+    SQUEEZE_CEILING_N,
+    HandImpedance,
+    HeldEstimate,
+    HeldObject,
+    ObjectImpedance,
+    ObjectState,
+)
 from minidual.control.kernels import within
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
@@ -27,6 +34,8 @@ _AHEAD_S, _PACE_MIN, _NEARER, _SPEED_SHARE = 0.2, 0.1, 1e-4, 0.9
 """_AHEAD_S: how far a path looks ahead; it slows down within 0.25 s."""
 _IN_HAND = 0.04, 0.5
 """Largest distance [m] and angle [rad] by which an object may move in a hand; it turns between two pads."""
+_OFF, _OFF_S = (0.03, 0.3), 0.3
+"""Largest difference [m/s, rad/s] between the object's twist and that of the hands, and over how long it is averaged."""
 
 
 class ObjectSensor(Protocol):
@@ -92,6 +101,8 @@ class ObjectImpedanceController(Controller):
         measured, internal_force = self._ready()[1].read()
         self.desired = ObjectState(measured.T_world_object.copy())
         self._T_tcp_objects = [inverse(T) @ self.desired.T_world_object for T in self._kinematics.tcp_poses(q)]
+        self._in_hands = HeldEstimate(self._kinematics, q, self.desired.T_world_object, delay_ticks=0, least_gain=0.0)
+        self._off = np.zeros(6)
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
         self._execution = None
         self.reference, self._v = np.array(q, dtype=float), v
@@ -117,12 +128,19 @@ class ObjectImpedanceController(Controller):
             held = ObjectState(T @ self._T_tcp_objects[arm])
             if far := self._away(held, _IN_HAND, f"where the {SIDES[arm]} hand holds it"):
                 raise DataError(f"the object is {far}", remedy="look at what measures its pose, and at the grasp")
+        steps, self._updates = max(1, self._updates), 0
+        off = self._ready()[1].read()[0].twist - self._in_hands.update(self.reference, self._v).twist
+        self._off += min(1.0, steps * self._dt_s / _OFF_S) * (off - self._off)
+        speed, rate = np.linalg.norm(self._off.reshape(2, 3), axis=1).tolist()
+        if not (speed <= _OFF[0] and rate <= _OFF[1]):
+            text = f"the object is said to move at {speed:.2f} m/s, {rate:.2f} rad/s in the hands; bounds {_OFF}"
+            raise DataError(text, remedy="look at what measures its motion, and at the grasp")
         if self._execution is not None:
-            self._give_room(self._execution)
+            self._give_room(self._execution, steps)
             if far := self._away(self._execution.desired, OFF_PATH):
                 self._execution.stop(("off_path", f"the path is {far}"))
 
-    def _give_room(self, execution: ObjectExecution) -> None:
+    def _give_room(self, execution: ObjectExecution, steps: int) -> None:
         robot, q = self._kinematics.robot, self.reference
         hands = [J[:, robot.joints_of(arm)] for arm, J in enumerate(self._kinematics.tcp_jacobians(q))]
         squares = np.linalg.eigvalsh([J @ J.T for J in hands])
@@ -132,8 +150,7 @@ class ObjectImpedanceController(Controller):
         share = float((np.abs(self._v) / robot.v_max).max()) / max(execution.rate, _PACE_MIN)  # at the full rate
         near = np.r_[(values - SLOW_AT[kind]) / (_STOP_AT - SLOW_AT)[kind], share]
         nearer, self._near = np.zeros_like(near) if self._near is None else near - self._near, near
-        ticks, self._updates = _AHEAD_S / (self._dt_s * max(1, self._updates)), 0
-        *ahead, share = near + ticks * np.maximum(nearer, 0.0)
+        *ahead, share = near + _AHEAD_S / (self._dt_s * steps) * np.maximum(nearer, 0.0)
         nearing = np.where(nearer[:-1] > _NEARER, ahead, 0.0)
         worst = int(nearing.argmax())
         execution.pace = max(_PACE_MIN, min(1.0 - float(nearing[worst]), _SPEED_SHARE / max(share, _SPEED_SHARE)))

@@ -97,8 +97,13 @@ class ControlStack[P: Plant]:
         """Start at the measured posture, hands open; call at every plant reset.
 
         Flush listeners stay.
+
+        Raises:
+            UsageError: The arms move.
         """
-        plant, q = self.plant, self.plant.q
+        plant, q, fastest = self.plant, self.plant.q, float(np.abs(self.plant.v).max())
+        if not fastest < self._config.still_speed_rad_s:
+            raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
         if self.supervisor is not None:
             self.supervisor.reset()
         self._stand(np.ones(2))

@@ -11,15 +11,7 @@ from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
 from minidual.tasks.task import tasks_of
-from minidual.trials.benchmark import (
-    BenchmarkCell,
-    benchmark_data,
-    count_trials,
-    draw_under,
-    first_failures,
-    run_benchmark,
-    trials_asked,
-)
+from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import MethodSummary, TrialMetrics
@@ -44,7 +36,7 @@ def benchmark_checks(
 
 
 def condition_checks(
-    cells: Sequence[BenchmarkCell], methods: Sequence[str], conditions: Sequence[str], prefix: str = ""
+    cells: Sequence[benchmark.BenchmarkCell], methods: Sequence[str], conditions: Sequence[str], prefix: str = ""
 ) -> list[Check]:
     """Return the checks of the methods-by-conditions table.
 
@@ -75,10 +67,10 @@ def _first(names: Sequence[str]) -> str:
 def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
     config, seed, folder = context.config.benchmark, context.seed, context.folder
-    methods, asked = METHODS.names(config.methods), trials_asked(context.config)
+    methods, asked = METHODS.names(config.methods), benchmark.trials_asked(context.config)
     checkpoint, tasks = context.upstream["train-act"] / "checkpoint", tasks_of(context.config)
     inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
-    count = sum(count_trials(methods, asked[task], given) for task, given in inputs.items())
+    count = sum(benchmark.count_trials(methods, asked[task], given) for task, given in inputs.items())
     checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)
     captions: dict[str, str] = {}
     tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
@@ -89,16 +81,20 @@ def run(context: StageContext) -> StageResult:
                 progress.advance(note=f"{task}, {result.method}, {result.condition}")
 
             trials_n = asked[task]
-            cells, trials = run_benchmark(methods, trials_n, given, workers=context.workers, on_trial=tell, watch=watch)
+            cells, trials = benchmark.run_benchmark(
+                methods, trials_n, given, workers=context.workers, on_trial=tell, watch=watch
+            )
             clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
             prefix = f"{task}." if len(tasks) > 1 else ""
             checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
             checks += condition_checks(cells, methods, tuple(trials_n), prefix)
-            data[task] = benchmark_data(cells, trials, seed)
-            if failed := first_failures(trials):
+            data[task] = benchmark.benchmark_data(cells, trials, seed)
+            if failed := benchmark.first_failures(trials):
                 name = f"failures-{task}.png"
                 captions[name] = f"{task}: failed trials, the first of each kind"
-                draw_failures([(given, draw_under(given, t.condition)(t.index), t) for t in failed], folder / name)
+                draw_failures(
+                    [(given, benchmark.draw_under(given, t.condition)(t.index), t) for t in failed], folder / name
+                )
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
             tables["conditions"] += [{"task": task, **c.row()} for c in cells]

@@ -46,14 +46,9 @@ def build_report(given: StageContext, folder: Path) -> Report:
             media += collect_media(verdict, given.upstream[stage], folder)
         data = benchmark.data["tasks"] if benchmark else {}
         asked, own = trials_asked(given.config).items(), next(iter(trials_asked(given.config)))
+        limits = {task: partial(limits_of, given.config, task) for task, _ in asked}
         tables = {
-            task: tabulate(
-                wanted.methods,
-                tuple(under),
-                data.get(task, {}),
-                own=task == own,
-                limit=partial(limits_of, given.config, task),
-            )
+            task: tabulate(wanted.methods, tuple(under), data.get(task, {}), own=task == own, limit=limits[task])
             for task, under in asked
         }
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []

@@ -228,16 +228,12 @@ def tabulate(
     for name in (name for name in conditions if name != CLEAN):
         entry = data.get("conditions", {}).get(name, {})
         records[name] = entry.get("summary", ""), entry.get("methods", {})
-    losses = {(pair["first"], pair["method"]): pair for pair in corrected(data.get("losses", []))}
+    lost = {(pair["first"], pair["method"]): pair for pair in corrected(data.get("losses", []))}
     # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
     pairs = data.get("comparisons", [])
     clean, disturbed = (corrected([p for p in pairs if (p["condition"] == CLEAN) is c]) for c in (True, False))
     rows = (
-        Row(
-            name,
-            summary,
-            tuple(_cell(m, name, mine.get(m, {}), losses.get((name, m)), limit(m, name)) for m in methods),
-        )
+        Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), lost.get((name, m)), limit(m, name)) for m in methods))
         for name, (summary, mine) in records.items()
     )
     return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]], own)
