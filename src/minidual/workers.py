@@ -50,6 +50,7 @@ def _unsignalled_children() -> Generator[None]:
 
 
 def _begin(starter: int) -> None:
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
     emergency.listen()
 
     def watch() -> None:

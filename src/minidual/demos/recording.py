@@ -5,7 +5,6 @@ Results depend neither on workers nor on interruptions.
 
 import json
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
@@ -122,7 +121,6 @@ def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Itera
         UsageError, HandoverError: The leader is unknown, displaced or refused.
         EnvironmentMissingError: Missing device or renderer.
     """
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
     allowed, tried = math.ceil(job.teleop.episodes_n * job.teleop.attempts_max_ratio), 0
     missing = job.teleop.episodes_n
     while missing > 0 and tried < allowed:
