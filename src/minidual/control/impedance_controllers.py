@@ -58,6 +58,8 @@ class ObjectImpedanceController(Controller):
     def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor | None) -> None:
         self._kinematics, self._sensor = kinematics, sensor
         self._squeeze_step, self._dt_s, self._updates = SQUEEZE_RATE_N_PER_S * dt_s, dt_s, 0
+        kind = np.repeat([0, 1], [len(SIDES), kinematics.robot.dof])
+        self._slow_at, self._room = SLOW_AT[kind], (_STOP_AT - SLOW_AT)[kind]
         self.forget()
 
     def forget(self) -> None:
@@ -84,8 +86,9 @@ class ObjectImpedanceController(Controller):
     def _away(self, wanted: ObjectState, bounds: tuple[float, float], what: str = "the object") -> str:
         """Return how far off the object is, if it is beyond the bounds [m, rad]; NaN is."""
         away_m, away_rad = deviation(self._ready()[1].read()[0].T_world_object, wanted.T_world_object)
-        far = f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from {what}; bounds {bounds[0]} m, {bounds[1]} rad"
-        return "" if away_m <= bounds[0] and away_rad <= bounds[1] else far
+        if away_m <= bounds[0] and away_rad <= bounds[1]:
+            return ""
+        return f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from {what}; bounds {bounds[0]} m, {bounds[1]} rad"
 
     def not_ready(self) -> str:
         """See `Controller`."""
@@ -146,9 +149,9 @@ class ObjectImpedanceController(Controller):
         squares = np.linalg.eigvalsh([J @ J.T for J in hands])
         condition = np.sqrt(squares[:, -1] / np.maximum(squares[:, 0], 1e-12))
         margin = np.minimum(q - robot.q_lower, robot.q_upper - q)
-        values, kind = np.r_[condition, margin], np.repeat([0, 1], [len(condition), len(margin)])
-        share = float((np.abs(self._v) / robot.v_max).max()) / max(execution.rate, _PACE_MIN)  # at the full rate
-        near = np.r_[(values - SLOW_AT[kind]) / (_STOP_AT - SLOW_AT)[kind], share]
+        values, share = np.concatenate([condition, margin]), float((np.abs(self._v) / robot.v_max).max())
+        # the share of full speed at the full rate
+        near = np.append((values - self._slow_at) / self._room, share / max(execution.rate, _PACE_MIN))
         nearer, self._near = np.zeros_like(near) if self._near is None else near - self._near, near
         *ahead, share = near + _AHEAD_S / (self._dt_s * steps) * np.maximum(nearer, 0.0)
         nearing = np.where(nearer[:-1] > _NEARER, ahead, 0.0)

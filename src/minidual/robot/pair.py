@@ -227,8 +227,8 @@ def rotation_log(R: Array) -> Array:
 
 def deviation(T: Array, T_other: Array) -> tuple[float, float]:
     """Return distance [m] and angle [rad] between two poses."""
-    turn = rotation_log(T_other[:3, :3].T @ T[:3, :3])
-    return float(np.linalg.norm(T[:3, 3] - T_other[:3, 3])), float(np.linalg.norm(turn))
+    way, turn = T[:3, 3] - T_other[:3, 3], rotation_log(T_other[:3, :3].T @ T[:3, :3])
+    return math.sqrt(way @ way), math.sqrt(turn @ turn)
 
 
 def rotation_from_quat(quat_wxyz: Array) -> Array:
