@@ -189,9 +189,24 @@ def test_a_wavering_command_does_not_flutter(hands, grippers):
 
 def test_a_reset_opens_at_once(hands, grippers):
     run(hands, grippers, [0.0, 0.0])
+    hands.targets = np.full(2, TRAVEL_M)  # the plant was reset
     grippers.reset()
     assert grippers.targets_m.tolist() == [TRAVEL_M] * 2
     assert opened(grippers) == [True, True]
+
+
+def test_hands_that_hold_something_at_the_start_go_on_holding_it(hands, grippers):
+    """Before, a program that began anew told them 40 mm at once."""
+    run(hands, grippers, [0.0, 0.0])
+    again, least_n = Grippers(hands, pinch_force_n=50.0), np.inf
+    assert again.closed.tolist() == [True, True]
+    for _ in range(500):
+        hands.targets = again.step(np.zeros(2))
+        least_n = min(least_n, hands.grip.min())
+    assert least_n > 45.0
+    np.testing.assert_allclose(hands.grip, 50.0, rtol=0.01)
+    run(hands, again, [1.0, 1.0])
+    assert opened(again) == [True, True]
 
 
 def test_fingers_that_meet_nothing_press_on_each_other_without_a_slam(scene, compiled_model):

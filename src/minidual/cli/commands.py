@@ -48,19 +48,14 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock"
     lock = run_lock(*found_by_stop) if tool.moves else nullcontext()
     with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
+        about: Any = {"config": config, "seed": config.seed, "profile": session.loaded.profile, "name": tool.name}
+        about |= {"options": typed, "view": view, "run_folder": folder, "command": session.typed.command}
         context = ToolContext(
-            config=config,
-            seed=config.seed,
-            profile=session.loaded.profile,
+            **about,
             progress=ConsoleProgress(session.people),
-            options=typed,
             workers=config.workers if view is None else 1,
-            view=view,
-            run_folder=folder,
-            name=tool.name,
             gate=session.gate(),
             shipped=session.loaded.shipped,
-            command=session.typed.command,
         )
         context.begin()
         result = tool.load()(context)
@@ -158,17 +153,10 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
             session.say(f"being written by {writer}")
     for line in ["the verdicts and artefacts are as signed"] if changed == [] else changed or ():
         session.say(f"signature: {line}", "bold red" if changed else "green")
-    document = {
-        "run": store.run,
-        "folder": store.folder,
-        "profile": session.loaded.profile,
-        "writer": writer,
-        "stages": [_state_json(gate.state(name)) for name in session.table],
-        "lowest": lowest and lowest.name,
-        "because": lowest.because() if lowest else (),
-        "next": following,
-        "signature": {"key": key, "changed": changed} if key else None,
-    }
+    document = {"run": store.run, "folder": store.folder, "profile": session.loaded.profile, "writer": writer}
+    document |= {"stages": [_state_json(gate.state(name)) for name in session.table], "lowest": lowest and lowest.name}
+    document |= {"because": lowest.because() if lowest else (), "next": following}
+    document |= {"signature": {"key": key, "changed": changed} if key else None}
     session.finish(document, ())
     return ExitCode.ACCEPTANCE_FAILED if changed else ExitCode.PASS
 

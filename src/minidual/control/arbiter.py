@@ -83,6 +83,7 @@ class CommandArbiter:
         """Mode to switch to, and since when [s]."""
         self._target: Any = None
         """(n,) [rad], from the first tick on."""
+        self._was = robot.home
         self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
@@ -149,7 +150,8 @@ class CommandArbiter:
             UsageError: Time runs backwards, or the first posture is not finite.
         """
         dt, posture = self._elapsed(now_s), self._posture(q_measured)
-        speed = float(np.max(np.abs(v_measured)))  # NaN counts as not still
+        moved = 0.25 * (posture - self._was) / dt if dt > 0.0 else v_measured  # velocities may be what has failed
+        speed, self._was = float(np.max(np.abs([v_measured, moved]))), posture  # NaN counts as not still
         if self.source in self._affirmed:
             self._alive_s = now_s
         self._affirmed.clear()
@@ -170,7 +172,7 @@ class CommandArbiter:
         if self.source is not None:
             if ended and not (cut and self._is_gone(now_s)):
                 self.state, self._heard_s = ArbiterState.WAITING, now_s
-            self._begin_timed(self.source, now_s, posture)
+            self._begin_timed(self.source, now_s, posture, v_measured)
             heard, driven = self._streamed, self._drive(self.source, now_s, dt)
             if (silent := heard - self._streamed) or self._stopping:
                 self._stop_silent(silent, self._where_they_stop(posture, v_measured))
@@ -278,9 +280,9 @@ class CommandArbiter:
         self._refusals.append(Refusal(source, name, detail))
         return self._refusals[-1]
 
-    def _begin_timed(self, source: str, now_s: float, posture: Array) -> None:
+    def _begin_timed(self, source: str, now_s: float, posture: Array, v_measured: Array) -> None:
         for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
-            if reason := self.underway.begin(command, posture, self.config.switch_step_max_rad):
+            if reason := self.underway.begin(command, posture, v_measured, self.config.switch_step_max_rad):
                 self._refuse(source, *reason)
                 continue
             self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))

@@ -14,7 +14,7 @@ import numpy as np
 from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.impedance import ObjectState
 from minidual.control.kernels import near, within
-from minidual.control.mailbox import own_columns
+from minidual.control.mailbox import OBJECT_MAX, own_columns
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array, Robot
 
@@ -29,7 +29,7 @@ _OVERRIDE_SLEW = 0.3
 """Change of the override [1/s]: plans leave a tenth of a_max."""
 _TURN_PER_S, _SHIFT_M_PER_S = 8.0, 2.0
 """Largest rates of a pose's entries, of rotation and position; twice what is accepted."""
-_STOPPED_RATE = 1e-4
+_STOPPED_RATE, _START_RAD_PER_S = 1e-4, 0.5
 _LOOK_AHEAD_ROWS = 500
 
 
@@ -139,15 +139,16 @@ class ObjectExecution(_Execution[ObjectCommand]):
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
         super().__init__(command, dt_s)
         self._at, self._squeeze_n = command.motion.at, command.squeeze_n
-        self._most = _TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s
-        self.desired, self.squeeze_n = self._at(0.0), self._squeeze_n(0.0)
+        self._most = np.array([_TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s, *OBJECT_MAX])
+        self.desired, self.squeeze_n = self._at(0.0).copied(), self._squeeze_n(0.0)
 
     def step(self) -> None:
         """Advance one control step; the squeeze follows path time."""
         super().step()
-        state = self._at(self._t_s)
-        if not near(state.T_world_object, self.desired.T_world_object, *self._most):
-            raise UsageError(f"the object path jumps at {self._t_s:.3f} s", remedy="check its poses; none may be NaN")
+        state = self._at(self._t_s).copied()
+        if not near(state.T_world_object, self.desired.T_world_object, state.twist, state.acceleration, self._most):
+            fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
+            raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
         self.desired, self.squeeze_n = state, self._squeeze_n(self._t_s)
         if self._paced:
             self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))
@@ -163,14 +164,14 @@ class Underway:
         self._dt, self._robot, self.admit = dt_s, robot, admit
         self.executions: tuple[Execution, ...] = ()
 
-    def begin(self, command: TimedCommand, posture: Array, start_bound_rad: float) -> Reason | None:
+    def begin(self, command: TimedCommand, posture: Array, v: Array, start_bound_rad: float) -> Reason | None:
         """Begin a command, or return why not.
 
-        A trajectory may start at most `start_bound_rad` from the measured posture (n,).
+        A trajectory may start at most `start_bound_rad` from the measured posture (n,), on arms that hardly move.
         """
         reason = self.busy(command.arms) or self.admit(command)
         if reason is None and isinstance(command, TrajectoryCommand):
-            reason = self._far_start(command, posture, start_bound_rad)
+            reason = self._far_start(command, posture, start_bound_rad) or self._moving(command, v)
         if reason is None:
             timed = isinstance(command, TrajectoryCommand)
             begun = TrajectoryExecution(command, self._dt, self._robot) if timed else ObjectExecution(command, self._dt)
@@ -205,6 +206,11 @@ class Underway:
         """Brake all along their paths."""
         for execution in self.executions:
             execution.brake()
+
+    def _moving(self, command: TrajectoryCommand, v: Array) -> Reason | None:
+        fastest = float(np.abs(v[self._robot.groups[command.group]]).max())
+        what = f"a trajectory starts at rest, and a joint moves at {fastest:.2f} rad/s; bound {_START_RAD_PER_S} rad/s"
+        return None if fastest <= _START_RAD_PER_S else ("not_still", what)
 
     def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Reason | None:
         joints = self._robot.groups[command.group]

@@ -41,7 +41,9 @@ CLOSE_BELOW, OPEN_ABOVE = 0.4, 0.6
 """Hysteresis against opening commands wavering about the middle."""
 JOINT_PINCH_N = 60.0
 """Pinch force in joint-space modes: 1.5 times the internal force a stiff pair can demand."""
-_COMPLIANCE_M_PER_NS = 0.01  # k: a 5000 N/m servo settles with a 20 ms time constant
+_SERVO_N_PER_M, _COMPLIANCE_M_PER_NS = 5000.0, 0.01  # k: this servo settles with a 20 ms time constant
+_HOLDS_N = 5.0
+"""A hand that feels more at the start holds something."""
 _NEAR = 0.9
 _FIRMER, _MOST = 1.3, 0.95
 """Where an object slips, the pinch rises by this factor, to no more than this share of what the motors give."""
@@ -110,11 +112,14 @@ class Grippers:
         self.reset()
 
     def reset(self) -> None:
-        """Start with open hands, and the usual pinch."""
-        self._force_n = self._usual_n
-        self._hands, self.targets_m, self.wide = np.ones((4, 2)), np.full(2, self._travel_m), True
+        """Start with open hands, or closed where they hold something, and the usual pinch."""
+        grip, self._force_n = self._plant.grip, self._usual_n
+        self.closed = grip > _HOLDS_N
+        """(2,) of the start; a program that begins anew lets nothing fall."""
+        self._hands, self.wide = np.ones((4, 2)), not self.closed.any()
         """wide: whether both hands are fully open."""
-        self._hands[_TARGET] = self.targets_m
+        self.targets_m = np.where(self.closed, self._plant.fingers - grip / _SERVO_N_PER_M, self._travel_m)
+        self._hands[_OPEN], self._hands[_TARGET] = ~self.closed, self.targets_m
         self.forget_grip()
 
     def forget_grip(self, *, excused: bool = False) -> None:

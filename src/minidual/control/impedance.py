@@ -49,6 +49,10 @@ class ObjectState(NamedTuple):
     twist: Array = _STILL
     acceleration: Array = _STILL
 
+    def copied(self) -> "ObjectState":
+        """Return it with arrays of its own: who made it may use the same ones again."""
+        return tuple.__new__(ObjectState, (self[0].copy(), self[1].copy(), self[2].copy()))
+
 
 @dataclass(frozen=True)
 class HeldObject:
@@ -271,7 +275,7 @@ class RestingEstimate:
         """Add a sample (4, 4) to the mean, which a least gain makes forget."""
         self.samples_n += 1
         gain = max(1.0 / self.samples_n, least_gain)
-        self.T_world_object, self.innovation = _towards(self.T_world_object, T_world_object, gain)
+        self.T_world_object, self.innovation = towards(self.T_world_object, T_world_object, gain)
 
 
 _ODD_M, _ODD_RAD = 0.03, 0.2  # one frame off by more says nothing of the object: a marker was taken for another
@@ -317,7 +321,7 @@ class HeldEstimate:
             gain, T_then = max(1.0 / self._samples_n, self._least_gain), self._history[-1 - age_ticks]
             way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
             self.moved_m = math.sqrt(way_m @ way_m)
-            moved, self.innovation = _towards(self._T_hands_object, inverse(T_then) @ sample, gain)
+            moved, self.innovation = towards(self._T_hands_object, inverse(T_then) @ sample, gain)
             before, self._odd = self._odd, self.innovation[0] > _ODD_M or self.innovation[1] > _ODD_RAD
             if before or not self._odd:
                 self._T_hands_object = moved
@@ -334,7 +338,7 @@ class HeldEstimate:
         return T_hands, T, twist
 
 
-def _towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
+def towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
     """Return T moved towards the sample, and their innovation."""
     offset, turn = sample[:3, 3] - T[:3, 3], rotation_log(T[:3, :3].T @ sample[:3, :3])
     moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)

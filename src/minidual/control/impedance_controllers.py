@@ -13,15 +13,15 @@ from minidual.control.gripper import GRAVITY_M_PER_S2
 from minidual.control.impedance import (
     SQUEEZE_CEILING_N,
     HandImpedance,
-    HeldEstimate,
     HeldObject,
     ObjectImpedance,
     ObjectState,
+    towards,
 )
 from minidual.control.kernels import within
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, deviation, inverse
+from minidual.robot.pair import SIDES, Array, deviation, inverse, rotation_log
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
@@ -34,8 +34,10 @@ _AHEAD_S, _PACE_MIN, _NEARER, _SPEED_SHARE = 0.2, 0.1, 1e-4, 0.9
 """_AHEAD_S: how far a path looks ahead; it slows down within 0.25 s."""
 _IN_HAND = 0.04, 0.5
 """Largest distance [m] and angle [rad] by which an object may move in a hand; it turns between two pads."""
-_OFF, _OFF_S = (0.03, 0.3), 0.3
-"""Largest difference [m/s, rad/s] between the object's twist and that of the hands, and over how long it is averaged."""
+_FORGET_S = 0.5
+"""How long the object's twist may differ from the motion of its pose, by as much as it may move in a hand."""
+_BACK_TO_M, _BACK_M_PER_S = 0.01, 0.1
+"""A path that left the object behind draws its end back to within this distance, at this speed."""
 
 
 class ObjectSensor(Protocol):
@@ -104,8 +106,8 @@ class ObjectImpedanceController(Controller):
         measured, internal_force = self._ready()[1].read()
         self.desired = ObjectState(measured.T_world_object.copy())
         self._T_tcp_objects = [inverse(T) @ self.desired.T_world_object for T in self._kinematics.tcp_poses(q)]
-        self._in_hands = HeldEstimate(self._kinematics, q, self.desired.T_world_object, delay_ticks=0, least_gain=0.0)
-        self._off = np.zeros(6)
+        self._T_seen, self._back, self._updates = self.desired.T_world_object, False, 0
+        self._twists, self._off = np.zeros((2, 6))
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
         self._execution = None
         self.reference, self._v = np.array(q, dtype=float), v
@@ -125,23 +127,31 @@ class ObjectImpedanceController(Controller):
         for execution in output.executions:
             if isinstance(execution, ObjectExecution):
                 if execution is not self._execution:
-                    self._near = None
+                    self._near, self._back = None, False
                 self._execution = execution
         for arm, T in enumerate(self._kinematics.tcp_poses(self.reference)):
             held = ObjectState(T @ self._T_tcp_objects[arm])
             if far := self._away(held, _IN_HAND, f"where the {SIDES[arm]} hand holds it"):
                 raise DataError(f"the object is {far}", remedy="look at what measures its pose, and at the grasp")
-        steps, self._updates = max(1, self._updates), 0
-        off = self._ready()[1].read()[0].twist - self._in_hands.update(self.reference, self._v).twist
-        self._off += min(1.0, steps * self._dt_s / _OFF_S) * (off - self._off)
-        speed, rate = np.linalg.norm(self._off.reshape(2, 3), axis=1).tolist()
-        if not (speed <= _OFF[0] and rate <= _OFF[1]):
-            text = f"the object is said to move at {speed:.2f} m/s, {rate:.2f} rad/s in the hands; bounds {_OFF}"
-            raise DataError(text, remedy="look at what measures its motion, and at the grasp")
+        steps, self._updates = self._updates, 0
+        if steps:
+            self._compare_motion(steps)
         if self._execution is not None:
-            self._give_room(self._execution, steps)
+            self._give_room(self._execution, max(1, steps))
             if far := self._away(self._execution.desired, OFF_PATH):
                 self._execution.stop(("off_path", f"the path is {far}"))
+                self._back = True
+
+    def _compare_motion(self, steps: int) -> None:
+        T, before, span_s = self._ready()[1].read()[0].T_world_object, self._T_seen, steps * self._dt_s
+        moved = np.append(T[:3, 3] - before[:3, 3], rotation_log(T[:3, :3] @ before[:3, :3].T))
+        self._T_seen = T.copy()
+        self._off += self._dt_s * self._twists - moved - min(1.0, span_s / _FORGET_S) * self._off
+        self._twists[:] = 0.0
+        off_m, off_rad = np.linalg.norm(self._off.reshape(2, 3), axis=1).tolist()
+        if not (off_m <= _IN_HAND[0] and off_rad <= _IN_HAND[1]):
+            off = f"{1e3 * off_m:.0f} mm, {off_rad:.2f} rad in {_FORGET_S} s; bounds {_IN_HAND[0]} m, {_IN_HAND[1]} rad"
+            raise DataError(f"the object's twist is off the motion of its pose: {off}", remedy="look at its sensor")
 
     def _give_room(self, execution: ObjectExecution, steps: int) -> None:
         robot, q = self._kinematics.robot, self.reference
@@ -176,7 +186,13 @@ class ObjectImpedanceController(Controller):
         # The hands slip above the friction limit: reduce the squeeze at once.
         self._squeeze = min(self._squeeze, sensor.grip_limit_n)
         measured, felt_n = sensor.read()
+        self._twists += measured.twist
         self.reference, self._v, desired, self._updates = q, v, self.desired or measured, self._updates + 1
+        if self._back and execution is None:
+            ahead, there = desired.T_world_object, measured.T_world_object
+            ahead_m = deviation(ahead, there)[0]
+            step, self._back = _BACK_M_PER_S * self._dt_s / max(ahead_m, _BACK_TO_M), ahead_m > _BACK_TO_M
+            self.desired = desired = ObjectState(towards(ahead, there, step)[0])
         return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)
 
     def _ready(self) -> tuple[ObjectImpedance, ObjectSensor]:

@@ -370,13 +370,20 @@ def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion:
         motion[0, axis], motion[1, axis] = ds / span * way, dds / span**2 * way
 
 
-@kernel(types.boolean(*[types.Array(_REAL, 2, "A", readonly=True)] * 2, _REAL, _REAL))
-def near(T: Array, T_other: Array, turn: float, shift_m: float) -> bool:
-    """Return whether no entry of the rotations differs by more than `turn`, and none of the positions; false for NaN."""
+@kernel(types.boolean(*[types.Array(_REAL, 2, "A", readonly=True)] * 2, *[VIEW] * 3))
+def near(T: Array, T_other: Array, twist: Array, acceleration: Array, most: Array) -> bool:
+    """Return whether a pose is near another, and its motion within bounds; false for NaN.
+
+    most (6,): difference of rotations' entries and of positions', speed, rate of turning, and their accelerations.
+    """
     for i in range(3):
         for k in range(4):
-            if not abs(T[i, k] - T_other[i, k]) <= (shift_m if k == 3 else turn):
+            if not abs(T[i, k] - T_other[i, k]) <= (most[1] if k == 3 else most[0]):
                 return False
+    for i in range(4):
+        x = three(twist if i < 2 else acceleration, 3 * (i % 2))
+        if not inner(x, x) <= most[2 + i] ** 2:
+            return False
     return True
 
 

@@ -11,8 +11,8 @@ from minidual.control.commands import Command, JointCommand, ObjectCommand, Reas
 from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.robot.pair import Array, Robot, rotation_log
 
-OBJECT_SPEED_MAX_M_PER_S, _OBJECT_ACCELERATION_MAX = 1.0, 5.0  # just below the arms' own limits
-
+OBJECT_MAX = 1.0, 3.0, 5.0, 15.0
+"""Speed [m/s], rate of turning [rad/s] and their accelerations; just below the arms' own limits."""
 _LIMIT_TOLERANCE_RAD = 1e-6
 _RATE_TOLERANCE = 1.0 + 1e-6  # the supervisor has none
 _ZERO_RAD = 1e-12
@@ -117,7 +117,7 @@ def _object(command: ObjectCommand) -> Reason | None:
     before: ObjectState | None = None
     samples = max(_OBJECT_SAMPLES, math.ceil(duration / _SAMPLE_S) + 1)
     for t in np.linspace(0.0, duration, samples):
-        state, squeeze = command.motion.at(float(t)), command.squeeze_n(float(t))
+        state, squeeze = command.motion.at(float(t)).copied(), command.squeeze_n(float(t))
         values = (state.T_world_object, state.twist, state.acceleration)
         if not (all(np.isfinite(x).all() for x in values) and np.isfinite(squeeze)):
             return "not_finite", f"object path or squeeze at {t:.3f} s"
@@ -127,11 +127,11 @@ def _object(command: ObjectCommand) -> Reason | None:
         if not (jump_m <= _JUMP_M and jump_rad <= _JUMP_RAD):
             jump = f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s"
             return "pose_jump", f"{jump} that its twist does not explain"
-        before, speed = state, max(mean, float(np.linalg.norm(state.twist[:3])))
-        if speed > OBJECT_SPEED_MAX_M_PER_S:
-            return "too_fast", f"object at {speed:.2f} m/s; limit {OBJECT_SPEED_MAX_M_PER_S}"
-        if (sharp := float(np.linalg.norm(state.acceleration[:3]))) > _OBJECT_ACCELERATION_MAX:
-            return "too_sharp", f"object at {sharp:.2f} m/s^2; limit {_OBJECT_ACCELERATION_MAX}"
+        rates = np.linalg.norm(np.concatenate([state.twist, state.acceleration]).reshape(4, 3), axis=1).tolist()
+        before, rates[0] = state, max(mean, rates[0])
+        for rate, most, unit in zip(rates, OBJECT_MAX, ("m/s", "rad/s", "m/s^2", "rad/s^2"), strict=True):
+            if rate > most:
+                return "too_sharp" if "^2" in unit else "too_fast", f"object at {rate:.2f} {unit}; limit {most}"
         if t in (0.0, duration) and float(np.abs(state.twist).max()) > _REST_OBJECT:
             return "not_at_rest", f"the object moves at {t:.3f} s; a path must begin and end at rest"
     return None

@@ -2,7 +2,7 @@
 
 A joint's measurements are replaced where they fail:
 
-    r <- r exp(-dt / 0.1 s) + q - q_before - v dt        position and velocity must agree
+    r <- r exp(-dt / 0.1 s) + q - q_before - (v + v_before) dt / 2        position and velocity must agree
 
 A value that stands still while the other moves is frozen. Lost positions follow the integral of v, lost velocities the
 slope of q; a joint that lost both follows forward dynamics under the applied torque.
@@ -53,10 +53,11 @@ def compare(q: Array, v: Array, tau: Array, dt: float, row: int, bounds: Array, 
             worst = math.inf
             continue
         moved = q[j] - kept[_Q, j]
-        kept[_DQ, j], kept[_DV, j] = moved, v[j] - kept[_V, j]
+        before = kept[_V, j]
+        kept[_DQ, j], kept[_DV, j] = moved, v[j] - before
         kept[_Q_SAME, j] = kept[_Q_SAME, j] + dt if moved == 0.0 else 0.0
         kept[_V_SAME, j] = kept[_V_SAME, j] + dt if v[j] == kept[_V, j] else 0.0
-        kept[_R, j] = keep * kept[_R, j] + moved - dt * v[j]
+        kept[_R, j] = keep * kept[_R, j] + moved - 0.5 * dt * (v[j] + before)
         kept[_Q, j], kept[_V, j] = q[j], v[j]
         worst = max(worst, abs(kept[_R, j]) / bounds[0])
         if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:

@@ -89,28 +89,30 @@ class ControlStack[P: Plant]:
             SoftStopController(kinematics, plant.dt, self.payload),
         ]
         self._flush_listeners: list[Callable[[str], None]] = []
+        self._before = deque([(plant.time, plant.q)], maxlen=2)
+        """Time [s] and joints of the last arbiter's ticks."""
         if supervisor is not None:
             supervisor.expected = self._expected
         self.reset()
 
     def reset(self) -> None:
-        """Start at the measured posture, hands open; call at every plant reset.
+        """Start at the measured posture, hands as they are; call at every plant reset.
 
         Flush listeners stay.
 
         Raises:
             UsageError: The arms move.
         """
-        plant, q, fastest = self.plant, self.plant.q, float(np.abs(self.plant.v).max())
+        plant, q, fastest = self.plant, self.plant.q, self._fastest()
         if not fastest < self._config.still_speed_rad_s:
             raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
         if self.supervisor is not None:
             self.supervisor.reset()
-        self._stand(np.ones(2))
+        self.grippers.reset()
+        self._stand(np.where(self.grippers.closed, 0.0, 1.0))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
         self.payload.reset()
-        self.grippers.reset()
         for hand in self.hands:
             hand.law.held, hand.law.other = InHand(), None
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
@@ -119,6 +121,14 @@ class ControlStack[P: Plant]:
         self.applied = np.array(self.kinematics.gravity(q))
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
+
+    def _fastest(self) -> float:
+        """Return the largest speed [rad/s], also by positions: velocities may be what has failed."""
+        (then_s, q_then), plant = self._before[0], self.plant
+        if not plant.time > then_s:  # the plant was reset
+            q_then = plant.q
+        moved = (plant.q - q_then) / max(plant.time - then_s, plant.dt)
+        return float(np.max(np.abs([plant.v, 0.25 * moved])))  # arms that have just come to rest were faster
 
     def _stand(self, gripper: Array) -> None:
         self.arbiter = CommandArbiter(
@@ -136,8 +146,9 @@ class ControlStack[P: Plant]:
         self.reflex: MinidualError | None = None
         """Of the latched reflex."""
         self._failed: Exception | None = None
-        self._stop_ticks, self._before = 0, deque([(self.plant.time, self.plant.q)], maxlen=2)
-        """Time [s] and joints of the last arbiter's ticks."""
+        self._stop_ticks = 0
+        self._before.clear()
+        self._before.append((self.plant.time, self.plant.q))
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -194,7 +205,9 @@ class ControlStack[P: Plant]:
             raise ControllerSwitchError("under_way", "a timed command is under way", remedy=remedy)
         if not np.isfinite(self.plant.q).all():
             raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
-        if self.manager.active == OBJECT_CONTROLLERS or any(hand.name in self.manager.active for hand in self.hands):
+        if self.manager.active in (OBJECT_CONTROLLERS, _STOPPING) or any(
+            h.name in self.manager.active for h in self.hands
+        ):
             self.arbiter.stand(self.plant.q)
         self.manager.switch(names, self.plant.q, self.plant.v)
         self._due = True
@@ -242,9 +255,8 @@ class ControlStack[P: Plant]:
             UsageError: The arms move, or are not measured.
         """
         q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
-        (then_s, q_then), age_s = self._before[0], self.plant.time - self.plant.stamp_s
-        moved = (q - q_then) / max(self.plant.time - then_s, self.plant.dt)  # velocities may be what has failed
-        speed = float(np.max(np.abs([v, 0.25 * moved])))  # arms that have just come to rest were faster
+        stamp_s, speed = self.plant.stamp_s, self._fastest()
+        age_s = math.nan if stamp_s is None else self.plant.time - stamp_s
         if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._stale_s):
             measured = f"{speed:.3f} rad/s; at rest is below {still} rad/s; measured {1e3 * age_s:.0f} ms ago"
             remedy = f"go on with step() until they rest and are measured (within {1e3 * self._stale_s:.0f} ms)"
@@ -329,7 +341,7 @@ class ControlStack[P: Plant]:
         plant = self.plant
         if self.supervisor is None:  # nothing could brake the arms
             emergency.check()
-        q, v = plant.q, plant.v
+        q, v, self._due = plant.q, plant.v, False
         output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v) if self.arbiter.switching else None)
         self.output = output
         self.payload.idle = (0, 1) if self.reflex is not None else () if self._off is None else self._off.arms
@@ -337,7 +349,7 @@ class ControlStack[P: Plant]:
             self.supervisor.heard(plant.time)
         if output.refusals:
             self.refusals.extend(output.refusals)
-        self._due = self._pending = False
+        self._pending = False
         self._before.append((plant.time, plant.q))
         self._hand_down()
         if output.halted:
@@ -448,12 +460,14 @@ class ControlStack[P: Plant]:
         return Expected("closed hands", None, manager.reference, grippers.fault, off, bears_n)
 
     def _fall_back(self, q: Array, v: Array) -> Array:
-        self.arbiter.underway.executions = ()
+        self.arbiter.underway.executions, interrupted = (), self.arbiter.underway.executions
         if self.source is not None or self.arbiter.switching:
             self.request(HOLD)
         if not np.isfinite(q).all():
             return self.applied
-        if self.manager.active != DEFAULT_CONTROLLERS:
+        if interrupted or self.manager.active != DEFAULT_CONTROLLERS:
+            self.arbiter.stand(q)
+            self.manager[DEFAULT_CONTROLLERS[0]].activate(q, v)  # an active one would go on with what was interrupted
             self.manager.switch(DEFAULT_CONTROLLERS, q, v)
         return self.manager.update(q, v)  # raises if these have failed: no others could hold the arms
 

@@ -129,18 +129,10 @@ def _short(value: Any) -> str:
 @cache
 def circumstances_now(libraries: tuple[str, ...]) -> dict[str, Any]:
     """Return version, commit, machine and versions of distributions."""
-    return {
-        "version": minidual.__version__,
-        "commit": _commit(),
-        "machine": {
-            "system": platform.system(),
-            "architecture": platform.machine(),
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-            "python": platform.python_version(),
-        },
-        "libraries": {name: installed_version(name) or "not installed" for name in libraries},
-    }
+    machine: Any = {"system": platform.system(), "architecture": platform.machine(), "processor": _processor()}
+    machine |= {"cores": os.cpu_count(), "python": platform.python_version()}
+    installed = {name: installed_version(name) or "not installed" for name in libraries}
+    return {"version": minidual.__version__, "commit": _commit(), "machine": machine, "libraries": installed}
 
 
 def installed_version(name: str) -> str | None:

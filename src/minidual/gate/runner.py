@@ -137,18 +137,15 @@ class Runner:
         of_run = {"", *(override.text for override in self.loaded.overrides)}
         typed = " ".join(shlex.join(text.split(" ", 1)) for text in gate.typed(name)[1:] if text not in of_run)
         folder = self.store.begin(name, loaded.to_yaml(), entry.keeps, typed)
+        about: Any = {"config": entry.resolved(loaded.config), "seed": loaded.config.seed, "profile": loaded.profile}
+        about |= {"verdicts": verdicts, "waivers": waivers, "options": options}
         context = StageContext(
+            **about,
             folder=folder,
-            config=entry.resolved(loaded.config),
-            seed=loaded.config.seed,
-            profile=loaded.profile,
             upstream=Folders({up: self.store.stage_folder(up) for up in verdicts}),
-            verdicts=verdicts,
             summaries={up: self.table[up].summary for up in self.table.upstream(name)},
             code_changes=gate.code_changes(name) if entry.closing else {},
-            waivers=waivers,
             progress=self.progress,
-            options=options,
             workers=loaded.config.workers if self.view is None else 1,
             view=self.view,
         )
@@ -159,19 +156,16 @@ class Runner:
                 emergency.check()
                 judged = entry.closing and derive_status(result.checks) != "error"
                 closing = closing_checks(waivers, context.code_changes) if judged else ()
+                known: Any = {"stage": name, "run": self.store.run, "fingerprint": fingerprint, "waivers": waivers}
+                known |= {"started_at": started_at, "finished_at": now_text()}
                 verdict = Verdict(
-                    stage=name,
-                    run=self.store.run,
-                    fingerprint=fingerprint,
+                    **known,
                     checks=(*result.checks, *closing),
                     artefacts=build_manifest(folder),
                     acceptance_profile=loaded.config.acceptance,
-                    started_at=started_at,
-                    finished_at=now_text(),
                     duration_s=round(time.monotonic() - started, 3),
                     options=canonical(options, f"{name}.options"),
                     overrides=tuple(gate.typed(name)[1:]),
-                    waivers=waivers,
                     weakened=self._weakened(gate, entry, loaded),
                     data=canonical(result.data, f"{name}.data"),
                     notes=tuple(result.notes),

@@ -73,20 +73,15 @@ class Recorder:
             frames.append((self._count - first, self._state()))
         before = [(0, push) for step, push in self._pushes if step <= first][-1:]
         pushes = before + [(step - first, push) for step, push in self._pushes if step > first]
+        about: Any = {"kind": kind, "reason": reason, "arm": self._world.robot.arm.name, "scene": self._world.scene}
+        about |= {"model": self._fields, "libraries": versions(), "seed": self._seed, "details": dict(details or {})}
         return Recording(
-            kind=kind,
-            reason=reason,
-            arm=self._world.robot.arm.name,
-            scene=self._world.scene,
+            **about,
             controls=np.array([row for _, _, rows in self._stretches for row in rows]),
             keyframe_steps=np.array([step for step, _ in frames]),
             keyframes=np.array([state for _, state in frames]),
             push_steps=np.array([step for step, _ in pushes], dtype=np.int64),
             pushes=np.array([push for _, push in pushes]).reshape(-1, *self._xfrc.shape),
-            model=self._fields,
-            libraries=versions(),
-            seed=self._seed,
-            details=dict(details or {}),
         )
 
     def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -165,17 +166,12 @@ def replay(
             on_step(world)
     then, now = recording.libraries, versions()
     differ = [name for name in now if then.get(name) != now[name]]
+    span: Any = {"from_s": start + first * recording.dt_s, "to_s": start + done * recording.dt_s, "steps": done - first}
     return Replayed(
-        from_s=start + first * recording.dt_s,
-        to_s=start + done * recording.dt_s,
-        steps=done - first,
-        compared=compared,
-        largest_deviation=largest,
-        deviates=deviates,
+        **(span | {"compared": compared, "largest_deviation": largest, "deviates": deviates, "ended": ended}),
         model_changed=tuple(changed),
         versions_differ=tuple({"name": name, "was": then.get(name, "none"), "is": now[name]} for name in differ),
         first=tuple(signs.values()),
-        ended=ended,
     )
 
 

@@ -286,7 +286,10 @@ class _Loop:
         initial = float(np.mean(state.first_l1))
         final = float(np.mean([row.l1 for row in curve[-max(1, len(curve) // 20) :]]))
         validated = [row for row in curve if row.validation_l1 is not None]
+        about: Any = {"training_episodes": training, "validation_episodes": validation, "ticks": self.ticks}
+        about |= {"resumed_from_step": resumed, "set_aside": self.set_aside, "stopped_by": stopped_by, "curve": curve}
         return TrainResult(
+            **about,
             steps=state.step,
             steps_asked=self.config.steps,
             train_s=state.spent_s,
@@ -297,14 +300,7 @@ class _Loop:
             loss_ratio=final / initial,
             validation_l1=validated[-1].validation_l1 if validated else None,
             validation_keyframe_rad=validated[-1].validation_keyframe_rad if validated else None,
-            training_episodes=training,
-            validation_episodes=validation,
-            ticks=self.ticks,
             bf16=any(getattr(module, "bf16", False) for module in self.policy.modules()),
-            resumed_from_step=resumed,
-            set_aside=self.set_aside,
-            stopped_by=stopped_by,
-            curve=curve,
         )
 
 

@@ -72,7 +72,7 @@ class ObjectTruth:
 
     @property
     def speed_m_per_s(self) -> float:
-        return math.hypot(*self._object.qvel[:3].tolist())
+        return math.hypot(*self._object.twist()[:3].tolist())
 
     @property
     def on_table(self) -> bool:

@@ -151,14 +151,9 @@ def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **kn
     unfinished = Failure("unfinished", outcome.duration_s, "the object was never released at rest")
     first = min(outcome.failures, key=lambda failure: failure.at_s, default=unfinished)
     cause = Failure("", math.nan, "") if outcome.success else first
+    ended = outcome.success, cause.name, cause.detail, cause.at_s
     return TrialMetrics(
-        method=method,
-        index=index,
-        condition="clean",
-        success=outcome.success,
-        failure=cause.name,
-        reason=cause.detail,
-        failed_at_s=cause.at_s,
+        *(method, index, "clean", *ended),
         duration_s=outcome.duration_s if outcome.success else math.nan,
         jerk_rms=jerk(log.q, CUTOFF_HZ),
         path_length_m=float(path_length_m(log.tcp).mean()),
