@@ -109,6 +109,8 @@ class ControlStack[P: Plant]:
         if self.supervisor is not None:
             self.supervisor.reset()
         self.grippers.reset()
+        self._before.clear()
+        self._before.append((plant.time, q))
         self._stand(np.where(self.grippers.closed, 0.0, 1.0))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -147,8 +149,6 @@ class ControlStack[P: Plant]:
         """Of the latched reflex."""
         self._failed: Exception | None = None
         self._stop_ticks = 0
-        self._before.clear()
-        self._before.append((self.plant.time, self.plant.q))
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -350,7 +350,8 @@ class ControlStack[P: Plant]:
         if output.refusals:
             self.refusals.extend(output.refusals)
         self._pending = False
-        self._before.append((plant.time, plant.q))
+        if plant.time > self._before[-1][0]:  # not where the clock stands, or jumped back
+            self._before.append((plant.time, q))
         self._hand_down()
         if output.halted:
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
