@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import re
 import shlex
 from pathlib import Path
@@ -13,8 +14,10 @@ import pytest
 from pipeline_toys import KNOB, Bench, Toy
 
 from minidual.cli.app import run_command_line
+from minidual.cli.session import Session, Typed
 from minidual.config.loader import load_config
 from minidual.errors import UsageError
+from minidual.gate.lock import run_lock
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageTable
@@ -302,3 +305,22 @@ def test_glass_has_its_own_run_with_what_stands_before_it(finished, capsys):
     verdict, _ = own.verdict("carry") or pytest.fail("no verdict")
     assert verdict.options == {"object": "glass", "motion": "over"}
     assert "next: minidual teleop-record --run standard-glass-over" in capsys.readouterr().err
+
+
+def test_one_tool_runs_twice_at_a_time_in_two_runs_alone(tmp_path: Path, capsys) -> None:
+    """Before, two of them in one run mixed their films, and one deleted the other's work."""
+    runs = ["--runs-dir", str(tmp_path), "--profile", "smoke", "--run"]
+    with run_lock(tmp_path / "busy", "minidual modes", ".modes.lock"):
+        assert run_command_line(["modes", *runs, "busy"], STAGES, TOOLS) == 2
+    said = capsys.readouterr().err
+    assert f"run 'busy' is being written by process {os.getpid()} (minidual modes, since" in said
+
+
+def test_a_long_name_of_a_run_leads_on_to_another(toys):
+    """Before, a name of 80 characters led to itself, for ever."""
+    first = "toys-" + 75 * "a"
+    session = Session(Typed(run=first, runs_dir=toys.bench.root), toys.bench.table)
+    second = session._own_run(first, {"knob": "3"})
+    third = session._own_run(second, {"knob": "3"})
+    assert len(second) == len(third) == 80
+    assert len({first, second, third}) == 3

@@ -116,9 +116,8 @@ def remove(path: Path) -> None:
     """Remove a file or folder if it exists."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
-    else:
-        with contextlib.suppress(NotADirectoryError):  # a part of the path is a file: nothing to remove
-            path.unlink(missing_ok=True)
+    elif os.path.lexists(path):  # to unlink what is not there fails on a read-only disk
+        path.unlink(missing_ok=True)
 
 
 def now_text(form: str = "%Y-%m-%dT%H:%M:%SZ") -> str:

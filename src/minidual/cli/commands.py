@@ -45,7 +45,8 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     """Run a tool and print its result."""
     typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
     config, folder = session.loaded.with_overrides(overrides(tool.options, typed)).config, session.store.folder
-    found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}-{os.getpid()}.lock"
+    own = f"-{os.getpid()}" if tool.view_default != "none" else ""  # what only shows may run twice in one run
+    found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}{own}.lock"
     lock = run_lock(*found_by_stop) if tool.moves else nullcontext()
     with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
         about: Any = {"config": config, "seed": config.seed, "profile": session.loaded.profile, "name": tool.name}

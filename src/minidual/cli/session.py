@@ -82,7 +82,7 @@ class Session:
     @property
     def root(self) -> Path:
         """Folder of all runs."""
-        return self.typed.runs_dir or expanded(os.environ.get("MINIDUAL_RUNS") or "runs")
+        return expanded(str(self.typed.runs_dir or os.environ.get("MINIDUAL_RUNS") or "runs"))
 
     @property
     def store(self) -> RunStore:
@@ -144,7 +144,7 @@ class Session:
         words += [setting.replace("=", "-") for setting in typed.settings or ()]
         words += [] if typed.seed is None else [f"seed-{typed.seed}"]
         name = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join([run, *(words or ["defaults"])])).strip("-")
-        return name if len(name) <= 80 else f"{name[:71]}-{digest(words)[:8]}"
+        return name if len(name) <= 80 else f"{name[:71]}-{digest([run, *words])[:8]}"
 
     def following(self, gate: Gate | None = None, *, explained: bool = False) -> str:
         """Return the next command to type; `explain` first after a failure."""

@@ -434,7 +434,7 @@ class ControlStack[P: Plant]:
             return self.supervisor.fail(time_s, q, v, why, stamp_s), None
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
-            self.reflex, self._stop_ticks = error, round(_STOP_MAX_S / self.plant.dt)
+            self.reflex, self._stop_ticks, self.payload.idle = error, round(_STOP_MAX_S / self.plant.dt), (0, 1)
             self._hand_down()
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error
