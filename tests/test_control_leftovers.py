@@ -10,7 +10,7 @@ import pytest
 from panda import HOME
 from test_control_broken import FailingPlant, under_way
 from test_control_controllers import hand_over, move, stack_on, trajectory
-from test_control_driver import Arms
+from test_control_driver import Arms, Driver
 from test_control_lies import CLOSED, OPEN, run, supervised
 from test_control_recover import Carried
 
@@ -300,3 +300,32 @@ def test_exact_readings_that_come_rarely_are_plausible(scene: SceneConfig, perio
         names += run(stack, 1)
     assert names == []
     np.testing.assert_allclose(plant.__dict__["q"], goal, atol=0.02)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 10.0])
+def test_a_halt_from_a_flush_listener_acts_in_the_next_step(scene: SceneConfig, rate_hz: float) -> None:
+    """Before, it waited for the arbiter's next regular tick: 70 ms at 10 Hz."""
+    plant = Arms(scene)
+    stack, asked = supervised(plant, rate_hz=rate_hz), list[int]()
+    hand_over(stack, "moveit")
+    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.8 * np.eye(14)[0], 0.9))) is None
+    run(stack, 430)
+
+    def listener(mode: str) -> None:
+        if not asked:
+            asked.append(plant.steps)
+            stack.halt("teleop")
+
+    stack.on_flush(listener)
+    stack.request("teleop")
+    while not stack.output.halted and plant.steps < 2000:
+        run(stack, 1)
+    assert plant.steps - asked[0] <= 2
+
+
+def test_a_latched_stop_learns_no_load_while_the_arbiter_fails(scene: SceneConfig) -> None:
+    """The clock jumps back, power is lost and returns: before, the stop bore 30 N that nothing weighs."""
+    driver = Driver(scene)
+    driver.play(5071)
+    assert driver.seen["clock"] > 0
+    assert max(driver.stack.payload.force_n) < 5.0
