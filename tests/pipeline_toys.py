@@ -30,6 +30,7 @@ class Toy:
         self.name = name
         self.requires = requires
         self.observed: float = 1.0
+        self.remedy = "hold harder"
         self.behaviour: Behaviour | None = None
         self.contexts: list[StageContext] = []
 
@@ -43,7 +44,7 @@ class Toy:
         checks = self.behaviour(context) if self.behaviour else None
         if checks is None:
             checks = [
-                Check("quality", self.observed, ">=", 1.0, "n", why="toys must hold", remedy="hold harder"),
+                Check("quality", self.observed, ">=", 1.0, "n", why="toys must hold", remedy=self.remedy),
                 Check("size", 3.0, unit="m"),
             ]
         return StageResult(checks=checks, data={"observed": self.observed}, notes=["a toy ran"])

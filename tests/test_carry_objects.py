@@ -25,14 +25,14 @@ def configured(**carry: Any) -> Config:
     return carry_config(Config.model_validate({"carry": carry}))
 
 
-def trial_of(config: Config) -> Trial:
-    return make_task(config).trial(7, "objects", 0)
+def trial_of(config: Config, index: int = 0) -> Trial:
+    return make_task(config).trial(7, "objects", index)
 
 
-def carried(config: Config, *, until: str | None = None) -> tuple[Outcome, ImpedanceCarry]:
+def carried(config: Config, *, until: str | None = None, index: int = 0) -> tuple[Outcome, ImpedanceCarry]:
     """Carry to the end, or until the judge has noted a fault of that name."""
     world = World(config.scene)
-    task, trial = make_task(config), trial_of(config)
+    task, trial = make_task(config), trial_of(config, index)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
     judge = Judge(task, trial, {"squeezed"})
@@ -166,6 +166,12 @@ def test_the_object_is_turned_by_ninety_degrees() -> None:
     assert abs(axis[0]) > 0.999  # it lay along y, and lies along x
     assert outcome.yaw_error_rad < 0.02
     assert outcome.duration_s < 8.0
+
+
+@pytest.mark.parametrize("index", [7, 13])
+def test_hands_open_only_when_the_elbows_swing_no_more(index: int) -> None:
+    outcome, carry = carried(configured(object="board", motion="rotate"), index=index)
+    assert outcome.success, (outcome.reason, carry.aborted)
 
 
 def test_it_is_lifted_over_the_obstacle_and_lower_it_would_strike() -> None:

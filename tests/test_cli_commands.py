@@ -84,6 +84,36 @@ def test_usage_errors_exit_2(cli, capsys):
     assert not cli.bench.store.folder.exists()
 
 
+@pytest.mark.parametrize("words", [("first", "--queries", "many"), ("first", "--nonsense"), ("frist",), ("config",)])
+def test_what_cannot_be_parsed_is_a_document_too(cli, words):
+    code, document = cli.json(*words)
+    assert code == document["exit_code"] == 2
+    assert document["error"]["kind"] == "UsageError"
+    remedy = {"first": "minidual first --help", "config": "minidual config --help", "frist": "did you mean 'first'?"}
+    assert document["error"]["remedy"] == remedy[words[0]]
+
+
+@pytest.mark.parametrize("command", ["status", "explain", "explain first", "doctor"])
+def test_a_misspelt_run_is_not_an_empty_one(cli, capsys, command):
+    words = [*command.split(), "--runs-dir", str(cli.bench.root)]
+    assert run_command_line([*words, "--run", "toys"], cli.bench.table, TOOLS) == 2
+    assert "no run 'toys'; there are none" in capsys.readouterr().err
+    cli("first")
+    assert run_command_line([*words, "--run", "tyos"], cli.bench.table, TOOLS) == 2
+    err = capsys.readouterr().err
+    assert "no run 'tyos'; there are toys" in err
+    assert "did you mean 'toys'?" in err
+    assert not (cli.bench.root / "tyos").exists()
+
+
+def test_commands_in_explained_remedies_act_on_this_run(cli):
+    cli.bench.first.observed, cli.bench.first.remedy = 0.5, "minidual first --force"
+    cli("first")
+    mended = "minidual first --force --run toys"
+    assert mended in " ".join(cli("explain")[1].split())
+    assert mended in " ".join(cli("explain", "first")[1].replace("│", " ").split())
+
+
 def test_option_before_the_command_is_told_its_place(capsys):
     assert run_command_line(["--profile=smoke", "carry"], STAGES) == 2
     assert "--profile stands after the command: minidual COMMAND --profile" in capsys.readouterr().err
@@ -130,6 +160,7 @@ def test_crash_exits_70_with_one_line_and_a_file(cli):
 
 
 def test_crash_outside_a_stage_exits_70_too(cli, monkeypatch):
+    cli.bench.store.folder.mkdir(parents=True)
     monkeypatch.setattr("minidual.gate.gate.Gate.state", explode)
     code, _, err = cli("status")
     assert code == 70
@@ -199,7 +230,7 @@ def test_commands_of_a_remedy_act_on_the_run_that_failed(cli, remedy, said):
 def test_a_remedy_stays_as_it_is_in_the_run_of_its_profile(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run_command_line(["second"], Bench(tmp_path).table) == 3
-    assert "  remedy: minidual first\n" in capsys.readouterr().err
+    assert "  remedy: minidual first; then this command again\n" in capsys.readouterr().err
 
 
 def test_corrupt_verdict_names_file_and_command(cli):
@@ -302,6 +333,7 @@ def test_run_stops_at_a_failure_with_its_code(cli):
 
 
 def test_status_shows_every_state_and_why(cli):
+    cli.bench.store.folder.mkdir(parents=True)
     code, document = cli.json("status")
     assert code == 0
     assert [stage["state"] for stage in document["stages"]] == ["missing", "blocked", "blocked"]

@@ -105,6 +105,7 @@ def test_a_nan_fails_its_stage(pipeline):
 
 
 def test_nothing_has_run(pipeline):
+    (pipeline.root / "r").mkdir(parents=True)
     document = pipeline.document()
     assert states(document) == ["missing"] + ["blocked"] * 5
     assert document["lowest"] == "env-check"

@@ -28,6 +28,7 @@ from minidual.control.execution import Underway
 from minidual.control.impedance import ObjectPath, Waypoint
 from minidual.control.mailbox import Mailbox
 from minidual.control.stack import ControlStack
+from minidual.errors import DataError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -56,6 +57,7 @@ class Witness:
         self.taken: dict[int, str] = {}
         self._kept: list[Any] = []
         self.turn: str | None = None
+        self.errors: list[str] = []
         self._alive_s = self._offered_s = 0.0
         self.seen: Counter[Any] = Counter()
         self._updates: Counter[int] = Counter()
@@ -158,7 +160,10 @@ class Witness:
                 self._alive_s = self.plant.time
             n = len(self.plant.torques)
             self._updates.clear()
-            self.stack.step()
+            try:
+                self.stack.step()
+            except DataError as error:  # nothing holds the hands together, and the object is imagined between them
+                self.errors.append(error.message)
             self._check(n)
 
     # Checks ---------------------------------------------------------------------------------------------
@@ -308,6 +313,26 @@ def test_random_histories_reach_all_that_there_is() -> None:
     assert wanted <= {key for key, n in seen.items() if n}, f"never reached: {wanted - set(seen)}"
 
 
+LEFT_BEHIND: list[Event] = [
+    ("run", 1),
+    ("request", "policy", None),
+    ("run", 60),
+    ("stream", "policy", "right_arm", 0.3, 0.0, "", 6),
+    ("run", 150),
+    ("controllers", C),
+    ("silence", 320),
+    ("run", 1000),
+]
+
+
+def test_hands_that_leave_an_imagined_object_stop_once_by_its_name() -> None:
+    witness = Witness()
+    witness.play(LEFT_BEHIND)
+    assert len(witness.errors) == 1
+    assert "away from where the right hand holds it" in witness.errors[0]
+    assert np.abs(witness.plant.v).max() < 0.05
+
+
 @settings(max_examples=15, deadline=None)
 @given(histories)
 def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
@@ -315,6 +340,8 @@ def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
     for witness in (first, second):
         witness.play(history)
     np.testing.assert_array_equal(first.plant.torques, second.plant.torques)
+    assert first.errors == second.errors
+    assert all("hand holds it" in text for text in first.errors)
 
 
 # What the checks say of stacks that are broken ------------------------------------------------------------

@@ -40,14 +40,14 @@ def test_closed_gate_names_stage_check_and_command(bench):
     with pytest.raises(GateClosedError) as caught:
         bench.runner().run("second")
     assert caught.value.message == "the gate of second is closed: first failed: quality is 0.25 n, limit >= 1 n"
-    assert caught.value.remedy == "hold harder, then: minidual first"
+    assert caught.value.remedy == "hold harder, then: minidual first; then this command again"
     assert bench.second.contexts == []
 
 
 def test_closed_gate_far_above_names_the_root_and_the_command_for_all(bench):
     with pytest.raises(GateClosedError, match="first has not run") as caught:
         bench.runner().run("third")
-    assert caught.value.remedy == "minidual run --until third"
+    assert caught.value.remedy == "minidual run --until second; then this command again"
 
 
 def test_force_never_opens_a_gate(bench):
@@ -268,7 +268,7 @@ def test_corrupt_upstream_verdict_names_file_and_command(bench):
     with pytest.raises(GateClosedError) as caught:
         bench.runner().run("second")
     assert str(path) in caught.value.message
-    assert caught.value.remedy == "minidual first"
+    assert caught.value.remedy == "minidual first; then this command again"
     assert bench.runner().run("first").exit_code == ExitCode.PASS, "the named command mends it"
 
 

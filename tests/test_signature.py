@@ -164,6 +164,7 @@ def test_keys_that_cannot_be_used_are_named_before_work_starts(unsigned, tmp_pat
     code, _, err = unsigned("run", "--sign", locked)
     assert (code, unsigned.bench.first.contexts) == (2, [])
     assert "passphrase" in err
+    unsigned.bench.store.folder.mkdir(parents=True)
     for key, said in ((unsigned.key, "is no public key of OpenSSH"), (tmp_path / "none", "does not exist")):
         code, err = unsigned.verify(key)
         assert code == 2

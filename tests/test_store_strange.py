@@ -364,7 +364,7 @@ def test_wrong_values_in_a_verdict_never_crash(run):
         record["digest"] = digest({key: record[key] for key in record if key != "digest"})
         path.write_text(json.dumps(record))
         state = run.bench.gate().state("first")
-        print_explanation(Console(file=io.StringIO()), run.bench.table["first"], state, {})
+        print_explanation(Console(file=io.StringIO()), run.bench.table["first"], state, {}, str)
         named += state.state in ("error", "stale")
         assert (state.state == "error") == any(str(path) in reason for reason in state.reasons), (place, wrong)
     assert named > 50

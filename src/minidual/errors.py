@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from enum import IntEnum
 
 _UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
@@ -79,4 +79,10 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     names = sorted(known)
     close = [n for n in names if name and n.startswith(name)] or difflib.get_close_matches(name, names, n=1)
     remedy = f"did you mean '{close[0]}'?" if close else None
-    return UsageError(f"no {kind} '{name}'; there are {', '.join(names)}", remedy=remedy)
+    return UsageError(f"no {kind} '{name}'; there are {', '.join(names) or 'none'}", remedy=remedy)
+
+
+def check_name(kind: str, name: str, known: Collection[str]) -> None:
+    """Raise `unknown_name` unless `known` contains `name`."""
+    if name not in known:
+        raise unknown_name(kind, name, known)

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import yaml
 
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import UsageError, check_name
 
 
 class Registry[T](Mapping[str, T]):
@@ -47,8 +47,7 @@ class Registry[T](Mapping[str, T]):
             UsageError: Unknown name, or it cannot be imported.
         """
         rows = self._all()
-        if name not in rows:
-            raise unknown_name(self.kind, name, rows)
+        check_name(self.kind, name, rows)
         value = rows[name]
         if isinstance(value, str):
             try:
@@ -87,8 +86,7 @@ class Registry[T](Mapping[str, T]):
         if not (names := [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]):
             raise UsageError(f"no {self.kind} named", remedy=f"name some of {', '.join(self)}")
         for name in names:
-            if name not in self:
-                raise unknown_name(self.kind, name, self)
+            check_name(self.kind, name, self)
             if names.count(name) > 1:
                 raise UsageError(f"{self.kind} '{name}' is named twice in {', '.join(names)}")
         return tuple(names)

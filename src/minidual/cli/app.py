@@ -1,7 +1,6 @@
 """The command line: parse, call one stage, print. Heavy imports wait until a command runs."""
 
 import inspect
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import partial
@@ -12,8 +11,11 @@ import typer
 import minidual
 from minidual.cli.commands import Body, config_body, explain_body, run_body, run_stage, run_tool, status_body, stop_body
 from minidual.cli.session import OPTIONS, Session, Typed
-from minidual.errors import ExitCode, printable, unknown_name
+from minidual.errors import UsageError, check_name
 from minidual.gate.table import Option, StageTable, ToolEntry
+
+_READING = ("status", "explain", "doctor")
+"""Commands that only read a run; the others begin one."""
 
 
 def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:
@@ -47,11 +49,11 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     app = typer.Typer(
         name="minidual",
         help="From an empty folder to a measured dual-arm robot system. Each stage waits behind a gate.",
-        no_args_is_help=True,
         pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["--help", "-h"]},
         rich_markup_mode="rich",
     )
-    config = typer.Typer(help="The resolved configuration.", no_args_is_help=True)
+    config = typer.Typer(help="The resolved configuration.")
     watching, running = OPTIONS["watching"], OPTIONS["running"]
 
     def add(name: str, summary: str, examples: Sequence[str], body: Body, own: Iterable[Option], panel: str) -> None:
@@ -59,7 +61,7 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
 
         def command(**values: Any) -> None:
             session = Session(Typed(**{f.name: values.pop(f.name) for f in fields(Typed)}), table)
-            raise typer.Exit(session.end(lambda s: body(s, values)))
+            raise typer.Exit(session.end(lambda s: body(s.begin(name in _READING), values)))
 
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -95,18 +97,18 @@ def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequenc
     app = build_app(table, tools)
     commands = {command.name or "" for command in app.registered_commands} | {"config"}
     first = arguments[0].split("=")[0] if arguments else "--help"
-    refusal: object = None
-    if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
-        refusal = f"{strange[0]} is not UTF-8"
-    elif first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
-        refusal = f"{first} stands after the command: minidual COMMAND {first} ..."
-    elif not first.startswith("-") and first not in commands:
-        refusal = unknown_name("command", first, commands)
-    if refusal is not None:
-        print(printable(f"minidual: {refusal}"), file=sys.stderr)
-        return int(ExitCode.USAGE)
-    try:
-        app(list(arguments), prog_name="minidual")
-    except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else int(ExitCode.PASS)
-    return int(ExitCode.PASS)
+
+    def parse(_session: Session) -> int:
+        if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
+            raise UsageError(f"{strange[0]} is not UTF-8")
+        if first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
+            raise UsageError(f"{first} stands after the command: minidual COMMAND {first} ...")
+        if not first.startswith("-"):
+            check_name("command", first, commands)
+        try:
+            return app([*arguments] or ["--help"], prog_name="minidual", standalone_mode=False)
+        except typer.TyperException as error:
+            remedy = f"minidual {first if first in commands else ''} --help".replace("  ", " ")
+            raise UsageError(error.format_message(), remedy=remedy) from error
+
+    return Session(Typed(json="--json" in arguments), table).end(parse)

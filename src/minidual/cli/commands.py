@@ -141,7 +141,6 @@ def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
 
 def _show_status(session: Session, *, explained: bool, key: Path | None = None) -> ExitCode:
-
     gate, store = session.gate(), session.store
     changed = None if key is None else unverified(gate, key)
     following, writer, lowest = session.following(gate, explained=explained), lock_holder(store.folder), gate.lowest()
@@ -149,7 +148,7 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
         title = f"run {store.run} (profile {session.loaded.profile}, {store.folder})"
         print_status(session.data, gate, title, "" if explained else following)
         if explained:
-            print_lowest(session.data, lowest, following)
+            print_lowest(session.data, lowest, following, session.in_this_run)
         if writer is not None:
             session.say(f"being written by {writer}")
     for line in ["the verdicts and artefacts are as signed"] if changed == [] else changed or ():
@@ -186,11 +185,11 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     state = gate.state(entry.name)
     upstream, lowest = {name: gate.state(name).state for name in entry.requires}, gate.lowest()
     if not session.typed.json:
-        print_explanation(session.data, entry, state, upstream)
+        print_explanation(session.data, entry, state, upstream, session.in_this_run)
         if state.state == "pass":
             session.say(f"to run it again: {session.typed.command(f'{entry.name} --force')}")
         else:
-            print_lowest(session.data, lowest, session.following(gate, explained=True))
+            print_lowest(session.data, lowest, session.following(gate, explained=True), session.in_this_run)
     document = {
         **_state_json(state),
         "summary": entry.summary,

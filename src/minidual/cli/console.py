@@ -1,7 +1,7 @@
 """The terminal: printed tables and explanations, and progress on stderr: bars on a terminal, plain lines elsewhere."""
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -80,9 +80,13 @@ def state_text(state: str) -> Text:
     return Text(state, style=_STYLES.get(state, "dim"))
 
 
-def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False) -> Table:
+Wording = Callable[[str], str]
+"""Completes the commands of a remedy."""
+
+
+def checks_table(checks: Sequence[Check], title: str, explained: Wording | None = None) -> Table:
     """Return a table; with why and remedy if `explained`."""
-    table = Table(title=title, title_justify="left", show_lines=explained)
+    table = Table(title=title, title_justify="left", show_lines=explained is not None)
     for header in ("check", "observed", "limit", "margin", "result"):
         table.add_column(header, justify="left" if header in ("check", "result") else "right", overflow="fold")
     if explained:
@@ -90,9 +94,10 @@ def checks_table(checks: Sequence[Check], title: str, *, explained: bool = False
     result = {True: Text("pass", "green"), False: Text("FAIL", "bold red"), None: Text("reported", "dim")}
     for check in checks:
         limit = f"{check.op} {with_unit(check.limit, check.unit)}" if check.op else ""
-        why = check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")
         row = [check.name, with_unit(check.observed, check.unit), limit, check.margin_text(), result[check.passed]]
-        table.add_row(*row, *([why] if explained else []))
+        if explained:
+            row.append(explained(check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")))
+        table.add_row(*row)
     return table
 
 
@@ -114,7 +119,9 @@ def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
     _lines(console, [following])
 
 
-def print_explanation(console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str]) -> None:
+def print_explanation(
+    console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str], wording: Wording
+) -> None:
     """Print one stage; `upstream` is {required stage: state}."""
     console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
     for name, its in upstream.items():
@@ -126,12 +133,14 @@ def print_explanation(console: Console, entry: StageEntry, state: StageState, up
         verdict = state.verdict
         made = verdict.fingerprint
         title = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{made.profile}', seed {made.seed}"
-        _print_verdict(console, state, verdict, title, explained=True)
+        _print_verdict(console, state, verdict, title, wording)
         _lines(console, [f"made with {text}" for text in verdict.overrides])
 
 
-def _print_verdict(console: Console, state: StageState, verdict: Verdict, title: str, explained: bool = False) -> None:
-    console.print(checks_table(verdict.checks, title, explained=explained))
+def _print_verdict(
+    console: Console, state: StageState, verdict: Verdict, title: str, explained: Wording | None = None
+) -> None:
+    console.print(checks_table(verdict.checks, title, explained))
     _lines(console, [label(verdict)], "bold yellow")
     _lines(console, verdict.notes)
     _lines(console, [f"note: {warning}" for warning in state.warnings], "dim")
@@ -160,11 +169,11 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
     _lines(console, [following])
 
 
-def print_lowest(console: Console, lowest: StageState | None, following: str) -> None:
+def print_lowest(console: Console, lowest: StageState | None, following: str, wording: Wording) -> None:
     """Print the first stage that does not pass, why, and the next command."""
     if lowest is not None:
         _lines(console, [f"look at {lowest.name} first: the lowest stage that does not pass"], "bold")
-        _lines(console, [f"  {line}" for line in lowest.because()])
+        _lines(console, [f"  {wording(line)}" for line in lowest.because()])
     _lines(console, [following])
 
 

@@ -20,7 +20,7 @@ from minidual.cli.console import ConsoleProgress, console
 from minidual.cli.process import interrupt
 from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
-from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, UsageError, printable
+from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, UsageError, printable, unknown_name
 from minidual.gate.canonical import digest, dumps
 from minidual.gate.gate import Gate
 from minidual.gate.runner import Runner
@@ -88,6 +88,21 @@ class Session:
     def store(self) -> RunStore:
         """The run's folder."""
         return RunStore(self.root, self.loaded.profile if self.typed.run is None else self.typed.run)
+
+    def begin(self, reads: bool) -> Session:
+        """Return itself.
+
+        Raises:
+            EnvironmentMissingError, UsageError: The working directory was deleted; what `reads` a run that was named
+                finds none.
+        """
+        try:
+            Path.cwd()
+        except FileNotFoundError:
+            raise EnvironmentMissingError("the working directory was deleted", remedy="cd to another one") from None
+        if reads and self.typed.run is not None and not self.store.folder.exists():
+            raise unknown_name("run", self.typed.run, (folder.name for folder in self.root.glob("[!.]*/")))
+        return self
 
     def gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
         """Return a gate of this run."""
@@ -162,13 +177,13 @@ class Session:
 
     def finish(self, document: Mapping[str, Any], lines: Iterable[object]) -> None:
         """Print the document (--json) or the lines to stdout."""
-        for line in [dumps(document).rstrip("\n")] if self.typed.json else lines:
-            print(printable(str(line)))
+        texts = [dumps(document).rstrip("\n")] if self.typed.json else (self.in_this_run(str(line)) for line in lines)
+        for text in texts:
+            print(printable(text))
 
-    def end(self, body: Callable[[Session], ExitCode]) -> int:
+    def end(self, body: Callable[[Session], int]) -> int:
         """Run `body`; return its exit code or that of its error."""
         try:
-            _check_working_directory()
             return int(body(self))
         except KeyboardInterrupt as error:
             return self._interrupted(error, str(error))
@@ -191,13 +206,13 @@ class Session:
     def _fail(self, error: BaseException, message: str, remedy: str | None, code: ExitCode) -> int:
         if self.typed.debug:
             _print_error("".join(traceback.format_exception(error)))
-        remedy = remedy and self._in_this_run(remedy)
+        remedy = remedy and self.in_this_run(remedy)
         kind = {"kind": type(error).__name__, "message": message, "remedy": remedy}
         self.finish({"error": kind, "exit_code": int(code)}, ())
         _print_error(f"minidual: {message}" + (f"\n  remedy: {remedy}" if remedy else ""))
         return int(code)
 
-    def _in_this_run(self, remedy: str) -> str:
+    def in_this_run(self, remedy: str) -> str:
         """Return `remedy` with the typed options in each command that lacks them: it would act on another run."""
         names = "|".join(map(re.escape, [*self.table, "run", "status", "explain"]))
         words = rf"\bminidual ((?:{names})(?![\w-])(?: --force| --until [\w-]+)*+)(?!{re.escape(self.typed.flags)})"
@@ -206,10 +221,3 @@ class Session:
 
 def _print_error(text: str) -> None:
     print(printable(text), file=sys.stderr)
-
-
-def _check_working_directory() -> None:
-    try:
-        Path.cwd()
-    except FileNotFoundError:
-        raise EnvironmentMissingError("the working directory was deleted", remedy="cd to another one") from None

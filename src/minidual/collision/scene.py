@@ -25,7 +25,7 @@ import numpy as np
 from minidual.collision.shapes import ENGINES, Attached, Box, Pairs, Shape, grown
 from minidual.config.seeds import stream
 from minidual.durable import expanded, regular_file, write_text
-from minidual.errors import DataError, UsageError, unknown_name
+from minidual.errors import DataError, UsageError, check_name
 from minidual.robot.description import collision_links, links_of, pair_urdf
 from minidual.robot.pair import DUAL_PANDA, SIDES, Robot
 
@@ -203,8 +203,7 @@ class PlanningScene:
         known = links_of(self.robot)
         for attached in self.attached:
             for link in (attached.link, *attached.touch_links):
-                if link not in known:
-                    raise unknown_name("link", link, known)
+                check_name("link", link, known)
         if not (math.isfinite(self.min_distance_m) and 0.0 <= self.min_distance_m <= MIN_DISTANCE_MAX_M):
             raise UsageError(f"min_distance_m = {self.min_distance_m}; it must be from 0 to {MIN_DISTANCE_MAX_M} m")
 
@@ -227,8 +226,7 @@ class PlanningScene:
     def why_unchecked(self, a: str, b: str) -> str | None:
         """Return the reason, or None for a checked pair."""
         for name in (a, b):
-            if name not in self.names:
-                raise unknown_name("link or obstacle", name, self.names)
+            check_name("link or obstacle", name, self.names)
         return self._why_unchecked(a, b)
 
     def _why_unchecked(self, a: str, b: str) -> str | None:

@@ -14,7 +14,7 @@ from minidual.config.control import ArbiterConfig
 from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
 from minidual.control.execution import Execution, Underway
 from minidual.control.mailbox import Mailbox, check_openings
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import UsageError, check_name
 from minidual.robot.pair import SIDES, Array, Robot
 
 _STOP_SHARE = 0.5
@@ -111,8 +111,7 @@ class CommandArbiter:
 
     def request(self, mode: str) -> None:
         """Request a source, or "hold"; the last request counts."""
-        if mode not in (*SOURCES, HOLD):
-            raise unknown_name("mode", mode, (*SOURCES, HOLD))
+        check_name("mode", mode, (*SOURCES, HOLD))
         if self._requested not in (None, mode):
             self._refuse(self._requested, "superseded", f"'{mode}' was requested before the switch began")
         self._requested = mode
@@ -132,8 +131,7 @@ class CommandArbiter:
         self._halt = (source, None if gripper is None else np.array(gripper, dtype=float))
 
     def _mailbox(self, source: str) -> Mailbox:
-        if source not in self._mailboxes:
-            raise unknown_name("command source", source, SOURCES)
+        check_name("command source", source, SOURCES)
         return self._mailboxes[source]
 
     @property

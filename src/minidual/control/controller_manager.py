@@ -11,7 +11,7 @@ from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, Reason
 from minidual.control.controllers import Controller
 from minidual.control.soft_stop import TorqueRate
-from minidual.errors import MinidualError, unknown_name
+from minidual.errors import MinidualError, check_name
 from minidual.robot.pair import SIDES, Array, Robot
 
 _FADE_S = 0.1
@@ -40,8 +40,7 @@ class ControllerManager:
         """Last torques (n,) [Nm]."""
 
     def __getitem__(self, name: str) -> Controller:
-        if name not in self._all:
-            raise unknown_name("controller", name, self._all)
+        check_name("controller", name, self._all)
         return self._all[name]
 
     def check(self, names: Sequence[str]) -> tuple[Controller, ...]:

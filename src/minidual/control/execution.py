@@ -29,7 +29,7 @@ _OVERRIDE_SLEW = 0.3
 """Change of the override [1/s]: plans leave a tenth of a_max."""
 _TURN_PER_S, _SHIFT_M_PER_S = 8.0, 2.0
 """Largest rates of a pose's entries, of rotation and position; twice what is accepted."""
-_STOPPED_RATE, _START_RAD_PER_S = 1e-4, 0.5
+_STOPPED_RATE, START_RAD_PER_S = 1e-4, 0.5
 _LOOK_AHEAD_ROWS = 500
 
 
@@ -209,8 +209,8 @@ class Underway:
 
     def _moving(self, command: TrajectoryCommand, v: Array) -> Reason | None:
         fastest = float(np.abs(v[self._robot.groups[command.group]]).max())
-        what = f"a trajectory starts at rest, and a joint moves at {fastest:.2f} rad/s; bound {_START_RAD_PER_S} rad/s"
-        return None if fastest <= _START_RAD_PER_S else ("not_still", what)
+        what = f"a trajectory starts at rest, and a joint moves at {fastest:.2f} rad/s; bound {START_RAD_PER_S} rad/s"
+        return None if fastest <= START_RAD_PER_S else ("not_still", what)
 
     def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Reason | None:
         joints = self._robot.groups[command.group]

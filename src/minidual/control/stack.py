@@ -16,6 +16,7 @@ from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
+from minidual.control.execution import START_RAD_PER_S
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.impedance import InHand
 from minidual.control.impedance_controllers import HandImpedanceController, ObjectImpedanceController, ObjectSensor
@@ -288,6 +289,11 @@ class ControlStack[P: Plant]:
     def stopping(self) -> bool:
         """Whether a reflex or a halt is bringing the arms to rest, for 2 s at most."""
         return self._stop_ticks > 0 and not np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s
+
+    @property
+    def calm(self) -> bool:
+        """Whether no joint moves too fast for a trajectory to start, with a margin."""
+        return float(np.max(np.abs(self.plant.v))) < 0.8 * START_RAD_PER_S
 
     @property
     def executing(self) -> bool:

@@ -20,7 +20,7 @@ from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from minidual.durable import disk_errors, read_json, reading, regular_file
-from minidual.errors import DataError, unknown_name
+from minidual.errors import DataError, check_name
 from minidual.robot.pair import Array
 
 STATE = "observation.state"
@@ -29,7 +29,7 @@ IMAGE_PREFIX = "observation.images.cam_"
 
 Image = NDArray[np.uint8]
 Rows = NDArray[np.int64]
-_AGAIN = "convert the episodes again: minidual teleop-record --force"
+_AGAIN = "record and convert again, the finished recording is kept beside it: minidual teleop-record --force"
 _VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
 """Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
@@ -79,8 +79,7 @@ class LeRobotTables:
             UsageError: Unknown camera.
             DataError: Corrupt video; at its end, wrong frame count.
         """
-        if camera not in self.cameras:
-            raise unknown_name("camera", camera, self.cameras)
+        check_name("camera", camera, self.cameras)
         size = self.cameras[camera]
         with _reading(f"{self.root}: the table of videos"):
             videos = self._videos(camera_key(camera))

@@ -118,7 +118,7 @@ class Gate:
         """Return the error with cause, failed check and command to type."""
         unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
         cause = unfinished[0]
-        mend = command(cause.name if len(unfinished) == 1 else f"run --until {name}")
+        mend = command(cause.name if len(unfinished) == 1 else f"run --until {unfinished[-1].name}")
         article = "ended in error" if cause.state == "error" else f"is {cause.state}"
         words = {"pass": "passed", "fail": "failed", "missing": "has not run"}.get(cause.state, article)
         text = f"the gate of {name} is closed: {cause.name} {words}"
@@ -126,7 +126,7 @@ class Gate:
             text += f": {cause.why()}"
         failed = cause.verdict.failed_checks() if cause.state == "fail" and cause.verdict else []
         advice = f"{failed[0].remedy.rstrip('.')}, then: " if failed and failed[0].remedy else ""
-        return GateClosedError(text, remedy=f"{advice}{mend}")
+        return GateClosedError(text, remedy=f"{advice}{mend}; then this command again")
 
     def code_changes(self, name: str) -> dict[str, list[str]]:
         """Return {upstream stage: modules changed since its verdict}."""

@@ -23,7 +23,7 @@ from minidual.config.loader import validate_document
 from minidual.config.scene import SemanticsConfig
 from minidual.config.seeds import stream
 from minidual.durable import kind_of, read_json
-from minidual.errors import ConfigError, DataError, UsageError, unknown_name
+from minidual.errors import ConfigError, DataError, UsageError, check_name, unknown_name
 from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
 from minidual.motion.ik import GROUP_ARMS, check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
@@ -171,8 +171,7 @@ class NamedStates(dict[str, dict[str, Array]]):
         Raises:
             UsageError: Unknown state, or it lacks an arm of the group.
         """
-        if name not in self:
-            raise unknown_name("named state", name, self)
+        check_name("named state", name, self)
         q = np.array(q_others, dtype=float)
         for arm in GROUP_ARMS[group]:
             if arm not in self[name]:
@@ -210,8 +209,7 @@ class GoalPlanner:
         if goal.joints_by_name_rad is not None:
             names, q = self.robot.joint_names, np.array(q_start)
             for name, value in goal.joints_by_name_rad.items():
-                if name not in names:
-                    raise unknown_name("joint", name, names)
+                check_name("joint", name, names)
                 q[names.index(name)] = value
             return goal_joints(group, q_start, q, self.robot)
         tips = dict(zip(SIDES, self.planner.kinematics.tcp_poses(q_start), strict=True))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, OutOfLimitsError, StartInCollisionError
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import UsageError, check_name
 from minidual.motion.ik_descent import descend, measure, project, rest, tcp_pose
 from minidual.proof.scene_engines import SceneEngines
 from minidual.registry import Registry
@@ -66,8 +66,7 @@ class ArmIK:
     """IK of the "left" or "right" tcp in the world frame."""
 
     def __init__(self, arm: str, robot: Robot = DUAL_PANDA) -> None:
-        if arm not in robot.sides:
-            raise unknown_name("arm", arm, robot.sides)
+        check_name("arm", arm, robot.sides)
         self.arm, self.joints = arm, robot.groups[f"{arm}_arm"]
         self._n = robot.dof_per_arm
         kinematics, (placements, turns) = Kinematics(robot), hinges(robot)

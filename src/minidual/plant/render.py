@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from minidual.config.scene import CameraConfig
 from minidual.durable import replacing
-from minidual.errors import EnvironmentMissingError, unknown_name
+from minidual.errors import EnvironmentMissingError, check_name
 from minidual.plant.model import GROUP_COLLISION
 
 Image = npt.NDArray[np.uint8]
@@ -78,8 +78,7 @@ class Camera(AbstractContextManager["Camera"]):
         return seen
 
     def _update(self, data: mujoco.MjData, camera: str) -> None:
-        if camera not in self._names:
-            raise unknown_name("camera", camera, self._names)
+        check_name("camera", camera, self._names)
         self._renderer.update_scene(data, camera, scene_option=self._option)
 
     def close(self) -> None:

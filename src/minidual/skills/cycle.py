@@ -13,7 +13,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
 from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
 from minidual.control.reflexes import Reach
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import UsageError, check_name
 from minidual.motion.api import Planner
 from minidual.plant.model import OBSTACLE
 from minidual.robot.pair import SIDES, Array, Robot
@@ -80,11 +80,9 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
     asked, stages, taken = task.scene.task, list[Stage](), Counter[str]()
     steps = [step for step in (task.steps if steps is None else steps) if step.phase not in _BY_FORCE]
     for step in steps:
-        if step.phase not in PHASES:
-            raise unknown_name("phase", step.phase, PHASES)
+        check_name("phase", step.phase, PHASES)
         for name in step.objects:
-            if name not in task.objects:
-                raise unknown_name("object", name, task.objects)
+            check_name("object", name, task.objects)
 
     def label(phase: str, hands: Sequence[str], names: Sequence[str]) -> str:
         text = " ".join([phase, *(hands if len(hands) < len(SIDES) else ()), *names])

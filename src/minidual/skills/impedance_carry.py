@@ -37,7 +37,7 @@ _TOLD = {"close": "close", "open": "open", "retreat": "open"}
 _BRAKED_S = 0.6  # longest braking along the path
 _ARRIVALS, _ONWARD_S, _ARRIVED_M, _STRETCH_M = 4, 0.8, 0.003, 0.018
 # most corrections of a path's end, their time, the distance that needs none, the longest stretch of the spring
-_STOPPED_S = 0.5
+_STOPPED_S, _CALM_S = 0.5, 2.0
 
 
 class _RefusedError(Exception):
@@ -189,6 +189,8 @@ class ImpedanceCarry:
                 path = yield from self._arrive(path, T_level_object)
             self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, watch.squeeze_n), _CLOSED)
             yield from self._executing()
+        while not stack.calm and world.time < self._began_s + _CALM_S:
+            yield  # the object is down, an elbow may still swing
         watch.let_go()
         self._supervisor.hold(None)
         stack.switch_controllers(DEFAULT_CONTROLLERS)

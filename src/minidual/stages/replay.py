@@ -3,7 +3,7 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from minidual.errors import ExitCode, UsageError, unknown_name
+from minidual.errors import ExitCode, UsageError, check_name
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
@@ -16,13 +16,15 @@ def replay_tool(context: ToolContext) -> ToolResult:
     """Replay the file; exit 1 if equal versions do not reproduce it, 5 if there was nothing to compare."""
     options = context.options
     camera = options.get("camera", "overview")
-    if camera not in CAMERAS:
-        raise unknown_name("camera", camera, CAMERAS)
+    check_name("camera", camera, CAMERAS)
     slowdown, frames = options.get("slowdown", 1.0), options.get("frames", 8)
     if not 0.1 <= slowdown <= 100.0:
         raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
     if not 1 <= frames <= 48:
         raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
+    for option, of in (("slowdown", "video"), ("frames", "picture")):
+        if option in options and of not in options:
+            raise UsageError(f"--{option} goes with --{of}")
     video = target_file("video", options.get("video"), ".mp4")
     picture, path = target_file("picture", options.get("picture"), ".png"), Path(options["file"])
     recording = read_recording(path)

@@ -12,7 +12,7 @@ from gymnasium.envs.registration import register, registry
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
-from minidual.errors import UsageError, unknown_name
+from minidual.errors import UsageError, check_name, unknown_name
 from minidual.plant.model import CAMERAS
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
@@ -76,8 +76,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         object_pose: bool = False,
     ) -> None:
         for name in images:
-            if name not in CAMERAS:
-                raise unknown_name("camera", name, CAMERAS)
+            check_name("camera", name, CAMERAS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
         self._task = make_task(Config(task=task) if scene is None else Config(task=task, scene=scene))

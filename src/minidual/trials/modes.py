@@ -10,7 +10,7 @@ from minidual.config.control import ArbiterConfig
 from minidual.control.commands import SOURCES, ArbiterState
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.errors import DataError, UsageError, unknown_name
+from minidual.errors import DataError, UsageError, check_name
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.trials.modes_turns import SwitchError, Turn
@@ -31,8 +31,7 @@ def parse_modes(text: str) -> tuple[str, ...]:
     if not (modes := tuple(m.strip() for m in text.split(",") if m.strip())):
         raise UsageError("no mode named", remedy=f"--modes {','.join(DEFAULT_MODES)}")
     for before, mode in zip(("", *modes), modes, strict=False):
-        if mode not in SOURCES:
-            raise unknown_name("mode", mode, SOURCES)
+        check_name("mode", mode, SOURCES)
         if mode == before:
             raise UsageError(f"mode '{mode}' is named twice in sequence: that is no switch")
     return modes

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from minidual.config.root import ViewConfig
-from minidual.errors import unknown_name
+from minidual.errors import check_name
 
 if TYPE_CHECKING:
     from minidual.show.view.web import WebView
@@ -21,8 +21,7 @@ def make_view(name: str, config: ViewConfig | None = None, *, say: Callable[[str
     Raises:
         UsageError: Unknown name, unusable interface, no free port.
     """
-    if name not in NAMES:
-        raise unknown_name("view", name, NAMES)
+    check_name("view", name, NAMES)
     if name == "none":
         return None
     from minidual.show.view.web import WebView  # viser takes a second to load
