@@ -10,6 +10,7 @@ from arm_scripts import pinch_rod
 from control_plant import ArmsPlant, HandsObject, TrueObject
 from panda import A_MAX, HOME, V_MAX
 
+from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerSwitchError
@@ -710,7 +711,7 @@ class _Guard:
 
     def __init__(self) -> None:
         self.seen: list[tuple[float, Array, Array, Array]] = []
-        self.trip, self.dt_s, self.time_s = False, 1e-3, -np.inf
+        self.trip, self.dt_s, self.time_s, self.config = False, 1e-3, -np.inf, SupervisorConfig()
 
     def reset(self, tau: Array | None = None) -> None: ...
 
@@ -777,7 +778,6 @@ def _run_out(stack: ControlStack) -> None:
 
 
 def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(scene: SceneConfig, world: World) -> None:
-    from minidual.config.control import SupervisorConfig
     from minidual.control.reflexes import ReflexError
 
     world.reset()

@@ -106,10 +106,10 @@ def test_stale_measurements_stop_the_arms_under_a_supervisor(scene):
     plant = ArmsPlant(scene)
     stack = ControlStack(plant, Kinematics(), supervisor=Supervisor(dt_s=plant.dt))
     stack.step()
-    plant.age_s = 0.09
+    plant.age_s = 0.019
     stack.step()
-    plant.age_s = 0.11
-    with pytest.raises(ReflexError, match=r"measurements are 0\.110 s old") as caught:
+    plant.age_s = 0.022
+    with pytest.raises(ReflexError, match=r"measurements are 0\.022 s old") as caught:
         stack.step()
     assert isinstance(caught.value.__cause__, PlantError)
     for _ in range(50):  # once; the soft stop goes on

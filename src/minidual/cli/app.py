@@ -14,7 +14,7 @@ from minidual.cli.session import OPTIONS, Session, Typed
 from minidual.errors import UsageError, check_name
 from minidual.gate.table import Option, StageTable, ToolEntry
 
-_READING = ("status", "explain", "doctor")
+_READING = ("status", "explain", "doctor", "report")
 """Commands that only read a run; the others begin one."""
 
 

@@ -81,7 +81,7 @@ class Payload:
         for arm in arms:
             joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
             below_m, now_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm]
-            if learn and arm not in self.idle and abs(below_m) > _NEAR_M:  # false for NaN
+            if learn and self._closed[arm] and arm not in self.idle and abs(below_m) > _NEAR_M:  # false for NaN
                 wanted_n[arm] = within(wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m, 0.0, LOAD_MAX_N)
             self.force_n[arm] = within(wanted_n[arm], now_n - step_n, now_n + step_n)
             tau[joints] = self.force_n[arm] * rise

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
-from minidual.control.impedance import ObjectState
+from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.control.kernels import near, within
 from minidual.control.mailbox import OBJECT_MAX, own_columns
 from minidual.errors import UsageError
@@ -145,11 +145,13 @@ class ObjectExecution(_Execution[ObjectCommand]):
     def step(self) -> None:
         """Advance one control step; the squeeze follows path time."""
         super().step()
-        state = self._at(self._t_s).copied()
+        state, squeeze_n = self._at(self._t_s).copied(), self._squeeze_n(self._t_s)
         if not near(state.T_world_object, self.desired.T_world_object, state.twist, state.acceleration, self._most):
             fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
             raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
-        self.desired, self.squeeze_n = state, self._squeeze_n(self._t_s)
+        if not -1e-6 <= squeeze_n <= SQUEEZE_CEILING_N + 1e-6:
+            raise UsageError(f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_CEILING_N} N")
+        self.desired, self.squeeze_n = state, squeeze_n
         if self._paced:
             self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))
 

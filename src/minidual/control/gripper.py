@@ -108,6 +108,7 @@ class Grippers:
         self._plant, self._travel_m = plant, plant.robot.hand.travel_m
         self._usual_n = min(pinch_force_n, plant.grip_max_n)
         self._firm_n = max(self._usual_n, min(_FIRMER * self._usual_n, _MOST * plant.grip_max_n))
+        self._lost_ticks = max(1.0, _LOST_S / plant.dt)
         self._how = _COMPLIANCE_M_PER_NS * plant.dt, speed_m_per_s * plant.dt, self._travel_m
         self.reset()
 
@@ -157,11 +158,11 @@ class Grippers:
 
     def lost(self, hand: int) -> bool:
         """Return whether a hand had closed on something that has slid out, or been torn out."""
-        torn = self._hands[_LOST_N, hand] * self._plant.dt > _LOST_S
+        torn = self._hands[_LOST_N, hand] > self._lost_ticks
         return bool(self._hands[_HELD, hand] > _NOTHING_M and (torn or self._plant.fingers[hand] <= _NOTHING_M))
 
     def _name_lost(self, grip: Array, fingers: Array) -> None:
         for hand, (_, _, held_m, lost_n) in enumerate(self._hands.T):
-            if lost_n * self._plant.dt > _LOST_S:
+            if lost_n > self._lost_ticks:
                 what = f"{grip[hand]:.0f} of {self._force_n:.0f} N, fingers {1e3 * (fingers[hand] - held_m):+.1f} mm"
                 self.fault = f"the {SIDES[hand]} hand: {what}"

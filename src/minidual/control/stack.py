@@ -69,7 +69,7 @@ class ControlStack[P: Plant]:
     ) -> None:
         self.plant, self.supervisor = plant, supervisor
         self._config = ArbiterConfig() if config is None else config
-        self._speed, self._stale_s = self._config.speed_override, self._config.stale_s
+        self._speed, self._age_max_s = self._config.speed_override, self._config.stale_s
         steps = 1.0 / (rate_hz * plant.dt)
         self.every = round(steps)
         """Control steps from one regular arbiter tick to the next."""
@@ -93,6 +93,7 @@ class ControlStack[P: Plant]:
         self._before = deque([(plant.time, plant.q)], maxlen=2)
         """Time [s] and joints of the last arbiter's ticks."""
         if supervisor is not None:
+            self._age_max_s = min(self._age_max_s, max(supervisor.config.measurement_age_max_s, 2.0 * plant.dt))
             supervisor.expected = self._expected
         self.reset()
 
@@ -107,9 +108,11 @@ class ControlStack[P: Plant]:
         plant, q, fastest = self.plant, self.plant.q, self._fastest()
         if not fastest < self._config.still_speed_rad_s:
             raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
+        self.grippers.reset()
         if self.supervisor is not None:
             self.supervisor.reset()
-        self.grippers.reset()
+            if self.grippers.closed.any() and plant.tau.any():
+                self.supervisor.reset(plant.tau)  # what holds an object goes on
         self._before.clear()
         self._before.append((plant.time, q))
         self._stand(np.where(self.grippers.closed, 0.0, 1.0))
@@ -258,9 +261,9 @@ class ControlStack[P: Plant]:
         q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
         stamp_s, speed = self.plant.stamp_s, self._fastest()
         age_s = math.nan if stamp_s is None else self.plant.time - stamp_s
-        if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._stale_s):
+        if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._age_max_s):
             measured = f"{speed:.3f} rad/s; at rest is below {still} rad/s; measured {1e3 * age_s:.0f} ms ago"
-            remedy = f"go on with step() until they rest and are measured (within {1e3 * self._stale_s:.0f} ms)"
+            remedy = f"go on with step() until they rest and are measured (within {1e3 * self._age_max_s:.0f} ms)"
             raise UsageError(f"the arms may not recover while they move ({measured})", remedy=remedy)
         self.manager.switch(DEFAULT_CONTROLLERS if self.grippers.fault else self.manager.active, q, v)
         for name in self.manager.active:  # first: what fails leaves the stop latched
@@ -448,9 +451,9 @@ class ControlStack[P: Plant]:
     def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
         if self.plant.health:
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
-        age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._stale_s
+        age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._age_max_s
         if not -limit_s <= age_s <= limit_s:
-            remedy = "see that the plant delivers its state; arbiter.stale_s is how old it may be"
+            remedy = "see that the plant delivers its state; supervisor.measurement_age_max_s is how old it may be"
             raise PlantError(f"the measurements are {age_s:.3f} s old; limit {limit_s} s", remedy=remedy)
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.

@@ -82,6 +82,7 @@ class Supervisor:
         self._stop = SupervisedStop(self._kinematics, self.config, dt_s)
         self._self_distance, self._clearance, self._on_reflex = self_distance, clearance, on_reflex
         self._slow_every = max(1, round(self.config.slow_period_s / dt_s))
+        self._feel_every = max(1, round(1e-3 * EVERY / dt_s))
         self._rows = np.zeros((len(reflexes.QUANTITIES), self._robot.dof))
         self._q, self._v, self._tau = self._rows[:3]  # views, kept: making one costs as much as a sum
         self._within = self.bounds.centre, self.bounds.scale, self._rows
@@ -108,7 +109,7 @@ class Supervisor:
         self._deadline_s, self._time_s = math.inf, -math.inf
         self._tick = self._next_slow = self._next_ahead = 0
         self._next_near = math.inf if self._self_distance is None else 0
-        self._next_feel = EVERY
+        self._next_feel = self._feel_every
         self._applied = None if tau is None else tau.copy()
         self._rows[:], self._referred, self._looked_tick = 0.0, False, -2
         self._saturated, self._jumps, self._asked, self._nothing = np.zeros((4, self._robot.dof))
@@ -164,7 +165,7 @@ class Supervisor:
         calm = most <= 1.0 and self._usable and not stop and time_s <= self._deadline_s  # not NaN
         applied = self._tau.copy() if calm else self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
-            self._next_feel = self._tick + EVERY
+            self._next_feel = self._tick + self._feel_every
             self._feel(time_s if stamp_s is None else stamp_s)
         if self._tick >= self._next_slow:
             self._look_slowly()
@@ -199,13 +200,21 @@ class Supervisor:
     def _newer_s(self, stamp_s: float | None) -> float:
         """Return how much newer [s] the measurement is than the last; one period where stamps tell nothing."""
         before_s, self._stamp_s = self._stamp_s, stamp_s
-        return self.dt_s if stamp_s is None or before_s is None else stamp_s - before_s
+        if stamp_s is None or before_s is None:
+            return self.dt_s
+        if self._overtaken(stamp_s - before_s):
+            self._stamp_s = before_s
+        return stamp_s - before_s
+
+    def _overtaken(self, newer_s: float) -> bool:
+        return -self.config.measurement_age_max_s < newer_s < 0.0
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         newer_s = self._newer_s(stamp_s)
-        if not newer_s > 0.0 and not (np.array_equal(q, self._q) and np.array_equal(v, self._v)):
-            newer_s = self.dt_s  # the clock has failed, not the sensors
-        self._q[:], self._v[:] = q, v
+        if not self._overtaken(newer_s):
+            if not newer_s > 0.0 and not (np.array_equal(q, self._q) and np.array_equal(v, self._v)):
+                newer_s = self.dt_s  # the clock has failed, not the sensors
+            self._q[:], self._v[:] = q, v
         self._sense.update(self._q, self._v, self._stop.tau, newer_s)
         return self._stop.torque(self._sense.q, self._sense.v)
 
@@ -268,7 +277,9 @@ class Supervisor:
         if expected.hand_fault:
             self._trip("gripper_opened", expected.hand_fault, 1.0, None)
         sense, age = self._sense, (self._time_s - stamp_s) / self.dt_s
-        age = round(age) if abs(age) < len(sense.applied) else 0  # the stack refuses such stamps
+        age = max(0, round(age)) if abs(age) < len(sense.applied) else 0  # the stack refuses such stamps
+        if sense.ticks <= age + self._feel_every:
+            return  # torques before the start are not known
         torque, late = contact.update(stamp_s, self._q, self._v, sense.applied, sense.ticks - 1 - age, expected)
         if torque <= 1.0 and late <= 1.0:
             return
@@ -316,7 +327,7 @@ class Supervisor:
                 self._trip("self_collision", pair, distance, self.config.self_collision_min_m)
             # Check again before the gap can close to the bound at full acceleration.
             safe_s = self._reach.safe_time_s(v, distance - self.config.self_collision_min_m)
-            self._next_near = self._tick + min(3 * self._slow_every, max(1, int(safe_s / self.dt_s)))
+            self._next_near = self._tick + min(3 * self._slow_every, max(1, int(min(safe_s, 1.0) / self.dt_s)))
         self._next_slow = min(self._next_slow, self._next_near)
 
     def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:

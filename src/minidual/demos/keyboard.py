@@ -20,11 +20,7 @@ from minidual.tasks.task import Trial
 _STEP = np.array([0.01, 0.01, 0.01, 0.05])
 # Speed limits: x, y, z [m/s], yaw [rad/s].
 _SPEED = np.array([0.25, 0.25, 0.25, 1.0])
-_MOVES: dict[str, tuple[int, int]] = {
-    key: (axis, sign)
-    for axis, keys in enumerate(("ws", "ad", "rf", "qe"))
-    for key, sign in zip(keys, (1, -1), strict=True)
-}
+_MOVES = {key: (k // 2, 1 - 2 * (k % 2)) for k, key in enumerate("wsadrfqe")}  # axis and sign
 _ESCAPE = "\x1b"  # the key alone; arrow keys send it with more
 _SELECTIONS: tuple[list[int], ...] = ([0, 1], [0], [1])
 

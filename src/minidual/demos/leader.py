@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from minidual.config.learning import TeleopConfig
 from minidual.motion.api import Planner
-from minidual.registry import Registry
+from minidual.registry import Registry, rows_beside
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.skills.operator import Demonstration, ScriptedOperator, demonstrate_plan
@@ -81,9 +81,5 @@ class ScriptedLeader(Leader):
         return now_s >= self.demonstration.duration_s - 0.5 / self.demonstration.rate_hz
 
 
-LEADERS: Registry[type[Leader]] = Registry(
-    "leader",
-    {"scripted": ScriptedLeader, "keyboard": "minidual.demos.keyboard:KeyboardLeader"},
-    group="minidual.leaders",
-)
+LEADERS: Registry[type[Leader]] = Registry("leader", rows_beside(__file__), group="minidual.leaders")
 """Leaders by `teleop.leader`."""

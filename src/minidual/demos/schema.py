@@ -18,11 +18,12 @@ key                                   shape         meaning
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from minidual.errors import DataError
+from minidual.registry import rows_beside
 from minidual.robot.pair import GRIPPERS_N
 
 SCHEMA_VERSION = 1
@@ -38,7 +39,7 @@ class Field(NamedTuple):
 
     name: str
     key: str
-    axes: tuple[str, ...]
+    axes: Sequence[str]
     required: bool = True
 
     def row_shape(self, joints_n: int) -> tuple[int, ...]:
@@ -46,16 +47,8 @@ class Field(NamedTuple):
         return tuple(joints_n if axis == "joints" else GRIPPERS_N for axis in self.axes)
 
 
-FIELDS = (
-    Field("qpos", "observations/qpos", ("joints",)),
-    Field("qvel", "observations/qvel", ("joints",), required=False),
-    Field("gripper", "observations/gripper", ("grippers",)),
-    Field("action", "action", ("joints",)),
-    Field("action_gripper", "action_gripper", ("grippers",)),
-    Field("timestamps", "timestamps", ()),
-    Field("image_timestamps", "image_timestamps", (), required=False),
-)
-"""Every numeric array; qpos fixes the number of joints."""
+FIELDS = tuple(Field(name, **row) for name, row in rows_beside(__file__).items())
+"""Every numeric array."""
 
 
 def image_key(camera: str) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from minidual.config.loader import LoadedConfig
+from minidual.config.loader import LoadedConfig, Override
 from minidual.errors import DataError, GateClosedError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
@@ -136,8 +136,10 @@ class Gate:
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
-        options = dict(self.options.get(name, verdict.options if verdict else {}))
-        return options, self.loaded.with_overrides(overrides(self.table[name].options, options))
+        options, asked = dict(self.options.get(name, verdict.options if verdict else {})), list[Override]()
+        for up, its in self.verdicts(name).items() if self.table[name].closing else ():
+            asked += overrides(self.table[up].options, its.options)  # it closes what was asked for
+        return options, self.loaded.with_overrides([*asked, *overrides(self.table[name].options, options)])
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
         """Return the fingerprint of a new verdict."""

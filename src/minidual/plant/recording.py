@@ -209,7 +209,7 @@ def read_recording(path: Path) -> Recording:
     """
     if (kind := kind_of(path)) != "file":
         what = f"{path} is a {kind}, not a recording" if kind else f"there is no file {path}"
-        raise DataError(what, remedy="dumps lie in the folder that the error message named")
+        raise DataError(what, remedy="`minidual carry` writes some, and a reflex names its dump")
     remedy = "record it again, or check that the copy is complete"
     arrays = _read_arrays(path, remedy)
     try:

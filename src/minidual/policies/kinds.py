@@ -14,7 +14,7 @@ from minidual.config.learning import TrainConfig
 from minidual.durable import read_json, reading, write_csv
 from minidual.errors import DataError, unknown_name
 from minidual.policies.demonstrations import Demonstrations
-from minidual.registry import Registry
+from minidual.registry import Registry, rows_beside
 
 Image = NDArray[np.uint8]
 Advance = Callable[[int, float], None]
@@ -121,11 +121,8 @@ class PolicyKind(ABC):
         """
 
 
-POLICIES: Registry[PolicyKind] = Registry(
-    "policy",
-    {"spatial_act": "minidual.policies.act:SPATIAL_ACT", "act": "minidual.policies.act:ACT_KIND"},
-    group="minidual.policies",
-)
+_ROWS = rows_beside(__file__)
+POLICIES: Registry[PolicyKind] = Registry("policy", _ROWS["policies"], group="minidual.policies")
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
@@ -137,14 +134,6 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
         if kind not in POLICIES:
             raise DataError(f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}")
     return POLICIES[kind].load(folder, device, threads)
-
-
-LOSSES = {
-    "l1": ("training, action L1", "#1f5fa8", "-"),
-    "keyframe": ("training, keyframe L1", "#c96f1d", "-"),
-    "validation_l1": ("held-out episodes, action L1", "#1d7f4f", "o-"),
-}
-"""Columns drawn: label, colour, style."""
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
@@ -163,11 +152,11 @@ def draw_loss(result: TrainResult, path: Path) -> None:
     """Plot losses and learning rate."""
     from matplotlib.figure import Figure
 
-    columns = {name: np.array([getattr(row, name) for row in result.curve], float) for name in LOSSES}
+    columns = {name: np.array([getattr(row, name) for row in result.curve], float) for name in _ROWS["losses"]}
     steps, figure = [row.step for row in result.curve], Figure(figsize=(9.0, 5.4), dpi=140, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     above.plot(steps, columns["l1"], color="#9ec5e8", linewidth=0.8)
-    for name, (label, colour, style) in LOSSES.items():
+    for name, (label, colour, style) in _ROWS["losses"].items():
         known = ~np.isnan(columns[name])
         if known.any():
             values = columns[name][known] if "validation" in name else _smooth(columns[name][known])

@@ -178,4 +178,4 @@ def on_object(changes: NDArray[np.float64], image: Image, without: Image) -> flo
     rows, columns = changes.shape
     differs = (image != without).any(axis=2)[: CELL_PX * rows, : CELL_PX * columns]
     shown = differs.reshape(rows, CELL_PX, columns, CELL_PX).any(axis=(1, 3))
-    return float(changes[shown].mean() / changes[~shown].mean()) if shown.any() else 0.0
+    return float(changes[shown].mean() / max(changes[~shown].mean(), 1e-12)) if shown.any() else 0.0

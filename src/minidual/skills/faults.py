@@ -210,6 +210,5 @@ class FaultMonitor:
     def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""
         weak = not felt_n >= self._squeeze_share * wanted_n
-        if (weak or self._counts) and self._lasts("squeeze", weak):
-            return Fault("slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N")
-        return None
+        lasts = (weak or self._counts) and self._lasts("squeeze", weak)
+        return Fault("slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N") if lasts else None

@@ -68,7 +68,8 @@ def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
     config, seed, folder = context.config.benchmark, context.seed, context.folder
     methods, asked = METHODS.names(config.methods), benchmark.trials_asked(context.config)
-    checkpoint, tasks = context.upstream["train-act"] / "checkpoint", tasks_of(context.config)
+    trained, tasks = context.upstream.get("train-act"), tasks_of(context.config)
+    checkpoint = trained and trained / "checkpoint"
     inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
     count = sum(benchmark.count_trials(methods, asked[task], given) for task, given in inputs.items())
     checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)

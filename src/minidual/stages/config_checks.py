@@ -5,7 +5,7 @@ from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
-from minidual.tasks.task import tasks_of
+from minidual.tasks.task import make_task, tasks_of
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
 from minidual.trials.methods import METHODS, check_able
 
@@ -16,6 +16,13 @@ def check_plan(config: Config) -> None:
     if config.plan.second_queries_n and config.seed == config.plan.second_seed:
         equal = f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one"
         raise ConfigError(equal, remedy="choose another --seed, or --set plan.second_seed=NUMBER")
+
+
+def check_carry(config: Config) -> None:
+    """Raise UsageError unless both hands hold one object."""
+    if not make_task(config).together:
+        way = f"minidual run --until carry, then teleop-record --task {config.task}, train-act, deploy --task {config.task}"
+        raise ConfigError(f"both hands carry one object; in the task '{config.task}' they do not", remedy=way)
 
 
 def check_leader(config: Config) -> None:

@@ -27,6 +27,8 @@ def replay_tool(context: ToolContext) -> ToolResult:
             raise UsageError(f"--{option} goes with --{of}")
     video = target_file("video", options.get("video"), ".mp4")
     picture, path = target_file("picture", options.get("picture"), ".png"), Path(options["file"])
+    if path.suffix == ".hdf5":
+        raise UsageError(f"{path} is an episode; a recording of a trial is an .npz", remedy="see docs/data.md")
     recording = read_recording(path)
     begin, end = options.get("from-s", recording.start_s), options.get("to-s", recording.end_s)
     step_s = (end - begin) / (4 * frames) if video is None else 1.0 / (FILM_FPS * slowdown)

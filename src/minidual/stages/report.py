@@ -6,8 +6,6 @@ from minidual.show.report.page import build_report
 
 def run(context: StageContext) -> StageResult:
     """Write report.html, report.json, figures and large films."""
-    with context.progress.task("report", 1) as task:
-        report = build_report(context, context.folder)
-        task.advance()
+    report = build_report(context, context.folder)
     notes = [banner.title for banner in report.banners]
     return StageResult(checks=report.checks, data={"state": report.state}, notes=notes)

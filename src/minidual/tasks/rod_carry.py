@@ -7,7 +7,7 @@ from minidual.config.scene import OBSTACLE
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES
 from minidual.tasks import success
-from minidual.tasks.objects import MOTIONS, OBJECTS
+from minidual.tasks.objects import MOTIONS, OBJECTS, with_pinch
 from minidual.tasks.task import Poses, Step, Task, TaskObject, Trial, beside, grasp_offsets, near, placement
 
 _DRAWS_MAX = 1000
@@ -20,7 +20,7 @@ def carry_config(config: Config) -> Config:
     Raises:
         UsageError: Unknown object or motion.
     """
-    item, motion = OBJECTS[config.carry.object], MOTIONS[config.carry.motion]
+    item, motion = with_pinch(OBJECTS[config.carry.object]), MOTIONS[config.carry.motion]
     return preset(config, {"scene.object.name": config.carry.object, **item, **motion})
 
 

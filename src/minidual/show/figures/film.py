@@ -39,7 +39,7 @@ def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], pa
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
     bench, taken = Bench(result.method, inputs, result.condition, visuals=True), list[Image]()
-    seen = bench.world.truth(bench.task.carried)
+    seen = bench.world.truth(next((n for n in bench.task.objects if n in result.reason), bench.task.carried))
     with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as eye:
 
         def take() -> None:
