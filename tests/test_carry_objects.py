@@ -11,10 +11,12 @@ from panda import FINGER_TRAVEL_M
 
 from minidual.config.root import Config, preset
 from minidual.config.scene import OBSTACLE, ObstacleConfig, TaskConfig
+from minidual.control.gripper import pinch_force
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.stages.config_checks import check_carry
 from minidual.tasks.judge import Judge, Outcome
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.rod_carry import carry_config
@@ -104,6 +106,27 @@ def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None
     assert once.scene.object.mass_kg == 1.4
     assert once.scene.object.length_m == 0.40
     assert carry_config(once) == once
+
+
+def test_an_object_of_ones_own_gets_the_pinch_that_its_squeeze_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, only those of the package did; 40 N at friction 0.3 fell to 25 N."""
+    row = {"carry.impedance.internal_force_n": 40.0, "scene.object.friction": 0.3, "scene.object.mass_kg": 0.2}
+    monkeypatch.setitem(OBJECTS._rows, "bottle", row)
+    monkeypatch.setitem(OBJECTS._rows, "safer", {**row, "safety": 1.8})
+    monkeypatch.setitem(OBJECTS._rows, "told", {**row, "carry.impedance.pinch_n": 90.0})
+    pinch_n = {name: configured(object=name).carry.impedance.pinch_n for name in ("bottle", "safer", "told")}
+    assert pinch_n["bottle"] == pytest.approx(pinch_force(40.0, 0.3, 0.2), abs=0.05)
+    assert pinch_n["safer"] == pytest.approx(pinch_force(40.0, 0.3, 0.2, safety=1.8), abs=0.05)
+    assert pinch_n["told"] == 90.0
+
+
+@pytest.mark.parametrize("task", ["handover", "insertion", "sort"])
+def test_the_stage_carries_nothing_that_both_hands_do_not_hold(task: str) -> None:
+    with pytest.raises(UsageError, match=f"in the task '{task}' they do not") as caught:
+        check_carry(Config(task=task))
+    assert f"teleop-record --task {task}" in str(caught.value)
+    for able in ("rod_carry", "pot_lift"):
+        check_carry(Config(task=able))
 
 
 def test_an_obstacle_that_somebody_has_set_stays_where_it_was_set() -> None:

@@ -275,6 +275,16 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
     assert rows == [("rod_carry", m) for m in METHODS for _ in range(5)] + shared
 
 
+def test_planned_methods_are_compared_without_a_policy(asked: list[Any], tmp_path: Path) -> None:
+    few = {"methods": ["moveit", "impedance"], "conditions": ["clean"], "trials_n": 2}
+    config = STAGES["benchmark"].resolved(Config.model_validate({"benchmark": few}))
+    given = StageContext(folder=tmp_path, config=config, seed=SEED, profile="standard")
+    result = STAGES["benchmark"].load()(given)
+    assert set(result.data["tasks"]["rod_carry"]["methods"]) == {"moveit", "impedance"}
+    with pytest.raises(UsageError, match="needs a checkpoint"):
+        methods.METHODS["act"].factory(MethodInputs(config, SEED))
+
+
 def test_further_tasks_run_undisturbed_beside_the_runs_own(asked: list[Any], tmp_path: Path) -> None:
     few = {"further_tasks": {"handover": 2, "pot_lift": 50, "rod_carry": 7}, "trials_n": 3, "perturbed_trials_n": 2}
     config = Config.model_validate({"benchmark": {**few, "conditions": ["clean", "mass +50 %"]}})

@@ -86,6 +86,17 @@ def test_no_limited_check_is_nothing_evaluated(bench, checks):
     assert "nothing was evaluated" in bench.gate().state("first").why()
 
 
+def test_the_closing_stage_asks_for_what_the_stages_before_it_were_asked_for(bench):
+    runner = bench.runner()
+    runner.run("first", {"queries": 7})
+    runner.run("second")
+    assert bench.runner().run("third").exit_code == ExitCode.PASS
+    assert bench.third.contexts[-1].config.plan.queries_n == 7
+    assert "--queries 7" in bench.gate().state("third").verdict.overrides
+    assert bench.second.contexts[-1].config.plan.queries_n != 7, "the others ask for the run's"
+    assert bench.states() == ["pass", "pass", "pass"]
+
+
 def test_closing_check_is_no_evidence_of_its_own(bench):
     bench.third.behaviour = lambda context: [Check("reported", 1.0)]
     bench.run_all()

@@ -611,6 +611,7 @@ class TestCommand:
             (tmp_path / "missing.npz", "there is no file"),
             (tmp_path, "is a folder, not a recording"),
             ("/dev/zero", "/dev/zero is a device, not a recording"),
+            (tmp_path / "episode_000000.hdf5", "is an episode; a recording of a trial is an .npz"),
         ):
             code, _, err = run(path)
             assert (code, said in err) == (2, True), err
@@ -625,6 +626,8 @@ class TestCommand:
             code, out, err = run(trial[0], *words)
             assert (code, out) == (2, "")
             assert err.startswith("minidual: ")
+        for option, value, of in (("--frames", "4", "--picture"), ("--slowdown", "2", "--video")):
+            assert f"{option} goes with {of}" in run(trial[0], option, value)[2]
 
     def test_it_draws_a_film_and_a_sheet(self, run, trial, tmp_path):
         film, sheet = tmp_path / "film.mp4", tmp_path / "sheet.png"
