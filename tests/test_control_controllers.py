@@ -712,6 +712,7 @@ class _Guard:
     def __init__(self) -> None:
         self.seen: list[tuple[float, Array, Array, Array]] = []
         self.trip, self.dt_s, self.time_s, self.config = False, 1e-3, -np.inf, SupervisorConfig()
+        self.steady = np.zeros(14)
 
     def reset(self, tau: Array | None = None) -> None: ...
 

@@ -59,6 +59,15 @@ class Payload:
         """Bear this in each hand at once: another controller has borne it until now."""
         self.force_n[:] = self._wanted_n[:] = force_n, force_n
 
+    def feel(self, q: Array, torque: Array, arms: Sequence[int]) -> None:
+        """Bear at once what these hands lift at q (n,), where external torques (n,) [Nm] are felt."""
+        self._hands.update(q)
+        for arm in arms:
+            joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
+            felt_n = -float(rise @ torque[joints]) / float(rise @ rise)
+            if felt_n > self.force_n[arm]:  # false for NaN
+                self.force_n[arm] = self._wanted_n[arm] = min(felt_n, LOAD_MAX_N)
+
     def follow(self, gripper: Array, lost: Sequence[bool]) -> None:
         """Take commanded openings (2,), and which hands lost their grip: what opens or has lost lets go of its load."""
         for arm, opening in enumerate(gripper.tolist()):

@@ -6,6 +6,7 @@ The arbiter runs at its own rate, and at once for requests, halts and timed comm
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 _STOP_MAX_S = 2.0
+_BEARING = "emergency_stop", "stale_command", "controller_failed"
+"""Reflexes in which an external torque is a load: the arms are sound and touch nothing else."""
 _SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
 """Distance from their reference at which arms sag under a load, and beyond which something else has moved them."""
 
@@ -361,7 +364,7 @@ class ControlStack[P: Plant]:
         self._pending = False
         if plant.time > self._before[-1][0]:  # not where the clock stands, or jumped back
             self._before.append((plant.time, q))
-        self._hand_down()
+        self._attempt(lambda: self._hand_down(output.halted), None)
         if output.halted:
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
             self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
@@ -369,9 +372,12 @@ class ControlStack[P: Plant]:
         self.payload.follow(output.gripper, [self.grippers.lost(arm) for arm in (0, 1)])
         return output
 
-    def _hand_down(self) -> None:
+    def _hand_down(self, stops: bool) -> None:
         if self.manager.active == OBJECT_CONTROLLERS:
             self.payload.take_over(self.impedance.bears_n)
+        elif stops and self.supervisor is not None:  # nobody may have told what the hands lift
+            holding = [arm for arm in (0, 1) if self.grippers.holds(arm)]
+            self.payload.feel(self.plant.q, self.supervisor.steady, holding)
 
     def _unsagged(self, q: Array, v: Array) -> Array | None:
         """Return the posture (n,) without the sag of resting arms under a load, or None; at q they would sag again."""
@@ -444,7 +450,7 @@ class ControlStack[P: Plant]:
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
             self.reflex, self._stop_ticks, self.payload.idle = error, round(_STOP_MAX_S / self.plant.dt), (0, 1)
-            self._hand_down()
+            self._attempt(partial(self._hand_down, error.reflex.name in _BEARING), None)
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error
 

@@ -173,6 +173,11 @@ class Supervisor:
         return applied.copy()
 
     @property
+    def steady(self) -> Array:
+        """External torque (n,) [Nm], mean of the last 0.1 s."""
+        return self._contact.steady
+
+    @property
     def touch(self) -> Array:
         """External torque (n,) [Nm] beyond its mean of the last 0.1 s, which dry joints explain."""
         return self._contact.torque - self._contact.steady

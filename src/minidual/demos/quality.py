@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from minidual.demos.episode import Episode
 from minidual.errors import DataError
+from minidual.registry import rows_beside
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
@@ -22,11 +23,7 @@ TRIM_S = 2.0 / CUTOFF_HZ
 """Time left out at each end, at any cutoff."""
 MIN_DURATION_S = 2.5 * TRIM_S
 
-JERK_FILTER = (
-    "Butterworth low-pass, order 4, 10 Hz, run forward and backward (zero phase, -6 dB at 10 Hz) on the measured "
-    "joints brought to 1 kHz by a quintic spline; third central difference; 0.2 s left out at each end; RMS over "
-    "time of the norm over all joints"
-)
+JERK_FILTER: str = rows_beside(__file__)
 """The filter in words."""
 
 

@@ -169,13 +169,8 @@ def check_shapes(model: mujoco.MjModel, recording: Recording) -> None:
 
 
 _TAMPERED = "the file was changed after it was written; record it again"
-_ARRAYS = {
-    "controls": (np.float64, 2),
-    "keyframe_steps": (np.int64, 1),
-    "keyframes": (np.float64, 2),
-    "push_steps": (np.int64, 1),
-    "pushes": (np.float64, 3),
-}
+_ARRAYS = {"controls": 2, "keyframe_steps": 1, "keyframes": 2, "push_steps": 1, "pushes": 3}
+"""Dimensions; steps are int64, all others float64."""
 
 
 def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
@@ -225,8 +220,9 @@ def read_recording(path: Path) -> Recording:
         remedy = _TAMPERED
         if arrays.pop("digest").tobytes() != _digest(arrays).tobytes():
             raise ValueError("its content does not fit its digest")
-        for name, (kind, rank) in (_ARRAYS | {f"model.{name}": (np.float64, None) for name in fields}).items():
-            if arrays[name].dtype != kind or rank not in (None, arrays[name].ndim):
+        for name in (*_ARRAYS, *(f"model.{name}" for name in fields)):
+            kind, rank = np.int64 if name.endswith("_steps") else np.float64, arrays[name].ndim
+            if arrays[name].dtype != kind or _ARRAYS.get(name, rank) != rank:
                 raise ValueError(f"{name} is {arrays[name].ndim}-dimensional {arrays[name].dtype}")
         _check_steps(recording)
         return recording

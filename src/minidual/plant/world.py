@@ -30,12 +30,8 @@ class SimulationDivergedError(MinidualError):
     """A state or command is not finite."""
 
 
-_NOT_FINITE: tuple[tuple[mujoco.mjtWarning, str], ...] = (
-    (mujoco.mjtWarning.mjWARN_BADQPOS, "positions"),
-    (mujoco.mjtWarning.mjWARN_BADQVEL, "velocities"),
-    (mujoco.mjtWarning.mjWARN_BADQACC, "accelerations"),
-    (mujoco.mjtWarning.mjWARN_BADCTRL, "commands"),
-)
+_BAD = {"QPOS": "positions", "QVEL": "velocities", "QACC": "accelerations", "CTRL": "commands"}
+_NOT_FINITE = {int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{kind}")): what for kind, what in _BAD.items()}
 """MuJoCo only counts these and resets the state or zeroes the commands."""
 
 
@@ -211,7 +207,7 @@ class World:
             self.recorder.before_step()
         mujoco.mj_step(self.model, self.data)
         if self._warnings.tobytes() != self._no_warnings:  # 10x faster than `any`
-            bad = [what for kind, what in _NOT_FINITE if self._warnings[int(kind)]]
+            bad = [what for kind, what in _NOT_FINITE.items() if self._warnings[kind]]
             if bad:
                 message = f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)"
                 remedy = "check the commanded torques, the inertias and the time step"

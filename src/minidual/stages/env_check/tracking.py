@@ -133,8 +133,7 @@ class Tracking(NamedTuple):
 
     def share(self, joint: int) -> Array:
         """Return a joint's share of its step (T,), 1 at the target."""
-        way = self.reference[-1, joint] - self.start[joint]
-        return (self.measured[:, joint] - self.start[joint]) / way
+        return (self.measured[:, joint] - self.start[joint]) / (self.reference[-1, joint] - self.start[joint])
 
 
 def arm_contacts(world: World) -> list[tuple[str, str, float]]:
