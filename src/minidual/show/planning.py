@@ -162,7 +162,7 @@ def write_times(outcomes: Outcomes, path: Path, median_max_s: Mapping[str, float
     for row, (group, done) in enumerate(outcomes.items()):
         solved, failed = (1e3 * np.array([o.total_s for o in done if o.ok is ok]) for ok in (True, False))
         jitter = stream(0, "figure/jitter", row).uniform(-0.18, 0.18, len(solved))
-        spread.plot(solved, row + jitter, "o", ms=5, alpha=0.6, mew=0)
+        spread.plot(solved, row + jitter, "o", color="0.5", ms=5, alpha=0.6, mew=0)
         spread.plot(failed, np.full(len(failed), row), "x", ms=8, color=LIMIT)
         ends = [row - 0.3, row + 0.3]
         if len(solved):
@@ -171,7 +171,7 @@ def write_times(outcomes: Outcomes, path: Path, median_max_s: Mapping[str, float
             spread.annotate(f"{median:.1f} ms", (median, row + 0.33), ha="center", va="bottom", fontsize=9)
         if (limit := median_max_s[group]) is not None:
             spread.plot([limit * 1e3] * 2, ends, color=LIMIT, lw=1.6, ls="--")
-    spread.set_xscale("log")
+    spread.set_xscale("log", subs=[2, 5])
     spread.xaxis.set_major_formatter("{x:g}")
     spread.xaxis.set_minor_formatter("{x:g}")
     spread.grid(axis="x", which="both", alpha=0.25)

@@ -52,10 +52,8 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
         bench.run(trial, on_step=look)
         while len(taken) < len(_AROUND_S):  # it ended earlier
             take()
-    title = f"{result.method}, {result.condition}, trial {result.index}"
-    return [
-        *zip((title, f"not '{result.failure}' at {result.failed_at_s:.2f} s", result.reason[:50]), taken, strict=True)
-    ]
+    title, failed = f"{result.method}, {result.condition}, trial {result.index}", f"not '{result.failure}'"
+    return list(zip((title, f"{failed} at {result.failed_at_s:.2f} s", result.reason[:50]), taken, strict=True))
 
 
 def film_demonstration(job: Job, index: int, path: Path) -> None:

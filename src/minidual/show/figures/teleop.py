@@ -19,6 +19,7 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
             x, y, yaw = np.array(chosen).T
             line = {"headwidth": 0, "headlength": 0, "headaxislength": 0, "width": 0.004, "scale": 18, "pivot": "mid"}
             starts.quiver(y, x, -np.cos(yaw), np.sin(yaw), color=colour, label=f"{label} ({len(chosen)})", **line)
+            starts.update_datalim(np.column_stack([y, x]))  # quiver does not
     x, y, _ = np.array([_start(trial) for trial in tested]).T
     starts.plot(y, x, ".", color="0.6", ms=2, zorder=0, label="tests")
     starts.set(title=f"{next(iter(tested[0].start))} at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal")
@@ -27,6 +28,7 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
     starts.legend(fontsize=7, loc="upper right")
 
     jerks.hist([a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None], bins=20, color=BLUE)
+    jerks.locator_params(axis="y", integer=True)
     jerks.set(title=f"RMS jerk (limit {jerk_limit_rad_s3:.0f} rad/s³)", xlabel="rad/s³", ylabel="episodes")
 
     index, recorded = next((a.trial.index, a.path) for a in attempts if a.kept and a.path is not None)

@@ -39,7 +39,7 @@ def check_cameras(world: World, path: Path | None = None) -> CameraCheck:
         fingers = [seen[side].get(f, 0.0) for side in world.robot.sides for f in world.robot.hand_links(side)[1:]]
         objects, renderer = [seen["high"].get(name, 0.0) for name in world.objects], _gl_renderer()
     if path is not None:
-        kinds = {"high": "recorded", "left": "wrist, recorded", "right": "wrist, recorded", "overview": "for people"}
+        kinds = {"high": "from above", "left": "wrist", "right": "wrist", "overview": "for people"}
         sheet([(f"{name} ({kinds[name]})", picture) for name, picture in pictures.items()], 2, path, width_in=4.8)
     contrast = min(float(pictures[name].mean(axis=2).std()) for name in CAMERAS)
     return CameraCheck(contrast, min(objects), min(fingers), renderer)
