@@ -23,12 +23,12 @@ def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:
     found: dict[str, tuple[Any, Any]] = {}
     for option in options:
         kind: Any = str if option.kind is tuple else option.kind
-        default: Any = False if option.kind is bool else None
+        default, shown = (False, " ") if option.kind is bool else (None, option.metavar)
         if option.argument:
             default = None if option.optional else inspect.Parameter.empty
             declared: Any = typer.Argument(metavar=option.metavar or option.name.upper(), help=option.help)
         else:
-            declared = typer.Option(f"--{option.name}", metavar=option.metavar, help=option.help)
+            declared = typer.Option(f"--{option.name}", metavar=shown, help=option.help)
         found[option.key] = default, Annotated[kind if default is not None else kind | None, declared]
     hints = get_type_hints(Typed, include_extras=True)
     found |= {field.name: (field.default, hints[field.name]) for field in fields(Typed)}

@@ -49,8 +49,8 @@ class Typed:
     runs_dir: Annotated[Path | None, _every(help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs).")] = None
     seed: Annotated[int | None, _every(help="The one seed of the run.")] = None
     workers: Annotated[int | None, _every(help="Processes to use; results do not depend on it.")] = None
-    json: Annotated[bool, _every("--json", help="Print one JSON document to stdout.")] = False
-    debug: Annotated[bool, _every("--debug", help="Show tracebacks.")] = False
+    json: Annotated[bool, _every("--json", metavar=" ", help="Print one JSON document to stdout.")] = False
+    debug: Annotated[bool, _every("--debug", metavar=" ", help="Show tracebacks.")] = False
 
     def command(self, words: str) -> str:
         """Return "minidual <words>" with `flags`."""
