@@ -25,7 +25,7 @@ def printed_commands() -> list[tuple[str, str]]:
     """Return (page, command) of each line of a code block that types minidual; synopses with [...] left out."""
     found = []
     for page in PAGES:
-        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        text = re.sub(r" *\\\n *", " ", page.read_text(encoding="utf-8"))
         blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
         fenced = "\n".join(body for language, body in blocks if language in ("", "bash", "sh"))
         indented = "\n".join(re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE))
@@ -33,7 +33,7 @@ def printed_commands() -> list[tuple[str, str]]:
             command = re.sub(r"\s+#.*$|\s{3,}\S.*$", "", line).strip()
             if "[" not in command:
                 found.append((page.relative_to(ROOT).as_posix(), command))
-    return sorted(set(found))
+    return list(dict.fromkeys(found))
 
 
 def parse(words: list[str]) -> None:

@@ -14,7 +14,8 @@ from test_docs import ROOT, printed_commands
 
 SEAMS = ("ur3", "wind", "sway", "open_loop", "gentle_carry", "nearest", "steadiness")
 """Rows of other distributions; the test of their how-to types those commands."""
-FORMS = sorted({command for page, command in printed_commands() if not any(word in command for word in SEAMS)})
+FORMS = list(dict.fromkeys(command for _, command in printed_commands() if not any(word in command for word in SEAMS)))
+"""In the order of pages and lines: a command may go on from the one before."""
 
 
 SMALLER = {
