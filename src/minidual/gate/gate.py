@@ -137,8 +137,8 @@ class Gate:
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
         options, asked = dict(self.options.get(name, verdict.options if verdict else {})), list[Override]()
-        for up, its in self.verdicts(name).items() if self.table[name].closing else ():
-            asked += overrides(self.table[up].options, its.options)  # it closes what was asked for
+        for up in self.table[name].requires if self.table[name].closing else ():  # it closes what was asked for
+            asked += overrides(self.table[up].options, its.options if (its := self.state(up).verdict) else {})
         return options, self.loaded.with_overrides([*asked, *overrides(self.table[name].options, options)])
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
