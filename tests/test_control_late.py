@@ -99,6 +99,24 @@ def test_a_stop_rests_when_packets_overtake_one_another(scene: SceneConfig, shar
     assert fastest < 0.05
 
 
+@pytest.mark.parametrize("late_s", [0.004, 0.012, 0.0197])
+def test_a_stop_rests_when_its_stamps_jump_back_and_stay_there(scene: SceneConfig, late_s: float) -> None:
+    """Where each was taken for an overtaken packet, the stop sped up to 2.4 rad/s (the random driver's seed 4690)."""
+    plant = FailingPlant(scene)
+    stack = supervised(plant)
+    hand_over(stack, "moveit")
+    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + WAY, 0.9))) is None
+    for _ in range(430):
+        stack.affirm("moveit")
+        stack.step()
+    stack.supervisor.estop()
+    assert names_of(stack, 1) == ["emergency_stop"]
+    plant.lies["stamp_s"] = lambda t: t - late_s
+    assert names_of(stack, 1500) == []
+    assert not stack.supervisor._sense.lost[1].any(), "the velocities are sound"
+    assert np.abs(plant.__dict__["v"]).max() < 0.05
+
+
 @pytest.mark.parametrize("late", [lambda tick: tick % 2, reordered(0.5, 8), lambda tick: 5 if tick % 20 == 0 else 0])
 def test_sound_motion_goes_on_when_packets_overtake_one_another(scene: SceneConfig, late: Callable[[int], int]) -> None:
     """Before, `implausible_measurement` blamed the encoders."""

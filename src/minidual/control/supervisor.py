@@ -212,7 +212,8 @@ class Supervisor:
         return stamp_s - before_s
 
     def _overtaken(self, newer_s: float) -> bool:
-        return -self.config.measurement_age_max_s < newer_s < 0.0
+        """Return whether a later measurement has overtaken this one; where none has come for long, the clock jumped."""
+        return self._sense.age_s < 0.5 * (most_s := self.config.measurement_age_max_s) and -most_s < newer_s < 0.0
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         newer_s = self._newer_s(stamp_s)

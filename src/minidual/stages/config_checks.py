@@ -21,7 +21,7 @@ def check_plan(config: Config) -> None:
 def check_carry(config: Config) -> None:
     """Raise UsageError unless both hands hold one object."""
     if not make_task(config).together:
-        way = f"leave the task out here; then teleop-record --task {config.task}, train-act, deploy --task {config.task}"
+        way = f"leave the task out; then teleop-record --task {config.task}, train-act, deploy --task {config.task}"
         raise ConfigError(f"both hands carry one object; in the task '{config.task}' they do not", remedy=way)
 
 
