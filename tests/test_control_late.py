@@ -12,14 +12,12 @@ from panda import HOME
 from test_control_broken import FailingPlant
 from test_control_controllers import hand_over, move, stack_on, trajectory
 from test_control_driver import Arms
-from test_control_lies import CLOSED, supervised
+from test_control_lies import CLOSED, run, supervised
 from test_control_recover import Carried
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.impedance import ObjectPath, Waypoint
-from minidual.control.reflexes import ReflexError
-from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -59,17 +57,6 @@ class Net:
         return getattr(self.__dict__["plant"], name)
 
 
-def names_of(stack: ControlStack, ticks: int) -> list[str]:
-    """Run; return the names of the reflexes."""
-    names = []
-    for _ in range(ticks):
-        try:
-            stack.step()
-        except ReflexError as error:
-            names.append(error.reflex.name)
-    return names
-
-
 def reordered(share: float, most: int, seed: int = 0) -> Callable[[int], int]:
     """Return a lateness by tick: up to `most` ticks for a share of the packets."""
     rng = np.random.default_rng(seed)
@@ -89,9 +76,9 @@ def test_a_stop_rests_when_packets_overtake_one_another(scene: SceneConfig, shar
         stack.step()
     assert np.abs(net.plant.v).max() > 1.5
     stack.supervisor.estop()
-    assert names_of(stack, 1) == ["emergency_stop"]
+    assert run(stack, 1) == ["emergency_stop"]
     net.late = reordered(share, most)
-    assert names_of(stack, 400) == []
+    assert run(stack, 400) == []
     fastest = 0.0
     for _ in range(2600):
         stack.step()
@@ -110,9 +97,9 @@ def test_a_stop_rests_when_its_stamps_jump_back_and_stay_there(scene: SceneConfi
         stack.affirm("moveit")
         stack.step()
     stack.supervisor.estop()
-    assert names_of(stack, 1) == ["emergency_stop"]
+    assert run(stack, 1) == ["emergency_stop"]
     plant.lies["stamp_s"] = lambda t: t - late_s
-    assert names_of(stack, 1500) == []
+    assert run(stack, 1500) == []
     assert not stack.supervisor._sense.lost[1].any(), "the velocities are sound"
     assert np.abs(plant.__dict__["v"]).max() < 0.05
 
@@ -148,16 +135,16 @@ def test_a_sensor_that_freezes_among_overtaken_packets_is_still_named(scene: Sce
         return q, v, stamp_s
 
     net._last = stuck
-    assert names_of(stack, 100)[:1] == ["implausible_measurement"]
+    assert run(stack, 100)[:1] == ["implausible_measurement"]
 
 
 def test_measurements_that_are_always_late_are_named_by_their_age(scene: SceneConfig) -> None:
     """Before, 40 ms were `joint_velocity`, 80 ms `cartesian_contact`, and the latched stop diverged."""
     net = Net(Arms(scene))
     stack = supervised(net)
-    assert names_of(stack, 100) == []
+    assert run(stack, 100) == []
     net.late = lambda tick: min(50, tick // 10)  # grows by 1 ms in 10
-    assert names_of(stack, 600) == ["controller_failed"]
+    assert run(stack, 600) == ["controller_failed"]
     assert "the measurements are 0.02" in str(stack.reflex)
     for _ in range(1500):
         stack.step()
@@ -169,11 +156,11 @@ def test_a_fresh_start_and_a_recovery_on_late_measurements_feel_no_contact(scene
     """Before, `joint_stuck` or `cartesian_contact` in 20 ms: torques before the start counted as zero."""
     net = Net(Arms(scene), lambda tick: late)
     stack = supervised(net)
-    assert names_of(stack, 500) == []
+    assert run(stack, 500) == []
     stack.supervisor.estop()
-    assert names_of(stack, 600) == ["emergency_stop"]
+    assert run(stack, 600) == ["emergency_stop"]
     stack.recover()
-    assert names_of(stack, 600) == []
+    assert run(stack, 600) == []
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -206,7 +193,7 @@ def test_a_stop_bears_what_a_driven_hand_lifts(scene: SceneConfig, kinematics: K
         plant.pushed = -20.0 * np.r_[kinematics.tcp_jacobians(plant.q)[0][2, :7], np.zeros(7)]
         if stack.tick_next and not quiet:
             stack.propose("teleop", JointCommand(HOME, np.array([0.0, 1.0]), plant.time, round(1e3 * plant.time)))
-        return names_of(stack, 1)
+        return run(stack, 1)
 
     def height_mm() -> float:
         return 1e3 * float(kinematics.tcp_poses(plant.q)[0][2, 3])
@@ -262,7 +249,7 @@ def test_no_distance_at_all_leaves_no_tick_without_torque(scene: SceneConfig) ->
     plant = FailingPlant(scene)
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt, self_distance=lambda q: ("none", math.inf)))
     before = len(plant.torques)
-    assert names_of(stack, 30) == []
+    assert run(stack, 30) == []
     assert len(plant.torques) == before + 30
 
 
@@ -281,7 +268,7 @@ def test_the_squeeze_of_an_object_path_is_checked_under_way(scene: SceneConfig, 
         stack.affirm("moveit")
         stack.step()
     live[0], height_m = squeeze_n, carried.height_m
-    assert names_of(stack, 900) == ["controller_failed"]
+    assert run(stack, 900) == ["controller_failed"]
     assert "the path's squeeze is" in str(stack.reflex)
     assert abs(carried.height_m - height_m) < 0.005
 
@@ -313,19 +300,19 @@ def test_one_sample_without_grip_at_100_hz_loses_nothing(scene: SceneConfig) -> 
     plant = Slow(scene)
     plant.grip, plant.fingers, plant.limp = np.array([60.0, 60.0]), np.array([0.01, 0.01]), True
     stack = supervised(plant)
-    assert names_of(stack, 30) == []
+    assert run(stack, 30) == []
     plant.grip = np.array([0.0, 60.0])
-    assert names_of(stack, 1) == []
+    assert run(stack, 1) == []
     plant.grip = np.array([60.0, 60.0])
-    assert names_of(stack, 30) == []
+    assert run(stack, 30) == []
     plant.grip = np.array([0.0, 60.0])
-    assert names_of(stack, 30) == ["gripper_opened"]
+    assert run(stack, 30) == ["gripper_opened"]
 
 
 def test_a_push_at_100_hz_is_named_as_one(scene: SceneConfig, kinematics: Kinematics) -> None:
     """Before, `joint_velocity` after 50 ms."""
     plant = Slow(scene)
     stack = supervised(plant)
-    assert names_of(stack, 30) == []
+    assert run(stack, 30) == []
     plant.pushed = 100.0 * kinematics.tcp_jacobians(HOME)[0][1]
-    assert names_of(stack, 3) == ["joint_contact"]
+    assert run(stack, 3) == ["joint_contact"]
