@@ -16,11 +16,13 @@ from pydantic import ValidationError
 from test_learning_demonstrations import tiny
 
 from minidual import emergency
+from minidual.cli.app import run_command_line
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv
+from minidual.stages.registry import STAGES, TOOLS
 
 torch, act, tensor_files = late("torch"), late("minidual.policies.act"), late("safetensors.torch")
 batches = late("minidual.policies.batches")
@@ -368,6 +370,17 @@ def test_cuda_without_a_device_is_an_environment_error(demos: Demonstrations, tm
         pytest.skip("there is a CUDA device here")
     with pytest.raises(EnvironmentMissingError, match="finds no CUDA device"):
         train(demos, TrainConfig(**{**SMALL, "device": "cuda"}), 0, tmp_path / "a")
+
+
+@pytest.mark.parametrize("words", [["--set", "train.device=cuda"], ["--set", "deploy.device=cuda"], ["--profile=gpu"]])
+def test_a_missing_device_is_told_before_the_first_stage(words, tmp_path, capsys) -> None:
+    """It was told by the fifth stage, after ten minutes of other work."""
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device here")
+    assert run_command_line(["run", *words, "--runs-dir", str(tmp_path / "runs")], STAGES, TOOLS) == 4
+    assert "finds no CUDA device" in capsys.readouterr().err
+    assert list((tmp_path / "runs").glob("*/*")) == []
+    assert run_command_line(["config", "show", *words, "--runs-dir", str(tmp_path / "runs")], STAGES, TOOLS) == 0
 
 
 def test_an_existing_checkpoint_is_not_overwritten(demos: Demonstrations, tmp_path: Path) -> None:

@@ -364,3 +364,14 @@ def test_what_is_typed_wrongly_is_said_before_the_gate_is_looked_at(bench):
     assert bench.first.contexts == []
     with pytest.raises(ConfigError, match="queries"):
         runner.run("first", {"queries": 0})
+
+
+def test_a_finished_stage_is_not_asked_for_what_only_its_work_needs(bench):
+    """What one machine trained on its GPU, another without one reports."""
+    bench.run_all()
+    first, second, third = bench.table.values()
+    checked = replace(second, check=f"{__name__}:refuse")
+    bench.table = StageTable((first, checked, third), libraries=("numpy", "no-such-library"))
+    assert [outcome.ran for outcome in bench.runner().run_until()] == [False, False, False]
+    with pytest.raises(UsageError, match="no method 'x'"):
+        list(bench.runner().run_until(force=True))

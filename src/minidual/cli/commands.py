@@ -10,7 +10,7 @@ from minidual import emergency
 from minidual.cli.console import ConsoleProgress, print_explanation, print_lowest, print_outcome, print_status
 from minidual.cli.session import Session
 from minidual.durable import disk_errors
-from minidual.errors import ExitCode, UsageError
+from minidual.errors import EnvironmentMissingError, ExitCode, UsageError
 from minidual.gate.gate import StageState
 from minidual.gate.lock import lock_holder, lock_holders, run_lock
 from minidual.gate.runner import Outcome
@@ -231,7 +231,8 @@ def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     loaded = session.loaded
     if loaded.config != loaded.reference():  # the shipped ones are shown without slow imports
         for entry in session.table.values():
-            entry.resolved(loaded.config, checked=True)
+            with suppress(EnvironmentMissingError):  # the run's machine may have it
+                entry.resolved(loaded.config, checked=True)
     texts = [item.text for item in loaded.overrides]
     document = {"profile": loaded.profile, "sources": loaded.sources, "overrides": texts, "config": loaded.config}
     session.finish(document, loaded.to_yaml().splitlines())

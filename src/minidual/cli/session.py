@@ -138,7 +138,7 @@ class Session:
 
         Stages that stay the same are hard-linked.
         """
-        for name in names:  # before another run is begun for what is misspelt
+        for name in self.gate(options).rerun(names, force):  # before another run is begun for what is misspelt
             self.table[name].resolved(self.gate(options).effective(name, None)[1].config, checked=True)
         while replaced := (gate := self.gate(options)).replaced(names, force):
             base, first = self.store, next(iter(replaced))

@@ -85,7 +85,7 @@ class Runner:
         names = self.table.until(end)
         command = "run" if end is None else f"run --until {end}"
         with disk_errors(self.store.folder), self.store.writing(self.command(command), names):
-            for name in names:
+            for name in self._gate().rerun(names, force):
                 self._validate(self._gate(), name)
             for name in names:
                 # A passing, fresh stage keeps the options it was run with; one that runs again follows the

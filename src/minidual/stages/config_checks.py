@@ -32,12 +32,19 @@ def check_leader(config: Config) -> None:
 
 
 def check_policy(config: Config) -> None:
-    """Raise UsageError for an unknown policy; loads no policy library."""
+    """Raise UsageError for an unknown policy, EnvironmentMissingError without the device that trains it."""
     POLICIES.names([config.train.policy])
+    _check_device(config, config.train.device)
+
+
+def _check_device(config: Config, device: str) -> None:
+    if device != "cpu":  # its library takes seconds to load
+        POLICIES[config.train.policy].require(device)
 
 
 def check_deploy(config: Config) -> None:
-    """Raise UsageError for conditions that are unknown or cannot affect the policy."""
+    """Raise UsageError for conditions that are unknown or cannot affect the policy; EnvironmentMissingError likewise."""
+    _check_device(config, config.deploy.device)
     for name in config.deploy.conditions:
         if reason := CONDITIONS[name].why_not("act", config):
             raise ConfigError(f"deploy.conditions: '{name}' does not apply: {reason}", remedy="leave it out")

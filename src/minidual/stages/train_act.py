@@ -37,7 +37,6 @@ def run(context: StageContext) -> StageResult:
     """Train with every seed, reload each checkpoint as deployment does, and write records."""
     config, robot = context.config.train, robot_from(context.config.robot)
     kind = POLICIES[config.policy]
-    kind.require(config.device)  # before the dataset is read: this is quick to mend
     with context.progress.task("reading frames") as task:
         dataset = context.upstream["teleop-record"] / "lerobot"
         demos = load_demonstrations(dataset, config.cameras, task.advance, folder=context.folder)

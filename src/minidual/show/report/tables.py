@@ -21,6 +21,7 @@ class Indicator(NamedTuple):
         scale: Displayed value / SI value.
         excellent: Limit, SI.
         spread: Keys of middle and 95 % interval.
+        meaning, over: What one trial gives, and how the trials become the compared number.
         needs_success: Undefined without a success.
     """
 
@@ -30,6 +31,7 @@ class Indicator(NamedTuple):
     unit: str
     spread: Sequence[str]
     meaning: str
+    over: str
     scale: float = 1.0
     excellent: float | None = None
     needs_success: bool = False
