@@ -371,6 +371,7 @@ def test_a_hold_learns_the_load_of_a_hand_and_an_opening_hand_lets_go_of_it(worl
         sag_mm[name] = 1e3 * float(height[0] - world.data.body("left_panda_hand_tcp").xpos[2])
 
     world.data.xfrc_applied[hand, 2] = -2.0 * 9.81
+    stack.grippers.holds = lambda arm: arm == 0  # the load hangs on the hand, not between its fingers
     stack.propose("teleop", JointCommand(posture, np.array([0.0, 1.0]), world.time, 1))
     wait(0.3, "driven")
     stack.request("hold")
@@ -379,6 +380,7 @@ def test_a_hold_learns_the_load_of_a_hand_and_an_opening_hand_lets_go_of_it(worl
     assert abs(sag_mm["held"]) < 0.5
     hand_over(stack, "teleop")
     stack.propose("teleop", JointCommand(posture, np.ones(2), world.time, 2))
+    stack.grippers.holds = lambda arm: False
     world.data.xfrc_applied[hand, 2] = 0.0
     wait(1.0, "let go")
     assert abs(sag_mm["let go"]) < 0.5
@@ -423,7 +425,7 @@ def test_a_load_that_is_told_lifts_the_hand_until_it_opens() -> None:
     np.testing.assert_allclose(told[-1], 0.5 * 9.81 * kinematics.tcp_jacobians(q)[1][2], atol=1e-9)
     for opening in (1.0, 0.0, 0.5, 0.3, 1.0):
         assert payload.torque(q, q, (0, 1), learn=False) is not None
-        payload.follow(np.array([1.0, opening]), [False, False])
+        payload.follow(np.array([1.0, opening]), [False, False], [False, False])
     for _ in range(150):
         payload.torque(q, q, (0, 1), learn=False)
     assert payload.torque(q, q, (0, 1), learn=False) is None

@@ -40,7 +40,7 @@ class Payload:
 
     def reset(self) -> None:
         """Start without loads, hands open."""
-        self.force_n, self._wanted_n, self._closed = [0.0, 0.0], [0.0, 0.0], [False, False]
+        self.force_n, self._wanted_n, self._closed, self._held = [0.0, 0.0], [0.0, 0.0], [False, False], [False, False]
         self.idle: tuple[int, ...] = ()
         """Arms whose torques do not reach the motors: what they miss is no load."""
 
@@ -68,8 +68,12 @@ class Payload:
             if felt_n > self.force_n[arm]:  # false for NaN
                 self.force_n[arm] = self._wanted_n[arm] = min(felt_n, LOAD_MAX_N)
 
-    def follow(self, gripper: Array, lost: Sequence[bool]) -> None:
-        """Take commanded openings (2,), and which hands lost their grip: what opens or has lost lets go of its load."""
+    def follow(self, gripper: Array, lost: Sequence[bool], held: Sequence[bool]) -> None:
+        """Take commanded openings (2,), and which hands lost their grip or hold something.
+
+        What opens or has lost lets go of its load; only what holds something learns one.
+        """
+        self._held = held
         for arm, opening in enumerate(gripper.tolist()):
             if lost[arm] or (self._closed[arm] and opening > OPEN_ABOVE):
                 self._wanted_n[arm] = 0.0
@@ -90,7 +94,7 @@ class Payload:
         for arm in arms:
             joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
             below_m, now_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm]
-            if learn and self._closed[arm] and arm not in self.idle and abs(below_m) > _NEAR_M:  # false for NaN
+            if learn and self._held[arm] and arm not in self.idle and abs(below_m) > _NEAR_M:  # false for NaN
                 wanted_n[arm] = within(wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m, 0.0, LOAD_MAX_N)
             self.force_n[arm] = within(wanted_n[arm], now_n - step_n, now_n + step_n)
             tau[joints] = self.force_n[arm] * rise

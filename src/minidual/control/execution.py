@@ -31,6 +31,8 @@ _TURN_PER_S, _SHIFT_M_PER_S = 8.0, 2.0
 """Largest rates of a pose's entries, of rotation and position; twice what is accepted."""
 _STOPPED_RATE, START_RAD_PER_S = 1e-4, 0.5
 _LOOK_AHEAD_ROWS = 500
+_ROWS = 256
+"""Sampled at once: all of a long trajectory would hold up the tick in which it starts."""
 
 
 class _Execution[C: TimedCommand]:
@@ -113,13 +115,16 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
         super().__init__(command, dt_s)
         self.joints = robot.groups[command.group]
         self._a_max, self._columns = robot.a_max[self.joints], own_columns(command, robot)
-        times = np.minimum(np.arange(self._steps + 1) * dt_s, command.motion.duration_s)
-        self._q, self._v, self._a = (x[:, self._columns] for x in command.motion.sample_many(times))
+        self._fill(0)
         self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
 
+    def _fill(self, k: int, rows_n: int = _ROWS) -> None:
+        times = np.minimum(np.arange(k, k + rows_n) * self._dt, self._end_s)
+        self._q, self._v, self._a = (x[:, self._columns] for x in self.command.motion.sample_many(times))
+
     def _largest_slope(self) -> float:
-        k = round(self._t_s / self._dt)
-        ahead = np.abs(self._v[k : k + _LOOK_AHEAD_ROWS]).max(axis=0)
+        self._fill(round(self._t_s / self._dt), _LOOK_AHEAD_ROWS)  # braking, it never comes back to these rows
+        ahead = np.abs(self._v).max(axis=0)
         limit = float((BRAKE_SHARE * self._a_max / np.maximum(ahead, 1e-6)).min())
         return float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX))
 
@@ -127,7 +132,10 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
         """Advance one control step."""
         super().step()
         if not self._paced:
-            self.q, self.v, self.a = self._q[self._k], self._v[self._k], self._a[self._k]
+            row = self._k % _ROWS
+            if row == 0:
+                self._fill(self._k)
+            self.q, self.v, self.a = self._q[row], self._v[row], self._a[row]
             return
         self.q, v, a = (x[self._columns] for x in self.command.motion.sample(self._t_s))
         self.v, self.a = self._slowed(v, a)

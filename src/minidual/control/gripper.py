@@ -65,13 +65,15 @@ def advance(
 ) -> int:
     """Advance `hands` (4, 2): open or closed, target [m], fingers [m] when they held, ticks without the grip.
 
-    how: gain, step [m], travel [m]. Return the sum of 1 if a hand begins to open, 2 if a closed one has lost its grip in
-    this tick, and 4 if both are fully open.
+    command: NaN keeps the target. how: gain, step [m], travel [m]. Return the sum of 1 if a hand begins to open, 2 if a
+    closed one has lost its grip in this tick, and 4 if both are fully open.
     """
     found, wide_n, (gain, step_m, travel_m) = 0, 0, how
     if len(felt) != 2 or len(fingers) != 2:
         raise ValueError("the grip and the fingers of both hands are two numbers each")
     for i in range(2):
+        if math.isnan(command[i]):
+            continue
         if command[i] > OPEN_ABOVE:
             if not hands[_OPEN, i]:
                 found, hands[_LOST_N, i] = found | _OPENS, 0.0
@@ -138,8 +140,15 @@ class Grippers:
         """From now on, pinch harder."""
         self._force_n = self._firm_n
 
+    def stop(self) -> Array:
+        """Return the command (2,) of a stop: fingers that are closing stay where they are (NaN), other hands go on."""
+        fingers, closing = self._plant.fingers, (self._hands[_OPEN] == 0.0) & np.isnan(self._hands[_HELD])
+        free = closing & ~(self._plant.grip > _HOLDS_N) & np.isfinite(fingers)
+        self._hands[_TARGET, free] = np.clip(fingers[free], 0.0, self._travel_m)
+        return np.where(closing, np.nan, self._hands[_OPEN])
+
     def step(self, command: Array) -> Array:
-        """Advance towards command (2,); return finger targets (2,) [m]."""
+        """Advance towards command (2,), NaN for fingers that stay; return finger targets (2,) [m]."""
         if self.wide and min(command.tolist()) > OPEN_ABOVE:
             return self.targets_m
         grip, fingers = self._plant.grip, self._plant.fingers

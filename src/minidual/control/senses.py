@@ -69,13 +69,20 @@ def compare(q: Array, v: Array, tau: Array, dt: float, row: int, bounds: Array, 
     return worst
 
 
+def slower(v: Array, before: Array) -> Array:
+    """Return the slower of the last two velocities (n,) of each joint: one sample may be wrong."""
+    return np.where(np.abs(before) < np.abs(v), before, v)
+
+
 class JointSense:
     """Usable joint measurements.
 
     Attributes:
         q: (n,) [rad], measured or replaced.
         v: (n,) [rad/s].
-        lost: (2, n) positions and velocities not to be used; latched until `reset`.
+        lost: (2, n) positions and velocities not to be used, until `reset`. A joint that lost both is used again once
+            both are measured and change.
+        returned: Whether a joint came back in this update.
     """
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
@@ -83,7 +90,7 @@ class JointSense:
         # Implicit in the damping, as in the simulator: without readings an error grows as a pendulum falls.
         self._model.armature = self._model.armature + dt_s * self._robot.arm.damping
         self._data = self._model.createData()
-        self._config, self._dt, self._age_max_s = config, dt_s, config.measurement_age_max_s
+        self._config, self._dt, self._age_max_s = config, dt_s, max(config.measurement_age_max_s, 2.0 * dt_s)
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
         self._bounds = np.r_[config.position_mismatch_rad, config.frozen_s, self._tau_moves]
         self.reset()
@@ -96,7 +103,7 @@ class JointSense:
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
+        self._kept, self._started, self._any_lost, self.returned = np.zeros((10, n)), False, False, False
         self.q, self.v = self._kept[_Q_USABLE:]
         self.q[:] = self._robot.home
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
@@ -107,10 +114,14 @@ class JointSense:
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        row, self.ticks = self.ticks % _KEPT, self.ticks + 1
+        row, self.ticks, self.returned = self.ticks % _KEPT, self.ticks + 1, False
         if new_s > 0.0:
+            if self._any_lost:
+                back = self.lost.all(axis=0) & np.isfinite(q + v) & (self._kept[[_Q, _V]] != [q, v]).all(axis=0)
+                self.lost[:, back], self.returned = False, bool(back.any())
+                self._begin(back, q, v, tau, new_s)
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
-                self._kept[_Q], self._kept[_V], self._kept[_TAU], self._started = q - new_s * v, v, tau, True
+                self._begin(np.ones_like(self.lost[0]), q, v, tau, new_s)
             self.age_s, usable = 0.0, compare(q, v, tau, new_s, row, self._bounds, self._kept, self.applied) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
@@ -124,10 +135,15 @@ class JointSense:
             self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
         return usable
 
+    def _begin(self, joints: npt.NDArray[np.bool_], q: Array, v: Array, tau: Array, new_s: float) -> None:
+        for row, value in ((_Q, q - new_s * v), (_V, v), (_R, 0.0 * v), (_TAU, tau)):
+            self._kept[row, joints] = value[joints]
+        self._started = True
+
     def _judge(self, q: Array, v: Array, tau: Array, new_s: float) -> None:
         kept, bad = self._kept, ~np.isfinite(np.stack([q, v]))
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
-        apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
+        apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad) & ~self.lost.any(axis=0)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
         # No joint moves that far in one period; a jump of the velocity that alone explains the mismatch is no push.
         leapt = apart & (np.abs(kept[_DQ]) > 2.0 * new_s * self._robot.v_max) & (np.abs(v) <= self._robot.v_max)
@@ -144,6 +160,11 @@ class JointSense:
             self.why = f"{what} of {self._robot.joint_names[joint]}: {held}{far}"
         self._lose(lost, float(same.min(axis=0)[apart | still].max(initial=0.0)))
         kept[_R, self.lost.any(axis=0)] = 0.0
+
+    @property
+    def slower(self) -> Array:
+        """The slower of the last two velocities (n,) [rad/s]."""
+        return np.where(self.lost.any(axis=0), self.v, slower(self.v, self.v - self._kept[_DV]))
 
     def _lose(self, lost: npt.NDArray[np.bool_], since_s: float) -> None:
         """Stop using values; joints that have lost both follow the model from `since_s` ago."""

@@ -6,6 +6,7 @@ The arbiter runs at its own rate, and at once for requests, halts and timed comm
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,7 +23,7 @@ from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.impedance import InHand
 from minidual.control.impedance_controllers import HandImpedanceController, ObjectImpedanceController, ObjectSensor
 from minidual.control.reflexes import ReflexError
-from minidual.control.senses import Expected
+from minidual.control.senses import Expected, slower
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
@@ -118,6 +119,8 @@ class ControlStack[P: Plant]:
                 self.supervisor.reset(plant.tau)  # what holds an object goes on
         self._before.clear()
         self._before.append((plant.time, q))
+        self._v, self._stopped = plant.v, np.empty(0)
+        """Last velocities, and openings of a reflex."""
         self._stand(np.where(self.grippers.closed, 0.0, 1.0))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -151,11 +154,15 @@ class ControlStack[P: Plant]:
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown, self._due, self._pending = 0, True, False
-        self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
+        self._take(ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ()))
         self.reflex: MinidualError | None = None
         """Of the latched reflex."""
         self._failed: Exception | None = None
         self._stop_ticks = 0
+
+    def _take(self, output: ArbiterOutput) -> None:
+        self._output = output  # readers may change the arrays of theirs
+        self.output = replace(output, q_target=output.q_target.copy(), gripper=output.gripper.copy())
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -216,7 +223,7 @@ class ControlStack[P: Plant]:
             h.name in self.manager.active for h in self.hands
         ):
             self.arbiter.stand(self.plant.q)
-        self.manager.switch(names, self.plant.q, self.plant.v)
+        self.manager.switch(names, self.plant.q, slower(self.plant.v, self._v))
         self._due = True
 
     @property
@@ -276,7 +283,7 @@ class ControlStack[P: Plant]:
             self.grippers.forget_grip(excused=True)  # what is lost in the stop is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
-        self._stand(self.output.gripper)
+        self._stand(self._output.gripper)
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -355,7 +362,7 @@ class ControlStack[P: Plant]:
             emergency.check()
         q, v, self._due = plant.q, plant.v, False
         output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v) if self.arbiter.switching else None)
-        self.output = output
+        self._take(output)
         self.payload.idle = (0, 1) if self.reflex is not None else () if self._off is None else self._off.arms
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
@@ -367,10 +374,11 @@ class ControlStack[P: Plant]:
         self._attempt(lambda: self._hand_down(output.halted), None)
         if output.halted:
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
-            self.manager.switch(_STOPPING, plant.q, plant.v, swiftly=True)
+            self.manager.switch(_STOPPING, plant.q, slower(plant.v, self._v), swiftly=True)
         self._attempt(lambda: self.manager.follow(output), None)
-        self.payload.follow(output.gripper, [self.grippers.lost(arm) for arm in (0, 1)])
-        return output
+        hands = self.grippers
+        self.payload.follow(output.gripper, [hands.lost(0), hands.lost(1)], [hands.holds(0), hands.holds(1)])
+        return self.output
 
     def _hand_down(self, stops: bool) -> None:
         if self.manager.active == OBJECT_CONTROLLERS:
@@ -401,17 +409,18 @@ class ControlStack[P: Plant]:
         plant = self.plant
         self._stop_ticks -= 1
         try:  # a closure for `_attempt` would cost more than the call
-            for execution in self.output.executions:
+            for execution in self._output.executions:
                 execution.step()
                 self._due = self._due or execution.finished
         except Exception as error:
             self._failed = self._failed or error
-        tau, stopped = self._torque(*self._measured())
+        tau, stopped = self._torque(*(measured := self._measured()))
+        self._v = measured[3]
         if self._off is not None:
             tau = self._off.limit(tau)
         self.applied = tau
         try:
-            fingers_m = self.grippers.step(self.output.gripper)
+            fingers_m = self.grippers.step(self._output.gripper if self.reflex is None else self._stopped)
         except Exception as error:
             self._failed = self._failed or error
             fingers_m = self.grippers.targets_m
@@ -450,6 +459,7 @@ class ControlStack[P: Plant]:
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
             self.reflex, self._stop_ticks, self.payload.idle = error, round(_STOP_MAX_S / self.plant.dt), (0, 1)
+            self._stopped = self._attempt(self.grippers.stop, self._output.gripper)
             self._attempt(partial(self._hand_down, error.reflex.name in _BEARING), None)
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error

@@ -222,6 +222,8 @@ class Supervisor:
                 newer_s = self.dt_s  # the clock has failed, not the sensors
             self._q[:], self._v[:] = q, v
         self._sense.update(self._q, self._v, self._stop.tau, newer_s)
+        if self._sense.returned:  # where the arms are now, which the model alone did not know
+            self.brake_anew(self._stop.tau)
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:
@@ -372,7 +374,7 @@ class Supervisor:
         }
         reflex = Reflex(name, self._time_s, where, value, bound, details)
         sense, applied = self._sense, self._applied
-        self._stop.begin(sense.q, sense.v, self._before_control(sense.q) if applied is None else applied)
+        self._stop.begin(sense.q, sense.slower, self._before_control(sense.q) if applied is None else applied)
         self.reflex = reflex
         tau = self._stop.torque(sense.q, sense.v)
         try:
