@@ -28,7 +28,7 @@ def refuse(context: ToolContext) -> ToolResult:
 
 OPTIONS = (Option("fail", "Break off.", bool), Option("names", "Words."))
 TOOLS = (
-    ToolEntry("measure", f"{__name__}:measure", "Measure", OPTIONS),
+    ToolEntry("measure", f"{__name__}:measure", "Measure", options=OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
 )
 QUERIES = Option("queries", "How many.", int, "plan.queries_n")

@@ -221,9 +221,12 @@ def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(world: W
     keys, screen = pty.openpty()
     leader = KeyboardLeader(Kinematics(), descriptor=screen)
     leader.realtime = False  # type: ignore[misc]
-    os.write(keys, b"\x1b[A")  # an arrow is no escape
+    os.write(
+        keys, b"\x1b[A\x1bOD\x1b[1;5C\x1b[F\x1b[3~"
+    )  # arrows and the like are neither escape nor the letters they end with
     leader.read(0.0)
     assert emergency.pressed() == ""
+    assert not leader._goal.any()
     supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
     stack = ControlStack(world, Kinematics(), supervisor=supervisor)
     session = TeleopSession(stack, TeleopConfig())

@@ -5,6 +5,7 @@ from functools import partial
 import mujoco
 import numpy as np
 import pytest
+from placing import put_at
 
 from minidual.config.root import Config
 from minidual.errors import UsageError
@@ -318,18 +319,18 @@ def test_the_depth_of_a_peg_of_another_size_is_that_of_its_solids(factor, deep_m
         model, task, trial, RNG
     ):
         judge = begin(world, task, trial)
-        world.place("socket", level_pose(0.5, 0.0, 0.3, 0.0))
-        world.place("peg", level_pose(0.5, -0.2, 0.3, 0.0))
+        put_at(world, "socket", level_pose(0.5, 0.0, 0.3, 0.0))
+        put_at(world, "peg", level_pose(0.5, -0.2, 0.3, 0.0))
         mujoco.mj_forward(model, world.data)
         at = lambda name: world.data.geom(name).xpos  # noqa: E731
         mouth = at("socket_part1")[1] - model.geom("socket_part1").size[1]
         tip = at("peg")[1] + model.geom("peg").size[1]
         x, z = at("socket")[[0, 2]] - at("peg")[[0, 2]]
-        world.place("peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z, 0.0))
+        put_at(world, "peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z, 0.0))
         mujoco.mj_forward(model, world.data)
         judge.observe(world)
         assert depth_m(judge.truth) == pytest.approx(deep_m, abs=1e-9)
-        world.place("peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z + 0.002 * factor, 0.0))
+        put_at(world, "peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z + 0.002 * factor, 0.0))
         mujoco.mj_forward(model, world.data)
         judge.observe(world)
         assert depth_m(judge.truth) == 0.0, "in a wall"

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from carry_trials import carry_task, same_row, sample_trial
+from placing import put_at
 
 from minidual.control.impedance import SingularPostureError
 from minidual.plant.world import World
@@ -108,6 +109,6 @@ def test_trials_of_object_impedance_must_squeeze_and_others_need_not(
     _run(world, trial, method, steps=2)
     assert judges[0].failures == {}
     x, y, yaw = trial.start["rod"]
-    world.place("rod", pose(rot_z(yaw), (x, y, 0.1)))  # in the air, and no hand squeezes it
+    put_at(world, "rod", pose(rot_z(yaw), (x, y, 0.1)))  # in the air, and no hand squeezes it
     judges[0].observe(world)
     assert set(judges[0].failures) == faults

@@ -15,12 +15,12 @@ import pytest
 from carry_trials import carry_task, sample_trial
 from panda import HOME
 
-from minidual.config.control import ArbiterConfig
+from minidual.config.control import ArbiterConfig, CarryConfig
 from minidual.config.root import Config
 from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.errors import ExitCode, GateClosedError, UsageError
+from minidual.errors import ConfigError, EnvironmentMissingError, ExitCode, GateClosedError, UsageError
 from minidual.gate.stage import ToolContext
 from minidual.motion.api import Planner
 from minidual.plant.world import World
@@ -203,6 +203,25 @@ def test_without_a_policy_nothing_is_put_in_its_place(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "config.json").write_text("{}")
     assert find_checkpoint(_context(tmp_path)) == folder
+
+
+def test_modes_demonstrates_what_carry_carries(tmp_path: Path) -> None:
+    """It broke off at other objects ("no object 'box'"), and led xArm7s with the Panda's model."""
+    context = _context(tmp_path / "run", modes="moveit,teleop,moveit")
+    with pytest.raises(ConfigError, match="in the task 'handover' they do not"):
+        modes(replace(context, config=Config(task="handover")))
+    boxed = replace(context, config=Config(carry=CarryConfig(object="box")))
+    with pytest.raises(EnvironmentMissingError, match="films no more"):  # the world stands, the modes are prepared
+        _filming(modes, boxed)
+
+
+def _filming(run: Callable[[ToolContext], Any], context: ToolContext) -> None:
+    def refuse(*_args: object, **_options: object) -> int:
+        raise EnvironmentMissingError("films no more")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("minidual.stages.modes.write_video", refuse)
+        run(context)
 
 
 def _refuse(monkeypatch: pytest.MonkeyPatch, *, sequence: int, change: Callable[[Any], Any] | None = None) -> None:

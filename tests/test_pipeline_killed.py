@@ -14,7 +14,7 @@ import pytest
 from pipeline_toys import Bench
 
 from minidual.errors import ExitCode, UsageError
-from minidual.gate.lock import lock_holder, run_lock
+from minidual.gate.lock import LOCK_FILE, held_by, run_lock
 
 TOYS = Path(__file__).with_name("pipeline_toys.py")
 
@@ -54,7 +54,7 @@ def bench(tmp_path):
 def test_running_stage_holds_the_lock_and_names_its_process(bench, sleeper):
     assert bench.states() == ["incomplete", "blocked", "blocked"]
     assert "still running" in bench.gate().state("first").why()
-    assert f"process {sleeper.pid}" in (lock_holder(bench.store.folder) or "")
+    assert f"process {sleeper.pid}" in str(held_by(bench.store.folder / LOCK_FILE))
     with pytest.raises(UsageError, match=rf"being written by process {sleeper.pid} \(minidual first"):
         bench.runner().run("first")
 
@@ -65,7 +65,7 @@ def test_killed_stage_is_incomplete_and_the_rerun_mends_it(bench, sleeper):
     assert bench.states() == ["incomplete", "blocked", "blocked"]
     assert "the process was killed" in bench.gate().state("first").why()
     assert (bench.store.folder / ".first.tmp").is_dir()
-    assert lock_holder(bench.store.folder) is None, "the lock dies with its process"
+    assert held_by(bench.store.folder / LOCK_FILE) is None, "the lock dies with its process"
     assert bench.runner().run("first").exit_code == ExitCode.PASS
     assert bench.states() == ["pass", "missing", "blocked"]
     assert not (bench.store.folder / ".first.tmp").exists()

@@ -10,6 +10,7 @@ import types
 
 import pytest
 
+from minidual.cli.app import run_command_line
 from minidual.config.loader import load_config
 from minidual.errors import UsageError
 from minidual.gate.canonical import canonical, digest
@@ -84,6 +85,11 @@ class TestPlugIn:
         table = self.point(monkeypatch, value)
         with pytest.raises(UsageError, match="stage 'shout' of another distribution"):
             table.plug_in("minidual.stages")
+
+    def test_one_that_cannot_be_used_is_a_document_under_json(self, monkeypatch, capsys):
+        table = self.point(monkeypatch, "plugged_in_stage:WRONG")
+        assert run_command_line(["status", "--json"], table) == 2
+        assert "stage 'shout' of another distribution" in json.loads(capsys.readouterr().out)["error"]["message"]
 
     def test_a_name_that_is_taken_is_refused(self, monkeypatch):
         table = self.point(monkeypatch, "plugged_in_stage:ENTRY")

@@ -172,11 +172,8 @@ def test_a_second_set_that_is_the_first_is_refused():
 
 def test_notes_tell_of_both_seeds(outcomes):
     failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
-    slow = dataclasses.replace(outcomes[0], total_s=1.0)
-    notes = plan.notes(first={"left_arm": [slow]}, second={"left_arm": [slow, failed]})
-    assert "left_arm query 1 of the second seed failed: none" in notes
-    assert sum("goal missed" in note for note in notes) == 2
-    assert any("left_arm (second seed)" in note for note in notes)
+    notes = plan.notes(first={"left_arm": [outcomes[0]]}, second={"left_arm": [outcomes[0], failed]})
+    assert notes == ["left_arm query 1 of the second seed failed: none"]
 
 
 def test_a_warm_up_that_is_not_solved_does_not_end_the_set():

@@ -116,14 +116,6 @@ def test_results_of_other_code_fail_the_report_at_its_very_top(tmp_path: Path) -
     assert "gate.code_changed" in text
 
 
-def test_a_waiver_known_to_an_upstream_verdict_alone_taints_too(tmp_path: Path) -> None:
-    given = samples.make_run(tmp_path)
-    carry = replace(given.verdicts["carry"], waivers=(samples.WAIVER,))
-    report, text = built(replace(given, verdicts={**given.verdicts, "carry": carry}), tmp_path)
-    assert report.state == "tainted"
-    assert samples.WAIVER.reason in Page(text).before_heading
-
-
 @pytest.mark.parametrize("where", ["report", "verdict"])
 def test_a_smoke_run_says_smoke_at_its_very_top(tmp_path: Path, where: str) -> None:
     given = replace(samples.make_run(tmp_path), profile="smoke")

@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from placing import put_at
 
 from minidual.config.root import Config, replaced
 from minidual.config.scene import SceneConfig
@@ -92,7 +93,7 @@ class Script:
         for state in np.linspace(self.now, end, steps + 1)[1:]:
             x, y, height, yaw = state
             self.world.data.time += 0.01
-            self.world.place(self.name, pose(rot_z(yaw), (x, y, self.rests + height)))
+            put_at(self.world, self.name, pose(rot_z(yaw), (x, y, self.rests + height)))
             self.judge.observe(self.world)
         self.now = end
 

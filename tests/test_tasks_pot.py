@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from placing import put_at
 from pydantic import ValidationError
 
 from minidual.collision.shapes import Mesh
@@ -126,7 +127,7 @@ def test_clearance_is_that_of_the_lowest_part(world: World) -> None:
     truth, points = Truth(TASK.scene.objects), np.vstack([surface(part) for part in POT.solids])
     for roll, pitch in ((0.0, 0.0), (0.1, -0.2), (1.2, 0.3), (-1.0, 1.0), (math.pi, 0.0)):
         T = pose(rot_z(pitch) @ rot_x(pitch) @ rot_z(0.4) @ rot_x(roll), (0.5, 0.0, 0.3))
-        world.place("pot", T)
+        put_at(world, "pot", T)
         truth.refresh(world)
         assert truth["pot"].clearance_m == pytest.approx((points @ T[2, :3]).min() + 0.3, abs=1e-5)
         assert truth["pot"].tilt_rad == pytest.approx(tilt_rad(T, POT), abs=1e-7)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import signal
 import sys
@@ -53,14 +52,19 @@ def _dies(body: Callable[[], object], step: int | None, seconds: float) -> bool:
                         os.kill(os.getpid(), signal.SIGKILL)
 
             sys.addaudithook(watch)
+        code = 1  # an error of the body is no ending
         try:
             body()
+            code = 0
         finally:
-            os._exit(0)
+            os._exit(code)
     if step is None:
         time.sleep(seconds)
         os.kill(child, signal.SIGKILL)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code not in (0, -signal.SIGKILL):
+        raise ChildProcessError(f"the program failed before it was killed: exit {code}")
+    return code == 0
 
 
 def _publish(again: bool, step: int | None, place: Place, result: Result) -> None:
@@ -109,8 +113,7 @@ def _recording(step: int, place: Place, result: Result) -> None:
     task = recording_toys.job(place.folder / "rec", episodes_n=3)
     task.folder.mkdir()
     recording.claim(task.folder, {"seed": 1}, "old")
-    own = lambda: recording.record(dataclasses.replace(task, owner=os.getpid()), workers=1)  # noqa: E731
-    finished = _dies(own, step, 0.0)
+    finished = _dies(lambda: recording.record(task, workers=1), step, 0.0)
     result.saw("ended before" if finished else "killed")
     kept = {p: (p.stat().st_ino, p.stat().st_mtime_ns) for p in task.folder.rglob("[!.]*.hdf5")}
     recording.claim(task.folder, {"seed": 1}, "old")

@@ -20,11 +20,6 @@ from typing import Any
 from minidual.errors import DataError, EnvironmentMissingError, MinidualError, NothingEvaluatedError, UsageError
 
 JSON_BYTES_MAX = 2**24
-DAMAGED = (
-    *(OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, AssertionError, ImportError),
-    *(RuntimeError, MemoryError),
-)
-"""What libraries raise over damaged content."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 _KINDS = {"d": "folder", "-": "file", "p": "FIFO", "s": "socket", "c": "device", "b": "device"}
@@ -208,14 +203,15 @@ def regular_file(path: Path, bytes_max: int) -> Path:
 
 
 @contextlib.contextmanager
-def reading(what: Path | str, remedy: str, *others: type[Exception]) -> Generator[None]:
-    """Turn an error of damaged content, one of Python's or `others`, into DataError."""
+def reading(what: Path | str, remedy: str) -> Generator[None]:
+    """Turn an error of damaged content into DataError."""
     try:
         yield
-    except DataError as error:
-        error.remedy = error.remedy or remedy
+    except MinidualError as error:
+        if isinstance(error, DataError):
+            error.remedy = error.remedy or remedy
         raise
-    except (*DAMAGED, *others) as error:
+    except Exception as error:  # libraries raise anything over it
         said = " ".join(f"{type(error).__name__}: {error}".split())
         raise DataError(f"{what} is missing, cut or corrupt, and cannot be read: {said:.300}", remedy=remedy) from error
 

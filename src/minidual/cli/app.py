@@ -94,13 +94,14 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
 
 def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
     """Run one command and return its exit code."""
-    app = build_app(table, tools)
-    commands = {command.name or "" for command in app.registered_commands} | {"config"}
     first = arguments[0].split("=")[0] if arguments else "--help"
 
     def parse(_session: Session) -> int:
         if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
             raise UsageError(f"{strange[0]} is not UTF-8")
+        table.plug_in("minidual.stages")
+        app = build_app(table, tools)
+        commands = {command.name or "" for command in app.registered_commands} | {"config"}
         if first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
             raise UsageError(f"{first} stands after the command: minidual COMMAND {first} ...")
         if not first.startswith("-"):

@@ -12,7 +12,7 @@ from minidual.cli.session import Session
 from minidual.durable import disk_errors
 from minidual.errors import EnvironmentMissingError, ExitCode, UsageError
 from minidual.gate.gate import StageState
-from minidual.gate.lock import lock_holder, lock_holders, run_lock
+from minidual.gate.lock import LOCK_FILE, held_by, lock_holders, run_lock
 from minidual.gate.runner import Outcome
 from minidual.gate.signature import sign, signature, unverified
 from minidual.gate.stage import ToolContext
@@ -27,6 +27,7 @@ def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) ->
     aside = next((aside for aside in entry.asides if _was_typed(values[aside.trigger])), None)
     _refuse_loose_options(entry, aside, values)
     if aside is not None:
+        entry.resolved(session.loaded.config, checked=True)
         return run_tool(aside, session, values)
     options = {o.name: values[o.key] for o in entry.options if values[o.key] is not None}
     if not values["yes"]:
@@ -143,7 +144,8 @@ def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 def _show_status(session: Session, *, explained: bool, key: Path | None = None) -> ExitCode:
     gate, store = session.gate(), session.store
     changed = None if key is None else unverified(gate, key)
-    following, writer, lowest = session.following(gate, explained=explained), lock_holder(store.folder), gate.lowest()
+    following, lowest = session.following(gate, explained=explained), gate.lowest()
+    _, writer = held_by(store.folder / LOCK_FILE) or (0, None)
     if not session.typed.json:
         title = f"run {store.run} (profile {session.loaded.profile}, {store.folder})"
         print_status(session.data, gate, title, "" if explained else following)

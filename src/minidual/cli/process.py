@@ -111,12 +111,6 @@ def _run() -> int:
 
     emergency.listen()  # before anything starts a thread
     from minidual.cli.app import run_command_line
-    from minidual.errors import UsageError
     from minidual.stages.registry import STAGES, TOOLS
 
-    try:
-        STAGES.plug_in("minidual.stages")
-    except UsageError as error:
-        print(f"minidual: {error}", file=sys.stderr)
-        return int(error.exit_code)
     return run_command_line(sys.argv[1:], STAGES, TOOLS)

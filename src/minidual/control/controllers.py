@@ -163,7 +163,7 @@ class JointTrajectoryController(Controller):
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target, newly begun trajectories and the speed override."""
-        self._target, self._holds = output.q_target, output.state is ArbiterState.HOLDING
+        self._target, self._holds = output.q_target.copy(), output.state is ArbiterState.HOLDING
         self._filter.limit_speed(output.speed)
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:

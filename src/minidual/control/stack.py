@@ -6,7 +6,6 @@ The arbiter runs at its own rate, and at once for requests, halts and timed comm
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -119,8 +118,7 @@ class ControlStack[P: Plant]:
                 self.supervisor.reset(plant.tau)  # what holds an object goes on
         self._before.clear()
         self._before.append((plant.time, q))
-        self._v, self._stopped = plant.v, np.empty(0)
-        """Last velocities, and openings of a reflex."""
+        self._v = plant.v
         self._stand(np.where(self.grippers.closed, 0.0, 1.0))
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
@@ -154,15 +152,12 @@ class ControlStack[P: Plant]:
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
         self._countdown, self._due, self._pending = 0, True, False
-        self._take(ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ()))
+        self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
+        self._openings = gripper.copy()  # who reads the output may change its arrays
         self.reflex: MinidualError | None = None
         """Of the latched reflex."""
         self._failed: Exception | None = None
         self._stop_ticks = 0
-
-    def _take(self, output: ArbiterOutput) -> None:
-        self._output = output  # readers may change the arrays of theirs
-        self.output = replace(output, q_target=output.q_target.copy(), gripper=output.gripper.copy())
 
     # Commands --------------------------------------------------------------------------------------------
 
@@ -192,10 +187,8 @@ class ControlStack[P: Plant]:
             controllers = self.manager.active if mode == HOLD else DEFAULT_CONTROLLERS
         self.manager.check(controllers)
         if self.reflex is not None and mode != HOLD:
-            raise UsageError(
-                f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})",
-                remedy="find the cause, then recover()",
-            )
+            stopped = f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})"
+            raise UsageError(stopped, remedy="find the cause, then recover()")
         if mode == self.source:  # no switch follows that could activate the set
             if named and tuple(controllers) != self.manager.active:
                 self.switch_controllers(controllers)
@@ -283,7 +276,7 @@ class ControlStack[P: Plant]:
             self.grippers.forget_grip(excused=True)  # what is lost in the stop is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
-        self._stand(self._output.gripper)
+        self._stand(np.nan_to_num(self._openings))
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -362,7 +355,9 @@ class ControlStack[P: Plant]:
             emergency.check()
         q, v, self._due = plant.q, plant.v, False
         output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v) if self.arbiter.switching else None)
-        self._take(output)
+        self.output = output
+        if self.reflex is None:
+            self._openings = output.gripper.copy()
         self.payload.idle = (0, 1) if self.reflex is not None else () if self._off is None else self._off.arms
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
@@ -378,7 +373,7 @@ class ControlStack[P: Plant]:
         self._attempt(lambda: self.manager.follow(output), None)
         hands = self.grippers
         self.payload.follow(output.gripper, [hands.lost(0), hands.lost(1)], [hands.holds(0), hands.holds(1)])
-        return self.output
+        return output
 
     def _hand_down(self, stops: bool) -> None:
         if self.manager.active == OBJECT_CONTROLLERS:
@@ -409,7 +404,7 @@ class ControlStack[P: Plant]:
         plant = self.plant
         self._stop_ticks -= 1
         try:  # a closure for `_attempt` would cost more than the call
-            for execution in self._output.executions:
+            for execution in self.output.executions:
                 execution.step()
                 self._due = self._due or execution.finished
         except Exception as error:
@@ -420,7 +415,7 @@ class ControlStack[P: Plant]:
             tau = self._off.limit(tau)
         self.applied = tau
         try:
-            fingers_m = self.grippers.step(self._output.gripper if self.reflex is None else self._stopped)
+            fingers_m = self.grippers.step(self._openings)
         except Exception as error:
             self._failed = self._failed or error
             fingers_m = self.grippers.targets_m
@@ -459,7 +454,7 @@ class ControlStack[P: Plant]:
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
             self.reflex, self._stop_ticks, self.payload.idle = error, round(_STOP_MAX_S / self.plant.dt), (0, 1)
-            self._stopped = self._attempt(self.grippers.stop, self._output.gripper)
+            self._openings = self._attempt(self.grippers.stop, self._openings)
             self._attempt(partial(self._hand_down, error.reflex.name in _BEARING), None)
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error

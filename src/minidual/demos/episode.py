@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual import durable
 from minidual.demos import checks, schema
 from minidual.demos.checks import EpisodeFault
 from minidual.errors import DataError
@@ -125,7 +124,7 @@ def _load(
             faults += () if faults else checks.check_finite({f.key: arrays[f.name] for f in fields if f.name in arrays})
     except DataError as error:
         return None, [EpisodeFault("attributes_wrong", f"{path.name}: {error.message}")]
-    except durable.DAMAGED as error:
+    except Exception as error:  # h5py raises anything
         return None, [EpisodeFault("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
     return (None if faults else Episode(meta, images, path=path, **arrays)), faults
 

@@ -1,6 +1,7 @@
 """Lead the arms from a terminal by inverse kinematics."""
 
 import os
+import re
 import select
 import termios
 import tty
@@ -67,7 +68,7 @@ class KeyboardLeader(Leader):
             keys = os.read(self._fd, 256).decode(errors="ignore")
             if keys == _ESCAPE or "x" in keys.lower():
                 emergency.press("key of the keyboard leader")
-            for key in keys:
+            for key in re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", "", keys):  # arrows and the like are sent as letters
                 self._press(key)
         bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
         wanted = self._offset + np.clip(self._goal - self._offset, -bound, bound)

@@ -16,7 +16,6 @@ import numpy as np
 import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
-from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from minidual.durable import disk_errors, read_json, reading, regular_file
@@ -183,7 +182,7 @@ def _integers(table: Any, key: str) -> Rows:
 
 
 def _reading(what: Path | str) -> AbstractContextManager[None]:
-    return reading(what, _AGAIN, pa.ArrowException, FFmpegError)
+    return reading(what, _AGAIN)
 
 
 def _read_parquet(root: Path, folder: str) -> Any:

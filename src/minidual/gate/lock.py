@@ -41,7 +41,7 @@ def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[Non
 
 
 def _acquired(folder: Path, name: str) -> TextIO | None:
-    """Return the locked file, or None after 0.2 s: `lock_holder` takes a shared lock for an instant."""
+    """Return the locked file, or None after 0.2 s: `held_by` takes a shared lock for an instant."""
     for _ in range(5):
         make_folder(folder)
         with suppress(BlockingIOError, FileNotFoundError):  # the last holder has just removed the file
@@ -54,14 +54,8 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
     return None
 
 
-def lock_holder(folder: Path) -> str | None:
-    """Return the holder, "process 12 (minidual carry, since ...)", or None."""
-    found = held_by(folder / LOCK_FILE)
-    return None if found is None else found[1]
-
-
 def lock_holders(folder: Path) -> dict[int, str]:
-    """Return the holders of all locks in a run folder, as `lock_holder` names them, by process id.
+    """Return the holders of all locks in a run folder, "process 12 (minidual carry, since ...)", by process id.
 
     A process counts if it has the file of its lock open.
     """

@@ -4,7 +4,7 @@ import contextlib
 import importlib.metadata
 import keyword
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -64,39 +64,46 @@ def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Over
 
 
 @dataclass(frozen=True)
-class ToolEntry:
-    """A command without verdict. As an aside of a stage it runs instead when its first option, `trigger`, is typed.
+class _Entry[F: Callable[..., Any]]:
+    """A command.
 
     Attributes:
         name: Command, or an aside's output folder.
         target: "module:function", see `minidual.gate.stage`.
+        examples: For --help, such as "carry --trials 50".
     """
 
     name: str
-    target: str | ToolFunction
-    summary: str = ""
+    target: str | F
+    _: KW_ONLY
     options: tuple[Option, ...] = ()
     watchable: bool = False
+    examples: tuple[str, ...] = ()
+
+    def load(self) -> F:
+        """Return the function; EnvironmentMissingError names a missing library."""
+        return cast(F, _loaded(self.name, self.target))
+
+
+@dataclass(frozen=True)
+class ToolEntry(_Entry[ToolFunction]):
+    """A command without verdict. As an aside of a stage it runs instead when its first option, `trigger`, is typed."""
+
+    summary: str = ""
     moves: bool = False
     view_default: str = "none"
-    examples: tuple[str, ...] = ()
 
     @property
     def trigger(self) -> str:
         """Option that selects an aside, one word."""
         return self.options[0].name
 
-    def load(self) -> ToolFunction:
-        """Return the function."""
-        return cast(ToolFunction, _loaded(self.name, self.target))
-
 
 @dataclass(frozen=True)
-class StageEntry:
+class StageEntry(_Entry[StageFunction]):
     """One stage.
 
     Attributes:
-        target: "module:function", see `minidual.gate.stage`.
         reads: Configuration paths that the result depends on.
         resolve: "module:function" from Config to Config; must import quickly.
         check: "module:function" that raises UsageError before a run.
@@ -104,26 +111,16 @@ class StageEntry:
         keeps: Names in its folder that an attempt takes over from an interrupted one. If any, a replaced result is set
             aside.
         closing: Also checks waivers and code changes.
-        examples: For --help, such as "carry --trials 50".
     """
 
-    name: str
-    target: str | StageFunction
     requires: tuple[str, ...]
     summary: str
     reads: tuple[str, ...] = ()
     resolve: str | None = None
     check: str | None = None
-    options: tuple[Option, ...] = ()
     asides: tuple[ToolEntry, ...] = ()
-    watchable: bool = False
     keeps: tuple[str, ...] = ()
     closing: bool = False
-    examples: tuple[str, ...] = ()
-
-    def load(self) -> StageFunction:
-        """Return the function; EnvironmentMissingError names a missing library."""
-        return cast(StageFunction, _loaded(self.name, self.target))
 
     def code(self, known: Code | None = None) -> Code:
         """Return the code that the stage reaches; see `code_of`."""
@@ -184,10 +181,9 @@ def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("minidual"):
             raise
-        raise EnvironmentMissingError(
-            f"{name} needs the library '{error.name}', which is not installed",
-            remedy="install minidual with its dependencies again (`make setup` in a checkout)",
-        ) from error
+        remedy = "install minidual with its dependencies again (`make setup` in a checkout)"
+        what = f"{name} needs the library '{error.name}', which is not installed"
+        raise EnvironmentMissingError(what, remedy=remedy) from error
 
 
 class StageTable(Registry[StageEntry]):
@@ -224,10 +220,8 @@ class StageTable(Registry[StageEntry]):
                     raise TypeError(f"{point.value} is a {type(entry).__name__}, not a StageEntry")
                 self.append(entry)
             except (ImportError, AttributeError, TypeError, ValueError) as error:
-                raise UsageError(
-                    f"stage '{point.name}' of another distribution cannot be used: {error}",
-                    remedy="mend or uninstall that distribution",
-                ) from error
+                what = f"stage '{point.name}' of another distribution cannot be used: {error}"
+                raise UsageError(what, remedy="mend or uninstall that distribution") from error
 
     def until(self, last: str | None) -> tuple[str, ...]:
         """Return `last` and its upstream stages, or all, in order."""

@@ -133,13 +133,6 @@ class World:
         """Return the true pose (4, 4)."""
         return self.truth(name).pose()
 
-    def place(self, name: str | None, pose: ObjectPose) -> None:
-        """Put an object at a pose, at rest."""
-        found = self.truth(name)
-        found.put(pose)
-        found.qvel[:] = 0.0
-        mujoco.mj_forward(self.model, self.data)
-
     def mark_goal(self, x_m: float, y_m: float, yaw_rad: float) -> None:
         """Move the goal's mark, if the scene has no others; it touches nothing."""
         if self.scene.marks:

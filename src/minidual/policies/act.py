@@ -7,14 +7,12 @@ from typing import Any
 import draccus
 import numpy as np
 import torch
-from draccus.utils import DecodingError, ParsingError
 from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
 from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 from minidual import durable
@@ -77,8 +75,7 @@ class ActKind(PolicyKind):
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
         """See `PolicyKind.load`."""
         self.require(device)
-        damaged = SafetensorError, DecodingError, ParsingError
-        with durable.reading(f"checkpoint {folder}", f"{REMEDY} --force", *damaged):
+        with durable.reading(f"checkpoint {folder}", f"{REMEDY} --force"):
             policy = TorchChunkPolicy(self.read(folder, device), threads)
             seen = {camera: np.zeros((*size, 3), np.uint8) for camera, size in policy.cameras.items()}
             chunk = policy.predict(seen, np.zeros(policy.dim, np.float32))  # statistics may not fit the network

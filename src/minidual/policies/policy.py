@@ -44,10 +44,8 @@ class PolicyRuntime:
         self._lower, self._upper = np.full(policy.dim, -np.inf), np.full(policy.dim, np.inf)
         if limits is not None:
             if np.shape(limits) != (2, self.joints_n):
-                raise UsageError(
-                    f"the checkpoint drives {self.joints_n} joints; the limits are {np.shape(limits)}",
-                    remedy="choose the arm that was recorded: --set robot.arm=NAME",
-                )
+                what = f"the checkpoint drives {self.joints_n} joints; the limits are {np.shape(limits)}"
+                raise UsageError(what, remedy="choose the arm that was recorded: --set robot.arm=NAME")
             self._lower, self._upper = np.concatenate([limits, [[0.0] * GRIPPERS_N, [1.0] * GRIPPERS_N]], axis=1)
         self._plausible = Plausible(self._lower, self._upper)
         self.times_s: list[float] = []

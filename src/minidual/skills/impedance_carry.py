@@ -54,8 +54,6 @@ class ImpedanceCarry:
         phase: Present phase; `stop` after a fault, then `done`.
     """
 
-    name = "impedance"
-
     def __init__(
         self,
         world: World,

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import dumping
 from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
-from minidual.gate.canonical import canonical, dumps
+from minidual.gate.canonical import dumps
 from minidual.gate.stage import Task as Bar
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
@@ -27,7 +28,8 @@ from minidual.show.figures.film import FILM_FPS
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import make_task
+from minidual.stages.config_checks import check_carry
+from minidual.tasks.task import make_task, task_config
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, parse_modes
 from minidual.trials.modes_turns import Turn
@@ -43,6 +45,8 @@ _NOBODY = (96, 96, 96)
 
 def modes(context: ToolContext) -> ToolResult:
     """Run the demonstration; write film and log; exit 1 if a switch exceeds a bound or it ends early."""
+    check_carry(context.config)
+    context = replace(context, config=task_config(context.config))
     named, config = context.options.get("modes"), context.config
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
     checkpoint = find_checkpoint(context) if "policy" in wanted else None
@@ -61,7 +65,7 @@ def modes(context: ToolContext) -> ToolResult:
     record = {"modes": list(wanted), "checkpoint": str(checkpoint) if checkpoint else None, "seed": context.seed}
     record |= demo.record(config.arbiter)
     write_csv(context.output / "modes.csv", demo.rows)
-    write_text(context.output / "modes.json", dumps(canonical(record)))
+    write_text(context.output / "modes.json", dumps(record))
     notes = _notes(demo, context)
     if demo.ended is not None:
         notes.append(f"ENDED TOO EARLY: {demo.ended}")
@@ -105,7 +109,7 @@ def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, .
     rate_hz = config.teleop.rate_hz
     stack = ControlStack(world, Kinematics(robot), config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
     planner = Planner(config=config.plan.planner, robot=robot)
-    operator = ScriptedOperator(config.scene, config.teleop.operator)
+    operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
     turns: list[Turn] = []
     for number, mode in enumerate(wanted, start=1):
         if mode == "moveit":

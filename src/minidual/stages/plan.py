@@ -104,15 +104,11 @@ def common_checks(
 
 
 def notes(**sets: Outcomes) -> list[str]:
-    """Return one line per failed query and missed goal."""
+    """Return one line per failed query."""
     lines = []
     for name, outcomes in sets.items():
         for group, done in outcomes.items():
             lines += [f"{group} query {o.query.index} of the {name} seed failed: {o.message}" for o in done if not o.ok]
-            median = float(np.median([o.total_s for o in done])) if done else 0.0
-            if median >= _GOAL_S[group]:
-                found, goal = f"{median * 1e3:.0f} ms", f"{_GOAL_S[group] * 1e3:.0f} ms"
-                lines.append(f"goal missed: the median of {group} ({name} seed) is {found}, goal {goal}")
     return lines
 
 

@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import binomtest
 
 from minidual.errors import NothingEvaluatedError, UsageError
 
 _CONFIDENCE, _RESAMPLES_N = 0.95, 5000
-_Z = NormalDist().inv_cdf(0.5 + _CONFIDENCE / 2)
 
 
 def wilson_interval(successes: int, n: int) -> tuple[float, float]:
@@ -26,13 +25,8 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
         raise NothingEvaluatedError("no trials: a success rate of nothing has no interval")
     if not 0 <= successes <= n:
         raise UsageError(f"{successes} successes in {n} trials; there must be 0 to {n}")
-    rate = successes / n
-    centre = rate + _Z * _Z / (2 * n)
-    half, scale = _Z * math.sqrt(rate * (1 - rate) / n + _Z * _Z / (4 * n * n)), 1 + _Z * _Z / n
-    # Exactly 0 or 1 at the ends, despite rounding.
-    low = 0.0 if successes == 0 else (centre - half) / scale
-    high = 1.0 if successes == n else (centre + half) / scale
-    return low, high
+    low, high = binomtest(successes, n).proportion_ci(_CONFIDENCE, "wilson")
+    return float(low), float(high)
 
 
 def bootstrap_median_interval(values: ArrayLike, rng: np.random.Generator) -> tuple[float, float]:
@@ -51,8 +45,7 @@ def mcnemar_p_value(only_first: int, only_second: int) -> float:
     Source: Q. McNemar, Psychometrika 12 (1947).
     """
     n = only_first + only_second
-    tail = sum(math.comb(n, k) for k in range(min(only_first, only_second) + 1))
-    return min(1.0, 2 * tail / 2**n)
+    return float(binomtest(only_first, n).pvalue) if n else 1.0
 
 
 def paired_rate_interval(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from minidual.errors import DataError
 from minidual.gate.check import Check, Rows, checks_of
 from minidual.gate.stage import StageContext, closing_checks
-from minidual.gate.verdict import Verdict, Waiver, derive_status
+from minidual.gate.verdict import Verdict, derive_status
 from minidual.show.report.figures import Figure
 from minidual.show.report.tables import Tables, finite
 from minidual.show.report.wording import WORDS, commit, joined, moment, shortened
@@ -132,14 +132,8 @@ class Report:
     @property
     def shown_checks(self) -> list[Check]:
         """The report's own checks, and failed ones for waivers and code changes."""
-        closing = closing_checks(self.waivers, self.given.code_changes)
+        closing = closing_checks(self.given.waivers, self.given.code_changes)
         return [*self.checks, *(check for check in closing if not check.passed)]
-
-    @property
-    def waivers(self) -> list[Waiver]:
-        """The distinct waivers, including upstream."""
-        every = [*self.given.waivers, *(w for verdict in self.given.verdicts.values() for w in verdict.waivers)]
-        return [waiver for k, waiver in enumerate(every) if waiver not in every[:k]]
 
     @property
     def accepts(self) -> bool:
@@ -164,7 +158,7 @@ class Report:
     @property
     def state(self) -> Literal["pass", "fail", "weakened", "smoke", "tainted"]:
         """The gravest state that applies."""
-        if self.waivers:
+        if self.given.waivers:
             return "tainted"
         if derive_status(self.checks) != "pass" or self.given.code_changes:
             return "fail"
@@ -173,7 +167,7 @@ class Report:
     @property
     def banners(self) -> list[Banner]:
         """The warnings, gravest first."""
-        given, waivers = self.given, self.waivers
+        given, waivers = self.given, self.given.waivers
         verdicts, gates = given.verdicts.values(), f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
         blocked = [joined([f"{stage} was {state}" for stage, state in w.blocking.items()]) for w in waivers]
         by_hand = zip(waivers, blocked, strict=True)

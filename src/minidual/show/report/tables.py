@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from minidual.registry import rows_beside
+from minidual.show.report.wording import percent
 from minidual.trials.conditions import CLEAN
 from minidual.trials.measures import MEASURES
 from minidual.trials.statistics import holm
@@ -40,7 +41,7 @@ class Indicator(NamedTuple):
     def shown(self, value: float) -> str:
         """Return `value` in the displayed unit."""
         if self.unit == "%":
-            return f"{value * 100:.0f}"
+            return percent(value).removesuffix(" %")
         seen = value * self.scale
         return "0.000" if 0.0 < abs(seen) < _UNSEEN else three_digits(seen)
 
@@ -60,7 +61,7 @@ class Indicator(NamedTuple):
 
 def three_digits(value: float) -> str:
     """Return three significant digits, without exponent from 0.0001 up."""
-    if abs(value) >= 1000:
+    if abs(value) >= 999.5:
         return f"{value:,.0f}"
     text = f"{value:#.3g}".removesuffix(".")
     return text if "e" not in text else f"{value:.1e}"

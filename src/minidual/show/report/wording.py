@@ -49,8 +49,8 @@ def duration(seconds: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Return "85 %"; one decimal below 1 %."""
-    return f"{share * 100:.1f} %" if 0.0 < share < 0.01 else f"{share * 100:.0f} %"
+    """Return "85 %"; one decimal below 1 % and above 99 %."""
+    return f"{share * 100:.1f} %" if 0.0 < share < 0.01 or 0.99 < share < 1.0 else f"{share * 100:.0f} %"
 
 
 def points(difference: float) -> str:

@@ -120,21 +120,17 @@ class Scene:
             frames[body] = self._server.scene.add_frame(name, show_axes=False, **pose)
         for index, mesh in enumerate(self._meshes):
             if mesh.body in bodies:
-                self._add_mesh(f"{names[mesh.body]}/mesh{index}", mesh, ghost=ghost)
+                flat = float(np.ptp(mesh.vertices, axis=0).min()) < _FLAT_M
+                self._server.scene.add_mesh_simple(
+                    f"{names[mesh.body]}/mesh{index}",
+                    mesh.vertices,
+                    mesh.faces,
+                    color=_GHOST_RGB if ghost else tuple(round(255 * c) for c in mesh.rgba[:3]),
+                    opacity=0.28 if ghost else (mesh.rgba[3] if mesh.rgba[3] < 1.0 else None),
+                    cast_shadow=not (ghost or flat),
+                    receive_shadow=not ghost,
+                )
         return frames
-
-    def _add_mesh(self, name: str, mesh: BodyMesh, *, ghost: bool = False) -> None:
-        opacity = 0.28 if ghost else (mesh.rgba[3] if mesh.rgba[3] < 1.0 else None)
-        flat = float(np.ptp(mesh.vertices, axis=0).min()) < _FLAT_M
-        self._server.scene.add_mesh_simple(
-            name,
-            mesh.vertices,
-            mesh.faces,
-            color=_GHOST_RGB if ghost else tuple(round(255 * c) for c in mesh.rgba[:3]),
-            opacity=opacity,
-            cast_shadow=not (ghost or flat),
-            receive_shadow=not ghost,
-        )
 
     def move(self, positions: Array, quaternions: Array) -> int:
         """Send changed poses; return their number.
