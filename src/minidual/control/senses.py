@@ -162,7 +162,7 @@ class JointSense:
         kept[_R, self.lost.any(axis=0)] = 0.0
 
     @property
-    def slower(self) -> Array:
+    def v_slower(self) -> Array:
         """The slower of the last two velocities (n,) [rad/s]."""
         return np.where(self.lost.any(axis=0), self.v, slower(self.v, self.v - self._kept[_DV]))
 

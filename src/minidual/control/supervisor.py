@@ -374,7 +374,7 @@ class Supervisor:
         }
         reflex = Reflex(name, self._time_s, where, value, bound, details)
         sense, applied = self._sense, self._applied
-        self._stop.begin(sense.q, sense.slower, self._before_control(sense.q) if applied is None else applied)
+        self._stop.begin(sense.q, sense.v_slower, self._before_control(sense.q) if applied is None else applied)
         self.reflex = reflex
         tau = self._stop.torque(sense.q, sense.v)
         try:
