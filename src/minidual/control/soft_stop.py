@@ -98,6 +98,8 @@ class SoftStopController(Controller):
 _RAMP_S = 0.06
 """Rise and fall time of the deceleration."""
 _LEAST_S = 0.05
+_BACK_RAD_S, _AHEAD_RAD = 0.3, 0.1
+"""A joint that goes back faster than this, after a push or without power, is held this far ahead of where it is."""
 _TORQUE_SHARE = 0.9
 """Share of the torque limits that braking may take, gravity included."""
 _SLOWER = (1.0, 0.75, 0.5)
@@ -151,6 +153,9 @@ class SupervisedStop:
         self._r = np.maximum(0.0, self._r - self._slope * self._dt)
         v_ref, a_ref = self._r * self._v_0, -self._slope * self._v_0
         self._q_ref = np.clip(self._q_ref + self._dt * v_ref, self._robot.q_lower, self._robot.q_upper)
+        way = self._q_ref - q
+        back = way * v > _BACK_RAD_S * np.abs(way)
+        self._q_ref[back] = (q + np.clip(way, -_AHEAD_RAD, _AHEAD_RAD))[back]
         self._hands.update(q)
         load = np.concatenate([force_n * self._hands.rise(arm) for arm, force_n in enumerate(self.bears_n)])
         wanted = self._servo.torque(q, v, self._q_ref, v_ref, a_ref, load)

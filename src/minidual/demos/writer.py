@@ -90,10 +90,8 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
                 raise DataError(f"{field.key} at tick {tick}: give it on every tick or on none")
         now = row["timestamps"]
         if tick and not now > times[-1]:
-            raise DataError(
-                f"timestamps_not_monotonic: tick {tick} is stamped {now:.6f} s, not after the one before",
-                remedy="stamp ticks with a monotonic clock",
-            )
+            what = f"timestamps_not_monotonic: tick {tick} is stamped {now:.6f} s, not after the one before"
+            raise DataError(what, remedy="stamp ticks with a monotonic clock")
         self._check_images(images, tick)
         with self._writing():
             for camera, image in images.items():

@@ -175,10 +175,8 @@ class NamedStates(dict[str, dict[str, Array]]):
         q = np.array(q_others, dtype=float)
         for arm in GROUP_ARMS[group]:
             if arm not in self[name]:
-                raise UsageError(
-                    f"the state '{name}' says nothing about the {arm} arm, which {group} moves",
-                    remedy=f"give semantics.states.{name}.{arm}_rad, or plan for another group",
-                )
+                what = f"the state '{name}' says nothing about the {arm} arm, which {group} moves"
+                raise UsageError(what, remedy=f"give semantics.states.{name}.{arm}_rad, or plan for another group")
             q[self.robot.groups[f"{arm}_arm"]] = self[name][arm]
         return q
 
