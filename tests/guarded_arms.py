@@ -60,6 +60,7 @@ class GuardedArms:
                 self.error, tau = error, error.tau
             self._apply(tau)
             if self.error is not None:
+                self.supervisor.tell(self.error)
                 break
         return self.error
 

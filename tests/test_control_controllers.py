@@ -699,7 +699,7 @@ def test_a_squeeze_that_is_no_number_is_a_reflex(
     if when == "after":
         stack.step()
         sensor.force_n = float("nan")
-    with pytest.raises(ReflexError, match="not_finite"):
+    with pytest.raises(ReflexError, match=r"controller_failed.*: the object's internal force is not finite"):
         stack.step()
 
 
@@ -719,6 +719,9 @@ class _Guard:
     def heard(self, time_s: float) -> None: ...
 
     def hold(self, arm: int | None) -> None: ...
+
+    def tell(self, error: ReflexError) -> None:
+        self.told = error
 
     def guard(
         self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None, stamp_s: float | None = None
@@ -741,6 +744,7 @@ def test_the_supervisor_has_the_last_word_in_every_tick(plant: ArmsPlant) -> Non
         stack.step()
     np.testing.assert_array_equal(plant.torques[-1], np.full(14, 0.25))
     assert len(plant.torques) == n + 1, "the tick of the reflex moves the plant too"
+    assert guard.told is stack.reflex
     stack.step()
     assert stack.source is None
     with pytest.raises(UsageError, match="may not drive: the supervisor stopped the arms"):

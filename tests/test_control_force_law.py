@@ -20,7 +20,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control import kernels
 from minidual.control.gripper import pinch_force
 from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
-from minidual.errors import UsageError
+from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import inverse, pose, rot_z, rotation_log
 from minidual.robot.vectors import cross, inner, minus, plus, times
@@ -150,9 +150,7 @@ class TestOracle:
             assert np.abs(changed - before).max() > 1e-3
 
     @pytest.mark.parametrize(("wanted", "felt"), [(np.nan, 40.0), (40.0, np.nan)])
-    def test_a_squeeze_that_is_no_number_reaches_the_torques(
-        self, kinematics: Kinematics, wanted: float, felt: float
-    ) -> None:
+    def test_a_squeeze_that_is_no_number_is_named(self, kinematics: Kinematics, wanted: float, felt: float) -> None:
         law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceConfig())
         law.engage(HOME)
         T_left, T_right = kinematics.tcp_poses(HOME)
@@ -162,7 +160,8 @@ class TestOracle:
             return law.torque(HOME, np.zeros(DOF), state, state, wanted_n=wanted_n, felt_n=felt_n)
 
         assert np.isfinite(torque(40.0, 40.0)).all()
-        assert np.isnan(torque(wanted, felt)).any()
+        with pytest.raises(DataError, match="internal force is not finite"):
+            torque(wanted, felt)
 
     def test_a_lost_direction_is_named(self, kinematics: Kinematics) -> None:
         law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceConfig())

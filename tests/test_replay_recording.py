@@ -243,6 +243,7 @@ class TestDumps:
         world.command = lambda tau, fingers: world_command(supervisor.guard(world.time, world.q, world.v, tau), fingers)
         with pytest.raises(ReflexError) as caught:
             speed_up(loop)
+        supervisor.tell(caught.value)
         path = caught.value.dump
         assert path is not None
         assert path.name.startswith("joint_velocity-")
@@ -557,6 +558,7 @@ class TestCommand:
         tau[4] = np.nan
         with pytest.raises(ReflexError) as caught:
             supervisor.guard(world.time, world.q, world.v, tau)
+        supervisor.tell(caught.value)
         assert "FILE" not in caught.value.remedy
         assert str(caught.value.dump) in caught.value.remedy
         code, out, _ = run(caught.value.dump)

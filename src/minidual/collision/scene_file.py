@@ -104,10 +104,8 @@ def _read(path: Path, name: str) -> Any:
     try:
         mesh = trimesh.load(path, force="mesh")
     except Exception as error:  # trimesh's readers raise errors of many types
-        raise DataError(
-            f"mesh '{name}': {path.name} does not load: {type(error).__name__}: {error}",
-            remedy="open it in a mesh viewer and export it again",
-        ) from error
+        unread = f"mesh '{name}': {path.name} does not load: {type(error).__name__}: {error}"
+        raise DataError(unread, remedy="open it in a mesh viewer and export it again") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise DataError(f"mesh '{name}': {path.name} holds no triangles")
     if not np.isfinite(mesh.vertices).all():

@@ -37,9 +37,8 @@ class _Shape:
         if abs(math.fsum(v * v for v in self.quat_wxyz) - 1.0) > 1e-6:
             raise UsageError(f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1")
         if (least := min(self.lengths())) < LENGTH_MIN_M:
-            raise UsageError(
-                f"obstacle '{self.name}' has length {least} m; every length must be {LENGTH_MIN_M} or more"
-            )
+            short = f"obstacle '{self.name}' has length {least} m; every length must be {LENGTH_MIN_M} or more"
+            raise UsageError(short)
 
     def lengths(self) -> list[float]:
         """Return all lengths [m]."""

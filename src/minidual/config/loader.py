@@ -96,10 +96,8 @@ def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Pa
     if path.resolve().parent == SHIPPED_FOLDER:
         return path.stem, path.resolve()
     if path.stem in shipped_profiles():
-        raise ConfigError(
-            f"{path} bears the name of the shipped profile '{path.stem}', its verdicts could not be told apart",
-            remedy=f"rename it, and begin it with 'extends: {path.stem}'",
-        )
+        taken = f"{path} bears the name of the shipped profile '{path.stem}', its verdicts could not be told apart"
+        raise ConfigError(taken, remedy=f"rename it, and begin it with 'extends: {path.stem}'")
     return path.stem, path
 
 
@@ -150,10 +148,8 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any], location: tuple[str, .
 
 def _refuse_regained_acceptance(base: Mapping[str, Any], over: Mapping[str, Any], where: str) -> None:
     if base.get("acceptance") is False and over.get("acceptance", False) is not False:
-        raise ConfigError(
-            f"{where}: acceptance: a profile that does not count as acceptance cannot be made to",
-            remedy="extend 'standard' instead",
-        )
+        cannot = f"{where}: acceptance: a profile that does not count as acceptance cannot be made to"
+        raise ConfigError(cannot, remedy="extend 'standard' instead")
 
 
 def _apply(document: Document, override: Override, resolved: dict[str, Any]) -> None:

@@ -40,7 +40,7 @@ class Payload:
 
     def reset(self) -> None:
         """Start without loads, hands open."""
-        self.force_n, self._wanted_n, self._closed, self._held = [0.0, 0.0], [0.0, 0.0], [False, False], [False, False]
+        self.force_n, self._wanted_n, self.closed, self._held = [0.0, 0.0], [0.0, 0.0], [False, False], [False, False]
         self.idle: tuple[int, ...] = ()
         """Arms whose torques do not reach the motors: what they miss is no load."""
 
@@ -75,11 +75,11 @@ class Payload:
         """
         self._held = held
         for arm, opening in enumerate(gripper.tolist()):
-            if lost[arm] or (self._closed[arm] and opening > OPEN_ABOVE):
+            if lost[arm] or (self.closed[arm] and opening > OPEN_ABOVE):
                 self._wanted_n[arm] = 0.0
                 if arm in self.idle:  # the stop bounds the torque's rate
                     self.force_n[arm] = 0.0
-            self._closed[arm] = opening < CLOSE_BELOW or (self._closed[arm] and opening <= OPEN_ABOVE)
+            self.closed[arm] = opening < CLOSE_BELOW or (self.closed[arm] and opening <= OPEN_ABOVE)
 
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
         """Return the torques (n,) [Nm] that bear these arms' loads, or None.

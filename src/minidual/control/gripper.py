@@ -141,11 +141,17 @@ class Grippers:
         self._force_n = self._firm_n
 
     def stop(self) -> Array:
-        """Return the command (2,) of a stop: fingers that are closing stay where they are (NaN), other hands go on."""
-        fingers, closing = self._plant.fingers, (self._hands[_OPEN] == 0.0) & np.isnan(self._hands[_HELD])
-        free = closing & ~(self._plant.grip > _HOLDS_N) & np.isfinite(fingers)
-        self._hands[_TARGET, free] = np.clip(fingers[free], 0.0, self._travel_m)
-        return np.where(closing, np.nan, self._hands[_OPEN])
+        """Return the command (2,) of a stop: fingers on the way stay where they are (NaN), other hands go on."""
+        fingers, (opening, target_m, held_m, _) = self._plant.fingers, self._hands
+        moving = np.isnan(held_m) & ((opening == 0.0) | (target_m < self._travel_m))
+        free = moving & ~(self._plant.grip > _HOLDS_N) & np.isfinite(fingers)
+        target_m[free] = np.clip(fingers[free], 0.0, self._travel_m)
+        return np.where(moving, np.nan, opening)
+
+    @property
+    def openings(self) -> Array:
+        """What was commanded last (2,), 0 closed or 1 open; a stop changes nothing."""
+        return self._hands[_OPEN].copy()
 
     def step(self, command: Array) -> Array:
         """Advance towards command (2,), NaN for fingers that stay; return finger targets (2,) [m]."""

@@ -23,7 +23,7 @@ import pinocchio as pin
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import ComputedTorque, motor_torque
 from minidual.control.kernels import HAND_LAW, LAW, follow, hand_impedance, impedance, on_path
-from minidual.errors import MinidualError
+from minidual.errors import DataError, MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
 
@@ -128,16 +128,21 @@ class ObjectImpedance:
 
         Raises:
             SingularPostureError: A hand lost a direction of motion.
+            DataError: The object's measurement is not finite.
         """
         hands = self._hands
         hands.update(q)
         if self._by_world:
             self._law["axis"] = measured.T_world_object[:3, :3].T @ self._world_axis
-        if not impedance(
+        sound = impedance(
             *(self._law, measured.T_world_object, measured.twist),
             *(desired.T_world_object, desired.twist, desired.acceleration, wanted_n, felt_n),
             *(hands.views, self._posture, q, v, self._qdd, self.push),
-        ):
+        )
+        if not sound and np.isfinite(q + v).all():  # of joints, the supervisor says what is wrong
+            seen = {"pose": measured.T_world_object, "twist": measured.twist, "internal force": felt_n + wanted_n}
+            if lost := [name for name, values in seen.items() if not np.isfinite(values).all()]:
+                raise DataError(f"the object's {' and '.join(lost)} is not finite", remedy="look at what measures it")
             raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
         return motor_torque(self._kinematics, q, v, self._qdd, self.push)
 

@@ -170,7 +170,7 @@ def impedance(
 ) -> bool:
     """Fill qdd (n,) and push (n,) = J^T f; see docs/force-control.md.
 
-    law: (1,) of LAW. Return False if a hand has lost a direction of motion.
+    law: (1,) of LAW. Return False if a hand has lost a direction of motion, or something is not finite.
     """
     J, p_left, p_right, R_left, R_right = hands
     s = law[0]
@@ -212,7 +212,7 @@ def impedance(
         add_product(lacking, -1.0, J_hand, qdd[own])
         if not least_norm(J_hand, lacking, qdd[own]):
             return False
-    return True
+    return math.isfinite(push.sum() + qdd.sum())
 
 
 @kernel(

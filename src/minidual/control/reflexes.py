@@ -65,15 +65,14 @@ class ReflexError(MinidualError):
     Attributes:
         tau: (n,) [Nm] to apply in this tick; finite, within limits.
         dump: File for `minidual replay`, if written.
-        no_dump: Why writing failed.
     """
 
-    def __init__(self, reflex: Reflex, tau: Array, dump: Path | None = None, no_dump: str = "") -> None:
-        look = f"; minidual replay {dump} shows the last second" if dump is not None else ""
-        look += f"; the last second was not written: {no_dump}" if no_dump else ""
-        super().__init__(reflex.text, remedy=reflex.kind.remedy + look)
+    remedy: str
+
+    def __init__(self, reflex: Reflex, tau: Array) -> None:
+        super().__init__(reflex.text, remedy=reflex.kind.remedy)
         self.reflex, self.tau = reflex, tau
-        self.dump, self.no_dump = dump, no_dump
+        self.dump: Path | None = None
 
 
 QUANTITIES: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")

@@ -1,8 +1,8 @@
 """Stops with bounded torque rate.
 
-After a halt, `SoftStopController` brings all joints to rest on one profile. After a reflex, `SupervisedStop` brakes on
-v_ref = r v_0 and holds, with one r for both arms, so hands that hold one object keep together. A joint that would reach
-its position limit on the way brakes on its own.
+After a halt, `SoftStopController` brings the joints of an arm to rest on one profile, of both arms if both hands are
+closed. After a reflex, `SupervisedStop` brakes on v_ref = r v_0 and holds, with one r for both arms, so hands that hold
+one object keep together. A joint that would reach its position limit on the way brakes on its own.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from minidual.config.control import SupervisorConfig
 from minidual.control.controllers import EVERY, Controller, Payload
 from minidual.control.joint_control import ComputedTorque
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import SIDES, Array, Robot
 
 STOP_SHARE = 0.65
 """Peak deceleration as share of the joints' limits: plans come to rest at theirs just before a table or a limit."""
@@ -53,25 +53,27 @@ class SwitchedOff(TorqueRate):
 class SoftStop:
     """Joint reference from (q, v) to rest.
 
-    All joints share v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t/T, so two hands initially move together. Peak deceleration:
-    1.5 |v_0| / T.
+    Joints follow v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t/T, with one T for each arm, or for both where they move
+    `together`. Peak deceleration: 1.5 |v_0| / T.
     """
 
-    def __init__(self, q: Array, v: Array, deceleration: Array) -> None:
-        self._q, self._v = q.copy(), v.copy()
-        self.duration_s = max(_STOP_LEAST_S, float(np.max(1.5 * np.abs(v) / deceleration)))
+    def __init__(self, q: Array, v: Array, deceleration: Array, *, together: bool = True) -> None:
+        self._q, self._v, times_s = q.copy(), v.copy(), (1.5 * np.abs(v) / deceleration).reshape(len(SIDES), -1)
+        self.duration_s = max(_STOP_LEAST_S, float(times_s.max()))
+        arms_s = np.maximum(_STOP_LEAST_S, times_s.max(axis=1))
+        self._times_s = np.full(len(v), self.duration_s) if together else np.repeat(arms_s, times_s.shape[1])
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
         """Return (q, v, a) at time t; at rest from `duration_s` on."""
-        s = min(1.0, max(0.0, t_s / self.duration_s))
+        s = np.clip(t_s / self._times_s, 0.0, 1.0)
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3
         slope = -6.0 * s + 6.0 * s * s
-        return (self._q + self.duration_s * way * self._v, speed * self._v, slope / self.duration_s * self._v)
+        return self._q + self._times_s * way * self._v, speed * self._v, slope / self._times_s * self._v
 
 
 class SoftStopController(Controller):
-    """Stops both arms on one profile and holds them softly (see `ControlStack.halt`)."""
+    """Stops both arms and holds them softly (see `ControlStack.halt`)."""
 
     name = "soft_stop"
 
@@ -82,7 +84,8 @@ class SoftStopController(Controller):
 
     def activate(self, q: Array, v: Array) -> None:
         """Start stopping from the measurement."""
-        self._motion, self._steps = SoftStop(q, v, STOP_SHARE * self._robot.a_max), 0
+        both = all(self._payload.closed)
+        self._motion, self._steps = SoftStop(q, v, STOP_SHARE * self._robot.a_max, together=both), 0
         self.reference = np.array(q, dtype=float)
 
     def update(self, q: Array, v: Array) -> Array:

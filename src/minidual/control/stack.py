@@ -119,7 +119,7 @@ class ControlStack[P: Plant]:
         self._before.clear()
         self._before.append((plant.time, q))
         self._v = plant.v
-        self._stand(np.where(self.grippers.closed, 0.0, 1.0))
+        self._stand()
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
         self.impedance.forget()
         self.payload.reset()
@@ -140,7 +140,8 @@ class ControlStack[P: Plant]:
         moved = (plant.q - q_then) / max(plant.time - then_s, plant.dt)
         return float(np.max(np.abs([plant.v, 0.25 * moved])))  # arms that have just come to rest were faster
 
-    def _stand(self, gripper: Array) -> None:
+    def _stand(self) -> None:
+        gripper = self.grippers.openings
         self.arbiter = CommandArbiter(
             self._robot,
             self._config,
@@ -276,7 +277,7 @@ class ControlStack[P: Plant]:
             self.grippers.forget_grip(excused=True)  # what is lost in the stop is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
-        self._stand(np.nan_to_num(self._openings))
+        self._stand()
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
@@ -420,6 +421,8 @@ class ControlStack[P: Plant]:
             self._failed = self._failed or error
             fingers_m = self.grippers.targets_m
         plant.command(tau, fingers_m)
+        if self.supervisor is not None and isinstance(stopped, ReflexError):
+            self.supervisor.tell(stopped)
         plant.step()
         if stopped is not None:
             raise stopped

@@ -38,7 +38,7 @@ class Clearance(Protocol):
 
 
 OnReflex = Callable[[Reflex], Path | None]
-"""Called once per reflex; may return the dump file it wrote."""
+"""Called once per reflex, after its first torque; may return the dump file it wrote."""
 
 
 def dumping(recorder: Recorder) -> OnReflex:
@@ -126,7 +126,7 @@ class Supervisor:
         """Stop the arms; call instead of `guard` when controllers give no torque.
 
         Raises:
-            ReflexError: Once; apply its `tau`.
+            ReflexError: See `guard`.
         """
         if self.reflex is None:
             self._note(time_s, q, v, self._tau, stamp_s, None)
@@ -156,7 +156,7 @@ class Supervisor:
         q and v were measured, by default now.
 
         Raises:
-            ReflexError: Once; apply its `tau`.
+            ReflexError: Once; apply its `tau`, then `tell`.
         """
         if self.reflex is not None:
             return self._stopping(q, v, stamp_s)
@@ -171,6 +171,15 @@ class Supervisor:
             self._look_slowly()
         self._applied = applied  # only now: what trips begins at the torque of the tick before
         return applied.copy()
+
+    def tell(self, error: ReflexError) -> None:
+        """Call `on_reflex`; the error names the file, or why there is none."""
+        try:
+            error.dump = None if self._on_reflex is None else self._on_reflex(error.reflex)
+            error.remedy += "" if error.dump is None else f"; minidual replay {error.dump} shows the last second"
+        except Exception as failure:
+            error.remedy += f"; the last second was not written: {type(failure).__name__}: {failure}"
+            error.__cause__ = error.__cause__ or failure
 
     @property
     def steady(self) -> Array:
@@ -376,9 +385,4 @@ class Supervisor:
         sense, applied = self._sense, self._applied
         self._stop.begin(sense.q, sense.v_slower, self._before_control(sense.q) if applied is None else applied)
         self.reflex = reflex
-        tau = self._stop.torque(sense.q, sense.v)
-        try:
-            dump = None if self._on_reflex is None else self._on_reflex(reflex)
-        except Exception as error:  # the callback must not lose this tick's torque
-            raise ReflexError(reflex, tau, None, f"{type(error).__name__}: {error}") from error
-        raise ReflexError(reflex, tau, dump)
+        raise ReflexError(reflex, self._stop.torque(sense.q, sense.v))

@@ -36,10 +36,8 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
         UsageError: A joint or actuator is missing or of the other kind.
     """
     if model.nu == 0:
-        raise UsageError(
-            "the model has no actuators (model.nu == 0): URDF joints do not become actuators by themselves",
-            remedy="add one motor a joint to the MuJoCo model",
-        )
+        none = "the model has no actuators (model.nu == 0): URDF joints do not become actuators by themselves"
+        raise UsageError(none, remedy="add one motor a joint to the MuJoCo model")
     joints = {model.joint(i).name: i for i in range(model.njnt)}
     by_joint = np.flatnonzero(model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT))
     actuators = {model.joint(int(model.actuator_trnid[i, 0])).name: int(i) for i in by_joint}

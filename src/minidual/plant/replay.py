@@ -100,10 +100,8 @@ def replay(
     start, end = recording.start_s, recording.end_s
     begin, stop = start if from_s is None else from_s, end if to_s is None else to_s
     if not (start - 1e-9 <= begin < stop <= end + 1e-9):
-        raise UsageError(
-            f"cannot replay from {begin:g} s to {stop:g} s: the recording runs from {start:.3f} s to {end:.3f} s",
-            remedy="choose --from-s and --to-s inside it",
-        )
+        outside = f"cannot replay from {begin:g} s to {stop:g} s: the recording runs from {start:.3f} s to {end:.3f} s"
+        raise UsageError(outside, remedy="choose --from-s and --to-s inside it")
     try:
         model = build_model(recording.scene, recording.robot, visuals=False)
     except ValueError as error:  # MuJoCo's compiler
@@ -116,9 +114,8 @@ def replay(
     first, last = int(recording.keyframe_steps[keyframe]), round((stop - start) / recording.dt_s)
     frames = dict(zip(recording.keyframe_steps.tolist(), recording.keyframes, strict=True))
     if not (np.abs(frames[first][: 1 + model.nq + model.nv]) <= mujoco.mjMAXVAL).all():
-        raise DataError(
-            f"the state at {frames[first][0]:g} s is not finite", remedy="choose another --from-s, or record it again"
-        )
+        remedy = "choose another --from-s, or record it again"
+        raise DataError(f"the state at {frames[first][0]:g} s is not finite", remedy=remedy)
     mujoco.mj_setState(model, data, frames[first], STATE)
     mujoco.mj_forward(model, data)
     mujoco.mj_setState(model, data, frames[first], STATE)  # forward changes the warm start

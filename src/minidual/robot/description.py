@@ -45,9 +45,8 @@ def file_at(address: str) -> Path:
     if not address.startswith(_SCHEME):
         path = Path(address)
         if not (path.is_absolute() and path.is_file()):
-            raise EnvironmentMissingError(
-                f"no robot description at '{address}'", remedy=f"give an absolute path or {_SCHEME}DISTRIBUTION/path"
-            )
+            remedy = f"give an absolute path or {_SCHEME}DISTRIBUTION/path"
+            raise EnvironmentMissingError(f"no robot description at '{address}'", remedy=remedy)
         return path
     name = address.removeprefix(_SCHEME).partition("/")[0]
     remedy = f"pip install -r requirements.lock, or pip install {name}"

@@ -90,9 +90,7 @@ def _record(
         for i, label in named:
             again, logs[label] = bench.record(trials[i], context.folder / f"{label}.npz")
             if again.text != results[i].text:
-                raise DataError(
-                    f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}",
-                    remedy="trials must depend on their seed alone; report this",
-                )
+                otherwise = f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}"
+                raise DataError(otherwise, remedy="trials must depend on their seed alone; report this")
             bar.advance()
     return logs

@@ -113,10 +113,8 @@ class Condition:
             return changed(config, values)
         except ValidationError as error:
             told = ", ".join(f"{path} = {value:g}" for path, value in values.items())
-            raise UsageError(
-                f"condition '{self.name}' sets {told}: {error.errors()[0]['msg']}",
-                remedy="leave the condition out, or configure less noise",
-            ) from error
+            refused = f"condition '{self.name}' sets {told}: {error.errors()[0]['msg']}"
+            raise UsageError(refused, remedy="leave the condition out, or configure less noise") from error
 
     @contextmanager
     def applied(self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> Generator[None]:

@@ -272,10 +272,8 @@ class HeldWork:
                 found.append(q)
         if not found:
             x, y, z = T_goal[:3, 3]
-            raise ClosedChainError(
-                f"every posture found for the goal at ({x:.3f}, {y:.3f}, {z:.3f}) m lies at a joint limit",
-                remedy="move the goal nearer to the middle, or choose another grasp",
-            )
+            bent = f"every posture found for the goal at ({x:.3f}, {y:.3f}, {z:.3f}) m lies at a joint limit"
+            raise ClosedChainError(bent, remedy="move the goal nearer to the middle, or choose another grasp")
         return found
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:

@@ -100,10 +100,8 @@ class QueryGenerator:
         for attempt in range(first_attempt, first_attempt + _SCENE_TRIES_N):
             if (query := self.attempt(group, index, attempt)) is not None:
                 return query
-        raise PlanningError(
-            f"no query {index} for {group} with {self.obstacles_n} obstacles after {_SCENE_TRIES_N} scenes",
-            remedy="use fewer obstacles or a smaller blocked_fraction",
-        )
+        none = f"no query {index} for {group} with {self.obstacles_n} obstacles after {_SCENE_TRIES_N} scenes"
+        raise PlanningError(none, remedy="use fewer obstacles or a smaller blocked_fraction")
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
         """Return the query of one scene, or None."""
