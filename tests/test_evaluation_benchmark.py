@@ -16,7 +16,7 @@ from carry_trials import same_row, sample_trial
 from minidual.config.root import BenchmarkConfig, Config, changed
 from minidual.durable import write_csv
 from minidual.errors import UsageError
-from minidual.gate.stage import StageContext
+from minidual.gate.stage import StageContext, StageResult
 from minidual.stages.benchmark import benchmark_checks, condition_checks
 from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
@@ -255,12 +255,32 @@ def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
     assert STAGES["benchmark"].parameters(one) != STAGES["benchmark"].parameters(other)
 
 
+def run_benchmark_stage(folder: Path, config: Config, recorded: str) -> StageResult:
+    """Run the stage where demonstrations of this task were recorded."""
+    (folder / "config.yaml").write_text(f"task: {recorded}\n", encoding="utf-8")
+    given = StageContext(folder=folder, config=STAGES["benchmark"].resolved(config), seed=SEED, profile="standard")
+    upstream = {"train-act": folder, "teleop-record": folder}
+    return STAGES["benchmark"].load()(dataclasses.replace(given, upstream=upstream))
+
+
+def test_a_policy_is_compared_on_the_task_that_it_was_trained_on(asked: list[Any], tmp_path: Path) -> None:
+    """Before, the run's task counted: a policy of a hand-over was refused there, and drove at the rod."""
+    asked_of = {"tasks": ["rod_carry", "handover"], "methods": ["moveit", "act"], "trials_n": 2}
+    config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean"]}})
+    result = run_benchmark_stage(tmp_path, config, "handover")
+    rows = {task: result.data["tasks"][task]["methods"]["act"] for task in ("rod_carry", "handover")}
+    assert rows["handover"]["trials"] == 2
+    assert rows["rod_carry"] == {"applies": False, "why": "its policy is trained on 'handover'"}
+    with pytest.raises(UsageError, match="'act' cannot do 'rod_carry': its policy is trained on 'handover'") as caught:
+        run_benchmark_stage(tmp_path, changed(config, {"benchmark.tasks": ["rod_carry"]}), "handover")
+    assert "it can do handover" in str(caught.value.remedy)
+
+
 def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> None:
     asked_of = {"tasks": ["rod_carry", "handover"], "trials_n": 3, "perturbed_trials_n": 2}
     config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean", "mass +50 %"]}})
     check_benchmark(config)
-    given = StageContext(folder=tmp_path, config=STAGES["benchmark"].resolved(config), seed=SEED, profile="standard")
-    result = STAGES["benchmark"].load()(dataclasses.replace(given, upstream={"train-act": tmp_path}))
+    result = run_benchmark_stage(tmp_path, config, "rod_carry")
     assert all(check.passed is not False for check in result.checks)
     names = {check.name for check in result.checks}
     assert {"rod_carry.moveit.success_rate", "handover.moveit.success_rate", "handover.cells_settled"} <= names
@@ -292,8 +312,7 @@ def test_further_tasks_run_undisturbed_beside_the_runs_own(asked: list[Any], tmp
     own = {"clean": 3, "mass +50 %": 2}
     assert trials_asked(config) == {"rod_carry": own, "handover": {"clean": 2}, "pot_lift": {"clean": 3}}
     assert trials_asked(changed(config, {"benchmark.tasks": ("sort",)})) == {"sort": own}
-    given = StageContext(folder=tmp_path, config=STAGES["benchmark"].resolved(config), seed=SEED, profile="standard")
-    result = STAGES["benchmark"].load()(dataclasses.replace(given, upstream={"train-act": tmp_path}))
+    result = run_benchmark_stage(tmp_path, config, "rod_carry")
     assert all(check.passed is not False for check in result.checks)
     assert list(result.data["tasks"]) == ["rod_carry", "handover", "pot_lift"]
     assert {config.scene.object.name for *_, config in asked} == {"rod", "bottle", "pot"}
@@ -310,7 +329,11 @@ def test_further_tasks_run_undisturbed_beside_the_runs_own(asked: list[Any], tmp
 @pytest.mark.parametrize(
     ("tasks", "methods", "says"),
     [
-        (["handover"], ["act"], "'act' cannot do 'handover': its policy is trained on 'rod_carry'"),
+        (
+            ["handover"],
+            ["impedance_world"],
+            "'impedance_world' cannot do 'handover': the hands hold no object together",
+        ),
         (["handovr"], ["moveit"], "no task 'handovr'; there are handover, "),
         (["handover", "handover"], ["moveit"], "task 'handover' is named twice"),
     ],
@@ -321,7 +344,7 @@ def test_a_method_that_can_do_none_of_the_tasks_is_refused_by_name(
     with pytest.raises(UsageError, match=says) as caught:
         check_benchmark(Config.model_validate({"benchmark": {"tasks": tasks, "methods": methods}}))
     if "cannot" in says:
-        assert "it can do rod_carry" in str(caught.value.remedy)
+        assert "it can do rod_carry, pot_lift" in str(caught.value.remedy)
 
 
 def carried(method: str, condition: str, steps: int) -> Iterator[np.ndarray]:

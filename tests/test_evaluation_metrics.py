@@ -185,6 +185,9 @@ def test_a_summary_says_over_which_trials_it_speaks() -> None:
     assert row["tilt_median_rad"] == 0.02
     assert row.failures == {"arrived": 1, "held": 1}
     assert row.to_row()["failures"] == "arrived 1; held 1"
+    trials[3:] = [replace(lost, failed_in=phase) for lost, phase in zip(trials[3:], ("lift", "release"), strict=True)]
+    again = [*trials, replace(trials[3], index=5)]
+    assert summarise(again, np.random.default_rng(0)).failures == {"held (lift)": 2, "arrived (release)": 1}
 
 
 def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None:

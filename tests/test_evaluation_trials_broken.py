@@ -69,6 +69,7 @@ def test_a_trial_that_breaks_is_judged_as_it_stood(world: World, trial: Trial, b
     assert not metrics.success
     assert metrics.failure == ("singular" if breaks == "singular" else "diverged")
     assert metrics.failed_at_s == pytest.approx(0.999)
+    assert metrics.failed_in == "standing"
     assert ("direction of motion" if breaks == "singular" else "not finite") in metrics.reason
     # All that was measured is that of the same trial without its last step.
     assert np.array_equal(log.q, whole_log.q)

@@ -184,9 +184,8 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
         return model.model_validate_json(json.dumps(document.tree), strict=True)
     except ValidationError as error:
         problems = [_sentence(problem, document, model) for problem in error.errors(include_url=False)]
-        raise ConfigError(
-            "\n".join(text for text, _ in problems), remedy=next((hint for _, hint in problems if hint), None)
-        ) from None
+        hint = next((hint for _, hint in problems if hint), None)
+        raise ConfigError("\n".join(text for text, _ in problems), remedy=hint) from None
 
 
 def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:

@@ -26,9 +26,8 @@ _PUBLIC = re.compile(r"[a-z][\w@.-]+ AAAA[A-Za-z0-9+/]+=*")
 
 def _keygen(*words: str | Path, content: bytes) -> subprocess.CompletedProcess[bytes]:
     if (program := shutil.which("ssh-keygen")) is None:
-        raise EnvironmentMissingError(
-            "signatures need the program ssh-keygen", remedy="install OpenSSH's client (Debian: openssh-client)"
-        )
+        remedy = "install OpenSSH's client (Debian: openssh-client)"
+        raise EnvironmentMissingError("signatures need the program ssh-keygen", remedy=remedy)
     # In a session of its own it has no terminal on which it could ask for a passphrase and wait.
     command = [program, "-Y", *map(str, words), "-n", "minidual"]
     return subprocess.run(command, input=content, capture_output=True, check=False, start_new_session=True)

@@ -55,10 +55,9 @@ def map_joints(model: mujoco.MjModel, names: Sequence[str], *, torque: bool) -> 
         is_servo = int(model.actuator_biastype[index]) != int(mujoco.mjtBias.mjBIAS_NONE)
         if is_servo == torque:
             have, need = ("a position servo", "a torque motor") if torque else ("a torque motor", "a position servo")
-            raise UsageError(
-                f"actuator '{model.actuator(int(index)).name}' of joint '{name}' is {have}; this needs {need}",
-                remedy="a servo reads ctrl as a position, a motor as a torque: change the actuator, not the command",
-            )
+            other = f"actuator '{model.actuator(int(index)).name}' of joint '{name}' is {have}; this needs {need}"
+            remedy = "a servo reads ctrl as a position, a motor as a torque: change the actuator, not the command"
+            raise UsageError(other, remedy=remedy)
         if torque and float(model.actuator_gear[index, 0]) * float(model.actuator_gainprm[index, 0]) != 1.0:
             raise UsageError(f"actuator '{model.actuator(int(index)).name}' scales its torque; gear x gain must be 1")
     return JointAddresses(qpos, qvel, ctrl)

@@ -49,10 +49,9 @@ class ActKind(PolicyKind):
     def require(self, device: str) -> None:
         """Raise EnvironmentMissingError for a missing device."""
         if device == "cuda" and not torch.cuda.is_available():
-            raise EnvironmentMissingError(
-                "the configuration asks for device 'cuda', but torch finds no CUDA device; devices here: cpu",
-                remedy="use --profile standard, or --set train.device=cpu --set deploy.device=cpu",
-            )
+            missing = "the configuration asks for device 'cuda', but torch finds no CUDA device; devices here: cpu"
+            remedy = "use --profile standard, or --set train.device=cpu --set deploy.device=cpu"
+            raise EnvironmentMissingError(missing, remedy=remedy)
 
     def train(self, job: Training, folder: Path) -> TrainResult:
         """See `PolicyKind.train`."""

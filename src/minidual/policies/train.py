@@ -158,13 +158,11 @@ class _Loop:
             group["lr"] = share * rate
         value, parts = self.shares.gradient(batch)
         if not math.isfinite(value):
-            raise UsageError(
-                f"the training loss became {value} at step {step} (learning rate {rate:.2g}, gradient clip "
-                f"{self.config.gradient_clip:g})",
-                remedy="lower both rates, for example --set train.learning_rate="
-                f"{self.config.learning_rate / 3:.1g} --set train.backbone_learning_rate="
-                f"{self.config.backbone_learning_rate / 3:.1g}",
-            )
+            at = f"(learning rate {rate:.2g}, gradient clip {self.config.gradient_clip:g})"
+            names = "learning_rate", "backbone_learning_rate"
+            lower = " ".join(f"--set train.{name}={getattr(self.config, name) / 3:.1g}" for name in names)
+            remedy = f"lower both rates, for example {lower}"
+            raise UsageError(f"the training loss became {value} at step {step} {at}", remedy=remedy)
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
         self.consistent = False
         self.optimiser.step()

@@ -9,11 +9,12 @@ from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
+from minidual.stages.config_checks import recorded_task
 from minidual.stages.words import worded
 from minidual.tasks.task import tasks_of
 from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
-from minidual.trials.methods import METHODS, MethodInputs
+from minidual.trials.methods import METHODS, MethodInputs, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 
 _REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
@@ -69,8 +70,11 @@ def run(context: StageContext) -> StageResult:
     config, seed, folder = context.config.benchmark, context.seed, context.folder
     methods, asked = METHODS.names(config.methods), benchmark.trials_asked(context.config)
     trained, tasks = context.upstream.get("train-act"), tasks_of(context.config)
-    checkpoint = trained and trained / "checkpoint"
-    inputs = {name: MethodInputs(task.config, seed, checkpoint, context.config.task) for name, task in tasks.items()}
+    checkpoint, recorded = trained and trained / "checkpoint", context.upstream.get("teleop-record")
+    of = recorded_task(recorded) if recorded else ""
+    for name in methods:
+        check_able(name, tasks.values(), of)
+    inputs = {name: MethodInputs(task.config, seed, checkpoint, of) for name, task in tasks.items()}
     count = sum(benchmark.count_trials(methods, asked[task], given) for task, given in inputs.items())
     checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)
     captions: dict[str, str] = {}

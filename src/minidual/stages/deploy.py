@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from minidual.config.learning import DeployConfig
 from minidual.config.root import Config
@@ -16,7 +15,6 @@ from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
-from minidual.gate.verdict import CONFIG_FILE
 from minidual.plant.render import Camera, Image
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import occlusion, on_object
@@ -24,6 +22,7 @@ from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
+from minidual.stages.config_checks import recorded_task
 from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task, placement
 from minidual.trials.conditions import CLEAN, CONDITIONS
@@ -75,7 +74,7 @@ def run(context: StageContext) -> StageResult:
     config, trained = context.config, context.upstream["train-act"]
     checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
     watch, recorded = watch_trials(context.view), context.upstream["teleop-record"]
-    check_able(METHOD, [make_task(config)], yaml.safe_load((recorded / CONFIG_FILE).read_text("utf-8"))["task"])
+    check_able(METHOD, [make_task(config)], recorded_task(recorded))
     episodes = episode_paths(recorded / "episodes")
     starts, seen_n = deploy_starts(config, context.seed, [read_meta(path).trial for path in episodes])
     sets = {name: (CLEAN, trials) for name, trials in starts.items()}

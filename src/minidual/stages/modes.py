@@ -92,11 +92,9 @@ def find_checkpoint(context: ToolContext) -> Path:
         return folder
     if named is not None:
         raise UsageError(f"--checkpoint {named}: there is no policy (config.json) in that folder")
-    raise GateClosedError(
-        f"mode 'policy' needs a trained policy, and the run '{context.run_folder.name}' has none ({folder})",
-        remedy=f"{context.command('run --until train-act')}; or name one with --checkpoint PATH; or leave the "
-        "policy out with --modes moveit,teleop,moveit",
-    )
+    none = f"mode 'policy' needs a trained policy, and the run '{context.run_folder.name}' has none ({folder})"
+    others = "or name one with --checkpoint PATH; or leave the policy out with --modes moveit,teleop,moveit"
+    raise GateClosedError(none, remedy=f"{context.command('run --until train-act')}; {others}")
 
 
 def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, ...], policy: Path | None) -> ModesDemo:

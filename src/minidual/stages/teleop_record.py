@@ -87,10 +87,9 @@ def run(context: StageContext) -> StageResult:
         paths = iter(list(coming)) if leader.realtime else coming  # a person does not wait between two episodes
         if (first := next(paths, None)) is None:
             recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
-            raise NothingEvaluatedError(
-                f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}",
-                remedy="read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator",
-            )
+            none = f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}"
+            remedy = "read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator"
+            raise NothingEvaluatedError(none, remedy=remedy)
         context.progress.note("demonstrations go into the dataset as they come; at the end every picture is compared")
         dataset = lerobot_adapter.convert(itertools.chain([first], paths), folder / "lerobot", job.robot)
     recorded = recording.recording_of(job, context.workers, attempts)

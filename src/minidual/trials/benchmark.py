@@ -82,7 +82,7 @@ def trials_asked(config: Config) -> dict[str, dict[str, int]]:
 
 def _why_not(method: str, name: str, inputs: MethodInputs) -> str:
     task = make_task(inputs.config)
-    return METHODS[method].cannot(task, inputs.trained or task.name) or condition(name).why_not(method, inputs.config)
+    return METHODS[method].cannot(task, inputs.trained) or condition(name).why_not(method, inputs.config)
 
 
 def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: MethodInputs) -> int:

@@ -354,8 +354,7 @@ def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:
         raise UsageError(f"'{ALL}' stands for every condition; leave out the others of {', '.join(given)}")
     names = CONDITIONS.names([condition(name).name for name in given])
     if CLEAN not in names:
-        raise UsageError(
-            f"the conditions {', '.join(names)} lack '{CLEAN}': the limits hold there, and every loss is counted from it",
-            remedy="--conditions " + ",".join(name.replace(" ", "_") for name in (CLEAN, *names)),
-        )
+        remedy = "--conditions " + ",".join(name.replace(" ", "_") for name in (CLEAN, *names))
+        why = "the limits hold there, and every loss is counted from it"
+        raise UsageError(f"the conditions {', '.join(names)} lack '{CLEAN}': {why}", remedy=remedy)
     return (CLEAN, *(n for n in names if n != CLEAN))

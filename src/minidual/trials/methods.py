@@ -57,7 +57,7 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 
 
 class MethodInputs(NamedTuple):
-    """Inputs of a factory; `trained`: the checkpoint's task, empty for the configured one."""
+    """Inputs of a factory; `trained`: the checkpoint's task, empty for any."""
 
     config: Config
     seed: int
@@ -97,7 +97,7 @@ class MethodSpec(NamedTuple):
 
 
 _CANNOT: dict[str, Callable[[Task, str], str]] = {
-    "another_task": lambda task, trained: "" if task.name == trained else f"its policy is trained on '{trained}'",
+    "another_task": lambda task, trained: "" if trained in ("", task.name) else f"its policy is trained on '{trained}'",
     "held_apart": lambda task, trained: "" if task.together else "the hands hold no object together",
 }
 METHODS: Registry[MethodSpec] = Registry("method", group="minidual.methods")
@@ -107,7 +107,7 @@ for _name, _row in _ROWS["methods"].items():
     METHODS.add(_name, MethodSpec(**_row))
 
 
-def check_able(method: str, tasks: Collection[Task], trained: str) -> None:
+def check_able(method: str, tasks: Collection[Task], trained: str = "") -> None:
     """Raise UsageError for a method that can do none of these tasks."""
     spec = METHODS[method]
     reasons = [f"'{task.name}': {why}" for task in tasks if (why := spec.cannot(task, trained))]

@@ -26,6 +26,7 @@ class TrialMetrics:
     Attributes:
         failure: First violated condition, empty on success.
         failed_at_s: NaN on success.
+        failed_in: The method's phase then; the last one before it stopped.
         duration_s: Start to rest; NaN without success.
         torque_ratio_max: Largest |torque| / limit.
         jerk_rms: Low-passed; NaN if too short.
@@ -56,6 +57,7 @@ class TrialMetrics:
     aborted: str = ""
     disturbed: bool | None = None
     saturated_max_s: float = 0.0
+    failed_in: str = ""
     measured: Mapping[str, float] = field(default_factory=dict)
     wall: Mapping[str, float] = field(default_factory=dict, compare=False)
 
@@ -94,7 +96,7 @@ class MethodSummary:
     Attributes:
         numbers: Indicators by name; *_low and *_high bound 95 % intervals (success rate: Wilson; others: bootstrap of
             the median). Durations, path lengths and forces are over successes, the others over all trials.
-        failures: By first violated condition, most frequent first.
+        failures: By first violated condition and phase, most frequent first.
         stopped_n: Failures of a method that stopped itself.
         measures: Median of each row of MEASURES, of `progress` the mean; NaN where none applies.
     """
@@ -202,7 +204,8 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         "pinch_force_min_n": float(np.min([t.pinch_force_min_n for t in won])) if won else math.nan,
         "goal_error_median_m": _median([t.goal_error_m for t in trials]),
     }
-    counts = Counter(trial.failure for trial in trials if not trial.success)
+    lost = [trial for trial in trials if not trial.success]
+    counts = Counter(f"{t.failure} ({t.failed_in})" if t.failed_in else t.failure for t in lost)
     failures = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
     stopped_n = sum(bool(t.aborted) and not t.success for t in trials)
     measures = {name: _median([x for t in trials if math.isfinite(x := t.measures[name])]) for name in MEASURES}

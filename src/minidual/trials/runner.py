@@ -57,7 +57,7 @@ class Bench:
         self.spec: MethodSpec = METHODS[method]
         self.condition = named_condition(condition)
         self.task: Task = make_task(self.condition.config_under(inputs.config))
-        check_able(method, [self.task], inputs.trained or self.task.name)
+        check_able(method, [self.task], inputs.trained)
         robot = robot_from(inputs.config.robot)
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
         self.world, self.kinematics = World(self.task.scene, robot, model=model), Kinematics(robot)
@@ -91,7 +91,7 @@ class Bench:
         began_s, method = time.process_time(), self.factory(world, self.kinematics, trial)
         wall, every = {"planning_s": time.process_time() - began_s}, round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
-        rows: list[tuple[Any, ...]] = []
+        rows, phases = list[tuple[Any, ...]](), list[str]()
         most, saturated, tau_max = np.zeros(2), np.zeros(world.robot.dof), np.array(world.robot.tau_max)
         model, data, finished_s, broken = world.model, world.data, 0.0, None
         time_s, qpos, qvel = data.time, data.qpos, data.qvel
@@ -112,6 +112,7 @@ class Bench:
             strain(world.tau, tau_max, SATURATED, saturated, most)
             if step % every == 0:
                 rows.append(self._sample(seen))
+                phases.append(method.phase)
             if disturb is not None:
                 before = disturb.took_place
                 disturb(world)
@@ -131,7 +132,11 @@ class Bench:
         outcome = replace(outcome, measured={**outcome.measured, **found})
         wall["inference_s"] = getattr(method, "inference_s", math.nan)
         known: Any = {"torque_ratio_max": most.item(0), "saturated_max_s": most.item(1) * world.dt, "wall": wall}
-        return trial_metrics(self.method, trial.index, outcome, log, aborted=method.aborted or "", **known), log
+        result = trial_metrics(self.method, trial.index, outcome, log, aborted=method.aborted or "", **known)
+        if not result.success:
+            until = phases[: int(result.failed_at_s * LOG_RATE_HZ) + 1]
+            result = replace(result, failed_in=next((p for p in reversed(until) if p not in ("stop", "done")), ""))
+        return result, log
 
     def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
         world, q = self.world, self.world.q

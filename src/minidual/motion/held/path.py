@@ -167,8 +167,7 @@ def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array],
             break  # a smooth motion gains a factor of eight per refinement; this one is discontinuous
         before = strays
         count *= 2
-    raise ClosedChainError(
-        f"the hands stray {strays[0] * 1e3:.3f} mm and {strays[1]:.5f} rad from their grasps between points "
-        f"{step * 1e3:.2f} mm apart; allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad",
-        remedy="the arms pass near a singular posture; choose another path or posture",
-    )
+    far = f"{strays[0] * 1e3:.3f} mm and {strays[1]:.5f} rad from their grasps between points {step * 1e3:.2f} mm apart"
+    allowed = f"allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad"
+    remedy = "the arms pass near a singular posture; choose another path or posture"
+    raise ClosedChainError(f"the hands stray {far}; {allowed}", remedy=remedy)

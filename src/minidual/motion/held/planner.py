@@ -214,11 +214,9 @@ class HeldWork:
             except (ClosedChainError, TimingError) as error:
                 self.notes.append(f"{method}: {error.message}")
                 effort = effort.after(error)
-        raise NoPathInTimeError(
-            f"no proven path for the held object within the budget; the straight way: {self.notes[0]}; "
-            f"{len(self.notes)} attempts, the last one: {self.notes[-1]}",
-            remedy="raise the budget, make room in the scene, or choose another goal or grasp",
-        )
+        tried = f"the straight way: {self.notes[0]}; {len(self.notes)} attempts, the last one: {self.notes[-1]}"
+        remedy = "raise the budget, make room in the scene, or choose another goal or grasp"
+        raise NoPathInTimeError(f"no proven path for the held object within the budget; {tried}", remedy=remedy)
 
     def _straight(self) -> CarriedTrajectory | Array | None:
         end = None

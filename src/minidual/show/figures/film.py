@@ -1,5 +1,6 @@
 """Films of trials and postures."""
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from minidual.trials.runner import Bench
 FILM_FPS = 25
 FILM_SIZE = (640, 480)
 FAILURE_SIZE = (400, 300)
-_AROUND_S = (-1.0, 0.0, 1.0)
+_AROUND_S = (-1.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""The last that is reached counts: after the trial its condition is undone."""
 CAMERAS = ("overview", "high", "left", "right")
 
 
@@ -34,7 +36,7 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
 def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], path: Path) -> None:
     """Run failed trials again and draw each a second before it failed, then, and a second later, or as it ended."""
     pictures = [picture for inputs, trial, result in failed for picture in _failure(inputs, trial, result)]
-    sheet(pictures, len(_AROUND_S), path)
+    sheet(pictures, 3, path)
 
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
@@ -42,18 +44,14 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
     seen = bench.world.truth(next((n for n in bench.task.objects if n in result.reason), bench.task.carried))
     with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as eye:
 
-        def take() -> None:
-            taken.append(eye.close_up(bench.world.data, seen.pose()[:3, 3]).copy())
-
         def look(world: World, _method: object) -> None:
             if len(taken) < len(_AROUND_S) and world.time >= result.failed_at_s + _AROUND_S[len(taken)]:
-                take()
+                taken.append(eye.close_up(world.data, seen.pose()[:3, 3]).copy())
 
         bench.run(trial, on_step=look)
-        while len(taken) < len(_AROUND_S):  # it ended earlier
-            take()
     title, failed = f"{result.method}, {result.condition}, trial {result.index}", f"not '{result.failure}'"
-    return list(zip((title, f"{failed} at {result.failed_at_s:.2f} s", result.reason[:50]), taken, strict=True))
+    names = title, f"{failed} at {result.failed_at_s:.2f} s", textwrap.fill(result.reason, 50)
+    return list(zip(names, (taken[0], taken[min(1, len(taken) - 1)], taken[-1]), strict=True))
 
 
 def film_demonstration(job: Job, index: int, path: Path) -> None:

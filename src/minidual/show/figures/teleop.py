@@ -22,10 +22,11 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
             starts.update_datalim(np.column_stack([y, x]))  # quiver does not
     x, y, _ = np.array([_start(trial) for trial in tested]).T
     starts.plot(y, x, ".", color="0.6", ms=2, zorder=0, label="tests")
-    starts.set(title=f"{next(iter(tested[0].start))} at the start", xlabel="y [m]", ylabel="x [m]", aspect="equal")
+    starts.set(title=f"{next(iter(tested[0].start))} at the start", xlabel="y [m]", ylabel="x [m]", ymargin=0.15)
+    starts.set_aspect("equal", adjustable="datalim")
     starts.locator_params(nbins=5)
     starts.invert_xaxis()
-    starts.legend(fontsize=7, loc="upper right")
+    starts.legend(fontsize=7, loc="upper center", ncols=3)
 
     jerks.hist([a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None], bins=20, color=BLUE)
     jerks.locator_params(axis="y", integer=True)
