@@ -15,12 +15,14 @@ from minidual.control.gripper import pinch_force
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import DUAL_PANDA
+from minidual.skills.carry_motions import grasp_posture, posture_over
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.stages.config_checks import check_carry
 from minidual.tasks.judge import Judge, Outcome
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.rod_carry import carry_config
-from minidual.tasks.task import Trial, make_task, placement
+from minidual.tasks.task import Trial, make_task, placement, pose_of
 
 
 def configured(**carry: Any) -> Config:
@@ -229,3 +231,16 @@ def test_an_obstacle_that_leaves_no_room_is_refused() -> None:
     config = Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"obstacle": wide}}})
     with pytest.raises(UsageError, match="no room beside the obstacle"):
         make_task(config).trial(7, "objects", 0)
+
+
+@pytest.mark.parametrize("name", ["rod", "glass"])
+def test_arms_begin_on_the_branch_of_home(name: str) -> None:
+    """Before, the descent from home turned the left shoulder over at this start; turning the rod, the arms met."""
+    scene = configured(object=name, motion="rotate").scene
+    level = pose_of(scene.object, (0.471, 0.201, 0.25))
+    plain = grasp_posture(scene, DUAL_PANDA, level, DUAL_PANDA.home, above_m=0.08)
+    assert np.abs(plain - DUAL_PANDA.home)[[0, 2]].min() > 2.0
+    over = posture_over(scene, DUAL_PANDA, level, 0.08)
+    assert np.abs(over - DUAL_PANDA.home).max() < 1.6
+    tips = [Kinematics(DUAL_PANDA).tcp_poses(q) for q in (plain, over)]
+    np.testing.assert_allclose(tips[0], tips[1], atol=1e-5)

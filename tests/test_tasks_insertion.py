@@ -32,7 +32,7 @@ from minidual.trials.runner import Bench
 TASK = make_task(Config(task="insertion"))
 DRAWS = [TASK.trial(2, "draws", k) for k in range(256)]
 BODIES = {name: item.body for name, item in TASK.objects.items()}
-MOUTH_M, AIM_M = 0.085, 0.036
+MOUTH_M, AIM_M, BEFORE_M = 0.085, 0.036, 0.045
 """From the socket's centre to the mouth of its bore, and the depth to which a plan drives the peg."""
 
 
@@ -63,7 +63,7 @@ def test_starts_and_places_in_the_air_vary() -> None:
 def test_both_hands_reach_every_draw() -> None:
     """Over the object, at it, before the mouth and in it; one search each, from the posture before."""
     for draw in DRAWS:
-        ends = {**draw.goal, PEG: draw.goal[SOCKET] @ in_socket(y=-0.015)}
+        ends = {**draw.goal, PEG: draw.goal[SOCKET] @ in_socket(y=-BEFORE_M)}
         for name, side in HAND_OF.items():
             grasp, solver = TASK.objects[name].grasps[side], solvers(DUAL_PANDA)[side]
             start = start_of(draw)[name]
@@ -543,7 +543,7 @@ def test_the_search_finds_a_bore_that_a_straight_move_misses(monkeypatch: pytest
 def test_with_the_left_arm_frozen_the_right_one_wins_nothing(kind: type[PlannedCarry]) -> None:
     """It does all it can: it puts the peg into the socket that lies on the table."""
     trial = dataclasses.replace(DRAWS[0], start={PEG: (0.45, -0.12, 0.0), SOCKET: (0.45, 0.16, 0.0)})
-    before, *way = (start_of(trial)[SOCKET] @ in_socket(y=y) for y in (-0.015, 0.0015, AIM_M))
+    before, *way = (start_of(trial)[SOCKET] @ in_socket(y=y) for y in (-BEFORE_M, 0.0015, AIM_M))
     right = ("right",)
     steps = [Step(phase, right, (PEG,)) for phase in ("approach", "descend", "close", "lift")]
     steps += [Step("carry", right, (PEG,), ({PEG: before},)), Step("insert", right, (PEG, SOCKET), tuple(way))]

@@ -216,9 +216,10 @@ class Cube:
 class Script:
     """Moves cubes in steps of 10 ms, judged at each."""
 
-    def __init__(self) -> None:
-        self.time, self.judge = 0.0, Judge(TASK, TRIAL)
-        self.cubes = {name: Cube(*place) for name, place in TRIAL.start.items()}
+    def __init__(self, trial: Trial | None = None) -> None:
+        self.trial = TRIAL if trial is None else trial
+        self.time, self.judge = 0.0, Judge(TASK, self.trial)
+        self.cubes = {name: Cube(*place) for name, place in self.trial.start.items()}
         self.go("red_1", steps=2)
 
     def truth(self, name: str) -> Cube:
@@ -250,7 +251,7 @@ class Script:
             owner = side_of(name)
             if WAY[owner] * self.cubes[name].y < -0.15:
                 self.fetch(name, SIDES[1 - SIDES.index(owner)], (0.48, 0.11 * WAY[owner]))
-            self.fetch(name, owner, TRIAL.goal[name][:2])
+            self.fetch(name, owner, self.trial.goal[name][:2])
 
     def end(self) -> Outcome:
         return self.judge.outcome(self)
@@ -269,6 +270,20 @@ def test_an_honest_script_succeeds_and_counts_its_cubes() -> None:
     assert outcome.measured["progress"] == 1.0
     assert outcome.goal_error_m < 1e-9
     assert outcome.pinch_min_n == 30.0
+
+
+def test_with_one_arm_frozen_no_draw_succeeds() -> None:
+    """256 draws; the free arm brings two cubes into its bin, the other two as near to theirs as its hand comes."""
+    for index in range(DRAWS):
+        hand = ("left", "right")[index % 2]
+        script = Script(TASK.trial(4, "frozen", index))
+        for name in TASK.objects:
+            x, y, _ = script.trial.goal[name]
+            script.fetch(name, hand, (x, y if side_of(name) == hand else 0.0))
+        outcome = script.end()
+        assert not outcome.success
+        assert script.judge.stages == ("placed_1", "placed_2")
+        assert outcome.reason.startswith("inside"), outcome.reason
 
 
 def pushed(s: Script) -> None:

@@ -32,6 +32,7 @@ _PEAK_SPEED = 1.875
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 _LEAST_S = 0.25
 _SAMPLES = 12
+_BRANCH_RAD = 2.0  # a posture that differs more in one joint is on another branch: below 1.4 on the same, 2.5 beyond
 
 
 def _time(distance: float | Array, speed: float | Array, acceleration: float | Array) -> float:
@@ -40,15 +41,16 @@ def _time(distance: float | Array, speed: float | Array, acceleration: float | A
 
 
 def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m: float) -> Array:
-    """Return `grasp_posture` from home or, near a singularity, the posture nearest to home."""
+    """Return `grasp_posture` from home or, near a singularity or on another branch, the posture nearest to home."""
+    left, right = (raised(T_world_level @ T, above_m) for T in grasp_offsets(scene))
+    nearest = posture_at(robot, (left, right), robot.home, robot.home)
     with suppress(PoseUnreachableError):
         over = grasp_posture(scene, robot, T_world_level, robot.home, above_m=above_m)
         postures, jacobians = (over, grasp_posture(scene, robot, T_world_level, over)), Kinematics(robot).tcp_jacobians
         hands = [J[:, robot.joints_of(arm)] for q in postures for arm, J in enumerate(jacobians(q))]
-        if np.linalg.cond(hands).max() < SLOW_AT[0]:
+        if np.linalg.cond(hands).max() < SLOW_AT[0] and np.abs(over - nearest).max() < _BRANCH_RAD:
             return over
-    left, right = (raised(T_world_level @ T, above_m) for T in grasp_offsets(scene))
-    return posture_at(robot, (left, right), robot.home, robot.home)
+    return nearest
 
 
 def grasp_posture(scene: SceneConfig, robot: Robot, T_level: Array, q_near: Array, *, above_m: float = 0.0) -> Array:
