@@ -74,9 +74,9 @@ def load_mesh(
     mesh = _read(path, name)
     mesh.apply_scale(scale)
     if not _EXTENT_MIN_M <= float(np.max(mesh.extents)) <= _EXTENT_MAX_M:
-        size = f"{' x '.join(f'{v:.4g}' for v in mesh.extents)} m at scale {scale:g}"
-        bounds = f"its longest side must be from {_EXTENT_MIN_M} to {_EXTENT_MAX_M} m"
-        raise UsageError(f"mesh '{name}' ({path.name}) measures {size}; {bounds}", remedy="a file in mm needs scale 0.001")
+        size, least, most = " x ".join(f"{v:.4g}" for v in mesh.extents), _EXTENT_MIN_M, _EXTENT_MAX_M
+        big = f"measures {size} m at scale {scale:g}; its longest side must be from {least} to {most} m"
+        raise UsageError(f"mesh '{name}' ({path.name}) {big}", remedy="a file in millimetres needs scale: 0.001")
     pieces = list(mesh.split(only_watertight=False)) if separate else [mesh]
     if len(pieces) > _PIECES_MAX:
         raise UsageError(f"mesh '{name}' ({path.name}) has {len(pieces)} pieces; at most {_PIECES_MAX} are allowed")
