@@ -80,8 +80,8 @@ class JointSense:
     Attributes:
         q: (n,) [rad], measured or replaced.
         v: (n,) [rad/s].
-        lost: (2, n) positions and velocities not to be used, until `reset`. A joint that lost both is used again once
-            both are measured and change.
+        lost: (2, n) positions and velocities not to be used, until `reset`. A joint that lost both, or was not measured
+            when control began, is used again once both are measured and change.
         returned: Whether a joint came back in this update.
     """
 
@@ -117,9 +117,12 @@ class JointSense:
         row, self.ticks, self.returned = self.ticks % _KEPT, self.ticks + 1, False
         if new_s > 0.0:
             if self._any_lost:
-                back = self.lost.all(axis=0) & np.isfinite(q + v) & (self._kept[[_Q, _V]] != [q, v]).all(axis=0)
+                back = self.lost.all(axis=0) & (self._kept[[_Q, _V]] != [q, v]).all(axis=0)
+                back = (back | np.isnan(self._kept[_Q])) & np.isfinite(q + v)
                 self.lost[:, back], self.returned = False, bool(back.any())
                 self._begin(back, q, v, tau, new_s)
+            if not self._started:
+                self.q[:], self.v[:] = np.where(np.isfinite(q), q, self.q), np.where(np.isfinite(v), v, 0.0)
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 self._begin(np.ones_like(self.lost[0]), q, v, tau, new_s)
             self.age_s, usable = 0.0, compare(q, v, tau, new_s, row, self._bounds, self._kept, self.applied) <= 1.0
@@ -146,8 +149,8 @@ class JointSense:
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad) & ~self.lost.any(axis=0)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
         # No joint moves that far in one period; a jump of the velocity that alone explains the mismatch is no push.
-        leapt = apart & (np.abs(kept[_DQ]) > 2.0 * new_s * self._robot.v_max) & (np.abs(v) <= self._robot.v_max)
-        sped = apart & ~leapt & (new_s * np.abs(kept[_DV]) > 0.5 * self._config.position_mismatch_rad)
+        leapt = apart & (np.abs(kept[_DQ]) > 2.0 * new_s * self._robot.v_max)
+        sped = apart & (new_s * np.abs(kept[_DV]) > 0.5 * self._config.position_mismatch_rad)
         lost = apart & (same > 0.0) & ~leapt & ~sped
         lost[0] |= leapt
         lost[1] |= sped | (apart & ~lost.any(axis=0))  # unknown which: positions err less than a model that falls
@@ -179,6 +182,9 @@ class JointSense:
     def _replace(self, q: Array, v: Array, step_s: float) -> None:
         q_lost, v_lost = self.lost
         q_model, v_model = self._moved(range(self.ticks - 1, self.ticks))
+        far = 2.0 * self._robot.v_max  # what nothing is compared with is followed no faster
+        q = np.where(v_lost, self.q + np.clip(q - self.q, -step_s * far, step_s * far), q)
+        v = np.where(q_lost, np.clip(v, -far, far), v)
         slope = self.v + min(1.0, step_s / _SLOPE_S) * ((q - self.q) / step_s - self.v)
         self.v = np.where(q_lost & v_lost, v_model, np.where(v_lost, slope, v))
         self.q = np.where(q_lost & v_lost, q_model, np.where(q_lost, self.q + step_s * self.v, q))

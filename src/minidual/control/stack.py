@@ -249,8 +249,13 @@ class ControlStack[P: Plant]:
         if self._off is None:
             self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
         returned, self._off.arms = set(self._off.arms) - set(arms), tuple(arms)
-        if returned and self.supervisor is not None:
+        if returned and self.supervisor is not None and self.reflex is not None:
             self.supervisor.brake_anew(self.applied)
+        elif returned and np.isfinite(self.plant.q).all():  # where the arms are now
+            self.arbiter.underway.executions = ()
+            self.arbiter.stand(self.plant.q)
+            for name in self.manager.active:
+                self.manager[name].activate(self.plant.q, slower(self.plant.v, self._v))
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""
@@ -444,6 +449,8 @@ class ControlStack[P: Plant]:
         if self._failed is None:
             try:
                 tau, acceleration = self._asked(time_s, stamp_s, q, v)
+                if self.supervisor is None and not np.isfinite(tau).all():
+                    raise PlantError(f"torques {tau} Nm are not finite", remedy="see what measures joints and object")
             except Exception as error:
                 self._failed = self._failed or error
         failed, self._failed = self._failed, None
@@ -487,7 +494,7 @@ class ControlStack[P: Plant]:
         self.arbiter.underway.executions, interrupted = (), self.arbiter.underway.executions
         if self.source is not None or self.arbiter.switching:
             self.request(HOLD)
-        if not np.isfinite(q).all():
+        if not np.isfinite(q + v).all():
             return self.applied
         if interrupted or self.manager.active != DEFAULT_CONTROLLERS:
             self.arbiter.stand(q)

@@ -289,7 +289,7 @@ class Supervisor:
 
     def _feel(self, stamp_s: float) -> None:
         contact, robot = self._contact, self._robot
-        self._expected = expected = self.expected()
+        self._expected = expected = self._monitored(self.expected)
         self._stop.bears_n = expected.bears_n
         if expected.hand_fault:
             self._trip("gripper_opened", expected.hand_fault, 1.0, None)
@@ -347,11 +347,11 @@ class Supervisor:
             self._next_near = self._tick + min(3 * self._slow_every, max(1, int(min(safe_s, 1.0) / self.dt_s)))
         self._next_slow = min(self._next_slow, self._next_near)
 
-    def _monitored[T](self, monitor: Callable[[Array], T], q: Array) -> T:
+    def _monitored[T](self, monitor: Callable[..., T], *values: Array) -> T:
         try:
-            return monitor(q)
+            return monitor(*values)
         except Exception as error:
-            self._trip("controller_failed", f"a distance: {type(error).__name__}: {error}", 1.0, None)
+            self._trip("controller_failed", f"a monitor: {type(error).__name__}: {error}", 1.0, None)
 
     # Reflexes ------------------------------------------------------------------------------------------------
 

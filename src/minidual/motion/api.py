@@ -230,10 +230,8 @@ class _Work:
                 took_s = perf_counter() - self.started
                 return PlanResult(trajectory, path, goal, proof, self.seconds, took_s, attempt, tuple(notes))
         last = notes[-1] if notes else "the budget ended before the first attempt"
-        raise NoPathInTimeError(
-            f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}",
-            remedy="raise the budget, make room in the scene, or choose another goal",
-        )
+        none = f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}"
+        raise NoPathInTimeError(none, remedy="raise the budget, make room in the scene, or choose another goal")
 
     def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:

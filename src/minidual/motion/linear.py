@@ -117,11 +117,9 @@ class LinearPlanner:
                 if move.fraction < fraction_min:
                     raise _cut_short(group, move.fraction, move.reason)
                 return move
-        raise LinearMoveError(
-            f"between its points the straight move strays {off_m * 1e3:.3f} mm and {off_rad:.5f} rad; allowed are "
-            f"{DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad",
-            remedy="start from a posture farther from a singularity",
-        )
+        strays = f"between its points the straight move strays {off_m * 1e3:.3f} mm and {off_rad:.5f} rad"
+        allowed = f"allowed are {DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad"
+        raise LinearMoveError(f"{strays}; {allowed}", remedy="start from a posture farther from a singularity")
 
     def _follow(self, q0: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array) -> tuple[Array, str]:
         Q = [q0]

@@ -1,7 +1,5 @@
 """Object estimate and fault detection of a carry, from encoders, motor torques and object sensors only."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

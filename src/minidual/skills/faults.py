@@ -102,7 +102,7 @@ class FaultMonitor:
         self.spread_m: float | None = None
         """Distance between the hands from which slip counts; None for that of the next check."""
         self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
-        """(2,) arms with lost motors; latched."""
+        """(2,) arms with lost motors."""
         self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
         self._told, self._step_n = ("", 0.0), max(_PINCH_STEP_N, _PINCH_STEP * pinch_n)
         self._watch_hands()
@@ -121,13 +121,15 @@ class FaultMonitor:
         """Compare commanded and applied torques (n,); updates `lost`."""
         if farthest(commanded, applied) <= self._torque_max and not self._motors_missing:
             return None
-        missing = np.abs(commanded - applied).reshape(2, -1).max(axis=1)
-        self._motors_missing = not bool((missing <= self._torque_max).all())
+        missing, told = (np.abs(x).reshape(2, -1).max(axis=1) for x in (commanded - applied, commanded))
+        self._motors_missing = not bool((missing <= self._torque_max).all()) or bool(self.lost.any())
         found: list[str] = []
         for arm, name in enumerate(SIDES):  # check both: drives can share a supply
             if self._lasts(f"motor {name}", not missing[arm] <= self._torque_max):
                 self.lost[arm] = True
                 found.append(f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told")
+            if self._lasts(f"back {name}", bool(missing[arm] <= self._torque_max < 0.5 * told[arm])):
+                self.lost[arm] = False  # a dip: its torque has not yet been ramped to nothing, and the motors give it
         return Fault("lost_arm", "; ".join(found)) if found else None
 
     def silent(self, what: str, age_s: float, bound_s: float) -> Fault | None:

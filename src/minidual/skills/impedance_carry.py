@@ -81,6 +81,7 @@ class ImpedanceCarry:
         self.fault: Fault | None = None
         self._halted, self._follows, self._stop_s = False, True, 0.0
         self._told: Array | None = None
+        self._dead: tuple[int, ...] = ()
         self._broken: BaseException | None = None
         self._asked_for: str | None = None
         self._refusals_seen, self._heeded = 0, self.stack.output
@@ -245,9 +246,10 @@ class ImpedanceCarry:
 
     def _look(self) -> None:
         self.watch.sense()
-        if self._told is not None and (lost := self.watch.motors(self._told)):
+        if self._told is not None and ((lost := self.watch.motors(self._told)) or self._dead):
             self._halt(lost)
-            self.stack.switch_off(self.watch.lost_arms)
+            self._dead = self.watch.lost_arms
+            self.stack.switch_off(self._dead)
         self._halt(self._sensed())
         if self.watch.grip_limit_n < np.inf:
             self.stack.grippers.firmer()

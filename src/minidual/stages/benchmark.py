@@ -9,7 +9,7 @@ from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
-from minidual.stages.config_checks import recorded_task
+from minidual.stages.deploy import recorded_task
 from minidual.stages.words import worded
 from minidual.tasks.task import tasks_of
 from minidual.trials import benchmark

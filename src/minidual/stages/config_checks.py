@@ -1,13 +1,8 @@
 """Configuration errors that the models cannot detect, checked before a run."""
 
-from pathlib import Path
-
-import yaml
-
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
-from minidual.gate.verdict import CONFIG_FILE
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
 from minidual.tasks.task import make_task, tasks_of
@@ -53,11 +48,6 @@ def check_deploy(config: Config) -> None:
     for name in config.deploy.conditions:
         if reason := CONDITIONS[name].why_not("act", config):
             raise ConfigError(f"deploy.conditions: '{name}' does not apply: {reason}", remedy="leave it out")
-
-
-def recorded_task(recorded: Path) -> str:
-    """Return the task of a recording: what policies are trained on."""
-    return yaml.safe_load((recorded / CONFIG_FILE).read_text("utf-8"))["task"]
 
 
 def check_benchmark(config: Config) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from minidual.config.learning import DeployConfig
 from minidual.config.root import Config
@@ -15,6 +16,7 @@ from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
 from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
+from minidual.gate.verdict import CONFIG_FILE
 from minidual.plant.render import Camera, Image
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import occlusion, on_object
@@ -22,7 +24,6 @@ from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
-from minidual.stages.config_checks import recorded_task
 from minidual.stages.words import worded
 from minidual.tasks.task import Trial, make_task, placement
 from minidual.trials.conditions import CLEAN, CONDITIONS
@@ -67,6 +68,11 @@ def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, set
         "inference_hz": (inference_hz, ">", settings.inference_hz_min),
     }
     return worded("deploy", rows, trials_n=held_out.trials_n)
+
+
+def recorded_task(recorded: Path) -> str:
+    """Return the task of a recording: what policies are trained on."""
+    return yaml.safe_load((recorded / CONFIG_FILE).read_text("utf-8"))["task"]
 
 
 def run(context: StageContext) -> StageResult:

@@ -204,8 +204,7 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         "pinch_force_min_n": float(np.min([t.pinch_force_min_n for t in won])) if won else math.nan,
         "goal_error_median_m": _median([t.goal_error_m for t in trials]),
     }
-    lost = [trial for trial in trials if not trial.success]
-    counts = Counter(f"{t.failure} ({t.failed_in})" if t.failed_in else t.failure for t in lost)
+    counts = Counter(f"{t.failure} ({t.failed_in})" if t.failed_in else t.failure for t in trials if not t.success)
     failures = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
     stopped_n = sum(bool(t.aborted) and not t.success for t in trials)
     measures = {name: _median([x for t in trials if math.isfinite(x := t.measures[name])]) for name in MEASURES}

@@ -133,10 +133,9 @@ class HandsIK:
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             distance, angle = _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
             if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
-                raise ClosedChainError(
-                    f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp",
-                    remedy="take the grasps from the hands as they are, or solve the start first",
-                )
+                off = f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp"
+                remedy = "take the grasps from the hands as they are, or solve the start first"
+                raise ClosedChainError(off, remedy=remedy)
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
         """Return the largest error of grasps or between hands ([m], [rad]) at Q (m, n)."""

@@ -23,8 +23,7 @@ def draw_quality(attempts: Sequence[Attempt], tested: Sequence[Trial], jerk_limi
     x, y, _ = np.array([_start(trial) for trial in tested]).T
     starts.plot(y, x, ".", color="0.6", ms=2, zorder=0, label="tests")
     starts.set(title=f"{next(iter(tested[0].start))} at the start", xlabel="y [m]", ylabel="x [m]", ymargin=0.15)
-    starts.set_aspect("equal", adjustable="datalim")
-    starts.locator_params(nbins=5)
+    starts.axis("equal")
     starts.invert_xaxis()
     starts.legend(fontsize=7, loc="upper center", ncols=3)
 

@@ -56,10 +56,8 @@ def build_report(given: StageContext, folder: Path) -> Report:
         report = Report(given, tables, figures, media)
         content, page = dumps(document(report)), render_page(report)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, jinja2.UndefinedError) as error:
-        raise DataError(
-            f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}",
-            remedy="minidual benchmark --force",
-        ) from error
+        damaged = f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}"
+        raise DataError(damaged, remedy="minidual benchmark --force") from error
     (folder / "figures").mkdir()
     for task, drawn in figures.items():
         prefix = f"{task}-" if len(figures) > 1 else ""

@@ -102,10 +102,9 @@ class Guard:
             websockets_server.serve = plain
         if not hooked:
             made.stop()
-            raise EnvironmentMissingError(
-                f"viser {viser.__version__} starts its server in another way, so the view cannot check who opens it",
-                remedy="install the version of viser in requirements.lock, or leave out --view web",
-            )
+            other = f"viser {viser.__version__} starts its server in another way, so the view cannot check who opens it"
+            remedy = "install the version of viser in requirements.lock, or leave out --view web"
+            raise EnvironmentMissingError(other, remedy=remedy)
         return made
 
     def _answer(self, connection: _Connection, request: Request, process_request: Any) -> Response | None:

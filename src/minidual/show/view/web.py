@@ -133,13 +133,11 @@ def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
             return port
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
-                raise UsageError(
-                    f"the view cannot bind interface '{host}', port {port}: {error.strerror or error}",
-                    remedy="--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up",
-                ) from error
-    raise UsageError(
-        f"no free port for the view among {first} to {last}", remedy="end the program that holds them, or --view-port N"
-    )
+                refused = f"the view cannot bind interface '{host}', port {port}: {error.strerror or error}"
+                remedy = "--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up"
+                raise UsageError(refused, remedy=remedy) from error
+    remedy = "end the program that holds them, or --view-port N"
+    raise UsageError(f"no free port for the view among {first} to {last}", remedy=remedy)
 
 
 def url(host: str, port: int) -> str:
