@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from minidual.config.control import ArbiterConfig
-from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, ObjectCommand, Reason, Refusal
+from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
 from minidual.control.execution import Execution, Underway
-from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE
 from minidual.control.mailbox import Mailbox, check_openings
 from minidual.errors import UsageError, check_name
 from minidual.robot.pair import SIDES, Array, Robot
@@ -279,14 +278,9 @@ class CommandArbiter:
         self._refusals.append(Refusal(source, name, detail))
         return self._refusals[-1]
 
-    def _begin_timed(self, source: str, now_s: float, posture: Array, v_measured: Array) -> None:
+    def _begin_timed(self, source: str, now_s: float, posture: Array, v: Array) -> None:
         for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
-            opens = (self._gripper < CLOSE_BELOW) & (command.gripper > OPEN_ABOVE)
-            if isinstance(command, ObjectCommand) and opens.any():
-                reason = "gripper_out_of_range", f"gripper {command.gripper} would open the hands that hold the object"
-            else:
-                reason = self.underway.begin(command, posture, v_measured, self.config.switch_step_max_rad)
-            if reason is not None:
+            if reason := self.underway.begin(command, posture, v, self.config.switch_step_max_rad, self._gripper):
                 self._refuse(source, *reason)
                 continue
             self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))

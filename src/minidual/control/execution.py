@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
+from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE
 from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
 from minidual.control.kernels import near, within
 from minidual.control.mailbox import OBJECT_MAX, own_columns
@@ -174,14 +175,17 @@ class Underway:
         self._dt, self._robot, self.admit = dt_s, robot, admit
         self.executions: tuple[Execution, ...] = ()
 
-    def begin(self, command: TimedCommand, posture: Array, v: Array, start_bound_rad: float) -> Reason | None:
+    def begin(self, command: TimedCommand, posture: Array, v: Array, far_rad: float, gripper: Array) -> Reason | None:
         """Begin a command, or return why not.
 
-        A trajectory may start at most `start_bound_rad` from the measured posture (n,), on arms that hardly move.
+        A trajectory may start at most `far_rad` from the measured posture (n,), on arms that hardly move. An
+        object path must not open hands whose openings (2,) are closed.
         """
         reason = self.busy(command.arms) or self.admit(command)
         if reason is None and isinstance(command, TrajectoryCommand):
-            reason = self._far_start(command, posture, start_bound_rad) or self._moving(command, v)
+            reason = self._far_start(command, posture, far_rad) or self._moving(command, v)
+        elif reason is None and ((gripper < CLOSE_BELOW) & (command.gripper > OPEN_ABOVE)).any():
+            reason = "gripper_out_of_range", f"gripper {command.gripper} would open the hands that hold the object"
         if reason is None:
             timed = isinstance(command, TrajectoryCommand)
             begun = TrajectoryExecution(command, self._dt, self._robot) if timed else ObjectExecution(command, self._dt)

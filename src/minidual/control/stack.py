@@ -245,14 +245,14 @@ class ControlStack[P: Plant]:
         self._due, self._stop_ticks = True, round(_STOP_MAX_S / self.plant.dt)
 
     def switch_off(self, arms: Sequence[int]) -> None:
-        """Ramp these arms' torque to zero until reset; replaces an earlier call. Dead drives may return."""
+        """Ramp these arms' torque to zero until reset; replaces an earlier call. Where drives return, nobody drives."""
         if self._off is None:
             self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
         returned, self._off.arms = set(self._off.arms) - set(arms), tuple(arms)
         if returned and self.supervisor is not None and self.reflex is not None:
             self.supervisor.brake_anew(self.applied)
         elif returned and np.isfinite(self.plant.q).all():  # where the arms are now
-            self.arbiter.underway.executions = ()
+            self._interrupt()
             self.arbiter.stand(self.plant.q)
             for name in self.manager.active:
                 self.manager[name].activate(self.plant.q, slower(self.plant.v, self._v))
@@ -490,10 +490,14 @@ class ControlStack[P: Plant]:
             return Expected("free motion", None, manager.reference, "", off, bears_n)
         return Expected("closed hands", None, manager.reference, grippers.fault, off, bears_n)
 
-    def _fall_back(self, q: Array, v: Array) -> Array:
+    def _interrupt(self) -> bool:
         self.arbiter.underway.executions, interrupted = (), self.arbiter.underway.executions
         if self.source is not None or self.arbiter.switching:
             self.request(HOLD)
+        return bool(interrupted)
+
+    def _fall_back(self, q: Array, v: Array) -> Array:
+        interrupted = self._interrupt()
         if not np.isfinite(q + v).all():
             return self.applied
         if interrupted or self.manager.active != DEFAULT_CONTROLLERS:

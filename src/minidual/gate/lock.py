@@ -22,9 +22,9 @@ LOCK_FILE = ".lock"
 def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[None]:
     """Hold the lock `name` of a run folder; UsageError if another process does."""
     if (stream := _acquired(folder, name)) is None:
-        _, who = held_by(folder / name) or (0, "another process")
+        who = f"run '{folder.name}' is being written by {(held_by(folder / name) or (0, 'another process'))[1]}"
         remedy = f"wait for it to end, or work in another run with --run NAME (this one is {folder})"
-        raise UsageError(f"run '{folder.name}' is being written by {who}", remedy=remedy)
+        raise UsageError(who, remedy=remedy)
     with stream:
         try:
             stream.truncate(0)
