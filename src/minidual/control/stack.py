@@ -251,7 +251,7 @@ class ControlStack[P: Plant]:
         returned, self._off.arms = set(self._off.arms) - set(arms), tuple(arms)
         if returned and self.supervisor is not None and self.reflex is not None:
             self.supervisor.brake_anew(self.applied)
-        elif returned and np.isfinite(self.plant.q).all():  # where the arms are now
+        elif returned and np.isfinite(self.plant.q + self.plant.v).all():  # where the arms are now
             self._interrupt()
             self.arbiter.stand(self.plant.q)
             for name in self.manager.active:
