@@ -184,11 +184,11 @@ class Whole(OfObject):
         item = truth[self.object]
         pinch = max(item.pinch)
         if self.pinch_max_n is not None and pinch > self.pinch_max_n:
-            return f"the object broke: pinch {pinch:.1f} N, it stands {self.pinch_max_n:.0f}"
+            return f"the object broke: pinch {pinch:.1f} N, it stands {self.pinch_max_n:.0f} N"
         if self.force_max_n is not None:
             force = max([math.hypot(*hand) for hand in item.hand_forces])
             if force > self.force_max_n:
-                return f"the object broke: a hand pressed with {force:.1f} N, it stands {self.force_max_n:.0f}"
+                return f"the object broke: a hand pressed with {force:.1f} N, it stands {self.force_max_n:.0f} N"
         return ""
 
 

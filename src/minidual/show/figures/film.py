@@ -50,7 +50,7 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
 
         bench.run(trial, on_step=look)
     title, failed = f"{result.method}, {result.condition}, trial {result.index}", f"not '{result.failure}'"
-    names = title, f"{failed} at {result.failed_at_s:.2f} s", textwrap.fill(result.reason, 50)
+    names = title, f"{failed} at {result.failed_at_s:.2f} s", textwrap.fill(result.reason, 46)
     return list(zip(names, (taken[0], taken[min(1, len(taken) - 1)], taken[-1]), strict=True))
 
 
