@@ -16,6 +16,7 @@ from test_control_recover import Carried
 
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
+from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -31,6 +32,15 @@ def off_by(joint: int, value: float) -> Any:
     return lambda x: x + value * np.eye(14)[joint]
 
 
+def share_of_limit(plant: Arms, stack: ControlStack) -> float:
+    """Return the largest speed of a joint in a second, over its limit."""
+    fastest = 0.0
+    for _ in range(1000):
+        stack.step()
+        fastest = max(fastest, float((np.abs(plant.v) / V_MAX).max()))
+    return fastest
+
+
 @pytest.mark.parametrize("joint", [1, 3, 5])
 @pytest.mark.parametrize(("dq", "dv"), [(0.05, 3.0), (3.0, 3.0), (-3.0, 3.0), (0.3, 1e3), (1e3, 1e3)])
 def test_one_packet_with_position_and_velocity_wrong_moves_no_resting_arm(
@@ -43,10 +53,7 @@ def test_one_packet_with_position_and_velocity_wrong_moves_no_resting_arm(
     plant.lies.update(q=off_by(joint, dq), v=off_by(joint, dv))
     assert run(stack, 1) == ["implausible_measurement"]
     plant.lies.clear()
-    fastest = 0.0
-    for _ in range(1000):
-        stack.step()
-        fastest = max(fastest, float((np.abs(plant.v) / V_MAX).max()))
+    fastest = share_of_limit(plant, stack)
     assert fastest < 0.02
     assert np.abs(plant.q - HOME).max() < 0.005
 
@@ -93,10 +100,7 @@ def test_a_first_tick_that_is_not_measured_does_not_begin_from_home(scene: Scene
     plant.lies[name] = lie
     assert len(run(stack, 1)) == 1
     plant.lies.clear()
-    fastest = 0.0
-    for _ in range(1000):
-        stack.step()
-        fastest = max(fastest, float((np.abs(plant.v) / V_MAX).max()))
+    fastest = share_of_limit(plant, stack)
     assert fastest < 0.05
     assert np.abs(plant.q - rest).max() < 0.005
 
