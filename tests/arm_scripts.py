@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 from panda import HOME, Q_LOWER, Q_UPPER
 
 from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, pose, rotation_log
+from minidual.robot.pair import Array, pose
 from minidual.tasks.task import Trial, grasp_offsets, level_pose, placement
 
 _OPEN, _CLOSED = np.ones(2), np.zeros(2)
@@ -20,7 +21,7 @@ def solve_hands(kinematics: Kinematics, poses: tuple[Array, Array], q_start: Arr
     for _ in range(200):
         error = np.concatenate(
             [
-                np.r_[goal[:3, 3] - T[:3, 3], T[:3, :3] @ rotation_log(T[:3, :3].T @ goal[:3, :3])]
+                np.r_[goal[:3, 3] - T[:3, 3], T[:3, :3] @ pin.log3(T[:3, :3].T @ goal[:3, :3])]
                 for T, goal in zip(kinematics.tcp_poses(q), poses, strict=True)
             ]
         )

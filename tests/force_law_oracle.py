@@ -7,6 +7,7 @@ Jacobians is a finite difference of Pinocchio's, the dynamics are M qdd + h.
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 from panda import DOF, GROUPS, JOINT_DAMPING, TAU_MAX
 
 from minidual.config.control import ImpedanceConfig
@@ -18,7 +19,7 @@ from minidual.control.impedance import (
     ObjectState,
 )
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, rotation_log
+from minidual.robot.pair import Array
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -120,7 +121,7 @@ def torque(
         J_inverse = np.linalg.pinv(J)
         null = np.eye(7) - J_inverse @ J
         qdd[arm] = J_inverse @ (a_hand - drifts[6 * i : 6 * i + 6]) + null @ posture
-        hand_error = rotation_log(R_d @ held.T_object_tcps[i][:3, :3] @ tcps[i][:3, :3].T)
+        hand_error = pin.log3(R_d @ held.T_object_tcps[i][:3, :3] @ tcps[i][:3, :3].T)
         hand_rate = omega_d - J[3:] @ v[arm]
         half = 0.5 * (K[3:] * hand_error + D[3:] * hand_rate)
         external[arm] = J.T @ (f[6 * i : 6 * i + 6] + np.concatenate([none, half]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from carry_trials import PERFECT_SENSING, sample_trial
 from panda import HOME
@@ -18,7 +19,7 @@ from minidual.control.impedance import HeldEstimate, RestingEstimate
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import inverse, pose, rot_x, rot_z, rotation_log
+from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.impedance_carry import ImpedanceCarry
 
@@ -53,7 +54,7 @@ def test_noise_has_the_stated_deviation_no_bias_and_no_memory() -> None:
     readings = [senses.sense() for _ in range(6000)]
     forces = np.array([r.hand_forces for r in readings[100:]]).reshape(-1, 6) - bench.felt.ravel()
     positions = np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T[:3, 3]
-    turns = np.array([rotation_log(r.pose.T_world_object[:3, :3] @ bench.T[:3, :3].T) for r in readings if r.pose])
+    turns = np.array([pin.log3(r.pose.T_world_object[:3, :3] @ bench.T[:3, :3].T) for r in readings if r.pose])
     for errors, deviation in ((forces, 1.0), (positions, 0.0005), (turns, np.radians(0.3))):
         n = len(errors)
         assert np.allclose(errors.std(axis=0), deviation, rtol=0.04)
@@ -131,7 +132,7 @@ def test_the_mean_of_a_resting_object_falls_with_the_root_of_the_samples() -> No
             assert sample is not None
             estimate.add(sample.T_world_object)
         errors.append(estimate.T_world_object[:3, 3] - bench.T[:3, 3])
-        turns.append(rotation_log(estimate.T_world_object[:3, :3] @ bench.T[:3, :3].T))
+        turns.append(pin.log3(estimate.T_world_object[:3, :3] @ bench.T[:3, :3].T))
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(0.0005 / 10, rel=0.25)
     assert np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.radians(0.3) / 10, rel=0.25)
 
@@ -145,7 +146,7 @@ def test_a_mean_that_forgets_follows_an_object_that_closing_hands_shift() -> Non
             forgets.add(T, 0.2)
     assert np.linalg.norm(steady.T_world_object[:3, 3] - after[:3, 3]) > 0.002
     assert np.linalg.norm(forgets.T_world_object[:3, 3] - after[:3, 3]) < 0.0001
-    assert np.linalg.norm(rotation_log(forgets.T_world_object[:3, :3].T @ after[:3, :3])) < 0.002
+    assert np.linalg.norm(pin.log3(forgets.T_world_object[:3, :3].T @ after[:3, :3])) < 0.002
 
 
 def _held_pose(kinematics: Kinematics, q: np.ndarray) -> np.ndarray:
@@ -174,7 +175,7 @@ def test_the_twist_of_the_estimate_is_that_of_an_object_held_by_both_hands(kinem
     after = estimate.update(q + h * v, v, None).T_world_object.copy()
     before = estimate.update(q - h * v, v, None).T_world_object.copy()
     assert np.allclose((after[:3, 3] - before[:3, 3]) / (2 * h), twist[:3], atol=1e-6)
-    assert np.allclose(rotation_log(after[:3, :3] @ before[:3, :3].T) / (2 * h), twist[3:], atol=1e-6)
+    assert np.allclose(pin.log3(after[:3, :3] @ before[:3, :3].T) / (2 * h), twist[3:], atol=1e-6)
 
 
 def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_it_back(kinematics: Kinematics) -> None:
@@ -240,7 +241,7 @@ def _errors(world: World, carry: ImpedanceCarry) -> tuple[float, float]:
     T, estimate = world.object_pose(), carry.watch.estimate.T_world_object
     return (
         float(np.linalg.norm(T[:3, 3] - estimate[:3, 3])),
-        float(np.linalg.norm(rotation_log(T[:3, :3].T @ estimate[:3, :3]))),
+        float(np.linalg.norm(pin.log3(T[:3, :3].T @ estimate[:3, :3]))),
     )
 
 
@@ -286,7 +287,7 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
             speeds.append(carry.watch.estimate.twist - world.truth().twist())
             if heard[-1].pose is not None:
                 seen = inverse(world.object_pose()) @ heard[-1].pose.T_world_object
-                raw.append((np.linalg.norm(seen[:3, 3]), np.linalg.norm(rotation_log(seen[:3, :3]))))
+                raw.append((np.linalg.norm(seen[:3, 3]), np.linalg.norm(pin.log3(seen[:3, :3]))))
     assert carry.fault is None
     fused_rms, raw_rms = (np.sqrt(np.mean(np.square(e), axis=0)) for e in (fused, raw))
     assert fused_rms[0] < 0.0005  # of a sensor with 0.9 mm of noise in space, 10 ms late

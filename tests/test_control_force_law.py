@@ -8,6 +8,7 @@ import math
 import force_law_oracle as oracle
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from arm_scripts import solve_hands
 from hypothesis import given, settings
@@ -22,7 +23,7 @@ from minidual.control.gripper import pinch_force
 from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import inverse, pose, rot_z, rotation_log
+from minidual.robot.pair import inverse, pose, rot_z
 from minidual.robot.vectors import cross, inner, minus, plus, times
 from scripts.bench.scenes import BenchScene, held_scene
 
@@ -265,7 +266,7 @@ class TestHeld:
         for measured, _ in self._run(held, ObjectState(T), 1200, 40.0):
             M, v = held.kinematics.mass_matrix(held.world.q), held.world.v
             R = measured.T_world_object[:3, :3]
-            e = np.concatenate([T[:3, 3] - measured.T_world_object[:3, 3], rotation_log(T[:3, :3] @ R.T)])
+            e = np.concatenate([T[:3, 3] - measured.T_world_object[:3, 3], pin.log3(T[:3, :3] @ R.T)])
             energy.append(0.5 * v @ M @ v + 0.5 * e @ (stiffness * e))
         assert energy[0] > 0.1
         rises = np.maximum(np.diff(energy), 0.0).sum()
@@ -289,7 +290,7 @@ class TestHeld:
             load[k] = moment * min(1.0, max(0.0, step - 200.0) / 300.0)
             if step == 200:
                 R_before = world.object_pose()[:3, :3]
-        turned = rotation_log(world.object_pose()[:3, :3] @ R_before.T)
+        turned = pin.log3(world.object_pose()[:3, :3] @ R_before.T)
         load[:] = 0.0
         held.restore()
         assert moment / turned[k] == pytest.approx(stiffness, rel=0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from control_plant import ArmsPlant
 from panda import HOME, TAU_RATE_MAX
@@ -22,7 +23,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array, inverse, pose, rot_x, rot_z, rotation_log
+from minidual.robot.pair import Array, inverse, pose, rot_x, rot_z
 
 RIGHT = slice(7, 14)
 SOFT = ("left_arm", "right_hand")
@@ -65,7 +66,7 @@ def test_the_spring_acts_at_the_centre_of_compliance_along_the_axes_of_the_objec
         wrench, T = wrench_of(law, q, q_ref, held)
         T_ref = Kinematics().tcp_poses(q_ref)[1] @ held.T_tcp_object
         away = (T_ref - T) @ [*held.centre_m, 1.0]
-        expected = np.r_[STIFFNESS_N_PER_M * away[:3], STIFFNESS_NM_PER_RAD * rotation_log(T_ref[:3, :3] @ T[:3, :3].T)]
+        expected = np.r_[STIFFNESS_N_PER_M * away[:3], STIFFNESS_NM_PER_RAD * pin.log3(T_ref[:3, :3] @ T[:3, :3].T)]
         assert np.abs(expected[:3]).max() < FORCE_MAX_N
         np.testing.assert_allclose(wrench, expected, atol=1e-6)
 
@@ -76,7 +77,7 @@ def test_the_damping_pulls_towards_the_motion_of_the_reference_along_the_axes_of
     wrench, T = wrench_of(law, HOME, HOME, held, v_ref)
     ahead, behind = (Kinematics().tcp_poses(HOME + sign * h * v_ref)[1] @ held.T_tcp_object for sign in (1.0, -1.0))
     axes = T[:3, :3]
-    motion = np.r_[(ahead - behind) @ [*held.centre_m, 1.0]][:3], rotation_log(ahead[:3, :3] @ behind[:3, :3].T)
+    motion = np.r_[(ahead - behind) @ [*held.centre_m, 1.0]][:3], pin.log3(ahead[:3, :3] @ behind[:3, :3].T)
     along = np.concatenate([part / (2 * h) @ axes for part in motion])
     D = law._law["D"][0]
     np.testing.assert_allclose(np.concatenate([wrench[:3] @ axes, wrench[3:] @ axes]), D @ along, rtol=1e-5, atol=1e-7)

@@ -21,6 +21,7 @@ from minidual.collision.shapes import Box
 from minidual.config.planning import HeldMovesConfig, PlanConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
+from minidual.control.kernels import apart
 from minidual.errors import UsageError
 from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
@@ -31,7 +32,7 @@ from minidual.motion.ik import pose_goals
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, deviation, inverse, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import execute
 from minidual.stages.plan import held_checks
@@ -274,7 +275,7 @@ def driven():
 
 def test_the_rod_follows_the_plan_within_2_mm_and_1_degree(driven):
     _, plans, executions = driven
-    turned = [deviation(p.Ts_world_object[-1], p.Ts_world_object[0])[1] for p in plans]
+    turned = [apart(p.Ts_world_object[-1], p.Ts_world_object[0], np.empty(6))[1] for p in plans]
     assert max(turned) > 0.5  # one of them turns the rod by more than 30 degrees
     for execution in executions:
         assert execution.error_max_m < 0.002

@@ -18,14 +18,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import ComputedTorque, motor_torque
-from minidual.control.kernels import HAND_LAW, LAW, follow, hand_impedance, impedance, on_path
+from minidual.control.kernels import HAND_LAW, LAW, approach, follow, hand_impedance, impedance, on_path
 from minidual.errors import DataError, MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
+from minidual.robot.pair import SIDES, Array, inverse, pose
 
 SQUEEZE_CEILING_N = 80.0
 """Highest internal force."""
@@ -345,6 +344,5 @@ class HeldEstimate:
 
 def towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
     """Return T moved towards the sample, and their innovation."""
-    offset, turn = sample[:3, 3] - T[:3, 3], rotation_log(T[:3, :3].T @ sample[:3, :3])
-    moved = pose(T[:3, :3] @ pin.exp3(gain * turn), T[:3, 3] + gain * offset)
-    return moved, (math.sqrt(offset @ offset), math.sqrt(turn @ turn))
+    innovation = approach(T, sample, gain, moved := np.empty((4, 4)))
+    return moved, innovation

@@ -18,10 +18,10 @@ from minidual.control.impedance import (
     ObjectState,
     towards,
 )
-from minidual.control.kernels import within
+from minidual.control.kernels import apart, within
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, deviation, inverse, rotation_log
+from minidual.robot.pair import SIDES, Array, inverse
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
@@ -72,6 +72,7 @@ class ObjectImpedanceController(Controller):
         self.desired: ObjectState | None = None
         self._squeeze = self._squeeze_wanted = 0.0
         self._near: Array | None = None
+        self._way = np.zeros(6)
         self.reference = np.zeros(self._kinematics.robot.dof)
 
     def configure(self, held: HeldObject, gains: ImpedanceConfig | None = None) -> None:
@@ -87,7 +88,7 @@ class ObjectImpedanceController(Controller):
 
     def _away(self, wanted: ObjectState, bounds: tuple[float, float], what: str = "the object") -> str:
         """Return how far off the object is, if it is beyond the bounds [m, rad]; NaN is."""
-        away_m, away_rad = deviation(self._ready()[1].read()[0].T_world_object, wanted.T_world_object)
+        away_m, away_rad = apart(self._ready()[1].read()[0].T_world_object, wanted.T_world_object, self._way)
         if away_m <= bounds[0] and away_rad <= bounds[1]:
             return ""
         return f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from {what}; bounds {bounds[0]} m, {bounds[1]} rad"
@@ -144,9 +145,9 @@ class ObjectImpedanceController(Controller):
 
     def _compare_motion(self, steps: int) -> None:
         T, before, span_s = self._ready()[1].read()[0].T_world_object, self._T_seen, steps * self._dt_s
-        moved = np.append(T[:3, 3] - before[:3, 3], rotation_log(T[:3, :3] @ before[:3, :3].T))
+        apart(T, before, self._way)
         self._T_seen = T.copy()
-        self._off += self._dt_s * self._twists - moved - min(1.0, span_s / _FORGET_S) * self._off
+        self._off += self._dt_s * self._twists - self._way - min(1.0, span_s / _FORGET_S) * self._off
         self._twists[:] = 0.0
         off_m, off_rad = np.linalg.norm(self._off.reshape(2, 3), axis=1).tolist()
         if not (off_m <= _IN_HAND[0] and off_rad <= _IN_HAND[1]):
@@ -190,7 +191,7 @@ class ObjectImpedanceController(Controller):
         self.reference, self._v, desired, self._updates = q, v, self.desired or measured, self._updates + 1
         if self._back and execution is None:
             ahead, there = desired.T_world_object, measured.T_world_object
-            ahead_m = deviation(ahead, there)[0]
+            ahead_m = apart(ahead, there, self._way)[0]
             step, self._back = _BACK_M_PER_S * self._dt_s / max(ahead_m, _BACK_TO_M), ahead_m > _BACK_TO_M
             self.desired = desired = ObjectState(towards(ahead, there, step)[0])
         return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)

@@ -17,6 +17,7 @@ from minidual.robot.pair import Array
 
 _REAL = types.float64
 _TURNED = types.float64[::1, :]  # Pinocchio's matrices are column-major
+_POSE = types.Array(_REAL, 2, "A", readonly=True)
 _HANDS = types.Tuple([_TURNED, VECTOR, VECTOR, _TURNED, _TURNED])
 
 LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
@@ -80,13 +81,40 @@ def add_product(y: Array, sign: float, A: Array, x: Array) -> None:
 
 
 @njit
-def turn(wanted: Array, actual: Array) -> Vector:
-    """Return log(wanted actual^T) [rad], below half a turn."""
+def turn(wanted: Array, actual: Array) -> tuple[Vector, float]:
+    """Return log(wanted actual^T) [rad] and its angle."""
     X, Y, Z = apply(actual, wanted[0]), apply(actual, wanted[1]), apply(actual, wanted[2])  # rows
     axis = (0.5 * (Z[1] - Y[2]), 0.5 * (X[2] - Z[0]), 0.5 * (Y[0] - X[1]))
     sine = math.sqrt(inner(axis, axis))
     angle = math.atan2(sine, 0.5 * (X[0] + Y[1] + Z[2] - 1.0))
-    return times(angle / sine if sine > 1e-12 else 1.0, axis)
+    if angle > math.pi - 1e-6:  # (R + 1) / 2 is axis axis^T: its longest row
+        rows = plus(X, (1.0, 0.0, 0.0)), plus(Y, (0.0, 1.0, 0.0)), plus(Z, (0.0, 0.0, 1.0))
+        along = rows[0] if X[0] >= max(Y[1], Z[2]) else rows[1] if Y[1] >= Z[2] else rows[2]
+        return times(math.copysign(angle, inner(along, axis)) / math.sqrt(inner(along, along)), along), angle
+    return times(angle / sine if sine > 1e-12 else 1.0, axis), angle
+
+
+@kernel(types.UniTuple(_REAL, 2)(_POSE, _POSE, VECTOR))
+def apart(T: Array, T_other: Array, way: Array) -> tuple[float, float]:
+    """Fill `way` (6,) with the motion from T_other to T, world axes; return its distance [m] and angle [rad]."""
+    moved, (turned, angle) = minus(three(T[:, 3], 0), three(T_other[:, 3], 0)), turn(T, T_other)
+    way[:3], way[3:] = moved, turned
+    return math.sqrt(inner(moved, moved)), angle
+
+
+@kernel(types.UniTuple(_REAL, 2)(_POSE, _POSE, _REAL, ROWS))
+def approach(T: Array, goal: Array, share: float, moved: Array) -> tuple[float, float]:
+    """Fill `moved` (4, 4) with T moved by a share of the way to a goal; return that way's distance [m] and angle [rad]."""
+    p, (turned, angle) = three(T[:, 3], 0), turn(goal, T)
+    way, axis, moved[:] = minus(three(goal[:, 3], 0), p), times(share, turned), T
+    square = inner(axis, axis)
+    size = math.sqrt(square)
+    sine, cosine = (math.sin(size) / size, (1.0 - math.cos(size)) / square) if size > 1e-6 else (1.0, 0.5)
+    for k in range(3):  # Rodrigues
+        across = cross(axis, three(T[:, k], 0))
+        moved[:3, k] = plus(three(T[:, k], 0), plus(times(sine, across), times(cosine, cross(axis, across))))
+    moved[:3, 3] = plus(p, times(share, way))
+    return math.sqrt(inner(way, way)), angle
 
 
 @njit
@@ -196,7 +224,7 @@ def impedance(
         # Half the rotational stiffness, on the object's orientation as this hand's grasp implies it.
         for k in range(3):
             R[k] = apply(s.R_tcps_object[i].T, R_hand[k])
-        error = turn(T_d, R)
+        error, _ = turn(T_d, R)
         wrench[:3], wrench[3:] = f[i]
         slow[:] = omega
         add_product(slow, -1.0, J_hand[3:], v[own])
@@ -252,7 +280,7 @@ def hand_impedance(
     add_product(late, -1.0, J_hand, v[own])
     axes, late_along = T_ref.T, np.empty(6)
     pull[:3] = apply(axes, minus(plus(three(T_ref[:, 3], 0), apply(T_ref, s.centre)), p))
-    pull[3:] = apply(axes, turn(T_ref, R))
+    pull[3:] = apply(axes, turn(T_ref, R)[0])
     late_along[:3], late_along[3:] = apply(axes, late[:3]), apply(axes, late[3:])
     for k in range(6):
         pull[k] *= s.K[k]
@@ -370,7 +398,7 @@ def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion:
         motion[0, axis], motion[1, axis] = ds / span * way, dds / span**2 * way
 
 
-@kernel(types.boolean(*[types.Array(_REAL, 2, "A", readonly=True)] * 2, *[VIEW] * 3))
+@kernel(types.boolean(_POSE, _POSE, *[VIEW] * 3))
 def near(T: Array, T_other: Array, twist: Array, acceleration: Array, most: Array) -> bool:
     """Return whether a pose is near another, and its motion within bounds; false for NaN.
 

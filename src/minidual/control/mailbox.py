@@ -9,7 +9,8 @@ import numpy as np
 
 from minidual.control.commands import Command, JointCommand, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
-from minidual.robot.pair import Array, Robot, rotation_log
+from minidual.control.kernels import apart
+from minidual.robot.pair import Array, Robot
 
 OBJECT_MAX = 1.0, 3.0, 5.0, 15.0
 """Speed [m/s], rate of turning [rad/s] and their accelerations; just below the arms' own limits."""
@@ -139,10 +140,9 @@ def _object(command: ObjectCommand) -> Reason | None:
 
 def _moved(before: ObjectState, after: ObjectState, span_s: float) -> tuple[float, float, float]:
     """Return how far [m], [rad] the pose has moved beyond the mean twist, and its mean speed [m/s]."""
-    T, T_before, way = after.T_world_object, before.T_world_object, 0.5 * span_s * (before.twist + after.twist)
-    moved, turned = T[:3, 3] - T_before[:3, 3], rotation_log(T[:3, :3] @ T_before[:3, :3].T)
-    jumps = float(np.linalg.norm(moved - way[:3])), float(np.linalg.norm(turned - way[3:]))
-    return *jumps, float(np.linalg.norm(moved)) / span_s
+    moved_m, _ = apart(after.T_world_object, before.T_world_object, way := np.empty(6))
+    jump = way - 0.5 * span_s * (before.twist + after.twist)
+    return float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:])), moved_m / span_s
 
 
 class Mailbox:

@@ -5,13 +5,16 @@ closed. After a reflex, `SupervisedStop` brakes on v_ref = r v_0 and holds, with
 one object keep together. A joint that would reach its position limit on the way brakes on its own.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numba.core import types
 
 from minidual.config.control import SupervisorConfig
 from minidual.control.controllers import EVERY, Controller, Payload
 from minidual.control.joint_control import ComputedTorque
+from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
 
@@ -109,6 +112,27 @@ _SLOWER = (1.0, 0.75, 0.5)
 """Shares of the largest deceleration, tried in turn until the torques suffice."""
 
 
+@kernel(types.void(VIEW, VECTOR, VECTOR, ROWS, VECTOR))
+def braking(q: Array, v: Array, most: Array, limits: Array, slope: Array) -> None:
+    """Fill `slope` (n,) [1/s] of r: the least of all at decelerations `most` (n,), but near `limits` (2, n) a joint's own."""
+    common = math.inf
+    for j in range(len(v)):
+        slope[j] = most[j] / max(abs(v[j]), most[j] * _LEAST_S)
+        common = min(common, slope[j])
+    for j in range(len(v)):
+        room = limits[1, j] - q[j] if v[j] > 0.0 else q[j] - limits[0, j]
+        if abs(v[j]) * (0.5 / common + _RAMP_S) <= room:
+            slope[j] = common
+
+
+@kernel(types.void(VIEW, VECTOR, VECTOR, ROWS, VECTOR))
+def come_to_rest(q: Array, v: Array, slope: Array, limits: Array, where: Array) -> None:
+    """Fill `where` (n,), from q, v at this slope of r, which falls symmetrically; NaN stays."""
+    for j in range(len(v)):
+        x, low, high = q[j] + v[j] * (0.5 / slope[j] + 0.5 * _RAMP_S), limits[0, j], limits[1, j]
+        where[j] = low if x < low else high if x > high else x
+
+
 class SupervisedStop:
     """Torques of the stop; `kinematics` must not be the controllers'."""
 
@@ -117,6 +141,7 @@ class SupervisedStop:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=config.stop_frequency_rad_s)
         self._brake = config.stop_deceleration_scale * robot.a_max
         self._v_max, self._tau_max = robot.v_max, _TORQUE_SHARE * robot.tau_max
+        self._limits = np.array([robot.q_lower, robot.q_upper])
         self._dt, self._hands = dt_s, Hands(kinematics)
         self.bears_n: Sequence[float] = (0.0, 0.0)
         """Weight in each hand."""
@@ -132,15 +157,12 @@ class SupervisedStop:
     def rest(self, q: Array, v: Array) -> Array:
         """Return the posture (n,) in which a stop from q, v ends."""
         v_0 = np.minimum(np.maximum(v, -self._v_max), self._v_max)
-        way = v_0 * (0.5 / self._largest_slope(q, v_0) + 0.5 * _RAMP_S)  # r falls symmetrically
-        return np.minimum(np.maximum(q + way, self._robot.q_lower), self._robot.q_upper)
+        come_to_rest(q, v_0, self._largest_slope(q, v_0), self._limits, where := np.empty_like(q))
+        return where
 
     def _largest_slope(self, q: Array, v: Array) -> Array:
         """Return the decrease of r (n,) [1/s] at the largest feasible braking, common but near position limits."""
-        speed = np.abs(v)
-        slope = self._brake / np.maximum(speed, self._brake * _LEAST_S)
-        common, room = slope.min(), np.where(v > 0.0, self._robot.q_upper - q, q - self._robot.q_lower)
-        slope[speed * (0.5 / common + _RAMP_S) <= room] = common
+        braking(q, v, self._brake, self._limits, slope := np.empty_like(q))
         for share in _SLOWER:
             shared = share * slope
             if (np.abs(self._servo.torque(q, v, q, v, -shared * v)) <= self._tau_max).all():

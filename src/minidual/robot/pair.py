@@ -5,7 +5,6 @@ in a: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; 
 Quaternions are wxyz. The world's origin is on the table top between the bases; x points away from them, left is +y.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -204,31 +203,6 @@ def rot_z(angle_rad: float) -> Array:
     """Rotate about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def rotation_log(R: Array) -> Array:
-    """Return the rotation vector (3,) [rad].
-
-    Near pi the axis comes from the symmetric part; the antisymmetric one loses digits.
-    """
-    vee = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    cosine, sine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0), 0.5 * math.sqrt(vee @ vee)
-    angle = math.atan2(sine, cosine)
-    if angle < 1e-6:
-        return 0.5 * vee
-    if angle > math.pi - 1e-4:
-        outer = (0.5 * (R + R.T) - cosine * np.eye(3)) / (1.0 - cosine)  # axis axis^T
-        column = int(np.argmax(np.diag(outer)))
-        axis = outer[:, column] / np.linalg.norm(outer[:, column])
-        sign = 1.0 if float(vee @ axis) >= 0.0 else -1.0
-        return sign * angle * axis
-    return vee * (0.5 * angle / sine)
-
-
-def deviation(T: Array, T_other: Array) -> tuple[float, float]:
-    """Return distance [m] and angle [rad] between two poses."""
-    way, turn = T[:3, 3] - T_other[:3, 3], rotation_log(T_other[:3, :3].T @ T[:3, :3])
-    return math.sqrt(way @ way), math.sqrt(turn @ turn)
 
 
 def rotation_from_quat(quat_wxyz: Array) -> Array:

@@ -134,20 +134,23 @@ class FaultMonitor:
 
     def silent(self, what: str, age_s: float, bound_s: float) -> Fault | None:
         """Check the age of a sensor's last usable reading."""
-        detail = f"no {what} for {1e3 * age_s:.0f} ms; bound {1e3 * bound_s:.0f} ms"
-        return None if age_s <= bound_s else Fault("sensor_lost", detail)
+        if age_s <= bound_s:
+            return None
+        return Fault("sensor_lost", f"no {what} for {1e3 * age_s:.0f} ms; bound {1e3 * bound_s:.0f} ms")
 
     def frozen(self, what: str, same: bool, needed: int) -> Fault | None:
         """Check a sensor whose readings must change; `same` to the bit as the last."""
-        detail = f"{what} stays the same to the bit while the object moves"
-        return Fault("sensor_lost", detail) if self._lasts(f"frozen {what}", same, needed) else None
+        if not self._lasts(what, same, needed):
+            return None
+        return Fault("sensor_lost", f"{what} stays the same to the bit while the object moves")
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample of an untouched object."""
         away = any(self._scatter.exceeded(innovation))
         self._scatter.learn(innovation)
-        detail = f"the object is {1e3 * innovation[0]:.0f} mm from where it lay"
-        return Fault("knocked_away", detail) if self._lasts("resting", away, 2) else None
+        if not self._lasts("resting", away, 2):
+            return None
+        return Fault("knocked_away", f"the object is {1e3 * innovation[0]:.0f} mm from where it lay")
 
     def closing(self, gap_m: Sequence[float], pinch_n: Array, t_s: float) -> Fault | None:
         """Check closing hands by gaps (2,), pinch (2,) and time."""
@@ -205,9 +208,10 @@ class FaultMonitor:
 
     def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
         """Check a pose sample against the hands."""
+        if not self._lasts("held", any(self._scatter.exceeded(innovation)), 2):
+            return None
         away_m, away_rad = innovation
-        detail = f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands"
-        return Fault("slip", detail) if self._lasts("held", any(self._scatter.exceeded(innovation)), 2) else None
+        return Fault("slip", f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands")
 
     def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from minidual.control.kernels import apart
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import deviation
 from minidual.skills.phases import PHASES, Segment, still
 from minidual.skills.pipeline.drive import Drive
 
@@ -51,17 +51,17 @@ def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> E
         still("settle", plan.q[-1], PHASES["settle"].hold_s, _CLOSED),
     ]
     drive = Drive(ControlStack(world, Kinematics(world.robot)), segments)
-    errors, pinch = [], []
+    errors, pinch, way = [], [], np.empty(6)
     while not drive.done:
         T_before, pinch_before = world.object_pose(), float(world.truth().pinch().min())
         drive.step()
         if drive.phase not in ("carry", "settle") or drive.elapsed_s == 0.0:
             continue
         if not errors:
-            errors, pinch = [deviation(T_before, T_start)], [pinch_before]
+            errors, pinch = [apart(T_before, T_start, way)], [pinch_before]
         elapsed = drive.elapsed_s if drive.phase == "carry" else plan.duration_s
         row = min(round(elapsed / plan.dt_s), len(plan.times) - 1)
-        errors.append(deviation(world.object_pose(), plan.Ts_world_object[row]))
+        errors.append(apart(world.object_pose(), plan.Ts_world_object[row], way))
         pinch.append(float(world.truth().pinch().min()))
     if drive.aborted is not None:
         raise NotDrivenError(drive.aborted)

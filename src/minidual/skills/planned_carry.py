@@ -14,7 +14,7 @@ from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.errors import MinidualError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.pair import SIDES, Array, inverse, pose, rotation_log
+from minidual.robot.pair import SIDES, Array, inverse, pose
 from minidual.skills.cycle import solve
 from minidual.skills.phases import OPEN, Segment, State, moved
 from minidual.skills.pipeline.drive import Drive
@@ -140,6 +140,6 @@ class CompliantCarry(PlannedCarry):
 
 def _centred(T_tcp_object: Array, planned: Array) -> Array:
     """Return the pose after fingers, closing along y, have centred the object and turned it along them."""
-    turned = rotation_log(T_tcp_object[:3, :3] @ planned[:3, :3].T) * [0.0, 1.0, 0.0]
+    turned = pin.log3(T_tcp_object[:3, :3] @ planned[:3, :3].T) * [0.0, 1.0, 0.0]
     x, _, z = T_tcp_object[:3, 3]
     return pose(pin.exp3(turned) @ planned[:3, :3], (x, planned[1, 3], z))
