@@ -130,3 +130,21 @@ def test_an_object_path_that_opens_the_hands_is_refused(world: World) -> None:
         "gripper [0. 1.] would open the hands that hold the object",
     )
     assert carried.height_m > 0.14
+
+
+@pytest.mark.parametrize("began", range(0, 20, 4))
+def test_a_loop_that_stalled_is_told_from_a_silent_arbiter(scene: SceneConfig, began: int) -> None:
+    """Before, it was "no command", and nothing at all where an arbiter's tick was due at its end."""
+    plant = Arms(scene)
+    stack = supervised(plant)
+    hand_over(stack, "moveit")
+    assert run(stack, 100 + began) == []
+    for _ in range(70):
+        plant.step()  # the motors keep their torque
+    assert run(stack, 100) == [], "0.07 s are no reflex"
+    for _ in range(150):
+        plant.step()
+    with pytest.raises(ReflexError, match=r"stale_command at .*: no control step \(0.15 s, bound 0.1 s\)"):
+        stack.step()
+    assert run(stack, 500) == []
+    assert np.abs(plant.v).max() < 0.01

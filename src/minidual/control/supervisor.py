@@ -162,7 +162,8 @@ class Supervisor:
             return self._stopping(q, v, stamp_s)
         self._tick += 1
         stop, most = self._estop or emergency.pressed(), self._note(time_s, q, v, tau, stamp_s, a_ref)
-        calm = most <= 1.0 and self._usable and not stop and time_s <= self._deadline_s  # not NaN
+        heard = time_s <= self._deadline_s and self._stood_s <= self.config.stale_s  # not NaN
+        calm = most <= 1.0 and self._usable and not stop and heard
         applied = self._tau.copy() if calm else self._look_closer(stop)
         if self._tick >= self._next_feel and self._sense.age_s == 0.0:
             self._next_feel = self._tick + self._feel_every
@@ -205,6 +206,7 @@ class Supervisor:
             self._q[:], self._v[:], self._tau[:] = q, v, tau
             most = excess(self._q, self._v, self._tau, *more)
         before_s, self._time_s = self._time_s, time_s
+        self._stood_s = time_s - before_s - self.dt_s if self._tick > 1 else 0.0
         self._usable = self._sense.update(self._q, self._v, self._applied, self._newer_s(stamp_s))
         if not time_s > before_s:
             self._time_s = before_s
@@ -249,6 +251,8 @@ class Supervisor:
         if stop:
             self._estop = ""  # a later one acts after `reset`
             self._trip("emergency_stop", stop, 1.0, None)
+        if self._stood_s > self.config.stale_s:
+            self._trip("stale_command", "no control step", self._stood_s, self.config.stale_s)
         if self._time_s > self._deadline_s:
             silent = self._time_s - self._deadline_s + self.config.stale_s
             self._trip("stale_command", "no command", silent, self.config.stale_s)
