@@ -40,7 +40,7 @@ class TeleopConfig(StrictModel):
 
     episodes_n: AtLeast[int] = Field(default=120, ge=1, le=10000)
     leader: str = Field(default="scripted", min_length=1)
-    rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
+    rate_hz: float = Field(default=50.0, ge=40.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
     conditions: tuple[str, ...] = Field(default=("clean",), min_length=1)
     """Conditions that the episodes take in turn; only those that change what is there."""
