@@ -188,7 +188,7 @@ def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs
 
 
 def test_slip_on_the_table_does_not_count_in_the_air():
-    """Friction 0.31, dry joints: 2.6 mm on the table, then 1.4 mm more. Before, their sum was the fault `slip`."""
+    """Worn pads, dry joints: 2.7 mm on the table, then 1.9 mm more. Before, their sum was the fault `slip`."""
     bench, spread_m = Bench("impedance", MethodInputs(Config(), 20260), "randomised"), []
 
     def watch(_, driven):
@@ -196,7 +196,7 @@ def test_slip_on_the_table_does_not_count_in_the_air():
             hands = driven._kinematics.tcp_poses(driven.world.q)
             spread_m.append(float(np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3])))
 
-    result, _ = bench.run(sample_trial(bench.task.scene, 20260, "benchmark", 80), on_step=watch)
+    result, _ = bench.run(sample_trial(bench.task.scene, 20260, "benchmark", 92), on_step=watch)
     assert result.success, result.text
     assert np.ptp(spread_m) > bench.task.config.carry.faults.displaced_m
 

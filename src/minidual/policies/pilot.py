@@ -106,7 +106,7 @@ class PolicyPilot:
         try:
             self.stack.advance()
         except ReflexError as error:
-            self.aborted = error.message
+            self.aborted = self.aborted or error.message  # it may follow from what stopped the policy
         if self._broken is not None and self.done:
             raise self._broken
 
