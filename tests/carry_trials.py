@@ -12,7 +12,7 @@ from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.metrics import TrialMetrics
 
 _SENSED = "pose_noise_m pose_noise_rad pose_rate_hz force_noise_n delay_s force_filter_s grasp_memory_s"
-PERFECT_SENSING = SensingConfig(**dict.fromkeys(_SENSED.split(), 0.0))
+PERFECT_SENSING = SensingConfig(**dict.fromkeys(_SENSED.split(), 0.0) | {"pose_rate_hz": 1000.0})
 
 
 def carry_task(scene: SceneConfig) -> Task:

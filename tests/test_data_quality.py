@@ -12,7 +12,7 @@ import pytest
 from minidual.demos import quality
 from minidual.demos.episode import read_episode
 from minidual.errors import DataError
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, path_length
 from minidual.robot.pair import DUAL_PANDA
 
 
@@ -27,7 +27,7 @@ def hands(left: np.ndarray, right: np.ndarray | None = None) -> np.ndarray:
 
 def test_path_length_is_that_of_each_hand() -> None:
     positions = hands(path_through((0, 0, 0), (0.3, 0, 0), (0.3, 0.4, 0)))
-    np.testing.assert_allclose(quality.path_length_m(positions), [0.7, 0.0])
+    np.testing.assert_allclose(path_length(positions), [0.7, 0.0])
 
 
 def test_efficiency_is_one_for_straight_legs_between_changes_of_grip_and_less_for_detours() -> None:

@@ -154,7 +154,7 @@ def test_distractors_stand_beside_starts_and_goals(name: str) -> None:
 def test_the_pose_sensor_is_off_by_a_constant_of_the_trial(name: str) -> None:
     task, model, _, _ = drawn(name)
     sensing = ROW.config_under(task.config).carry.sensing.model_copy(
-        update={"pose_noise_m": 0.0, "pose_noise_rad": 0.0, "delay_s": 0.0, "pose_rate_hz": 0.0}
+        update={"pose_noise_m": 0.0, "pose_noise_rad": 0.0, "delay_s": 0.0, "pose_rate_hz": 1000.0}
     )
     world = World(task.scene, model=model)
     world.reset(poses=task.trial(3, "randomised", 0).start)

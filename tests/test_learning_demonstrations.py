@@ -10,7 +10,7 @@ from learning_world import APPROACH, demonstrations
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError
-from minidual.policies.demonstrations import Demonstrations, draw_weighted, gripper_switches, split_episodes
+from minidual.policies.demonstrations import Demonstrations, gripper_switches, split_episodes
 
 torch, batches = late("torch"), late("minidual.policies.batches")
 pytestmark = pytest.mark.torch
@@ -63,12 +63,6 @@ def test_split_is_by_episode_disjoint_and_repeatable() -> None:
     assert (training, validation) == split_episodes(episodes, 0.1, np.random.default_rng(3))
     assert split_episodes([7], 0.5, np.random.default_rng(0)) == ([7], [])
     assert split_episodes(episodes, 0.0, np.random.default_rng(0))[1] == []
-
-
-def test_rows_are_drawn_in_proportion_to_their_weight() -> None:
-    drawn = draw_weighted(np.array([4, 5, 9]), np.cumsum([1.0, 3.0, 0.0]), 40_000, np.random.default_rng(0))
-    assert set(drawn.tolist()) == {4, 5}
-    assert (drawn == 5).mean() == pytest.approx(0.75, abs=0.01)
 
 
 def test_statistics_are_those_of_the_data_and_floored() -> None:

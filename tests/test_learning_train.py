@@ -94,16 +94,11 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
+        train(demos, config, 5, tmp_path / "cut", progress=tmp_path / "progress", advance=interrupt)
     assert not (tmp_path / "cut").exists()
     told: list[int] = []
     resumed = train(
-        demos,
-        config,
-        5,
-        tmp_path / "cut",
-        resume_dir=tmp_path / "progress",
-        advance=lambda steps, _: told.append(steps),
+        demos, config, 5, tmp_path / "cut", progress=tmp_path / "progress", advance=lambda steps, _: told.append(steps)
     )
     assert resumed.resumed_from_step == told[0] == stop_at
     assert sum(told) == whole.steps
@@ -119,22 +114,20 @@ def interrupt(_steps: int, _loss: float) -> None:
 def test_progress_of_another_training_is_not_used(demos: Demonstrations, tmp_path: Path, change: str) -> None:
     config, seed = TrainConfig(**SMALL), 5
     with pytest.raises(KeyboardInterrupt):
-        train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
+        train(demos, config, seed, tmp_path / "cut", progress=tmp_path / "progress", advance=interrupt)
     if change == "seed":
         seed = 6
     elif change == "config":
         config = TrainConfig(**{**SMALL, "approach_weight": 1.0})
     else:
         demos = tiny(seed=1)
-    before = (tmp_path / "progress" / "progress.pt").read_bytes()
-    (tmp_path / "progress" / "other").mkdir()
-    result = train(demos, config, seed, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    before = (tmp_path / "progress").read_bytes()
+    result = train(demos, config, seed, tmp_path / "cut", progress=tmp_path / "progress")
     assert result.resumed_from_step == 0
     assert result.set_aside is not None
     assert result.set_aside.parent == tmp_path / "set-aside"
     assert result.set_aside.name.startswith("train-act.other-progress-")
     assert result.set_aside.read_bytes() == before
-    assert (tmp_path / "progress" / "other").is_dir(), "only the file is moved"
 
 
 def test_an_interrupted_training_says_where_the_one_before_is_and_that_goes_on(
@@ -146,11 +139,11 @@ def test_an_interrupted_training_says_where_the_one_before_is_and_that_goes_on(
     for learning_rate in (config.learning_rate, 0.1):
         changed = TrainConfig(**{**SMALL, "learning_rate": learning_rate})
         with pytest.raises(KeyboardInterrupt) as caught:
-            train(demos, changed, 5, tmp_path / "cut", resume_dir=progress, advance=interrupt)
+            train(demos, changed, 5, tmp_path / "cut", progress=progress, advance=interrupt)
     (moved,) = (tmp_path / "set-aside").iterdir()
     assert str(caught.value) == f"interrupted; an earlier training's progress is in {moved}"
-    moved.replace(progress / "progress.pt")
-    assert train(demos, config, 5, tmp_path / "cut", resume_dir=progress).resumed_from_step == 1
+    moved.replace(progress)
+    assert train(demos, config, 5, tmp_path / "cut", progress=progress).resumed_from_step == 1
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
 
@@ -162,8 +155,8 @@ def test_settings_without_influence_on_the_weights_do_not_end_a_training(demos: 
     train(demos, changed, 5, tmp_path / "changed")
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "changed"))
     with pytest.raises(KeyboardInterrupt):
-        train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress", advance=interrupt)
-    result = train(demos, changed, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+        train(demos, config, 5, tmp_path / "cut", progress=tmp_path / "progress", advance=interrupt)
+    result = train(demos, changed, 5, tmp_path / "cut", progress=tmp_path / "progress")
     assert (result.resumed_from_step, result.set_aside) == (1, None)
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
@@ -179,13 +172,13 @@ def test_the_emergency_stop_ends_a_training_which_goes_on_later(demos: Demonstra
                 config,
                 5,
                 tmp_path / "cut",
-                resume_dir=tmp_path / "progress",
+                progress=tmp_path / "progress",
                 advance=lambda *_: emergency.press("test"),
             )
     finally:
         emergency.release()
     assert not (tmp_path / "cut").exists()
-    resumed = train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+    resumed = train(demos, config, 5, tmp_path / "cut", progress=tmp_path / "progress")
     assert (resumed.resumed_from_step, resumed.curve) == (1, whole.curve)
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
@@ -225,8 +218,8 @@ def test_an_interruption_within_a_step_leaves_the_progress_of_a_whole_one(
     with monkeypatch.context() as patch:
         patch.setattr(place, name, at_call(count, getattr(place, name)))
         with pytest.raises(KeyboardInterrupt):
-            train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
-    resumed = train(demos, config, 5, tmp_path / "cut", resume_dir=tmp_path / "progress")
+            train(demos, config, 5, tmp_path / "cut", progress=tmp_path / "progress")
+    resumed = train(demos, config, 5, tmp_path / "cut", progress=tmp_path / "progress")
     assert resumed.resumed_from_step == 2
     assert resumed.curve == whole.curve
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
@@ -261,9 +254,9 @@ def test_damaged_progress_is_set_aside_and_training_starts_anew(
     """It ended with KeyError, IndexError or UnicodeDecodeError, each time that the command was typed."""
     config, folder = TrainConfig(**SMALL), tmp_path / ".train-act.progress"
     with pytest.raises(KeyboardInterrupt):
-        train(demos, config, 5, tmp_path / "cut", resume_dir=folder, advance=interrupt)
-    damage(folder / "progress.pt")
-    result = train(demos, config, 5, tmp_path / "cut", resume_dir=folder)
+        train(demos, config, 5, tmp_path / "cut", progress=folder, advance=interrupt)
+    damage(folder)
+    result = train(demos, config, 5, tmp_path / "cut", progress=folder)
     assert (result.resumed_from_step, result.steps) == (0, config.steps)
     assert result.set_aside is not None
     assert result.set_aside.parent == tmp_path / "set-aside"

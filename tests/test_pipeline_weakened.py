@@ -56,7 +56,7 @@ def test_a_shipped_profile_asks_for_itself(profile):
         ("benchmark", "benchmark.tasks=[pot_lift,handover,insertion,sort]", "benchmark.own_task is False"),
         ("benchmark", "benchmark.further_tasks={}", "benchmark.tasks is {}, the profile asks for {'pot_lift': 20"),
         ("benchmark", "benchmark.further_tasks.sort=19", "'sort': 19}, the profile asks for"),
-        ("deploy", "deploy.judge_success=false", "deploy.judge_success is False, the profile asks for True"),
+        ("deploy", "deploy.success_rate_min=null", "deploy.success_rate_min is None, the profile asks for 0.949"),
         ("env-check", "env_check.sine_amplitude_rad=0.01", "env_check.sine_amplitude_rad is 0.01"),
         ("env-check", "env_check.step_rad=0.05", "env_check.step_rad is 0.05, the profile asks for 0.3"),
         ("env-check", "env_check.step_duration_s=10", "env_check.step_duration_s is 10.0, the profile asks for 2.0"),

@@ -240,8 +240,9 @@ def test_moves_are_what_they_say(outcomes):
     assert not np.array_equal(again.query.T_world_goal, other.query.T_world_goal)
     for outcome in outcomes:
         move = outcome.move
-        assert 0.05 <= move.distance_m <= 0.5
-        assert move.turn_rad <= np.pi / 2 + 1e-9
+        way_m, turn_rad = apart(move.query.T_world_goal, move.T_world_start, np.empty(6))
+        assert 0.05 <= way_m <= 0.5
+        assert turn_rad <= np.pi / 2 + 1e-9
         assert move.with_obstacles == (move.index % 2 == 1)
         assert len(move.query.scene.obstacles) == (4 if move.with_obstacles else 1)
         assert move.blocked or not move.with_obstacles

@@ -128,8 +128,3 @@ class TestPoses:
     def test_elementary_rotations(self, angle):
         assert pair.rot_x(angle) == pytest.approx(Rotation.from_euler("x", angle).as_matrix(), abs=1e-15)
         assert pair.rot_z(angle) == pytest.approx(Rotation.from_euler("z", angle).as_matrix(), abs=1e-15)
-
-    def test_rotation_from_quaternion(self):
-        for R in self.rotations:
-            x, y, z, w = R.as_quat()
-            assert pair.rotation_from_quat(np.array([w, x, y, z])) == pytest.approx(R.as_matrix(), abs=1e-14)

@@ -106,7 +106,7 @@ def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
 
 
 def deploy(rows: list[TrialMetrics], hz: float = 200.0, *, seen_n: int = 0, judged: bool = True) -> list[Check]:
-    settings = DeployConfig(trials=10, judge_success=judged)
+    settings = DeployConfig(trials=10, **({} if judged else {"success_rate_min": None}))
     return deploy_checks(summarise(rows, np.random.default_rng(0)), seen_n, hz, settings)
 
 
@@ -136,7 +136,7 @@ def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[s
     assert failing(set_checks("room", summary, [0.9], settings)) == names
     (rate,) = set_checks("table colour", summary, [0.9], settings)
     assert (rate.name, rate.op) == ("table_colour_success_rate", None)
-    unjudged = settings.model_copy(update={"judge_success": False})
+    unjudged = settings.model_copy(update={"condition_rate_min": {}})
     (rate,) = set_checks("room", summary, [0.9], unjudged)
     assert rate.op is None
 
@@ -147,7 +147,7 @@ def test_deploy_fails_if_the_policy_succeeds_without_seeing_the_object(missed_n:
     checks = set_checks("object hidden", summary, [0.0, 0.5], DeployConfig(trials=10))
     assert failing(checks) == names
     assert len(checks) == 1, "other seeds' rates are not of interest"
-    (unjudged,) = set_checks("object hidden", summary, [0.0], DeployConfig(judge_success=False))
+    (unjudged,) = set_checks("object hidden", summary, [0.0], DeployConfig(hidden_rate_max=None))
     assert unjudged.op is None
 
 

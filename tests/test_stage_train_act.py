@@ -189,7 +189,7 @@ def test_progress_of_other_settings_is_kept_in_the_run_for_every_seed(stage: Sta
 def test_a_damaged_file_of_one_seed_leaves_the_others(stage: Stage) -> None:
     with pytest.raises(KeyboardInterrupt):
         stage.run(stop_in=2, seeds_n=2)
-    first, _ = sorted(stage.folder.rglob("progress.pt"), key=lambda path: (len(path.parts), path))
+    first, _ = sorted(stage.folder.rglob(".train-act.progress-*"))
     first.write_bytes(b"")
     notes = stage.run(seeds_n=2).notes
     assert stage.moved() == ["train-act.damaged-progress"]
@@ -207,7 +207,7 @@ def test_a_training_does_not_go_on_under_other_code(stage: Stage, monkeypatch: p
     assert not any("continued" in note for note in notes)
     assert stage.moved() == ["train-act.progress"] * 2
     assert sum("a training of other code is now in" in line for line in stage.said) == 2
-    assert all(list(path.glob("progress.pt")) for path in (stage.folder / "set-aside").iterdir())
+    assert all(path.is_file() for path in (stage.folder / "set-aside").iterdir())
 
 
 @pytest.mark.torch

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from enum import IntEnum
 
 _UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
@@ -67,6 +67,12 @@ class NothingEvaluatedError(MinidualError):
 
 class DataError(MinidualError):
     """A file is corrupt, truncated or of another schema."""
+
+
+def shortened(items: Sequence[str], shown: int = 6, sep: str = ", ") -> str:
+    """Return the first items, and the number of the rest."""
+    rest = len(items) - shown
+    return sep.join(items[:shown]) + (f", and {rest} more" if rest > 0 else "")
 
 
 def printable(text: str) -> str:

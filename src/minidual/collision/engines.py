@@ -66,17 +66,8 @@ def robot_geometry(robot: Robot) -> pin.GeometryModel:
 def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
     """Return one solid, or one per mesh piece."""
     if isinstance(shape, Mesh):
-        return [_hull(vertices) for vertices in shape.vertices()]
+        return [coal.ConvexBase.convexHull([*vertices], True, "Qt") for vertices in shape.vertices()]
     return [_SOLIDS[type(shape)](*shape.lengths())]
-
-
-def _hull(vertices: Array) -> coal.CollisionGeometry:
-    cloud = coal.BVHModelOBBRSS()
-    cloud.beginModel(0, len(vertices))
-    cloud.addVertices(np.ascontiguousarray(vertices))
-    cloud.endModel()
-    cloud.buildConvexHull(True, "Qt")
-    return cloud.convex
 
 
 _CLOSEST_WITHIN_M = 0.1

@@ -221,15 +221,10 @@ class PlanningScene:
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs that may not touch, in a fixed order."""
-        return tuple(p for p in itertools.combinations(self.names, 2) if self._why_unchecked(*p) is None)
+        return tuple(p for p in itertools.combinations(self.names, 2) if self.why_unchecked(*p) is None)
 
     def why_unchecked(self, a: str, b: str) -> str | None:
-        """Return the reason, or None for a checked pair."""
-        for name in (a, b):
-            check_name("link or obstacle", name, self.names)
-        return self._why_unchecked(a, b)
-
-    def _why_unchecked(self, a: str, b: str) -> str | None:
+        """Return the reason, or None for a checked pair of known names."""
         moved_a, moved_b = self._moved_by[a], self._moved_by[b]
         if moved_a[1] == 0 and moved_b[1] == 0:
             return "neither moves"
@@ -262,7 +257,6 @@ class PlanningScene:
 
     def allowing(self, a: str, b: str, reason: str = "user") -> PlanningScene:
         """Return a copy allowing the pair."""
-        self.why_unchecked(a, b)  # check the names
         if a == b:
             raise UsageError(f"a link cannot be paired with itself: '{a}'")
         first, second = sorted((a, b))
@@ -270,11 +264,12 @@ class PlanningScene:
 
     def forbidding(self, a: str, b: str) -> PlanningScene:
         """Return a copy checking the pair."""
-        self.why_unchecked(a, b)
         others = self._others(a, b)
         if others == self.allowed:
             raise UsageError(f"the pair {a} and {b} is checked already; it has no entry to remove")
         return dataclasses.replace(self, allowed=others)
 
     def _others(self, a: str, b: str) -> AllowedCollisions:
+        for name in (a, b):
+            check_name("link or obstacle", name, self.names)
         return frozenset(row for row in self.allowed if {a, b} != {*row[:2]})

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from minidual.errors import UsageError
 from minidual.registry import Registry
-from minidual.robot.pair import Array, Robot, pose, rotation_from_quat
+from minidual.robot.pair import Array, Robot, pose
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -47,8 +48,7 @@ class _Shape:
     @property
     def T_parent_shape(self) -> Array:
         """Pose (4, 4) in the world, or the link that holds it."""
-        quat = np.array(self.quat_wxyz)
-        return pose(rotation_from_quat(quat / np.linalg.norm(quat)), np.array(self.position_m))
+        return pose(pin.Quaternion(*self.quat_wxyz).normalized().matrix(), self.position_m)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from typing import Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from minidual.config.base import AtLeast, AtMost, Coordinate, StrictModel
 
@@ -23,8 +23,6 @@ class EnvCheckConfig(StrictModel):
     sine_frequency_hz: AtLeast[float] = Field(default=0.5, ge=0.05, le=1.0)
     sine_duration_s: AtLeast[float] = Field(default=10.0, ge=1.0, le=60.0)
     sine_rms_max_rad: AtMost[float] = Field(default=0.02, gt=0.0, le=0.05)
-    pulse_share: float = Field(default=0.1, ge=0.01, le=0.5)
-    """Of the motor's torque; the supervisor's torque rate cuts it."""
     rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
     """From 10 % to 90 %."""
     overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)
@@ -75,21 +73,14 @@ class SensingConfig(StrictModel):
     pose_bias_m: AtLeast[float] = Field(default=0.0, ge=0.0, le=0.02)
     """Standard deviation of each coordinate of a trial's constant offset."""
     pose_bias_rad: AtLeast[float] = Field(default=0.0, ge=0.0, le=0.2)
-    pose_rate_hz: float = Field(default=100.0, ge=0.0, le=1000.0)
-    """0 samples at every control step."""
+    pose_rate_hz: float = Field(default=100.0, ge=1.0, le=1000.0)
+    """Rounded to control steps."""
     force_noise_n: AtLeast[float] = Field(default=1.0, ge=0.0, le=50.0)
     """Standard deviation of each contact force component and pinch, at every control step."""
     delay_s: AtLeast[float] = Field(default=0.010, ge=0.0, le=0.5)
     force_filter_s: float = Field(default=0.010, ge=0.0, le=0.5)
     grasp_memory_s: float = Field(default=0.15, ge=0.0, le=5.0)
     """Averaging time of the object's pose between the hands; 0 uses the last sample."""
-
-    @field_validator("pose_rate_hz")
-    @classmethod
-    def _none_or_regular(cls, rate_hz: float) -> float:
-        if 0.0 < rate_hz < 1.0:
-            raise ValueError(f"{rate_hz:g} Hz is too slow; 0 (every control step), or 1 to 1000")
-        return rate_hz
 
 
 class PaceConfig(StrictModel):

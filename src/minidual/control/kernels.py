@@ -43,21 +43,15 @@ Elements = Any
 """A vector of three, as a tuple or an array."""
 Placed = tuple[Array, Array, Array, Array, Array]
 """See `Hands.views`."""
-_shared = vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner, vectors.solve_gram
-_algebra: Any = map(njit, _shared)
-cross, plus, minus, times, inner, solve_gram = _algebra
+_shared = vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner, vectors.larger
+_algebra: Any = map(njit, (*_shared, vectors.solve_gram, vectors.rotation_vector))
+cross, plus, minus, times, inner, larger, solve_gram, rotation_vector = _algebra
 
 
 @njit
 def within(x: float, low: float, high: float) -> float:
     """Return x clipped; NaN stays NaN."""
     return high if x > high else low if x < low else x
-
-
-@njit
-def larger(x: float, y: float) -> float:
-    """Return the larger; NaN stays NaN."""
-    return x if x > y or x != x else y
 
 
 @njit
@@ -83,15 +77,7 @@ def add_product(y: Array, sign: float, A: Array, x: Array) -> None:
 @njit
 def turn(wanted: Array, actual: Array) -> tuple[Vector, float]:
     """Return log(wanted actual^T) [rad] and its angle."""
-    X, Y, Z = apply(actual, wanted[0]), apply(actual, wanted[1]), apply(actual, wanted[2])  # rows
-    axis = (0.5 * (Z[1] - Y[2]), 0.5 * (X[2] - Z[0]), 0.5 * (Y[0] - X[1]))
-    sine = math.sqrt(inner(axis, axis))
-    angle = math.atan2(sine, 0.5 * (X[0] + Y[1] + Z[2] - 1.0))
-    if angle > math.pi - 1e-6:  # (R + 1) / 2 is axis axis^T: its longest row
-        rows = plus(X, (1.0, 0.0, 0.0)), plus(Y, (0.0, 1.0, 0.0)), plus(Z, (0.0, 0.0, 1.0))
-        along = rows[0] if X[0] >= max(Y[1], Z[2]) else rows[1] if Y[1] >= Z[2] else rows[2]
-        return times(math.copysign(angle, inner(along, axis)) / math.sqrt(inner(along, along)), along), angle
-    return times(angle / sine if sine > 1e-12 else 1.0, axis), angle
+    return rotation_vector(apply(actual, wanted[0]), apply(actual, wanted[1]), apply(actual, wanted[2]))
 
 
 @kernel(types.UniTuple(_REAL, 2)(_POSE, _POSE, VECTOR))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from minidual.demos.episode import Episode
 from minidual.errors import DataError
 from minidual.registry import rows_beside
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, path_length
 from minidual.robot.pair import Array
 
 CELL_M = 0.05
@@ -50,7 +50,7 @@ def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
         ticks=len(episode),
         duration_s=float(episode.timestamps[-1] - episode.timestamps[0]),
         rms_jerk_rad_s3=rms_jerk(episode.qpos, episode.meta.fps),
-        path_length_m=float(path_length_m(hands).mean()),
+        path_length_m=float(path_length(hands).mean()),
         path_efficiency=path_efficiency(hands, episode.action_gripper),
         cells_n=len(np.unique(np.floor(hands.reshape(-1, 3) / CELL_M), axis=0)),
     )
@@ -61,11 +61,6 @@ def tcp_positions(q: NDArray[np.floating], kinematics: Kinematics) -> Array:
     return np.array([[pose[:3, 3] for pose in kinematics.tcp_poses(row)] for row in np.asarray(q, dtype=float)])
 
 
-def path_length_m(positions: NDArray[np.floating]) -> Array:
-    """Return each hand's path length (2,)."""
-    return np.linalg.norm(np.diff(positions, axis=0), axis=2).sum(axis=0)
-
-
 def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.floating]) -> float:
     """Return straight over travelled length, 0 to 1, mean of both hands.
 
@@ -73,12 +68,10 @@ def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.
     `positions` are TCPs (T, 2, 3) [m], `action_gripper` is (T, 2).
     """
     shares: list[float] = []
-    for hand in range(2):
-        path = positions[:, hand]
-        travelled = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    for hand, travelled in enumerate(path_length(positions)):
         if travelled >= 0.01:
-            stops = [0, *grip_changes(action_gripper[:, hand]), len(path) - 1]
-            shares.append(float(np.linalg.norm(np.diff(path[stops], axis=0), axis=1).sum()) / travelled)
+            stops = [0, *grip_changes(action_gripper[:, hand]), -1]
+            shares.append(path_length(positions[stops, hand]) / travelled)
     return float(np.mean(shares)) if shares else 1.0
 
 

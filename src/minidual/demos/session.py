@@ -31,7 +31,7 @@ class HandoverError(MinidualError):
 
 def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower: Array) -> None:
     """Raise UsageError if a joint of leader and follower differs by more than the limit."""
-    difference = follower_target(robot, config, q_leader) - q_follower
+    difference = follower_target(robot, q_leader) - q_follower
     worst, limit = int(np.argmax(np.abs(difference))), config.start_error_max_rad
     if abs(difference[worst]) > limit:
         far = f"the leader starts {difference[worst]:+.3f} rad away from the follower at {robot.joint_names[worst]}"
@@ -40,16 +40,16 @@ def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower:
         raise UsageError(f"{far} ({many})", remedy=remedy)
 
 
-def follower_target(robot: Robot, config: MirrorConfig, q_leader: Array) -> Array:
+def follower_target(robot: Robot, q_leader: Array) -> Array:
     """Return the leader's joints clipped to the follower's limits (n,) [rad]; UsageError for another shape.
 
     All zeros (lost values), NaN and values far beyond a limit pass unchanged, so that the arbiter refuses them.
     """
-    q, margin = np.asarray(q_leader, dtype=float), config.workspace_margin_rad
+    q = np.asarray(q_leader, dtype=float)
     if q.shape != (robot.dof,):
         raise UsageError(f"the leader gives joints of shape {q.shape}; it must be ({robot.dof},), left then right")
-    clipped = np.clip(q, robot.q_lower + margin, robot.q_upper - margin)
-    return clipped if q.any() and np.abs(clipped - q).max() < margin + _BEYOND_RAD else q
+    clipped = np.clip(q, robot.q_lower, robot.q_upper)
+    return clipped if q.any() and np.abs(clipped - q).max() < _BEYOND_RAD else q
 
 
 class Tick(NamedTuple):
@@ -148,7 +148,7 @@ class TeleopSession:
             joints, images = (world.stamp_s, world.time, world.q, world.v, world.gripper), self._pictures()
             before = time.perf_counter()
             if (reading := leader.read(elapsed_s)) is not None:
-                target = follower_target(world.robot, self.config.mirror, reading[0])
+                target = follower_target(world.robot, reading[0])
                 stack.propose(SOURCE, JointCommand(target, reading[1], joints[0], k))
             out = stack.arbitrate()
             tick = Tick(*joints, images, out.q_target, out.gripper)

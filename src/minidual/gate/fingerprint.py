@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import minidual
+from minidual.errors import shortened
 from minidual.gate.canonical import canonical
 from minidual.registry import rows_beside
 
@@ -106,8 +107,7 @@ class Fingerprint:
         after = {"machine": now.machine, "library": now.libraries}
         warnings += [f"{n.replace('.', ' ', 1)}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
         if changed := self.code.changes(now.code):
-            more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
-            warnings.append(f"made by other code: {', '.join(changed[:3])}{more} changed since")
+            warnings.append(f"made by other code: {shortened(changed, 3)} changed since")
         return warnings
 
 

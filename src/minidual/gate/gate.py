@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from minidual.config.loader import LoadedConfig, Override
-from minidual.errors import DataError, GateClosedError, UsageError
+from minidual.errors import DataError, GateClosedError, UsageError, shortened
 from minidual.gate.canonical import canonical
 from minidual.gate.fingerprint import Fingerprint, circumstances_now
 from minidual.gate.store import RunStore
@@ -45,11 +45,8 @@ class StageState(NamedTuple):
     def why(self) -> str:
         """Return the first failed check, or the first two reasons."""
         if self.state == "fail" and self.verdict is not None:
-            failed = self.verdict.failed_checks()
-            more = f", and {len(failed) - 1} more" if len(failed) > 1 else ""
-            return failed[0].sentence() + more
-        more = f", and {len(self.reasons) - 2} more" if len(self.reasons) > 2 else ""
-        return "; ".join(self.reasons[:2]) + more
+            return shortened([check.sentence() for check in self.verdict.failed_checks()], 1)
+        return shortened(self.reasons, 2, "; ")
 
 
 @dataclass

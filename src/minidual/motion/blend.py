@@ -13,12 +13,8 @@ import numpy as np
 
 from minidual.motion.search import EdgeChecker
 from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, floats, kernel
+from minidual.robot.kinematics import path_length
 from minidual.robot.pair import SIDES, Array
-
-
-def path_length(path: Array) -> float:
-    """Return the Euclidean length of a polyline (n, d) [rad]."""
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds_n: int) -> Array:

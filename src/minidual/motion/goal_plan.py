@@ -27,7 +27,7 @@ from minidual.errors import ConfigError, DataError, UsageError, check_name, unkn
 from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
 from minidual.motion.ik import GROUP_ARMS, check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rotation_from_quat
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose
 
 _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
 _BYTES_MAX = 2**26  # a minute of motion
@@ -224,7 +224,7 @@ class GoalPlanner:
                 if quat is None:
                     tips[arm] = pose(R, (T_world_frame @ np.append(position, 1.0))[:3])
                 else:
-                    tips[arm] = T_world_frame @ pose(rotation_from_quat(np.array(quat)), position)
+                    tips[arm] = T_world_frame @ pose(pin.Quaternion(*quat).matrix(), position)
                 continue
             shift, turned = np.array(tip.offset_m), pin.exp3(np.array(tip.rotation_rad))
             tips[arm] = pose(R @ turned, p + R @ shift) if axes == "tcp" else pose(turned @ R, p + shift)

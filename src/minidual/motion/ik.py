@@ -146,16 +146,21 @@ def solvers(robot: Robot) -> dict[str, ArmIK]:
 
 
 def posture_at(
-    robot: Robot, Ts_world_tcp: tuple[Array, Array], q_start: Array, posture: Array, weights: Array | None = None
+    robot: Robot,
+    Ts_world_tcp: tuple[Array, Array],
+    q_start: Array,
+    posture: Array | None = None,
+    weights: Array | None = None,
 ) -> Array:
-    """Return q (n,) at both tcp poses (4, 4), near a reference posture (n,) [rad]; independent of history.
+    """Return q (n,) at both tcp poses (4, 4), nearest to a reference posture (n,) [rad], or by descent from the start.
 
     Raises:
         PoseUnreachableError: A pose is out of reach.
     """
     q, mobility = np.array(q_start, dtype=float), 1.0 / (np.ones(robot.dof_per_arm) if weights is None else weights)
     for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
-        found = arm.resting(T, q[arm.joints], posture[arm.joints], mobility)
+        near = q[arm.joints]
+        found = arm.solve(T, near) if posture is None else arm.resting(T, near, posture[arm.joints], mobility)
         if not found.reached:
             what = f"the {side} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain"
             raise PoseUnreachableError(what, remedy="keep it within reach: a smaller start range, or a nearer start")

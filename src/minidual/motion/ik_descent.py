@@ -15,39 +15,14 @@ from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _SMALL = 0.05  # below this angle [rad] series replace quotients, which lose digits
-_NEAR_HALF_TURN = math.pi - 1e-3  # above this angle [rad] a rotation's antisymmetric part loses digits
 _DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
 _DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
 _DAMPING_PROJECT = 1e-9
 _REST_ITERATIONS, _REST_STEP_MAX, _REST_TOLERANCES = 60, 0.2, (1e-7, 1e-5)  # step, pose and posture [m, rad]
 
 Vector = tuple[float, float, float]
-_algebra: Any = map(njit, (vectors.cross, vectors.inner, vectors.solve_gram))
-_cross, _dot, _solve_gram = _algebra
-
-
-@njit
-def _logarithm(R: Array, w: Array) -> float:
-    """Fill the rotation vector w (3,) of R; return its angle, 0 to pi."""
-    x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
-    sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
-    angle = math.atan2(sine, cosine)
-    if angle > _NEAR_HALF_TURN:
-        # The longest column of (R + R^T) / 2 - cos I ~ axis axis^T.
-        i = 0
-        for k in range(1, 3):
-            if R[k, k] > R[i, i]:
-                i = k
-        for k in range(3):
-            w[k] = 0.5 * (R[i, k] + R[k, i]) - (cosine if i == k else 0.0)
-        size = math.sqrt(_dot(w, w))
-        along = angle if _dot(w, (x, y, z)) >= 0.0 else -angle
-        for k in range(3):
-            w[k] *= along / size
-        return angle
-    factor = angle / sine if sine > 1e-12 else 1.0
-    w[0], w[1], w[2] = factor * x, factor * y, factor * z
-    return angle
+_algebra: Any = map(njit, (vectors.cross, vectors.inner, vectors.solve_gram, vectors.rotation_vector))
+_cross, _dot, _solve_gram, _rotation_vector = _algebra
 
 
 @njit
@@ -106,11 +81,11 @@ def _measured(frames: Array, target: Array, q: Array) -> Any:
     for c in range(3):
         R[0, c], R[1, c], R[2, c] = _turned_back(T, target[:, c])
     p = _turned_back(T, (target[0, 3] - T[0, 3], target[1, 3] - T[1, 3], target[2, 3] - T[2, 3]))
-    t = _logarithm(R, e[3:])
-    w, (beta, _) = (e[3], e[4], e[5]), _quotients(t)
+    w, t = _rotation_vector(R[0], R[1], R[2])
+    beta, _ = _quotients(t)
     alpha, along, across = 1.0 - beta * t * t, beta * _dot(w, p), _cross(w, p)
     for k in range(3):
-        e[k] = alpha * p[k] - 0.5 * across[k] + along * w[k]
+        e[k], e[3 + k] = alpha * p[k] - 0.5 * across[k] + along * w[k], w[k]
     return T, axes, R, p, e, t
 
 

@@ -27,6 +27,13 @@ def off_screen(model: mujoco.MjModel, width_px: int, height_px: int, **options: 
         raise EnvironmentMissingError(what, remedy="apt-get install -y libegl1 libgl1-mesa-dri") from error
 
 
+def free_camera(at: npt.ArrayLike, distance_m: float, azimuth_deg: float, elevation_deg: float) -> mujoco.MjvCamera:
+    """Return a camera that looks at a place (3,) [m]."""
+    eye = mujoco.MjvCamera()
+    eye.lookat, eye.distance, eye.azimuth, eye.elevation = at, distance_m, azimuth_deg, elevation_deg
+    return eye
+
+
 class Camera(AbstractContextManager["Camera"]):
     """Renders images of one size; close it after use.
 
@@ -56,9 +63,7 @@ class Camera(AbstractContextManager["Camera"]):
 
     def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
         """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""
-        eye = mujoco.MjvCamera()
-        eye.lookat[:], eye.distance, eye.azimuth, eye.elevation = at, 0.9, 150.0, -25.0
-        self._renderer.update_scene(data, eye, scene_option=self._option)
+        self._renderer.update_scene(data, free_camera(at, 0.9, 150.0, -25.0), scene_option=self._option)
         return self._renderer.render()
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:

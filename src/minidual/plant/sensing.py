@@ -39,8 +39,7 @@ class Sensors:
     def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
         self._world, self._config, self._rng, self._object = world, config, rng, world.truth(name)
         self.delay_ticks = round(config.delay_s / world.dt)
-        period = 1.0 / (config.pose_rate_hz * world.dt) if config.pose_rate_hz > 0.0 else 1.0
-        self._period_ticks, bias = max(1, round(period)), rng.standard_normal(6)
+        self._period_ticks, bias = max(1, round(1.0 / (config.pose_rate_hz * world.dt))), rng.standard_normal(6)
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
         self._tick, self._begin_s, self._dt = 0, world.time, world.dt

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from minidual.demos.lerobot_reader import Image, Rows, read_dataset
 from minidual.demos.quality import grip_changes
 from minidual.errors import DataError
-from minidual.robot.pair import GRIPPERS_N, Array
+from minidual.robot.pair import GRIPPERS_N
 
 
 @dataclass
@@ -124,9 +124,3 @@ def split_episodes(episodes: Collection[int], fraction: float, rng: np.random.Ge
     chosen = set(rng.permutation(len(episodes))[:count].tolist())
     training = [e for i, e in enumerate(episodes) if i not in chosen]
     return training, [e for i, e in enumerate(episodes) if i in chosen]
-
-
-def draw_weighted(rows: Rows, cumulative: Array, count: int, rng: np.random.Generator) -> Rows:
-    """Draw `count` rows with replacement; `cumulative` holds the sums of their weights."""
-    positions = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
-    return rows[np.minimum(positions, len(rows) - 1)]

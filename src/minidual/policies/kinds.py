@@ -85,12 +85,12 @@ class TrainResult:
 
 
 class Training(NamedTuple):
-    """What to train a policy on; `resume_dir` keeps an interrupted training."""
+    """What to train a policy on; `progress` is the file of an interrupted training."""
 
     demos: Demonstrations
     config: TrainConfig
     seed: int
-    resume_dir: Path | None = None
+    progress: Path | None = None
     advance: Advance = lambda steps, loss: None
 
 

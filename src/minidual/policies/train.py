@@ -3,6 +3,7 @@
 Steps draw from the stream (seed, step), so resuming gives the same weights.
 """
 
+import copy
 import hashlib
 import io
 import json
@@ -24,13 +25,12 @@ from minidual.config.seeds import stream
 from minidual.demos.lerobot_reader import Rows
 from minidual.errors import DataError, UsageError
 from minidual.policies.batches import BatchMaker, Shares, Stats, dataset_statistics
-from minidual.policies.demonstrations import Demonstrations, draw_weighted, split_episodes
+from minidual.policies.demonstrations import Demonstrations, split_episodes
 from minidual.policies.kinds import Advance, LossRow, Training, TrainResult
 
 VALIDATION_ROWS = 512
-PROGRESS_FILE = "progress.pt"
-"""Begins with the SHA-256 of the rest."""
 DIGEST_BYTES = 32
+"""Of the SHA-256 with which a progress file begins."""
 
 
 class Trained(NamedTuple):
@@ -73,8 +73,7 @@ def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult
         finally:
             loop.shares.close()
             loop.beside.shutdown(cancel_futures=True)
-        loop.use_averaged_weights()
-    return loop.result(training, validation, resumed, stopped_by), trained
+    return loop.result(training, validation, resumed, stopped_by), trained._replace(policy=loop.averaged)
 
 
 def splits(config: TrainConfig) -> bool:
@@ -103,16 +102,17 @@ class _Loop:
         self.ahead: Future[tuple[int, dict[str, torch.Tensor]]] | None = None
         self.batches = BatchMaker(demos, config, stats)
         self.rows, weights = rows, np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
-        self.cumulative_weights, count = np.cumsum(weights), min(VALIDATION_ROWS, len(validation_rows))
+        self.shares_of_rows, count = weights / weights.sum(), min(VALIDATION_ROWS, len(validation_rows))
         self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
         rate, decay = config.learning_rate, config.weight_decay
         self.optimiser = torch.optim.AdamW(policy.get_optim_params(), lr=rate, weight_decay=decay, fused=True)
         self.rates = [group["lr"] / rate for group in self.optimiser.param_groups]
-        self.average = [p.detach().clone() for p in self.parameters]
+        self.averaged = copy.deepcopy(policy) if config.ema_decay > 0 else policy
+        self.average = [p for p in self.averaged.parameters() if p.requires_grad]
         # consistent: weights, moving average, optimiser and state are those of one step
         self.state, self.consistent = _State(), True
-        self.progress = None if job.resume_dir is None else job.resume_dir / PROGRESS_FILE
+        self.progress = job.progress
         self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
 
     def learning_rate(self, step: int) -> float:
@@ -169,7 +169,7 @@ class _Loop:
         if self.config.ema_decay > 0:
             # Short memory at first, so that the random initial weights leave the average.
             decay = min(self.config.ema_decay, (1 + step) / (10 + step))
-            get_ema_multi_avg_fn(decay)(self.average, [p.detach() for p in self.parameters], 0)
+            get_ema_multi_avg_fn(decay)(self.average, self.parameters, 0)
         self.state.recent.append((value, parts["l1_loss"], parts.get("keyframe_loss")))
         if len(self.state.first_l1) < 5:
             self.state.first_l1.append(parts["l1_loss"])
@@ -178,7 +178,7 @@ class _Loop:
     def _batch(self, step: int) -> tuple[int, dict[str, torch.Tensor]]:
         rng = stream(self.seed, "train.batch", step)
         seed = int(rng.integers(2**63))
-        rows = draw_weighted(self.rows, self.cumulative_weights, self.config.batch_size, rng)
+        rows = rng.choice(self.rows, self.config.batch_size, p=self.shares_of_rows)
         return seed, self.batches.training(rows, rng)
 
     def _log_if_due(self) -> None:
@@ -204,38 +204,21 @@ class _Loop:
         """Return held-out L1 [std] and keyframe error [rad] of the averaged weights."""
         if not len(self.validation_rows):
             return None, None
-        current = [p.detach().clone() for p in self.parameters]
         l1: list[float] = []
         keyframe: list[torch.Tensor] = []
-        self.consistent = False
-        try:
-            self.use_averaged_weights()
-            for start in range(0, len(self.validation_rows), 64):
-                batch = self.batches.clean(self.validation_rows[start : start + 64])
-                observation = {k: v for k, v in batch.items() if k.startswith("observation.")}
-                self.policy.reset()
-                chunk = self.policy.predict_action_chunk(observation)
-                l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
-                if getattr(self.policy.config, "keyframes", 0):
-                    error = (self.policy.model(observation)[2] - batch["keyframe"]).abs()
-                    error = error * self.stats["action"]["std"].to(error.device)
-                    keyframe.append(error[..., : self.joints_n].mean(-1)[batch["keyframe_is_valid"]])
-        finally:
-            self._set_weights(current)
-            self.policy.train()
-            self.consistent = True
+        for start in range(0, len(self.validation_rows), 64):
+            batch = self.batches.clean(self.validation_rows[start : start + 64])
+            observation = {k: v for k, v in batch.items() if k.startswith("observation.")}
+            self.averaged.reset()
+            chunk = self.averaged.predict_action_chunk(observation)
+            l1.extend((chunk - batch["action"]).abs().mean(dim=(1, 2)).tolist())
+            if getattr(self.averaged.config, "keyframes", 0):
+                error = (self.averaged.model(observation)[2] - batch["keyframe"]).abs()
+                error = error * self.stats["action"]["std"].to(error.device)
+                keyframe.append(error[..., : self.joints_n].mean(-1)[batch["keyframe_is_valid"]])
+        self.policy.train()
         errors = torch.cat(keyframe) if keyframe else torch.zeros(0)
         return float(np.mean(l1)), float(errors.mean()) if errors.numel() else None
-
-    def use_averaged_weights(self) -> None:
-        """Use the moving average, if enabled."""
-        if self.config.ema_decay > 0:
-            self._set_weights(self.average)
-
-    @torch.no_grad()
-    def _set_weights(self, values: list[torch.Tensor]) -> None:
-        for parameter, value in zip(self.parameters, values, strict=True):
-            parameter.copy_(value)
 
     def save(self) -> None:
         """Write the progress, unless it is cut within a step: then the last written one stands."""
@@ -245,17 +228,16 @@ class _Loop:
             "fingerprint": self.fingerprint,
             "state": asdict(self.state),
             "weights": self.policy.state_dict(),
-            "average": self.average,
+            "averaged": self.averaged.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
         content = io.BytesIO()
         torch.save(record, content)
-        durable.make_folder(self.progress.parent)
         with durable.replacing(self.progress) as partial:
             partial.write_bytes(hashlib.sha256(content.getbuffer()).digest() + content.getbuffer())
 
     def resume(self) -> int:
-        """Load matching progress and return its step; move any other file to `set-aside` beside its folder."""
+        """Load matching progress and return its step; move any other to `set-aside` beside it."""
         if self.progress is None or not self.progress.exists():
             return 0
         content = self.progress.read_bytes() if self.progress.is_file() else b""
@@ -264,15 +246,13 @@ class _Loop:
         intact = hashlib.sha256(rest).digest() == digest
         saved = torch.load(io.BytesIO(rest), map_location=self.config.device, weights_only=True) if intact else {}
         if saved.get("fingerprint") != self.fingerprint:
-            # only the file: other work may lie in its folder
-            place = self.progress.parent.with_name("set-aside")
-            durable.make_folder(place)
             name = f"train-act.{'other' if intact else 'damaged'}-progress"
-            self.set_aside = self.progress.rename(place / f"{name}-{durable.now_text('%Y%m%d-%H%M%S-%f')}.pt")
+            self.set_aside = durable.set_aside(self.progress, name)
             return 0
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])
-        self.average, self.state = saved["average"], _State(**saved["state"])
+        self.averaged.load_state_dict(saved["averaged"])
+        self.state = _State(**saved["state"])
         self.state.curve = [LossRow(**row) for row in saved["state"]["curve"]]
         return self.state.step
 
@@ -306,7 +286,7 @@ def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, 
     """Return a hash of what determines the weights (images sampled)."""
     digest = hashlib.sha256()
     free = {"seeds_n", "log_every_steps", "validate_every_steps", "checkpoint_every_steps", "time_limit_s"}
-    settings = config.model_dump(exclude=free | {"loss_ratio_max", "actions_in_limits_min", "train_s_max"})
+    settings = config.model_dump(exclude=free | {"loss_ratio_max", "actions_in_limits_min"})
     layout = [(name, list(values.shape)) for name, values in policy.state_dict().items()]
     digest.update(json.dumps([seed, settings, layout, torch.__version__], sort_keys=True).encode())
     for array in (demos.state, demos.action, demos.episode_index):

@@ -20,6 +20,7 @@ from minidual.collision.shapes import ENGINES, PairDistance
 from minidual.errors import UsageError
 from minidual.proof import planes
 from minidual.proof.solids import Solids
+from minidual.robot import vectors
 from minidual.robot.compiled import ROWS, floats, inlined, kernel
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import SIDES, Array, Robot
@@ -68,9 +69,7 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> tuple[dict[str,
     return use, ""
 
 
-@inlined
-def _larger(x: float, y: float) -> float:
-    return x if x > y or x != x else y  # NaN stays
+_larger = inlined(vectors.larger)
 
 
 @kernel(types.void(ROWS, ROWS, ROWS, types.float64, ROWS))
@@ -235,9 +234,7 @@ def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Arr
     Their times divide the integrated speed bound of the fastest joint evenly.
     """
     gone = np.concatenate([[0.0], np.cumsum(trajectory.variation_rates().max(axis=1) * trajectory.dt_s)])
-    count = int(np.ceil(gone[-1] / step_rad))
-    if count == 0:
-        return trajectory.q[[0, -1]]
+    count = max(1, int(np.ceil(gone[-1] / step_rad)))
     times = np.interp(np.linspace(0.0, gone[-1], count + 1), gone, trajectory.times)
     times[[0, -1]] = 0.0, trajectory.duration_s
     return trajectory.sample_many(times)[0]

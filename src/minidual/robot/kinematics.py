@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from pinocchio import computeJointJacobians, getFrameJacobian, updateFramePlacement
 
 from minidual.durable import replacing, write_text
@@ -150,6 +151,11 @@ def hinges(robot: Robot) -> tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]:
         turned.append(pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix(), np.zeros(3)))
         placements.append(turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k])
     return tuple(placements), tuple(turn.inverse() for turn in turned)
+
+
+def path_length(path: NDArray[np.floating]) -> Any:
+    """Return the lengths (...) of polylines (n, ..., d)."""
+    return np.linalg.norm(np.diff(path, axis=0), axis=-1).sum(axis=0)
 
 
 class Kinematics:

@@ -29,7 +29,6 @@ class HandModel(NamedTuple):
     Attributes:
         urdf, srdf: As in ArmModel; used from `palm_link` outwards.
         travel_m: Per finger; the hand opens by twice that.
-        force_max_n: Continuous, per finger.
         finger_armature_kg: Reflected rotor inertia.
         pad_height_m: z of the soft pad in the finger's frame.
         camera_position_m: In the palm's frame.
@@ -44,7 +43,6 @@ class HandModel(NamedTuple):
     palm_link: str
     tcp_link: str
     travel_m: float
-    force_max_n: float
     finger_armature_kg: float
     pad_height_m: float
     camera_position_m: tuple[float, float, float]
@@ -203,12 +201,3 @@ def rot_z(angle_rad: float) -> Array:
     """Rotate about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def rotation_from_quat(quat_wxyz: Array) -> Array:
-    """Return the rotation."""
-    w, x, y, z = quat_wxyz  # not Pinocchio: a command that asks for tasks need not import it
-    first = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    second = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    third = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    return np.array([first, second, third])

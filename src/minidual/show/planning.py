@@ -15,7 +15,7 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import PHASES
 from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
-from minidual.plant.render import off_screen
+from minidual.plant.render import free_camera, off_screen
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
@@ -115,28 +115,20 @@ def write_picture(path: Path, config: SceneConfig, scene: PlanningScene, traject
 
 def _renders(config: SceneConfig, scene: PlanningScene, trajectory: Trajectory) -> list[Any]:
     poser = Poser(config, scene)
-    cameras = _camera((0.3, 0.0, 0.25), 2.1, 148.0, -28.0), _camera((0.35, 0.0, 0.1), 2.2, 90.0, -89.0)
+    cameras = free_camera((0.3, 0.0, 0.25), 2.1, 148.0, -28.0), free_camera((0.35, 0.0, 0.1), 2.2, 90.0, -89.0)
     return [_render(poser, trajectory, camera) for camera in cameras]
 
 
-def _camera(lookat: tuple[float, float, float], distance: float, azimuth: float, elevation: float) -> mujoco.MjvCamera:
-    camera = mujoco.MjvCamera()
-    camera.lookat, camera.distance, camera.azimuth, camera.elevation = lookat, distance, azimuth, elevation
-    return camera
-
-
 def _render(poser: Poser, trajectory: Trajectory, camera: mujoco.MjvCamera) -> Any:
-    renderer, option = off_screen(poser.model, 840, 720, max_geom=20_000), mujoco.MjvOption()
+    option = mujoco.MjvOption()
     option.geomgroup[GROUP_COLLISION] = option.geomgroup[GROUP_MARKER] = 0
-    try:
+    with off_screen(poser.model, 840, 720, max_geom=20_000) as renderer:
         renderer.update_scene(poser.place(trajectory.q[-1]), camera, scene_option=option)
         for fraction, alpha in ((0.0, 0.35), (1.0 / 3.0, 0.14), (2.0 / 3.0, 0.14)):
             _add_ghost(renderer.scene, poser, trajectory.sample(fraction * trajectory.duration_s)[0], option, alpha)
         for line in tcp_preview(poser.kinematics, trajectory.q).paths:
             _add_line(renderer.scene, line.points, line.rgb)
         return renderer.render()
-    finally:
-        renderer.close()
 
 
 def _add_ghost(shown: Any, poser: Poser, q: Array, option: mujoco.MjvOption, alpha: float) -> None:

@@ -19,11 +19,11 @@ from minidual.config.scene import SceneConfig
 from minidual.control.impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
 from minidual.control.impedance_controllers import SLOW_AT, SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
-from minidual.motion.ik import PoseUnreachableError, posture_at, solvers
+from minidual.motion.ik import PoseUnreachableError, posture_at
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array, Robot, inverse
 from minidual.skills.phases import PHASES, raised
-from minidual.tasks.task import grasp_offsets, level_part, level_pose
+from minidual.tasks.task import grasp_offsets, level_pose, placement
 
 LANDED_S = 0.1
 """Rest time before release."""
@@ -61,14 +61,8 @@ def grasp_posture(scene: SceneConfig, robot: Robot, T_level: Array, q_near: Arra
     Raises:
         PoseUnreachableError: No solution near `q_near`.
     """
-    q = np.array(q_near)
-    for solver, T_object_tcp in zip(solvers(robot).values(), grasp_offsets(scene), strict=True):
-        solution = solver.solve(raised(T_level @ T_object_tcp, above_m), q_near[solver.joints])
-        if not solution.reached:
-            what = f"the {solver.arm} hand misses its grasp by {solution.off}"
-            raise PoseUnreachableError(what, remedy="place the object nearer to the bases, or turn it less")
-        q[solver.joints] = solution.q
-    return q
+    left, right = (raised(T_level @ T, above_m) for T in grasp_offsets(scene))
+    return posture_at(robot, (left, right), q_near)
 
 
 def object_duration_s(
@@ -106,11 +100,9 @@ def joint_move(
         speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
         duration_s = max(_LEAST_S, _time(q1 - q0, speed, acceleration))
     steps = int(np.ceil(duration_s / dt_s))
-    s, way, whole_s = (np.arange(steps + 1) / steps)[:, None], q1 - q0, steps * dt_s
-    q, v = q0 + s**3 * (10.0 + s * (6.0 * s - 15.0)) * way, 30.0 * s**2 * (1.0 - s) ** 2 / whole_s * way
-    a = 60.0 * s * (1.0 + s * (2.0 * s - 3.0)) / whole_s**2 * way
+    s, ds, dds = np.array([minimum_jerk(k / steps) for k in range(steps + 1)]).T[:, :, None] * (q1 - q0)
     times: Array = np.arange(steps + 1, dtype=float) * dt_s
-    return Trajectory(times, q, v, a, "both_arms")
+    return Trajectory(times, q0 + s, ds / times[-1], dds / times[-1] ** 2, "both_arms")
 
 
 @dataclass(frozen=True)
@@ -166,9 +158,7 @@ def plan_path(
     Raises:
         PoseUnreachableError: A hand cannot follow.
     """
-    x, y, z = T_world_object[:3, 3]
-    level = level_part(T_world_object)
-    yaw = float(np.arctan2(level[1, 0], level[0, 0]))
+    (x, y, yaw), z = placement(T_world_object), float(T_world_object[2, 3])
     gx, gy, goal_yaw = goal
     high = z + scene.task.lift_height_m
     start = place = Waypoint((x, y, z), yaw, 0.0)

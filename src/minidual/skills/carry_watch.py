@@ -42,8 +42,7 @@ class CarryWatch:
         self._raw = np.concatenate([self._reading.hand_forces.ravel(), self._reading.pinch])
         self._felt = np.nan_to_num(self._raw)
         self._pinch = self._felt[6:]  # a view
-        rate_hz = config.sensing.pose_rate_hz
-        self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else world.dt  # of poses
+        self._period_s = 1.0 / config.sensing.pose_rate_hz  # of poses
         self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
         self._odd_max_n, self._creep_m = round(faults.persistence_s / world.dt), faults.creep_m
         self._felt_max_s = sensors.delay_ticks * world.dt + faults.sensor_age_max_s

@@ -59,9 +59,9 @@ def _poses(trial: Trial) -> list[object]:
 
 
 def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, settings: DeployConfig) -> list[Check]:
-    """Return the checks; without `settings.judge_success` the rate is only reported (smoke)."""
+    """Return the checks."""
     rows: Rows = {
-        "success_rate": (held_out["success_rate"], ">", settings.success_rate_min if settings.judge_success else None),
+        "success_rate": (held_out["success_rate"], ">", settings.success_rate_min),
         **{name: held_out[name] for name in ("success_low", "success_high")},
         "trials": (held_out.trials_n, ">=", settings.trials),
         "held_out_starts_seen": (seen_n, "==", 0),
@@ -133,11 +133,9 @@ def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settin
     """Return the checks of a set of trials with the rate of each training seed."""
     rows: dict[str, Any] = {}
     if name == HIDDEN:
-        limit = settings.hidden_rate_max if settings.judge_success else None
-        return worded("deploy", {"hidden_success_rate": (summary["success_rate"], "<=", limit)})
+        return worded("deploy", {"hidden_success_rate": (summary["success_rate"], "<=", settings.hidden_rate_max)})
     if name != "held_out":
-        limit = settings.condition_rate_min.get(name) if settings.judge_success else None
-        rows |= {"success_rate": (summary["success_rate"], ">=", limit)}
+        rows |= {"success_rate": (summary["success_rate"], ">=", settings.condition_rate_min.get(name))}
     if len(rates) > 1:
         rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
     return worded("deploy-set", rows, f"{name.replace(' ', '_')}_", set=name, interval=summary.interval)

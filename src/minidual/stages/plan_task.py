@@ -23,18 +23,16 @@ def plan_task(context: ToolContext) -> ToolResult:
     config = TASKS[name](replaced(context.config, task=name)).config
     bench = Bench("moveit", MethodInputs(config, context.seed))
     trial = bench.task.trial(context.seed, "plan", 0)
-    postures, used = Postures(1.0 / FILM_FPS), list[PlannedCarry]()
+    postures = Postures(1.0 / FILM_FPS)
     show = None if context.view is None else trial_hook(context.view, bench, f"plan, task {name}")
 
     def on_step(world: World, method: Method) -> None:
-        if not used:
-            used.append(cast(PlannedCarry, method))
         postures(world)
         if show is not None:
             show(world, method)
 
     result, _ = bench.run(trial, on_step=on_step)
-    carry = used[0]
+    carry = cast(PlannedCarry, bench.ran)
     solution, record = carry.solution, carry.record
     lines = record.tree(name).splitlines()
     if solution is not None:

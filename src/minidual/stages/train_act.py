@@ -1,6 +1,5 @@
 """`minidual train-act`: train a policy and check its checkpoint."""
 
-import shutil
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +23,7 @@ def train_checks(result: TrainResult, emitted: EmittedActions, config: TrainConf
         "loss_ratio": (result.loss_ratio, "<", config.loss_ratio_max),
         "actions_in_limits": (emitted.in_limits, ">=", config.actions_in_limits_min),
         "targets_n": (emitted.targets_n, "==", robot.dof + GRIPPERS_N),
-        "train_s": (result.train_s, "<=", config.train_s_max),
+        "train_s": (result.train_s, "<=", config.time_limit_s),
         "steps_done": (result.steps, "==", result.steps_asked),
         **{name: getattr(result, name) for name in ("samples_per_s", "parameters")},
         **{name: getattr(emitted, name) for name in ("overshoot_max_rad", "inference_hz")},
@@ -79,7 +78,7 @@ def run(context: StageContext) -> StageResult:
         notes.append("one training is one draw; `make learn` trains three seeds and compares them")
     emergency.check()  # the progress goes last: a stopped stage publishes nothing
     for place in places:
-        shutil.rmtree(place, ignore_errors=True)
+        durable.remove(place)
     return StageResult(checks=checks, data={**all_records[0], "seeds": all_records[1:]}, notes=notes)
 
 

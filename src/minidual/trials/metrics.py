@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from minidual.demos.quality import CUTOFF_HZ, path_length_m
+from minidual.demos.quality import CUTOFF_HZ
 from minidual.errors import NothingEvaluatedError, UsageError
+from minidual.robot.kinematics import path_length
 from minidual.tasks.judge import Failure, Outcome
 from minidual.trials.measures import MEASURES, TrialLog, jerk
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
@@ -158,7 +159,7 @@ def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **kn
         *(method, index, "clean", *ended),
         duration_s=outcome.duration_s if outcome.success else math.nan,
         jerk_rms=jerk(log.q, CUTOFF_HZ),
-        path_length_m=float(path_length_m(log.tcp).mean()),
+        path_length_m=float(path_length(log.tcp).mean()),
         pinch_force_min_n=outcome.pinch_min_n,
         measured=outcome.measured,
         **{name: getattr(outcome, name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},

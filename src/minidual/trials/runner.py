@@ -89,6 +89,7 @@ class Bench:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
         began_s, method = time.process_time(), self.factory(world, self.kinematics, trial)
+        self.ran = method
         wall, every = {"planning_s": time.process_time() - began_s}, round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
         rows, phases = list[tuple[Any, ...]](), list[str]()

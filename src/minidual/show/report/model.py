@@ -8,13 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from minidual.errors import DataError
+from minidual.errors import DataError, shortened
 from minidual.gate.check import Check, Rows, checks_of
 from minidual.gate.stage import StageContext, closing_checks
 from minidual.gate.verdict import Verdict, derive_status
 from minidual.show.report.figures import Figure
 from minidual.show.report.tables import Tables, finite
-from minidual.show.report.wording import WORDS, commit, joined, moment, shortened
+from minidual.show.report.wording import WORDS, commit, joined, moment
 
 _THINNEST = 5
 _KINDS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".mp4": "video/mp4"}

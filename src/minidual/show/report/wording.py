@@ -21,12 +21,6 @@ def joined(items: Sequence[str]) -> str:
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
-def shortened(items: Sequence[str], shown: int = 6) -> str:
-    """Return the first items, and the number of the rest."""
-    rest = len(items) - shown
-    return ", ".join(items[:shown]) + (f" and {rest} more" if rest > 0 else "")
-
-
 def moment(stamp: str) -> str:
     """Return an ISO time as "2026-01-31 12:00:00 UTC"."""
     return stamp.replace("T", " ").replace("Z", " UTC")

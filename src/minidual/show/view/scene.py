@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 import trimesh
 
-from minidual.robot.pair import pose, rotation_from_quat
+from minidual.robot.pair import pose
 from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, Preview
 
 HIDDEN_GROUP = 3
@@ -29,7 +30,6 @@ _SOLIDS: dict[mujoco.mjtGeom, Callable[[Array], trimesh.Trimesh]] = {
     _KIND.mjGEOM_CYLINDER: lambda size: trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=40),
     _KIND.mjGEOM_CAPSULE: lambda size: trimesh.creation.capsule(2.0 * size[1], size[0], count=[24, 24]),
     _KIND.mjGEOM_SPHERE: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(size[0]),
-    _KIND.mjGEOM_ELLIPSOID: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(size),
 }
 _FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 
@@ -55,7 +55,7 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
         hidden = int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0
         if hidden or (mesh := _mesh(model, geom)) is None:
             continue
-        mesh.apply_transform(pose(rotation_from_quat(model.geom_quat[geom]), model.geom_pos[geom]))
+        mesh.apply_transform(pose(pin.Quaternion(*model.geom_quat[geom]).matrix(), model.geom_pos[geom]))
         rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
         parts.setdefault((int(model.geom_bodyid[geom]), rgba), []).append(mesh)
     result = []

@@ -136,7 +136,7 @@ def run(context: StageContext) -> StageResult:
         contacts, cameras = tracking.arm_contacts(world), pictures.check_cameras(world, folder / "cameras.png")
         task.advance(note="cameras")
         rig, postures = tracking.Rig(world, kinematics, context.config), Postures(1.0 / FILM_FPS)
-        moved = measure.torque_pulse_mapping(world, rig.supervisor, kinematics, pulse_share=config.pulse_share)
+        moved = measure.torque_pulse_mapping(world, rig.supervisor, kinematics)
         task.advance(note="mapping")
         states = stream(context.seed, "env-check/states")
         agreement = measure.model_agreement(world, kinematics, states, config.agreement_states_n)

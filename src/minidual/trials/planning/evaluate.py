@@ -12,13 +12,13 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
 from minidual.config.seeds import stream, subseed
+from minidual.control.kernels import apart
 from minidual.motion.api import PHASES, Planner, PlanResult
-from minidual.motion.blend import path_length
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.proof.scene_engines import Audit
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, path_length
 from minidual.robot.pair import inverse, robot_from
 from minidual.skills.cycle import solve
 from minidual.skills.phases import State
@@ -175,7 +175,8 @@ class MoveOutcome(Attempt[CarriedTrajectory]):
             found |= {"clearance_m": round(self.clearance_m, 6)}
         row: dict[str, object] = {"set": name, "index": move.index, "ok": self.ok, "reason": self.reason}
         row |= {"with_obstacles": move.with_obstacles, "straight_blocked": move.blocked}
-        row |= {"distance_m": round(move.distance_m, 4), "turn_rad": round(move.turn_rad, 4)}
+        way_m, turn_rad = apart(move.query.T_world_goal, move.T_world_start, np.empty(6))
+        row |= {"distance_m": round(way_m, 4), "turn_rad": round(turn_rad, 4)}
         row |= {"time_s": round(self.total_s, 6), "cpu_s": round(self.cpu_s, 6), **found}
         row |= {"undecided_before_n": move.undecided_n, "unreachable_before_n": move.unreachable_n}
         return {**row, "message": self.message}

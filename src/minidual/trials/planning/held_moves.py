@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from minidual.collision.engines import MujocoEngine
 from minidual.collision.errors import ClosedChainError, PlanningError, TimingError
@@ -65,16 +64,6 @@ class HeldMove:
     witness: Array
     undecided_n: int
     unreachable_n: int
-
-    @property
-    def distance_m(self) -> float:
-        """Translation of the object."""
-        return float(np.linalg.norm(self.query.T_world_goal[:3, 3] - self.T_world_start[:3, 3]))
-
-    @property
-    def turn_rad(self) -> float:
-        """Rotation of the object."""
-        return float(np.linalg.norm(pin.log3(self.T_world_start[:3, :3].T @ self.query.T_world_goal[:3, :3])))
 
 
 class HeldMoveGenerator:
