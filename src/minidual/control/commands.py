@@ -7,18 +7,13 @@ from typing import ClassVar, Protocol
 
 from minidual.control.impedance import ObjectState
 from minidual.robot.kinematics import Trajectory
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import Array, arms_of
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
 """Command sources, each also a mode."""
 
 HOLD = "hold"
 """Mode without a driving source."""
-
-
-def arms_of(group: str) -> tuple[int, ...]:
-    """Return a group's arm indices."""
-    return (0, 1) if group == "both_arms" else (SIDES.index(group.removesuffix("_arm")),)
 
 
 class _OfGroup:

@@ -15,14 +15,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from minidual.control.arbiter import ArbiterOutput
-from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand, arms_of
+from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand
 from minidual.control.execution import TrajectoryExecution
 from minidual.control.gripper import CLOSE_BELOW, GRAVITY_M_PER_S2, OPEN_ABOVE
 from minidual.control.joint_control import ComputedTorque, ReferenceFilter
 from minidual.control.kernels import minimum_jerk, within
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import Array, arms_of
 
 LOAD_MAX_N = 30.0
 """The Panda's payload."""

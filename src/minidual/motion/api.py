@@ -14,12 +14,12 @@ from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
 from minidual.motion.blend import blended_path, shortcut
-from minidual.motion.ik import GROUP_ARMS, check_joints, goal_joints, pose_goals, require_free
+from minidual.motion.ik import check_joints, goal_joints, pose_goals, require_free
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import DT_S, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification, certify
 from minidual.robot.kinematics import Kinematics, Trajectory
-from minidual.robot.pair import DUAL_PANDA, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, Array, Robot
 
 PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
 

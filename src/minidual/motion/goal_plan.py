@@ -25,9 +25,9 @@ from minidual.config.seeds import stream
 from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, check_name, unknown_name
 from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
-from minidual.motion.ik import GROUP_ARMS, check_joints, goal_joints, pose_goals
+from minidual.motion.ik import check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose
+from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, SIDES, Array, Robot, pose
 
 _KINDS = ("state", "joints_rad", "joints_by_name_rad", "poses", "move")
 _BYTES_MAX = 2**26  # a minute of motion

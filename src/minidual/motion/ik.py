@@ -11,10 +11,9 @@ from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, 
 from minidual.errors import UsageError, check_name
 from minidual.motion.ik_descent import descend, measure, project, rest, tcp_pose
 from minidual.proof.scene_engines import SceneEngines
-from minidual.registry import Registry
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics, hinges
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, Array, Robot
 
 TOLERANCE = 1e-7
 """Error norm (m and rad combined) that counts as reached."""
@@ -168,7 +167,6 @@ def posture_at(
     return q
 
 
-GROUP_ARMS = Registry[tuple[str, ...]]("group", {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES})
 _ROUNDING_RAD = 1e-9
 
 

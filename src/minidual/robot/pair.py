@@ -5,7 +5,7 @@ in a: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches are [linear; 
 Quaternions are wxyz. The world's origin is on the table top between the bases; x points away from them, left is +y.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,6 +20,8 @@ Indices = npt.NDArray[np.intp]
 
 SIDES: tuple[str, str] = ("left", "right")
 """In storage order."""
+GROUP_ARMS = Registry[tuple[str, ...]]("group", {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES})
+"""Arms of each planning group."""
 GRIPPERS_N = len(SIDES)
 
 
@@ -151,6 +153,16 @@ class Robot:
         """Return the slice of arm 0 (left) or 1."""
         n = self.dof_per_arm
         return slice(arm * n, (arm + 1) * n)
+
+
+def arms_of(group: str) -> tuple[int, ...]:
+    """Return the indices of a group's arms."""
+    return tuple(map(SIDES.index, GROUP_ARMS[group]))
+
+
+def group_of(arms: Collection[str]) -> str:
+    """Return the group of these arms."""
+    return next(group for group, of in GROUP_ARMS.items() if set(of) == set(arms))
 
 
 def _frozen(value: Any) -> Any:

@@ -13,9 +13,9 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.control.kernels import minimum_jerk
 from minidual.motion.api import Planner
-from minidual.motion.ik import GROUP_ARMS, ArmIK, posture_at, solvers
+from minidual.motion.ik import ArmIK, posture_at, solvers
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
+from minidual.robot.pair import GROUP_ARMS, SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.cycle import solve
 from minidual.skills.phases import OPEN, PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of

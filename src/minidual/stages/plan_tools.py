@@ -16,10 +16,9 @@ from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner, PlanResult
 from minidual.motion.goal_plan import GoalPlanner, goal_of
-from minidual.motion.ik import GROUP_ARMS
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.registry import rows_beside
-from minidual.robot.pair import Array, Robot, robot_from
+from minidual.robot.pair import GROUP_ARMS, Array, Robot, robot_from
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0

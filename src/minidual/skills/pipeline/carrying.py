@@ -9,10 +9,10 @@ from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.motion.ik import pose_goals
-from minidual.robot.pair import SIDES, Array, inverse
+from minidual.robot.pair import SIDES, Array, group_of, inverse
 from minidual.skills.phases import PHASES, Segment, State, raised
 from minidual.skills.pipeline.hands import free, straight
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure, group_of
+from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure
 
 _OTHER_HEIGHTS_M = (0.06, 0.2)
 _BUDGET_S = 2.0

@@ -13,9 +13,9 @@ from minidual.motion.api import PlanResult
 from minidual.motion.linear import TIP_LIMITS, Line, LinearPlanner
 from minidual.motion.timing import DT_S
 from minidual.robot.kinematics import Trajectory
-from minidual.robot.pair import SIDES, Array, pose
+from minidual.robot.pair import SIDES, Array, group_of, pose
 from minidual.skills.phases import CLOSED, OPEN, PHASES, Segment, State, moved, still
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure, group_of
+from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure
 
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s

@@ -1,6 +1,6 @@
 """Stages, their offers, and the planners of a search."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from minidual.collision.errors import PlanningError
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.motion.api import Planner
 from minidual.motion.held.planner import placed, scene_holding
-from minidual.robot.pair import SIDES, Array
+from minidual.robot.pair import Array
 from minidual.skills.phases import Segment, State, Thing
 
 _GAP_STEP_S = 0.005
@@ -128,9 +128,3 @@ class Stage:
 def failure(error: PlanningError, label: str) -> Failure:
     """Return a planner error as the failure of a labelled candidate."""
     return Failure(error.reason, f"{label}: {error.message}")
-
-
-def group_of(arms: Iterable[str]) -> str:
-    """Return these arms' planning group."""
-    named = [arm for arm in SIDES if arm in arms]
-    return "both_arms" if len(named) == len(SIDES) else f"{named[0]}_arm"

@@ -19,9 +19,9 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.collision.shapes import Box, Cylinder, Shape
 from minidual.config.seeds import stored_stream
 from minidual.errors import DataError
-from minidual.motion.ik import GROUP_ARMS, solvers
+from minidual.motion.ik import solvers
 from minidual.proof.scene_engines import STEP_RAD
-from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
+from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, SIDES, Array, Robot, pose, rot_x, rot_z
 
 OBSTACLES_N = 5
 ROBOT = DUAL_PANDA
