@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -119,6 +120,17 @@ def test_an_import_without_end_is_interrupted(tmp_path: Path) -> None:
     _, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (130, "minidual: interrupted\n")
     assert time.monotonic() - began < 10.0
+
+
+def test_an_interrupted_import_is_a_document_too(tmp_path: Path) -> None:
+    """Before, nothing was printed."""
+    (tmp_path / "endless.py").write_text("import sys, time\nprint('importing', file=sys.stderr)\ntime.sleep(60)\n")
+    process = start("__import__('endless')", "--json", env={**os.environ, "PYTHONPATH": path(tmp_path)})
+    assert process.stderr is not None
+    assert process.stderr.readline() == "importing\n"
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=30)
+    assert json.loads(out)["exit_code"] == process.returncode == 130
 
 
 def path(folder: Path) -> str:

@@ -6,6 +6,7 @@ import pytest
 from pipeline_toys import Toy
 
 from minidual.cli.app import run_command_line
+from minidual.cli.session import Session, Typed
 from minidual.errors import DataError, ExitCode
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
@@ -51,7 +52,7 @@ def run(tmp_path, capsys):
         out = capsys.readouterr()
         return code, out.out, out.err
 
-    call.folder = tmp_path / "r"
+    call.folder, call.table = tmp_path / "r", table
     call.stage = stage.name
     return call
 
@@ -125,3 +126,20 @@ def test_what_a_tool_made_before_is_set_aside(run):
 def test_an_option_of_the_stage_holds_for_the_asides_that_list_it(run):
     code, out, _ = run(run.stage, "--tune", "--queries", "33", "--seed", "1")
     assert (code, out) == (0, "seed 1 queries 33\n")
+
+
+def test_a_command_in_a_remedy_gets_the_typed_options_once(run):
+    """Before, doctor's "explain STAGE" had them twice."""
+    session = Session(Typed(profile="smoke", run="r"), run.table)
+    said = "minidual explain first --profile smoke --run r"
+    assert session.in_this_run("type minidual explain first") == f"type {said}"
+    assert session.in_this_run(f"type {said}") == f"type {said}"
+    assert session.in_this_run("minidual explain, minidual run") == (
+        "minidual explain --profile smoke --run r, minidual run --profile smoke --run r"
+    )
+
+
+def test_an_empty_folder_of_runs_is_refused(run, capsys):
+    """Before, it was the current folder."""
+    assert run_command_line(["measure", "--runs-dir", ""], run.table, TOOLS) == ExitCode.USAGE
+    assert "--runs-dir is empty" in capsys.readouterr().err

@@ -105,6 +105,28 @@ def test_stop_says_when_nothing_runs(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert "Traceback" not in said
 
 
+def test_stop_stops_no_other_run_than_the_one_that_is_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before, `--profile` was ignored and every run was stopped; a misspelt name did not say what was working."""
+    (folder := tmp_path / "busy").mkdir()
+    with subprocess.Popen([sys.executable, "-c", WORKING, str(folder)], stderr=subprocess.DEVNULL) as process:
+        _until(lambda: len(list(folder.glob("moving-*"))) == 2)
+        for words, said in (
+            (("--profile", "smoke"), "no command is working in run 'smoke'"),
+            (("bussy",), "remedy: a command is working in busy; minidual stop, without a name, stops all"),
+            (("busy", "--run", "other"), "two runs are named, 'busy' and 'other'"),
+            (("",), "the name of the run is empty"),
+        ):
+            assert _stop(tmp_path, *words) == ExitCode.USAGE
+            assert said in capsys.readouterr().err
+        assert process.poll() is None
+        assert _stop(tmp_path, "--run", "busy") == ExitCode.PASS
+        assert "emergency stop sent to process" in (out := capsys.readouterr().out)
+        assert "--runs-dir" not in out, "what another process was told is not rewritten"
+        process.wait(60)
+    assert _stop(tmp_path / "nowhere") == ExitCode.USAGE
+    assert "which is no folder" in capsys.readouterr().err
+
+
 def test_a_process_that_has_not_the_lock_open_is_left_alone(tmp_path: Path) -> None:
     with run_lock(tmp_path / "held", "minidual carry"), subprocess.Popen(["sleep", "20"]) as other:
         lock = tmp_path / "held" / ".lock"

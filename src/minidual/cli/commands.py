@@ -46,7 +46,7 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
     """Run a tool and print its result."""
     typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
     config, folder = session.loaded.with_overrides(overrides(tool.options, typed)).config, session.store.folder
-    own = f"-{os.getpid()}" if tool.view_default != "none" else ""  # what only shows may run twice in one run
+    own = f"-{os.getpid()}" if tool.shared else ""
     found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}{own}.lock"
     lock = run_lock(*found_by_stop) if tool.moves else nullcontext()
     with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
@@ -65,7 +65,8 @@ def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> Ex
         context.publish()
     for note in result.notes:
         session.say(note)
-    session.finish({"tool": tool.name, "exit_code": int(result.exit_code), **result.data}, result.lines)
+    lines = map(session.in_this_run, result.lines)
+    session.finish({"tool": tool.name, "exit_code": int(result.exit_code), **result.data}, lines)
     return result.exit_code
 
 
@@ -209,15 +210,23 @@ def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     stop
     stop standard
     """
-    root, named = session.root, values["name"] or session.typed.run
-    folders = [root / named] if named else sorted(root.glob("*/"))
-    holders = {pid: text for folder in folders for pid, text in lock_holders(folder).items()}
+    root, named, typed = session.root, values["name"], session.typed
+    run = session.store.run if typed.run is not None or typed.profile != "standard" else None
+    if named == "" or (named is not None and run not in (None, named)):
+        twice = f"two runs are named, '{named}' and '{run}'" if named else "the name of the run is empty"
+        raise UsageError(twice, remedy="minidual stop RUN stops one run, minidual stop every run")
+    wanted = named or run
+    working = {folder.name: lock_holders(folder) for folder in sorted(root.glob("*/"))}
+    holders = {pid: text for name, found in working.items() if wanted in (None, name) for pid, text in found.items()}
     for pid in holders:
         with suppress(ProcessLookupError):  # it has just ended
             os.kill(pid, emergency.SIGNAL)
     if not holders:
-        where = f"run '{named}' of {root}" if named else f"the runs in {root}"
+        where = f"run '{wanted}' of {root}" if wanted else f"the runs in {root}"
+        where += "" if root.is_dir() else ", which is no folder"
         remedy = "--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process"
+        if others := ", ".join(name for name, found in working.items() if found):
+            remedy = f"a command is working in {others}; minidual stop, without a name, stops all"
         raise UsageError(f"nothing to stop: no command is working in {where}", remedy=remedy)
     said = [f"emergency stop sent to {text}" for text in holders.values()]
     session.finish({"stopped": sorted(holders), "exit_code": int(ExitCode.PASS)}, said)

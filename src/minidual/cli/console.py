@@ -1,5 +1,6 @@
 """The terminal: printed tables and explanations, and progress on stderr: bars on a terminal, plain lines elsewhere."""
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Self
@@ -35,8 +36,10 @@ class SafeConsole(Console):
 def console(*, stderr: bool) -> Console:
     """Return a console on stderr or stdout."""
     stream = sys.stderr if stderr else sys.stdout
-    # Off a terminal rich assumes 80 columns and would fold log lines.
-    return SafeConsole(stderr=stderr, highlight=False, width=None if stream.isatty() else 160)
+    # Off a terminal rich assumes 80 columns, if COLUMNS does not say so, and would fold log lines.
+    return SafeConsole(
+        stderr=stderr, highlight=False, width=None if stream.isatty() or "COLUMNS" in os.environ else 160
+    )
 
 
 class BarTask(Task):

@@ -6,11 +6,12 @@ import signal
 import sys
 import time
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 
 _IMPORT_PATIENCE_S = 1.0
-_INTERRUPTED = "minidual: interrupted\n"
+_DOCUMENT = '{"error": {"kind": "KeyboardInterrupt", "message": "interrupted", "remedy": null}, "exit_code": 130}\n'
 _SIGNALS = signal.SIGALRM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
@@ -64,7 +65,7 @@ class _Interrupt:
         while frame is not None:
             if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
                 if time.monotonic() - self.asked_s > _IMPORT_PATIENCE_S:
-                    os.write(2, _INTERRUPTED.encode())
+                    _say_interrupted()
                     os._exit(130)
                 signal.setitimer(signal.ITIMER_REAL, 0.02)
                 return
@@ -90,7 +91,7 @@ def main() -> None:
         _end()
     except KeyboardInterrupt:
         _end()
-        sys.stderr.write(_INTERRUPTED)
+        _say_interrupted()
         code = 130
     sys.stdout.flush()
     lost = getattr(sys.stdout, "lost", None)
@@ -104,6 +105,13 @@ def _end() -> None:
     """Ignore signals: the ending interpreter takes handlers away."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
+
+
+def _say_interrupted() -> None:
+    """Write to the streams themselves: what is half imported may not be used."""
+    for number, text in ((2, "minidual: interrupted\n"), (1, _DOCUMENT if "--json" in sys.argv else "")):
+        with suppress(OSError):
+            os.write(number, text.encode())
 
 
 def _run() -> int:

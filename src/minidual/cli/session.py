@@ -46,7 +46,9 @@ class Typed:
         _every("--set", metavar="KEY=VALUE", help="Override a configuration value, e.g. plan.queries_n=30."),
     ] = None
     run: Annotated[str | None, _every(help="Name of the run (default: the profile's name).")] = None
-    runs_dir: Annotated[Path | None, _every(help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs).")] = None
+    runs_dir: Annotated[
+        str | None, _every(metavar="DIR", help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs).")
+    ] = None
     seed: Annotated[int | None, _every(help="The one seed of the run.")] = None
     workers: Annotated[int | None, _every(help="Processes to use; results do not depend on it.")] = None
     json: Annotated[bool, _every("--json", metavar=" ", help="Print one JSON document to stdout.")] = False
@@ -82,7 +84,9 @@ class Session:
     @property
     def root(self) -> Path:
         """Folder of all runs."""
-        return expanded(str(self.typed.runs_dir or os.environ.get("MINIDUAL_RUNS") or "runs"))
+        if self.typed.runs_dir == "":
+            raise UsageError("--runs-dir is empty", remedy="name a folder, or leave it out for ./runs")
+        return expanded(self.typed.runs_dir or os.environ.get("MINIDUAL_RUNS") or "runs")
 
     @property
     def store(self) -> RunStore:
@@ -177,7 +181,7 @@ class Session:
 
     def finish(self, document: Mapping[str, Any], lines: Iterable[object]) -> None:
         """Print the document (--json) or the lines to stdout."""
-        texts = [dumps(document).rstrip("\n")] if self.typed.json else (self.in_this_run(str(line)) for line in lines)
+        texts = [dumps(document).rstrip("\n")] if self.typed.json else map(str, lines)
         for text in texts:
             print(printable(text))
 
@@ -214,8 +218,9 @@ class Session:
 
     def in_this_run(self, remedy: str) -> str:
         """Return `remedy` with the typed options in each command that lacks them: it would act on another run."""
-        names = "|".join(map(re.escape, [*self.table, "run", "status", "explain"]))
-        words = rf"\bminidual ((?:{names})(?![\w-])(?: --force| --until [\w-]+)*+)(?!{re.escape(self.typed.flags)})"
+        stages = "|".join(map(re.escape, self.table))
+        names = f"explain (?:{stages})|run|status|explain|{stages}"
+        words = rf"\bminidual ((?>{names})(?![\w-])(?: --force| --until [\w-]+)*+)(?!{re.escape(self.typed.flags)})"
         return re.sub(words, lambda found: self.typed.command(found[1]), remedy)
 
 

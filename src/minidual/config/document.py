@@ -79,7 +79,7 @@ def parse_document(text: str, source: str) -> Document:
         document.tree = _build(node, "", document)
     elif node is not None:
         kind = "a list" if isinstance(node, yaml.SequenceNode) else "a single value"
-        raise ConfigError(f"{source}:1: a profile is a mapping of sections, not {kind}")
+        raise ConfigError(f"{source}:1: it must be a mapping of sections, not {kind}")
     return document
 
 

@@ -120,6 +120,8 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
         chain = " -> ".join(item.name for item in (*below, path))
         raise ConfigError(f"{path.name}: profiles extend each other in a circle: {chain}")
     document = read_document(path)
+    if not document.tree:
+        raise ConfigError(f"{path.name} is empty", remedy="begin it with 'extends: standard', then what differs")
     if (base_name := document.tree.pop("extends", None)) is None:
         return document, (path,)
     where = document.origins.pop("extends")

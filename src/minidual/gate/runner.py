@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from minidual import emergency
 from minidual.config.loader import LoadedConfig
 from minidual.durable import disk_errors, now_text
-from minidual.errors import ExitCode, MinidualError
+from minidual.errors import ExitCode, MinidualError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.stage import Folders, Progress, StageContext, closing_checks
@@ -103,11 +103,13 @@ class Runner:
         self.table[name].resolved(gate.effective(name, None)[1].config, checked=True)
 
     def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> Outcome:
+        if waiver is not None and not waiver.strip():
+            raise UsageError("--waive-gate needs a reason, which the verdict keeps", remedy='type --waive-gate "WHY"')
         state = gate.state(name)
         if state.state == "pass" and not force:
             return Outcome(state, ran=False)
         closed = gate.closed_by(name)
-        if closed and not (waiver or "").strip():
+        if closed and waiver is None:
             raise gate.closed_error(name, self.command)
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
         return Outcome(self._gate(gate.options).state(name), ran=True)

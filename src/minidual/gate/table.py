@@ -91,6 +91,8 @@ class ToolEntry(_Entry[ToolFunction]):
 
     summary: str = ""
     moves: bool = False
+    shared: bool = False
+    """Whether several may work in one run at a time: they write nothing there."""
     view_default: str = "none"
 
     @property

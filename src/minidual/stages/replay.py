@@ -25,6 +25,8 @@ def replay_tool(context: ToolContext) -> ToolResult:
     for option, of in (("slowdown", "video"), ("frames", "picture")):
         if option in options and of not in options:
             raise UsageError(f"--{option} goes with --{of}")
+    if "camera" in options and not {"video", "picture"} & options.keys():
+        raise UsageError("--camera goes with --video or --picture")
     video = target_file("video", options.get("video"), ".mp4")
     picture, path = target_file("picture", options.get("picture"), ".png"), Path(options["file"])
     if path.suffix == ".hdf5":
