@@ -8,6 +8,7 @@ import sys
 
 os.environ["HF_HUB_OFFLINE"] = "1"  # a test that reaches for the network fails at once
 os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.pop("COLUMNS", None)  # which parallel tests set; tables would fold
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 gc.disable()  # modules stay to the end: unwatched, they load in 11.5 s instead of 15, and tests take a twentieth less

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from minidual.cli.app import run_command_line
-from minidual.cli.console import SafeConsole
+from minidual.cli.console import SafeConsole, console
 from minidual.errors import DataError, ExitCode, printable
 from minidual.gate.stage import StageResult
 from minidual.gate.table import StageEntry, StageTable
@@ -31,6 +31,16 @@ def test_the_text_keeps_what_people_read_and_shows_the_rest() -> None:
     assert printable(plain) == plain
     document = json.dumps({"a": HOSTILE}, ensure_ascii=False)
     assert json.loads(printable(document)) == json.loads(document)
+
+
+@pytest.mark.parametrize(("columns", "width"), [(None, 160), ("60", 60)])
+def test_tables_off_a_terminal_are_as_wide_as_it_is_said(
+    monkeypatch: pytest.MonkeyPatch, columns: str | None, width: int
+) -> None:
+    """Before, COLUMNS was ignored: `status | less` was unreadable in a window of 80 columns."""
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
+    assert console(stderr=False).width == width
 
 
 def test_a_console_shows_its_own_colours_and_bars_and_no_others() -> None:
