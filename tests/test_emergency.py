@@ -105,9 +105,13 @@ def test_stop_says_when_nothing_runs(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert "Traceback" not in said
 
 
-def test_stop_stops_no_other_run_than_the_one_that_is_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("words_that_stop", [("--run", "busy"), ()])
+def test_stop_stops_no_other_run_than_the_one_that_is_meant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words_that_stop: tuple[str, ...]
+) -> None:
     """Before, `--profile` was ignored and every run was stopped; a misspelt name did not say what was working."""
     (folder := tmp_path / "busy").mkdir()
+    (tmp_path / "damaged" / ".lock").mkdir(parents=True)  # it keeps nothing else from being stopped
     with subprocess.Popen([sys.executable, "-c", WORKING, str(folder)], stderr=subprocess.DEVNULL) as process:
         _until(lambda: len(list(folder.glob("moving-*"))) == 2)
         for words, said in (
@@ -119,7 +123,7 @@ def test_stop_stops_no_other_run_than_the_one_that_is_meant(tmp_path: Path, caps
             assert _stop(tmp_path, *words) == ExitCode.USAGE
             assert said in capsys.readouterr().err
         assert process.poll() is None
-        assert _stop(tmp_path, "--run", "busy") == ExitCode.PASS
+        assert _stop(tmp_path, *words_that_stop) == ExitCode.PASS
         assert "emergency stop sent to process" in (out := capsys.readouterr().out)
         assert "--runs-dir" not in out, "what another process was told is not rewritten"
         process.wait(60)

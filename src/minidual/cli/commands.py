@@ -10,7 +10,7 @@ from minidual import emergency
 from minidual.cli.console import ConsoleProgress, print_explanation, print_lowest, print_outcome, print_status
 from minidual.cli.session import Session
 from minidual.durable import disk_errors
-from minidual.errors import EnvironmentMissingError, ExitCode, UsageError
+from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageError
 from minidual.gate.gate import StageState
 from minidual.gate.lock import LOCK_FILE, held_by, lock_holders, run_lock
 from minidual.gate.runner import Outcome
@@ -216,8 +216,8 @@ def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         twice = f"two runs are named, '{named}' and '{run}'" if named else "the name of the run is empty"
         raise UsageError(twice, remedy="minidual stop RUN stops one run, minidual stop every run")
     wanted = named or run
-    working = {folder.name: lock_holders(folder) for folder in sorted(root.glob("*/"))}
-    holders = {pid: text for name, found in working.items() if wanted in (None, name) for pid, text in found.items()}
+    runs = sorted(root.glob("*/"))
+    holders = lock_holders(root / wanted) if wanted else {k: v for run in runs for k, v in _holders(run).items()}
     for pid in holders:
         with suppress(ProcessLookupError):  # it has just ended
             os.kill(pid, emergency.SIGNAL)
@@ -225,12 +225,19 @@ def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         where = f"run '{wanted}' of {root}" if wanted else f"the runs in {root}"
         where += "" if root.is_dir() else ", which is no folder"
         remedy = "--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process"
-        if others := ", ".join(name for name, found in working.items() if found):
+        if others := ", ".join(folder.name for folder in runs if _holders(folder)):
             remedy = f"a command is working in {others}; minidual stop, without a name, stops all"
         raise UsageError(f"nothing to stop: no command is working in {where}", remedy=remedy)
     said = [f"emergency stop sent to {text}" for text in holders.values()]
     session.finish({"stopped": sorted(holders), "exit_code": int(ExitCode.PASS)}, said)
     return ExitCode.PASS
+
+
+def _holders(folder: Path) -> dict[int, str]:
+    """Return who works in a run; a damaged lock keeps nobody in another run from being stopped."""
+    with suppress(DataError):
+        return lock_holders(folder)
+    return {}
 
 
 def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
