@@ -61,6 +61,13 @@ def test_every_draw_has_cubes_apart_outside_the_bins_and_one_on_the_wrong_side()
     assert max(wrong) >= 3
 
 
+def test_of_one_colour_the_cube_nearer_its_bin_is_the_first() -> None:
+    for k in range(DRAWS):
+        y = {name: at[1] for name, at in TASK.trial(3, "draws", k).start.items()}
+        assert y["red_1"] > y["red_2"]
+        assert y["blue_1"] < y["blue_2"]
+
+
 # --- two arms are needed -----------------------------------------------------------------------------------------------
 
 

@@ -77,6 +77,8 @@ def side_of(name: str) -> str:
 def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
     """Draw starts, one or more on the wrong side, and places in the bins; `widen` acts on x.
 
+    Of one colour, the cube nearer its bin is the first: a picture then shows which cube goes where.
+
     Raises:
         UsageError: No such start was found.
     """
@@ -89,7 +91,9 @@ def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
         apart = all(math.dist(xy[a], xy[b]) >= _APART_M for a in xy for b in xy if a < b)
         if apart and any(_WAY[side_of(name)] * y < -_WRONG_M for name, (_, y) in xy.items()):
             yaws = rng.uniform(-np.pi / 4, np.pi / 4, size=len(xy)).tolist()
-            return {name: (*at, yaw) for (name, at), yaw in zip(xy.items(), yaws, strict=True)}, goal
+            near = sorted(xy, key=lambda name: -_WAY[side_of(name)] * xy[name][1])
+            of = {side: iter([xy[name] for name in near if side_of(name) == side]) for side in SIDES}
+            return {name: (*next(of[side_of(name)]), yaw) for name, yaw in zip(xy, yaws, strict=True)}, goal
     raise UsageError("the cubes find no start apart from each other", remedy="take fewer or smaller objects")
 
 
