@@ -65,13 +65,13 @@ def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> No
 def test_a_cell_says_what_is_promised_and_nothing_where_nothing_is(given: StageContext, tmp_path: Path) -> None:
     report, text = built(given, tmp_path)
     limits = {(c.method, c.condition): c.limit for c in report.tables[samples.TASK].cells}
-    assert limits["impedance", CLEAN] == "more than 80%"
+    assert limits["impedance", CLEAN] == "more than 80 %"
     assert limits["impedance", "push +x"] == "15 points lost (carry --perturb)"
     assert (limits["moveit", "push +x"], limits["act", "push +x"]) == ("", "")
     assert text.count("limit: 15 points lost") == sum("lost" in limit for limit in limits.values())
     asked = given.config.deploy.model_copy(update={"condition_rate_min": {"room": 0.85}})
     config = given.config.model_copy(update={"deploy": asked})
-    assert limits_of(config, samples.TASK, "act", "room") == "85% or more (deploy)"
+    assert limits_of(config, samples.TASK, "act", "room") == "85 % or more (deploy)"
     assert limits_of(config, "handover", "act", "room") == ""
     assert limits_of(config, "handover", "impedance", "push +x") == ""
 
@@ -195,7 +195,7 @@ def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
     words = re.sub(r"<[^>]*>", "", built(given, tmp_path)[1])
     assert "act under push +x: −75 points on 20 starts (95 % interval −" in words
     assert "push +x: moveit against act +95 points" in words
-    assert "act under push +x: grip lost (20); it stopped itself in 20." in words
+    assert "act under push +x: 20 × grip lost; it stopped itself in 20." in words
     few = samples.benchmark_data(samples.disturbed_trials(4))
     assert table(few).losses == []
 

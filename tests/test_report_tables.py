@@ -201,8 +201,8 @@ def test_pairs_of_methods_claim_what_many_trials_show(tmp_path: Path) -> None:
 
 
 def test_failures_are_named_and_counted(page: str) -> None:
-    assert "act: 5 of 20 trials failed: missed the goal (3), grip lost (2)." in page
-    assert "moveit: 1 of 20 trials failed: grip lost (1)." in page
+    assert "act: 5 of 20 trials failed: 3 × missed the goal, 2 × grip lost." in page
+    assert "moveit: 1 of 20 trials failed: 1 × grip lost." in page
     assert "impedance: 0 of 20 trials failed." in page
 
 

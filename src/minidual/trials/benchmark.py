@@ -252,11 +252,11 @@ def limits_of(config: Config, task: str, method: str, name: str) -> str:
     """Return the limit that the product promises for a cell, as text; empty where it promises nothing."""
     if name == CLEAN:
         least = config.benchmark.success_rate_min.get(method)
-        return "" if least is None else f"more than {least:.0%}"
+        return "" if least is None else f"more than {100 * least:.0f} %"
     if method == "impedance" and task == "rod_carry" and CONDITIONS[name].promised:
         return f"{100 * DROP_MAX:.0f} points lost (carry --perturb)"
     asked = config.deploy.condition_rate_min.get(name)
-    return f"{asked:.0%} or more (deploy)" if method == "act" and task == config.task and asked is not None else ""
+    return f"{100 * asked:.0f} % or more (deploy)" if method == "act" and task == config.task and asked is not None else ""
 
 
 def robustness(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], rate_min: float) -> list[Robustness]:
