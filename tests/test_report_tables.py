@@ -209,8 +209,8 @@ def test_failures_are_named_and_counted(page: str) -> None:
 def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None:
     assert "held out from training: 78 % (95 % interval 65 % to 87 %)" in page
     assert "training set: 95 %, +17 points, outside that interval" in page
-    assert "undisturbed: 47 of 60 succeed (65 % to 87 %); missed the goal (13)." in page
-    assert "room: 45 of 60 succeed (63 % to 87 %); missed the goal (15); training by training 80 %, 65 %, 80 %." in page
+    assert "undisturbed: 47 of 60 succeed (65 % to 87 %); 13 × missed the goal." in page
+    assert "room: 45 of 60 succeed (63 % to 87 %); 15 × missed the goal; training by training 80 %, 65 %, 80 %." in page
 
 
 def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
