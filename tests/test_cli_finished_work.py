@@ -147,6 +147,17 @@ def test_stages_that_still_match_come_along(toys):
     assert contents(toys.folder("toys")) == before
 
 
+def test_a_variant_of_a_waived_stage_finds_the_failed_one_that_it_works_on(toys):
+    entry = dataclasses.replace(toys.bench.table["second"], options=toys.bench.table["first"].options)
+    toys.bench.table = StageTable([toys.bench.table["first"], entry, toys.bench.table["third"]])
+    toys.bench.first.observed = 0.0
+    toys("first", "--force")
+    assert toys("second", "--waive-gate", "demo day", "--force")[0] == 0
+    code, _, err = toys("second", "--mood", "good", "--waive-gate", "demo day")
+    assert "working in run 'toys-good' instead" in err
+    assert (code, (toys.folder("toys-good") / "first" / "verdict.json").is_file()) == (0, True)
+
+
 def test_plain_words_do_not_replace_what_was_made_with_options(toys):
     toys("first", "--queries", "3", "--yes")
     assert toys.runs == ["toys"]

@@ -122,6 +122,17 @@ def test_waiver_is_written_taints_all_below_and_closes_the_last_stage(bench):
     assert bench.states() == ["fail", "pass", "fail"]
 
 
+def test_a_closed_gate_names_what_closes_it_not_a_waived_failure_above(bench):
+    bench.first.observed = 0.0
+    bench.runner().run("first")
+    bench.second.observed = 0.0
+    bench.runner().run("second", waiver="demo tomorrow")
+    with pytest.raises(GateClosedError) as caught:
+        bench.runner().run("third")
+    assert caught.value.message.startswith("the gate of third is closed: second failed")
+    assert caught.value.remedy.endswith("minidual second; then this command again")
+
+
 def test_a_waiver_does_not_replace_a_result_that_a_stage_works_on(bench):
     bench.second.behaviour = lambda context: [Check("size", (context.upstream["first"] / "out").stat().st_size, ">", 0)]
     with pytest.raises(GateClosedError, match="works on the result of first, and there is none") as caught:

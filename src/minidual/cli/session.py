@@ -152,7 +152,7 @@ class Session:
             self.say(f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'")
             kept = {up for name in names for up in (*self.table.upstream(name), name)} - {*gate.rerun(names, force)}
             for name in self.table:
-                if name in kept and gate.state(name).state == "pass":
+                if name in kept and gate.state(name).state in ("pass", "fail"):  # a waiver works on a failed one
                     self.store.link(name, base)
 
     def _own_run(self, run: str, *options: Mapping[str, Any]) -> str:

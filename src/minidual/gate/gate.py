@@ -77,6 +77,11 @@ class Gate:
         """Return the directly required stages that do not pass."""
         return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
 
+    def _shut(self, name: str, verdict: Verdict | None) -> list[StageState]:
+        given = verdict.waivers if verdict else ()
+        waived = {up: state for waiver in given if waiver.stage == name for up, state in waiver.blocking.items()}
+        return [state for state in self.closed_by(name) if waived.get(state.name) != state.state]
+
     def lowest(self) -> StageState | None:
         """Return the first stage that does not pass, or None."""
         return next((state for state in map(self.state, self.table) if state.state != "pass"), None)
@@ -113,7 +118,10 @@ class Gate:
 
     def closed_error(self, name: str, command: Callable[[str], str]) -> GateClosedError:
         """Return the error with cause, failed check and command to type."""
-        unfinished = [state for up in self.table.upstream(name) if (state := self.state(up)).state != "pass"]
+        chain = self.table.upstream(name)
+        shut = {state.name for up in chain for state in self._shut(up, self.state(up).verdict)}
+        shut |= {state.name for state in self.closed_by(name)}
+        unfinished = [self.state(up) for up in chain if up in shut]
         cause = unfinished[0]
         mend = command(cause.name if len(unfinished) == 1 else f"run --until {unfinished[-1].name}")
         article = "ended in error" if cause.state == "error" else f"is {cause.state}"
@@ -180,10 +188,7 @@ class Gate:
         reasons += verdict.fingerprint.differences(now)
         if verdict.acceptance_profile != self.loaded.config.acceptance:
             reasons.append(f"acceptance of the profile was {verdict.acceptance_profile}, is not now")
-        waived = {k: v for waiver in verdict.waivers if waiver.stage == name for k, v in waiver.blocking.items()}
-        for upstream in self.closed_by(name):
-            if waived.get(upstream.name) != upstream.state:
-                reasons.append(f"upstream stage {upstream.name} is {upstream.state}")
+        reasons += [f"upstream stage {upstream.name} is {upstream.state}" for upstream in self._shut(name, verdict)]
         state: State = "stale" if reasons else verdict.status
         if state == "error":
             reasons = ["nothing was evaluated: no check with a limit"]

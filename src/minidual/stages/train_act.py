@@ -36,8 +36,8 @@ def run(context: StageContext) -> StageResult:
     """Train with every seed, reload each checkpoint as deployment does, and write records."""
     config, robot = context.config.train, robot_from(context.config.robot)
     kind = POLICIES[config.policy]
+    dataset = context.upstream["teleop-record"] / "lerobot"
     with context.progress.task("reading frames") as task:
-        dataset = context.upstream["teleop-record"] / "lerobot"
         demos = load_demonstrations(dataset, config.cameras, task.advance, folder=context.folder)
     # Kept outside the temporary folder, so that an interrupted training resumes. Its name prevents reuse by other code,
     # a fingerprint of data, settings and seed in the file reuse by another training.
