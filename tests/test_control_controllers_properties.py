@@ -103,7 +103,7 @@ class Witness:
             assert self.stack.manager.active == before
 
     def controllers(self, names: tuple[str, ...]) -> None:
-        before, busy = self.stack.manager.active, self.stack.executing
+        before, busy = self.stack.manager.active, self.stack.executing or self.stack.stopping
         try:
             self.stack.switch_controllers(names)
         except ControllerSwitchError as error:

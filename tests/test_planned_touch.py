@@ -140,6 +140,25 @@ def test_a_plan_that_is_not_found_leaves_the_arms_stopped(
     assert carry.stack.source is None
 
 
+@pytest.mark.parametrize("after", [0, 3])
+def test_a_halt_in_the_stop_of_a_touch_is_not_overridden(
+    world: World, planner: Planner, axis: np.ndarray, after: int
+) -> None:
+    """Before, the arms recovered and drove on: by 0.50 rad."""
+    carry = seen(world, planner, -0.018 * axis)
+    assert drive(carry, "done") == ["approach", "descend", "done"]
+    for _ in range(after):
+        carry.step()
+    carry.stack.halt("teleop")
+    stopped = world.q
+    for _ in range(600):
+        carry.step()
+    assert carry.done
+    assert "_contact" in carry.aborted
+    assert carry.stack.source is None
+    assert np.abs(world.q - stopped).max() < 0.1
+
+
 def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:
     """Return the joint torques of a force up on the giving hand, so far along its fingers."""
     arm, kinematics, q = giver(carry), carry.stack.kinematics, carry.world.q

@@ -149,7 +149,7 @@ class ArbiterConfig(StrictModel):
     """The arms are still if every joint is slower."""
     settle_timeout_s: float = Field(default=0.5, ge=0.001, le=10.0)
     """A switch is refused if the arms do not settle within this time."""
-    switch_step_max_rad: float = Field(default=0.1, ge=0.001, le=0.5)
+    switch_step_max_rad: float = Field(default=0.1, ge=0.001, le=0.2)
     """A larger step of a joint target is ramped at `align_speed_rad_s`; no trajectory may start farther away."""
     align_speed_rad_s: float = Field(default=1.0, ge=0.01, le=2.0)
     speed_override: float = Field(default=1.0, ge=SPEED_OVERRIDE_MIN, le=1.0)
@@ -196,7 +196,7 @@ class SupervisorConfig(StrictModel):
     """Readings unchanged to the bit for this long, while the applied torque changes, are frozen."""
     slow_period_s: float = Field(default=0.01, ge=0.001, le=0.02)
     """Period of checks that need kinematics; see docs/supervisor.md."""
-    stop_deceleration_scale: float = Field(default=0.9, ge=0.01, le=1.0)
+    stop_deceleration_scale: float = Field(default=0.9, ge=0.5, le=1.0)
     """Largest share of the joints' acceleration limits in a stop."""
     stop_frequency_rad_s: float = Field(default=10.0, ge=0.1, le=30.0)
     """Closed-loop frequency of the damped hold after a stop."""

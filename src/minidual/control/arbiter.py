@@ -188,7 +188,7 @@ class CommandArbiter:
         arms &= (self._stopping | silent) if driven else arms
         # Nearer arms stay at their target: loaded ones would sag.
         far = {arm for arm in arms if np.abs(way[self._robot.joints_of(arm)]).max() > bound}
-        for arm in (far | arms & self._stopping) if driven else (arms if far else ()):
+        for arm in (far | arms & self._stopping) if driven else (arms & (silent | far) if far else ()):
             if driven and arm in silent:
                 self._refuse(self.source or HOLD, "stale", f"{SIDES[arm]} arm: no command for {self.config.stale_s} s")
             joints = self._robot.joints_of(arm)

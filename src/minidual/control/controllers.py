@@ -148,8 +148,8 @@ class JointTrajectoryController(Controller):
     def __init__(self, group: str, kinematics: Kinematics, dt_s: float, payload: Payload) -> None:
         self.name, self.arms, self._dt, self._payload, self._holds = group, arms_of(group), dt_s, payload, False
         self._servo, self._filter = ComputedTorque(kinematics), ReferenceFilter(dt_s, kinematics.robot)
-        self._executions: dict[TrajectoryExecution, tuple[Array, int]] = {}
-        """Running, with the offset of the start and the steps of its fade, or -1."""
+        self._executions: dict[TrajectoryExecution, tuple[Array, float]] = {}
+        """Running, with the offset of the start and the steps of its fade by the path's clock, or -1."""
         self._rows, self._target = np.zeros((4, kinematics.robot.dof)), np.zeros(kinematics.robot.dof)
         """_rows: q, v, a of the reference with the fading offsets, and a without them."""
         self.reference = self._target
@@ -199,10 +199,10 @@ class JointTrajectoryController(Controller):
             joints = execution.joints
             self._rows[:, joints] = execution.q, execution.v, execution.a, execution.a
             if k >= 0:
-                s, ds, dds = minimum_jerk(k * self._dt / _BLEND_S)
-                fade = 1.0 - s, -ds / _BLEND_S, -dds / _BLEND_S**2
+                (s, ds, dds), rate = minimum_jerk(k * self._dt / _BLEND_S), execution.rate / _BLEND_S
+                fade = 1.0 - s, -ds * rate, -dds * rate**2
                 self._rows[:3, joints] += np.outer(fade, offset)
-                self._executions[execution] = (offset, k + 1 if k * self._dt < _BLEND_S else -1)
+                self._executions[execution] = (offset, k + execution.rate if k * self._dt < _BLEND_S else -1)
             if execution.finished:
                 del self._executions[execution]
                 self._target = self._target.copy()

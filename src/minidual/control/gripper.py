@@ -115,8 +115,14 @@ class Grippers:
         self.reset()
 
     def reset(self) -> None:
-        """Start with open hands, or closed where they hold something, and the usual pinch."""
+        """Start with open hands, or closed where they hold something, and the usual pinch.
+
+        Raises:
+            UsageError: The grip is not measured.
+        """
         grip, self._force_n = self._plant.grip, self._usual_n
+        if not np.isfinite(grip).all():
+            raise UsageError(f"the grip is not measured ({grip} N)", remedy="begin once both hands are measured")
         self.closed = grip > _HOLDS_N
         """(2,) of the start; a program that begins anew lets nothing fall."""
         self._hands, self.wide = np.ones((4, 2)), not self.closed.any()

@@ -148,8 +148,11 @@ class JointSense:
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad) & ~self.lost.any(axis=0)
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
-        # No joint moves that far in one period; a jump of the velocity that alone explains the mismatch is no push.
-        leapt = apart & (np.abs(kept[_DQ]) > 2.0 * new_s * self._robot.v_max)
+        # A position that moved as neither velocity says, or too far for any joint, is wrong; so is a velocity whose jump
+        # alone explains the mismatch.
+        moved, ways = kept[_DQ], new_s * np.stack([kept[_V], kept[_V] - kept[_DV]])
+        leapt = np.abs(moved - ways).min(axis=0) > self._config.position_mismatch_rad
+        leapt = apart & (leapt | (np.abs(moved) > 2.0 * new_s * self._robot.v_max))
         sped = apart & (new_s * np.abs(kept[_DV]) > 0.5 * self._config.position_mismatch_rad)
         lost = apart & (same > 0.0) & ~leapt & ~sped
         lost[0] |= leapt
@@ -167,7 +170,7 @@ class JointSense:
     @property
     def v_slower(self) -> Array:
         """The slower of the last two velocities (n,) [rad/s]."""
-        return np.where(self.lost.any(axis=0), self.v, slower(self.v, self.v - self._kept[_DV]))
+        return np.where(self.lost[1], self.v, slower(self.v, self.v - self._kept[_DV]))
 
     def _lose(self, lost: npt.NDArray[np.bool_], since_s: float) -> None:
         """Stop using values; joints that have lost both follow the model from `since_s` ago."""

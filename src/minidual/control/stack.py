@@ -109,6 +109,8 @@ class ControlStack[P: Plant]:
             UsageError: The arms move.
         """
         plant, q, fastest = self.plant, self.plant.q, self._fastest()
+        self._failed: Exception | None = None
+        """What the next step stops for, whatever resumes until then."""
         if not fastest < self._config.still_speed_rad_s:
             raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
         self.grippers.reset()
@@ -157,7 +159,6 @@ class ControlStack[P: Plant]:
         self._openings = gripper.copy()  # who reads the output may change its arrays
         self.reflex: MinidualError | None = None
         """Of the latched reflex."""
-        self._failed: Exception | None = None
         self._stop_ticks = 0
 
     # Commands --------------------------------------------------------------------------------------------
@@ -170,7 +171,7 @@ class ControlStack[P: Plant]:
         """Offer a command; return its refusal, or None."""
         refusal = self.arbiter.propose(source, command)
         if refusal is None and not isinstance(command, JointCommand):
-            self._due = self._pending = True
+            self._due, self._pending = True, self._pending or source == self.source
         return refusal
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
@@ -213,6 +214,8 @@ class ControlStack[P: Plant]:
             raise ControllerSwitchError("under_way", "a timed command is under way", remedy=remedy)
         if not np.isfinite(self.plant.q).all():
             raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
+        if self.stopping:  # others would bring them back to where they were at the switch
+            raise ControllerSwitchError("under_way", "the arms are being stopped", remedy="switch once they rest")
         if self.manager.active in (OBJECT_CONTROLLERS, _STOPPING) or any(
             h.name in self.manager.active for h in self.hands
         ):

@@ -68,6 +68,8 @@ class PlannedCarry(Drive):
     def step(self) -> None:
         """Run one control step; simulated time stands still while it plans anew."""
         super().step()
+        if self.stack.output.halted:  # by somebody: the arms stay
+            self._touch = None
         if self._touch is not None and not self.stack.stopping:
             touch, self._touch = self._touch, None
             with suppress(MinidualError):  # it moves still, or finds no plan: it stays aborted

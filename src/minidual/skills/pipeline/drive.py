@@ -26,7 +26,7 @@ class Drive:
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
         self.stack = stack
         self.aborted: str | None = None
-        self._left, self._proposed = list(segments), 0
+        self._left, self._proposed, self._refused_n = list(segments), 0, len(stack.refusals)
         self._began_s = self._ended_s = 0.0
         self._under_way = False
         if self._left:
@@ -51,7 +51,10 @@ class Drive:
         """Run one control step."""
         stack = self.stack
         if self._left and not stack.executing and stack.source == SOURCE:
-            self._propose_next()
+            try:
+                self._propose_next()
+            except Exception as error:  # the arms need this step's torque
+                stack.fail(error)
         if self._left:
             stack.affirm(SOURCE)
         try:
@@ -62,7 +65,7 @@ class Drive:
             self._abort("the arms were taken over" if self._proposed else "the arms were not handed over")
 
     def _propose_next(self) -> None:
-        refused = next((r for r in self.stack.refusals if r.source == SOURCE), None)
+        refused = next((r for r in self.stack.refusals[self._refused_n :] if r.source == SOURCE), None)
         if refused is None:
             if self._under_way:
                 self._left.pop(0)
