@@ -275,8 +275,8 @@ def test_an_honest_script_succeeds_and_counts_its_cubes() -> None:
     assert outcome.success, outcome.reason
     assert script.judge.finished
     assert outcome.measured["progress"] == 1.0
-    assert outcome.goal_error_m < 1e-9
-    assert outcome.pinch_min_n == 30.0
+    assert outcome.number("goal_error_m") < 1e-9
+    assert outcome.number("pinch_min_n") == 30.0
 
 
 def test_with_one_arm_frozen_no_draw_succeeds() -> None:

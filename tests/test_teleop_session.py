@@ -54,8 +54,8 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     assert result.outcome.success, result.reason
     assert result.reason == ""
     assert result.ended_by == "leader"
-    assert result.outcome.goal_error_m < 0.002
-    assert result.outcome.tilt_max_rad < np.deg2rad(0.5)
+    assert result.outcome.number("goal_error_m") < 0.002
+    assert result.outcome.number("tilt_max_rad") < np.deg2rad(0.5)
     assert len(ticks) == round(ScriptedOperator(world.scene).phases()["rest"][1] * 50.0)
     times = np.array([t.timestamps for t in ticks])
     np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-9)

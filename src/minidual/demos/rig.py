@@ -202,7 +202,7 @@ class Rig:
             except (SimulationDivergedError, PlanningError) as error:
                 return self._concluded(Attempt(trial, False, error.message.splitlines()[0]), began)
             said = {"completion_s": result.outcome.duration_s}
-            said |= {name: value for name in MEASURES[1:] if np.isfinite(value := getattr(result.outcome, name))}
+            said |= {name: value for name in MEASURES[1:] if np.isfinite(value := result.outcome.number(name))}
             attempt = Attempt(trial, result.success, self._reason(result), None, said, result.latencies_s)
             empty = len(result.q) < job.teleop.rate_hz or float(np.ptp(result.q, axis=0).max()) < 1e-3
             if attempt.reason and empty:

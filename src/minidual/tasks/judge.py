@@ -45,10 +45,8 @@ class Outcome:
         first = min(self.failures, key=lambda f: f.at_s, default=None)
         return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
 
-    def __getattr__(self, name: str) -> float:
-        """Return a number, or NaN."""
-        if name.startswith("_") or not name.endswith(("_m", "_n", "_rad")):
-            raise AttributeError(name)
+    def number(self, name: str) -> float:
+        """Return a number of `measured`; NaN if no condition gives it."""
         return self.measured.get(name, math.nan)
 
 

@@ -160,9 +160,9 @@ def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **kn
         duration_s=outcome.duration_s if outcome.success else math.nan,
         jerk_rms=jerk(log.q, CUTOFF_HZ),
         path_length_m=float(path_length(log.tcp).mean()),
-        pinch_force_min_n=outcome.pinch_min_n,
+        pinch_force_min_n=outcome.number("pinch_min_n"),
         measured=outcome.measured,
-        **{name: getattr(outcome, name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},
+        **{name: outcome.number(name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},
         **known,
     )
 

@@ -129,7 +129,7 @@ def policy(stack: ControlStack[World], runtime: PolicyRuntime, picture: Picture,
             yield
             judge.observe(world)
             finished_s = finished_s if judge.finished else world.time
-        error_m = judge.outcome(world).goal_error_m
+        error_m = judge.outcome(world).number("goal_error_m")
         return {"put_down_at_goal": judge.finished, "goal_error_m": error_m, "inference_hz": runtime.inference_hz}
 
     return Turn("policy", "ACT policy: carries the object to the goal", drive)
