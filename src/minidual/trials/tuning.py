@@ -50,7 +50,7 @@ class TuningError(MinidualError):
 
 @dataclass(frozen=True)
 class TuningStep:
-    """Carries with one force and stiffness; their numbers in `_WORST` are attributes, NaN propagates."""
+    """Carries with one force and stiffness; `worst` tells their numbers."""
 
     phase: str
     force_n: float
@@ -65,11 +65,10 @@ class TuningStep:
     @property
     def steady(self) -> bool:
         """Whether all succeeded without oscillation; false for NaN."""
-        return self.holds and self.oscillation_m <= OSCILLATION_MAX_M
+        return self.holds and self.worst("oscillation_m") <= OSCILLATION_MAX_M
 
-    def __getattr__(self, name: str) -> float:
-        if name not in _WORST:
-            raise AttributeError(name)
+    def worst(self, name: str) -> float:
+        """Return the worst of a number in `_WORST`; NaN propagates."""
         return float(_WORST[name]([{**vars(c), **c.measured}[name] for c in self.carries]))
 
     def row(self) -> dict[str, Any]:
@@ -80,11 +79,11 @@ class TuningStep:
             "internal_force_n": round(self.force_n, 2),
             "stiffness_n_per_m": round(self.stiffness_n_per_m, 1),
             "successes": f"{len(self.carries) - len(failed)} of {len(self.carries)}",
-            "internal_force_min_n": _said(self.internal_force_min_n, 2),
-            "tracking_max_mm": _said(1e3 * self.tracking_max_m, 2),
-            "oscillation_rms_mm": _said(1e3 * self.oscillation_m, 3),
-            "tilt_max_deg": _said(math.degrees(self.tilt_max_rad), 2),
-            "torque_max_percent": _said(100.0 * self.torque_ratio_max, 0),
+            "internal_force_min_n": _said(self.worst("internal_force_min_n"), 2),
+            "tracking_max_mm": _said(1e3 * self.worst("tracking_max_m"), 2),
+            "oscillation_rms_mm": _said(1e3 * self.worst("oscillation_m"), 3),
+            "tilt_max_deg": _said(math.degrees(self.worst("tilt_max_rad")), 2),
+            "torque_max_percent": _said(100.0 * self.worst("torque_ratio_max"), 0),
             "first_failure": failed[0] if failed else "",
         }
 
@@ -144,7 +143,7 @@ class Tuner:
             raise TuningError(what, remedy="raise carry.impedance.damping_ratio or look at the sensing delay")
         stiffness = last if last == STIFFNESSES_N_PER_M[-1] else float(round(STIFFNESS_FACTOR * last))
         final = self._step("final", force, stiffness)
-        if not (final.holds and final.tracking_max_m < TRACKING_MAX_M):
+        if not (final.holds and final.worst("tracking_max_m") < TRACKING_MAX_M):
             row = final.row()
             tracking = f"tracking {row['tracking_max_mm']} mm (limit {1e3 * TRACKING_MAX_M:.0f}) {row['first_failure']}"
             what = f"{force:.1f} N and {stiffness:.0f} N/m: {row['successes']} held, {tracking}"
@@ -159,8 +158,8 @@ class Tuner:
         step = self._step("safe", force_n, stiffness_n_per_m)
         remedy = "carry more slowly: lower carry.pace.object_speed_m_per_s"
         what = f"the softest carry ({stiffness_n_per_m:.0f} N/m, {force_n:.0f} N)"
-        if not step.torque_ratio_max < _SAFE_TORQUE:
-            share = f"{100 * step.torque_ratio_max:.0f} %"
+        if not (ratio := step.worst("torque_ratio_max")) < _SAFE_TORQUE:
+            share = f"{100 * ratio:.0f} %"
             raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
         if failed := [c for c in step.carries if not c.success and c.failure != _SQUEEZED]:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
