@@ -21,7 +21,8 @@ from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.policies.demonstrations import Demonstrations
-from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv
+from minidual.policies.kinds import POLICIES, Training, TrainResult, write_loss_csv
+from minidual.show.figures.training import draw_loss
 from minidual.stages.registry import STAGES, TOOLS
 
 torch, act, tensor_files = late("torch"), late("minidual.policies.act"), late("safetensors.torch")

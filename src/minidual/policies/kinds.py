@@ -121,8 +121,7 @@ class PolicyKind(ABC):
         """
 
 
-_ROWS = rows_beside(__file__)
-POLICIES: Registry[PolicyKind] = Registry("policy", _ROWS["policies"], group="minidual.policies")
+POLICIES: Registry[PolicyKind] = Registry("policy", rows_beside(__file__), group="minidual.policies")
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
@@ -146,34 +145,3 @@ def write_train_json(result: TrainResult, extra: dict[str, Any], path: Path) -> 
     record = {key: value for key, value in asdict(result).items() if key not in ("curve", "set_aside")} | extra
     path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return record
-
-
-def draw_loss(result: TrainResult, path: Path) -> None:
-    """Plot losses and learning rate."""
-    from matplotlib.figure import Figure
-
-    columns = {name: np.array([getattr(row, name) for row in result.curve], float) for name in _ROWS["losses"]}
-    steps, figure = [row.step for row in result.curve], Figure(figsize=(9.0, 5.4), dpi=140, layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-    above.plot(steps, columns["l1"], color="#9ec5e8", linewidth=0.8)
-    for name, (label, colour, style) in _ROWS["losses"].items():
-        known = ~np.isnan(columns[name])
-        if known.any():
-            values = columns[name][known] if "validation" in name else _smooth(columns[name][known])
-            above.plot(np.array(steps)[known], values, style, color=colour, label=label)
-    above.set(yscale="log", ylabel="L1 [std of the actions]")
-    title = f"Training: {result.parameters / 1e6:.2f} M parameters, {result.steps} steps, {result.train_s / 60:.1f} min"
-    above.set_title(f"{title}, {result.samples_per_s:.0f} samples/s", loc="left", fontsize=11)
-    above.legend(frameon=False)
-    below.plot(steps, [row.learning_rate for row in result.curve], color="#666666")
-    below.set(ylabel="learning rate", xlabel="step")
-    for axes in (above, below):
-        axes.grid(alpha=0.25)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path)
-
-
-def _smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    from scipy.ndimage import uniform_filter1d
-
-    return uniform_filter1d(values, 2 * max(1, len(values) // 40) + 1, mode="nearest")

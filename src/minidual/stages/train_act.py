@@ -11,9 +11,10 @@ from minidual.gate.check import Check, Rows
 from minidual.gate.fingerprint import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.demonstrations import load_demonstrations
-from minidual.policies.kinds import POLICIES, Training, TrainResult, draw_loss, write_loss_csv, write_train_json
+from minidual.policies.kinds import POLICIES, Training, TrainResult, write_loss_csv, write_train_json
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import GRIPPERS_N, Robot, robot_from
+from minidual.show.figures.training import draw_loss
 from minidual.stages.words import worded
 
 
