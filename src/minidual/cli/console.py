@@ -16,7 +16,7 @@ from minidual.errors import printable
 from minidual.gate.check import Check, with_unit
 from minidual.gate.gate import Gate, StageState
 from minidual.gate.runner import Outcome
-from minidual.gate.stage import Progress, Task
+from minidual.gate.stage import Progress, ProgressTask
 from minidual.gate.table import StageEntry
 from minidual.gate.verdict import Verdict
 
@@ -42,7 +42,7 @@ def console(*, stderr: bool) -> Console:
     )
 
 
-class BarTask(Task):
+class BarTask(ProgressTask):
     """One bar; nested tasks draw theirs below."""
 
     def __init__(self, console: Console, description: str, total: float | None) -> None:
@@ -52,7 +52,7 @@ class BarTask(Task):
         self._bar = self._bars.add_task(description, total=total, note="")
 
     def advance(self, steps: float = 1, note: str = "") -> None:
-        """See `Task`."""
+        """See `ProgressTask`."""
         self._bars.update(self._bar, advance=steps)
         if note:
             self._bars.update(self._bar, note=note)
@@ -72,7 +72,7 @@ class ConsoleProgress(Progress):
         super().__init__(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
         self._console = console
 
-    def task(self, description: str, total: float | None = None) -> Task:
+    def task(self, description: str, total: float | None = None) -> ProgressTask:
         """Begin a bar or plain lines."""
         bars = self._console.is_terminal
         return BarTask(self._console, description, total) if bars else super().task(description, total)

@@ -21,7 +21,7 @@ from minidual.gate.verdict import Verdict, Waiver
 _EVERY_S = 10.0
 
 
-class Task(AbstractContextManager["Task"]):
+class ProgressTask(AbstractContextManager["ProgressTask"]):
     """Counted work, a context manager. Prints a line at most every 10 s, and one at the end."""
 
     def __init__(self, description: str, total: float | None, say: Callable[[str], None]) -> None:
@@ -60,9 +60,9 @@ class Progress:
         self.note = say
         """Shows one line."""
 
-    def task(self, description: str, total: float | None = None) -> Task:
+    def task(self, description: str, total: float | None = None) -> ProgressTask:
         """Begin a task: `with progress.task("trials", 20) as task: ... task.advance()`."""
-        return Task(description, total, self.note)
+        return ProgressTask(description, total, self.note)
 
 
 class Folders(dict[str, Path]):

@@ -15,8 +15,7 @@ from minidual.control.supervisor import dumping
 from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import dumps
-from minidual.gate.stage import Task as Bar
-from minidual.gate.stage import ToolContext, ToolResult
+from minidual.gate.stage import ProgressTask, ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.recorder import Recorder
 from minidual.plant.render import Camera, Image, write_video
@@ -122,7 +121,7 @@ def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, .
     return ModesDemo(stack, turns)
 
 
-def _counted(demo: ModesDemo, bar: Bar) -> Iterator[Turn]:
+def _counted(demo: ModesDemo, bar: ProgressTask) -> Iterator[Turn]:
     for turn, steps in itertools.groupby(demo.steps()):
         yield from steps
         bar.advance(note=f"{turn.mode} done")
