@@ -13,7 +13,7 @@ from minidual.durable import disk_errors
 from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageError
 from minidual.gate.gate import StageState
 from minidual.gate.lock import LOCK_FILE, held_by, lock_holders, run_lock
-from minidual.gate.runner import Outcome
+from minidual.gate.runner import StageOutcome
 from minidual.gate.signature import sign, signature, unverified
 from minidual.gate.stage import ToolContext
 from minidual.gate.table import StageEntry, ToolEntry, overrides
@@ -94,7 +94,7 @@ def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Ma
             raise UsageError(f"{flag} goes with {with_what}{without}")
 
 
-def _outcome_json(outcome: Outcome) -> dict[str, Any]:
+def _outcome_json(outcome: StageOutcome) -> dict[str, Any]:
     state = _state_json(outcome.state)
     return {"stage": state["name"], "ran": outcome.ran, **state, "verdict": outcome.verdict.to_json()}
 
@@ -112,7 +112,7 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     names = session.table.until(until)
     if not values["yes"]:
         session.spare_finished(names, {}, force)
-    outcomes: list[Outcome] = []
+    outcomes: list[StageOutcome] = []
     with session.view(values) as view:
         for outcome in session.runner(view).run_until(until, force=force, waiver=values["waive_gate"]):
             outcomes.append(outcome)

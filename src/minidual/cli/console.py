@@ -15,7 +15,7 @@ from rich.text import Text
 from minidual.errors import printable
 from minidual.gate.check import Check, with_unit
 from minidual.gate.gate import Gate, StageState
-from minidual.gate.runner import Outcome
+from minidual.gate.runner import StageOutcome
 from minidual.gate.stage import Progress, ProgressTask
 from minidual.gate.table import StageEntry
 from minidual.gate.verdict import Verdict
@@ -114,7 +114,7 @@ def label(verdict: Verdict) -> str:
     return "; ".join(words)
 
 
-def print_outcome(console: Console, outcome: Outcome, following: str) -> None:
+def print_outcome(console: Console, outcome: StageOutcome, following: str) -> None:
     """Print a result and the next command."""
     verdict = outcome.verdict
     took = f"{verdict.duration_s:.1f} s" if outcome.ran else "fresh"

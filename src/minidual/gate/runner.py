@@ -26,7 +26,7 @@ class StageCrashedError(MinidualError):
     exit_code = ExitCode.INTERNAL
 
 
-class Outcome(NamedTuple):
+class StageOutcome(NamedTuple):
     """State of a stage after a command, and whether it ran."""
 
     state: StageState
@@ -65,7 +65,7 @@ class Runner:
 
     def run(
         self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
-    ) -> Outcome:
+    ) -> StageOutcome:
         """Run one stage unless it passes and is fresh; `force` runs it anyway. `waiver`: reason to open a closed gate.
 
         Raises:
@@ -77,7 +77,9 @@ class Runner:
             self._validate(gate, name)
             return self._run_locked(gate, name, force, waiver)
 
-    def run_until(self, end: str | None = None, *, force: bool = False, waiver: str | None = None) -> Iterator[Outcome]:
+    def run_until(
+        self, end: str | None = None, *, force: bool = False, waiver: str | None = None
+    ) -> Iterator[StageOutcome]:
         """Run `end` and all that it requires, or every stage; yield each outcome.
 
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
@@ -102,17 +104,17 @@ class Runner:
     def _validate(self, gate: Gate, name: str) -> None:
         self.table[name].resolved(gate.effective(name, None)[1].config, checked=True)
 
-    def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> Outcome:
+    def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> StageOutcome:
         if waiver is not None and not waiver.strip():
             raise UsageError("--waive-gate needs a reason, which the verdict keeps", remedy='type --waive-gate "WHY"')
         state = gate.state(name)
         if state.state == "pass" and not force:
-            return Outcome(state, ran=False)
+            return StageOutcome(state, ran=False)
         closed = gate.closed_by(name)
         if closed and waiver is None:
             raise gate.closed_error(name, self.command)
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
-        return Outcome(self._gate(gate.options).state(name), ran=True)
+        return StageOutcome(self._gate(gate.options).state(name), ran=True)
 
     def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
         waivers: list[Waiver] = []
