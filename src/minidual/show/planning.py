@@ -22,7 +22,7 @@ from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
 from minidual.show.view import View
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import tcp_preview
-from minidual.trials.planning.evaluate import Outcome
+from minidual.trials.planning.evaluate import QueryOutcome
 
 _OBSTACLE_RGBA = [0.78, 0.42, 0.25, 1.0]
 _HELD_RGBA = [0.15, 0.6, 0.4, 1.0]
@@ -30,7 +30,7 @@ _LOOK = {"contype": 0, "conaffinity": 0, "density": 0.0, "group": GROUP_VISUAL}
 _TIMED = tuple(phase for phase in PHASES if phase != "scene")
 _LOOK_S = 1.0
 """Pause after each round."""
-Outcomes = Mapping[str, Sequence[Outcome]]
+Outcomes = Mapping[str, Sequence[QueryOutcome]]
 """By group."""
 
 

@@ -20,7 +20,7 @@ from minidual.show.watch import watched
 from minidual.skills.held_execution import Execution, execute
 from minidual.stages.words import worded
 from minidual.trials.planning import evaluate
-from minidual.trials.planning.evaluate import MoveOutcome, Outcome
+from minidual.trials.planning.evaluate import MoveOutcome, QueryOutcome
 
 _EXCELLENT_S = {"left_arm": 0.2, "right_arm": 0.2, "both_arms": 2.0}
 _GOAL_S = {"left_arm": 0.01, "right_arm": 0.01, "both_arms": 0.015}
@@ -36,7 +36,7 @@ def run(context: StageContext) -> StageResult:
     robot = robot_from(context.config.robot)
     with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
 
-        def advance(outcome: Outcome) -> None:
+        def advance(outcome: QueryOutcome) -> None:
             task.advance(note=outcome.query.group)
 
         outcomes = evaluate.run_queries(context.config, seed, config.queries_n, advance)
@@ -46,7 +46,7 @@ def run(context: StageContext) -> StageResult:
     repeatable = all(evaluate.repeats(config, done[0]) for done in outcomes.values())
     carries = evaluate.failed_carries(context.config, _CARRIES_N)
     moves, executions, undriven = run_held(context)
-    checks, every = list[Check](), list[Outcome]()
+    checks, every = list[Check](), list[QueryOutcome]()
     for prefix, ending, of in (("", "", outcomes), ("second_seed.", "_second_seed", second)):
         if asked := [o for done in of.values() for o in done]:
             write_csv(folder / f"queries{ending}.csv", [o.row() for o in asked])
@@ -66,7 +66,7 @@ def run(context: StageContext) -> StageResult:
     return StageResult(checks=checks, data=data, notes=[*notes(first=outcomes, second=second), *carries, *undriven])
 
 
-def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, prefix: str = "") -> list[Check]:
+def group_checks(group: str, outcomes: Sequence[QueryOutcome], config: PlanConfig, prefix: str = "") -> list[Check]:
     """Return the checks of one planning group."""
     times = np.array([o.total_s for o in outcomes])
     median, limits = float(np.median(times)), config.time_median_max_s
@@ -87,7 +87,7 @@ def group_checks(group: str, outcomes: Sequence[Outcome], config: PlanConfig, pr
 
 
 def common_checks(
-    outcomes: Sequence[Outcome], agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig
+    outcomes: Sequence[QueryOutcome], agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig
 ) -> list[Check]:
     """Return the checks common to all groups. Of the audit: dense samples of solved queries must be free."""
     audits = [o.audit for o in outcomes if o.audit is not None]

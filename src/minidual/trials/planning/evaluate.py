@@ -31,7 +31,7 @@ _LINE_STEP_RAD = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt[R]:
+class PlanAttempt[R]:
     """One request: a proven result or why there is none, and its wall and processor time."""
 
     result: R | None
@@ -46,7 +46,7 @@ class Attempt[R]:
         return self.result is not None
 
 
-def attempted[R](plan: Callable[[], R]) -> Attempt[R]:
+def attempted[R](plan: Callable[[], R]) -> PlanAttempt[R]:
     """Run a request; a `PlanningError` is the reason why there is no result."""
     begin, cpu_begin = perf_counter(), process_time()
     result, reason, message = None, "", ""
@@ -54,11 +54,11 @@ def attempted[R](plan: Callable[[], R]) -> Attempt[R]:
         result = plan()
     except PlanningError as error:
         reason, message = error.reason, error.message
-    return Attempt(result, reason, message, perf_counter() - begin, process_time() - cpu_begin)
+    return PlanAttempt(result, reason, message, perf_counter() - begin, process_time() - cpu_begin)
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome(Attempt[PlanResult]):
+class QueryOutcome(PlanAttempt[PlanResult]):
     """Result of one query.
 
     Attributes:
@@ -93,7 +93,7 @@ class Outcome(Attempt[PlanResult]):
 _PROVEN = ("samples_n", "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio", "torque_rate_ratio")
 
 
-def plan_query(planner: Planner, query: Query) -> Outcome:
+def plan_query(planner: Planner, query: Query) -> QueryOutcome:
     """Plan one query, timed from goal to proven trajectory."""
     begin, engines = perf_counter(), planner.engines(query.scene)
     scene_s = perf_counter() - begin
@@ -105,7 +105,7 @@ def plan_query(planner: Planner, query: Query) -> Outcome:
     q_goal = query.q_goal if attempt.result is None else attempt.result.q_goal
     line = polyline_states(np.array([query.q_start, q_goal]), _LINE_STEP_RAD)
     blocked = bool(engines.engine("mujoco").collisions(line).any())
-    return Outcome(**vars(attempt), query=query, scene_s=scene_s, line_blocked=blocked)
+    return QueryOutcome(**vars(attempt), query=query, scene_s=scene_s, line_blocked=blocked)
 
 
 def _planner(config: Config) -> Planner:
@@ -113,13 +113,13 @@ def _planner(config: Config) -> Planner:
 
 
 def run_queries(
-    config: Config, seed: int, queries_n: int, on_query: Callable[[Outcome], None] = lambda _: None
-) -> dict[str, list[Outcome]]:
+    config: Config, seed: int, queries_n: int, on_query: Callable[[QueryOutcome], None] = lambda _: None
+) -> dict[str, list[QueryOutcome]]:
     """Plan and audit queries of every group, in one process for comparable times."""
     plan = config.plan
     planner, warm = _planner(config), _planner(config)
     source = query_source(seed, plan.obstacles_n, plan.blocked_fraction, planner.robot)
-    outcomes: dict[str, list[Outcome]] = {group: [] for group in planner.robot.groups}
+    outcomes: dict[str, list[QueryOutcome]] = {group: [] for group in planner.robot.groups}
     # Warm up: the first plans load machine code, or compile it on a new machine (40 s); `make bench` times them.
     # They have a planner of their own: the first scene is then built for its query, and timed.
     for group in outcomes:
@@ -135,7 +135,7 @@ def run_queries(
     return outcomes
 
 
-def repeats(config: PlanConfig, outcome: Outcome) -> bool:
+def repeats(config: PlanConfig, outcome: QueryOutcome) -> bool:
     """Return whether a fresh planner reproduces a trajectory bit for bit."""
     if outcome.result is None:
         return False
@@ -158,7 +158,7 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class MoveOutcome(Attempt[CarriedTrajectory]):
+class MoveOutcome(PlanAttempt[CarriedTrajectory]):
     """Result of one move; residuals are those of `timed_residual`, clearance_m is the minimum. NaN without a plan."""
 
     move: HeldMove
