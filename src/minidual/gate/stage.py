@@ -15,7 +15,7 @@ from minidual.config.root import Config
 from minidual.durable import remove, set_aside
 from minidual.errors import ExitCode, GateClosedError
 from minidual.gate.check import Check
-from minidual.gate.store import Place
+from minidual.gate.store import ResultPlace
 from minidual.gate.verdict import Verdict, Waiver
 
 _EVERY_S = 10.0
@@ -162,19 +162,19 @@ class ToolContext(Context):
     @property
     def output(self) -> Path:
         """Temporary folder for output, created on first access; `publish` moves it to `folder`."""
-        temporary = Place(self.folder).temporary
+        temporary = ResultPlace(self.folder).temporary
         temporary.mkdir(parents=True, exist_ok=True)
         return temporary
 
     def begin(self) -> None:
         """Remove output of an interrupted run; DataError if something else than a folder is in its place."""
-        place = Place(self.folder)
+        place = ResultPlace(self.folder)
         place.check()
         remove(place.temporary)
 
     def publish(self) -> None:
         """Move output to its final folder; an earlier one is set aside."""
-        place = Place(self.folder)
+        place = ResultPlace(self.folder)
         if place.temporary.is_dir():
             if place.folder.exists():
                 self.progress.note(f"the earlier output is in {set_aside(place.folder, self.name)}")

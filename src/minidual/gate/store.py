@@ -34,7 +34,7 @@ _RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 @dataclass(frozen=True)
-class Attempt:
+class StageAttempt:
     """An unfinished stage."""
 
     stage: str
@@ -54,7 +54,7 @@ def _link(source: str, target: str) -> None:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResultPlace:
     """The place of one result.
 
     Attributes:
@@ -129,7 +129,7 @@ class RunStore:
 
     def stage_folder(self, stage: str) -> Path:
         """Return the folder of a finished stage; it need not exist."""
-        place = Place(self.folder / stage)
+        place = ResultPlace(self.folder / stage)
         for folder in (place.name, place.old):
             if os.path.lexists(folder / VERDICT_FILE):
                 return folder
@@ -141,7 +141,7 @@ class RunStore:
 
     def verdict(self, stage: str) -> tuple[Verdict, str] | None:
         """Return (verdict, sha256 of its file), or None; DataError if corrupt, or if its folder is none."""
-        Place(self.folder / stage).check(replacing=False)
+        ResultPlace(self.folder / stage).check(replacing=False)
         path = self.verdict_path(stage)
         if not os.path.lexists(path):
             return None
@@ -150,15 +150,15 @@ class RunStore:
             raise DataError(f"{path} is corrupt: it is the verdict of stage {found[0].stage}, not of {stage}")
         return found
 
-    def attempt(self, stage: str) -> Attempt | None:
+    def attempt(self, stage: str) -> StageAttempt | None:
         """Return the unfinished attempt at `stage`, or None."""
-        folder = Place(self.folder / stage).temporary
+        folder = ResultPlace(self.folder / stage).temporary
         if not folder.is_dir():
             return None
         try:
-            attempt = TypeAdapter(Attempt).validate_python(read_json(folder / ATTEMPT_FILE, 1_000_000))
+            attempt = TypeAdapter(StageAttempt).validate_python(read_json(folder / ATTEMPT_FILE, 1_000_000))
         except (ValueError, DataError):
-            return Attempt(stage, "interrupted", 0, "", "killed as it began")
+            return StageAttempt(stage, "interrupted", 0, "", "killed as it began")
         # Another command may hold the lock since; 0 is a holder that is just writing down its process id.
         holder = held_by(self.folder / LOCK_FILE)
         if attempt.state == "running" and (holder is None or holder[0] not in (0, attempt.pid)):
@@ -176,7 +176,7 @@ class RunStore:
         with run_lock(self.folder, command):
             require(self.folder / CONFIG_FILE, "file")
             for stage in stages:
-                place = Place(self.folder / stage)
+                place = ResultPlace(self.folder / stage)
                 place.check()
                 old, folder = place.old, place.folder
                 if old.is_dir() and ((folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file()):
@@ -188,29 +188,29 @@ class RunStore:
 
     def begin(self, stage: str, config_text: str, keeps: Sequence[str] = (), options: str = "") -> Path:
         """Clear the temporary folder except `keeps`, mark it as running and return it."""
-        folder = Place(self.folder / stage).temporary
+        folder = ResultPlace(self.folder / stage).temporary
         folder.mkdir(parents=True, exist_ok=True)
         for left in folder.iterdir():
             if left.name not in keeps:
                 remove(left)
-        self._mark(Attempt(stage, "running", os.getpid(), now_text(), "", options))
+        self._mark(StageAttempt(stage, "running", os.getpid(), now_text(), "", options))
         write_text(folder / CONFIG_FILE, config_text)
         write_text(self.folder / CONFIG_FILE, config_text)
         return folder
 
-    def _mark(self, attempt: Attempt) -> None:
-        write_text(Place(self.folder / attempt.stage).temporary / ATTEMPT_FILE, dumps(asdict(attempt)))
+    def _mark(self, attempt: StageAttempt) -> None:
+        write_text(ResultPlace(self.folder / attempt.stage).temporary / ATTEMPT_FILE, dumps(asdict(attempt)))
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt as ended without verdict; its files stay until the next one."""
         # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
         began = self.attempt(stage)
         with suppress(OSError):
-            self._mark(Attempt(stage, state, os.getpid(), now_text(), message, began.options if began else ""))
+            self._mark(StageAttempt(stage, state, os.getpid(), now_text(), message, began.options if began else ""))
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
         """Write the verdict and replace the previous folder; return where that is kept, or None."""
-        place = Place(self.folder / stage)
+        place = ResultPlace(self.folder / stage)
         temporary, folder, old = place.temporary, place.folder, place.old
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, dumps(verdict.to_json()))
