@@ -25,7 +25,7 @@ class NotDrivenError(MinidualError):
 
 
 @dataclass(frozen=True)
-class Execution:
+class DrivenMove:
     """Largest deviation of the object from the plan, and least pinch."""
 
     error_max_m: float
@@ -33,7 +33,7 @@ class Execution:
     pinch_min_n: float
 
 
-def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> Execution:
+def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> DrivenMove:
     """Execute a plan that starts at rest, with the object level on the table and open hands round it.
 
     Raises:
@@ -66,4 +66,4 @@ def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> E
     if drive.aborted is not None:
         raise NotDrivenError(drive.aborted)
     most_m, most_rad = np.max(errors, axis=0).tolist()
-    return Execution(most_m, most_rad, min(pinch))
+    return DrivenMove(most_m, most_rad, min(pinch))

@@ -17,7 +17,7 @@ from minidual.robot.pair import robot_from
 from minidual.show.planning import Outcomes, play_queries, write_paths, write_times
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import watched
-from minidual.skills.held_execution import Execution, execute
+from minidual.skills.held_execution import DrivenMove, execute
 from minidual.stages.words import worded
 from minidual.trials.planning import evaluate
 from minidual.trials.planning.evaluate import MoveOutcome, QueryOutcome
@@ -112,12 +112,12 @@ def notes(**sets: Outcomes) -> list[str]:
     return lines
 
 
-def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
+def run_held(context: StageContext) -> tuple[Moves, list[DrivenMove], list[str]]:
     """Plan moves of a held object for both seeds, drive some, and write held_moves.csv.
 
     Return the outcomes of both sets, the drives, and a line per failed or undriven move.
     """
-    config, seed, outcomes, executions = context.config, context.seed, {}, list[Execution]()
+    config, seed, outcomes, executions = context.config, context.seed, {}, list[DrivenMove]()
     held = config.plan.held
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
@@ -135,7 +135,7 @@ def run_held(context: StageContext) -> tuple[Moves, list[Execution], list[str]]:
     return outcomes, executions, [*lines, *undriven]
 
 
-def held_checks(outcomes: Moves, driven: Sequence[Execution], config: PlanConfig) -> list[Check]:
+def held_checks(outcomes: Moves, driven: Sequence[DrivenMove], config: PlanConfig) -> list[Check]:
     """Return the checks of the held-object moves."""
     held, first, second = config.held, outcomes["first"], outcomes["second"]
     every, nothing = [*first, *second], [(np.nan, np.nan)]
