@@ -25,7 +25,7 @@ from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat, straight
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
-from minidual.skills.pipeline.stage import Candidate, Failure, Gap, Stage, Tools
+from minidual.skills.pipeline.stage import Candidate, CandidateError, Gap, Stage, Tools
 from minidual.skills.supervised import arm_distance
 from minidual.tasks.task import grasp_offsets
 
@@ -143,7 +143,7 @@ class Only:
         if round(start.q[0]) == self.number:
             yield Candidate("", 0.0, replace(start))
         else:
-            yield Failure("wrong", f"{start.q[0]:.0f} is not {self.number}")
+            yield CandidateError("wrong", f"{start.q[0]:.0f} is not {self.number}")
 
 
 NOTHING = State(np.zeros(14), {"rod": np.eye(4)})
@@ -172,7 +172,7 @@ def test_preferred_candidates_are_followed_first_over_all_stages():
 
     def never(start, tools):
         followed.append(round(start.q[0] + start.q[1], 3))
-        yield Failure("no", "never")
+        yield CandidateError("no", "never")
 
     with pytest.raises(TaskFailedError, match="'never' stops it") as caught:
         Pipeline("t", [Numbers("make", 3), Stage("second", second), Stage("never", never)]).solve(NOTHING, Idle())
@@ -347,7 +347,7 @@ def test_a_gap_is_looked_at_as_often_as_it_could_close(carried):
 
     Gap(look, REACH_M, min(every) - 1e-9).check([motion])
     assert 2 < len(looks) < 0.6 * len(every)
-    with pytest.raises(Failure, match=f"come to {1e3 * min(every):.1f} mm"):
+    with pytest.raises(CandidateError, match=f"come to {1e3 * min(every):.1f} mm"):
         Gap(distance, REACH_M, min(every) + 1e-9).check([motion])
 
 
@@ -356,7 +356,7 @@ def test_a_motion_that_touches_a_joint_limit_is_refused_where_the_supervisor_wou
     gap.check(carried.segments)
     (moving, *_) = (segment for segment in carried.segments if segment.verification is not None)
     at_the_limit = replace(moving, verification=moving.verification._replace(limit_margin_rad=0.002))
-    with pytest.raises(Failure, match=r"a joint comes to 2\.0 mrad from its limit") as caught:
+    with pytest.raises(CandidateError, match=r"a joint comes to 2\.0 mrad from its limit") as caught:
         gap.check([moving, at_the_limit])
     assert caught.value.reason == "at_limit"
 
@@ -367,7 +367,7 @@ def test_a_straight_way_past_a_singular_posture_is_refused_before_anything_waits
     state = replace(START, q=q, objects={})
     down = rot_z(np.pi / 2 - 0.1) @ rot_x(np.pi)
     there = Tools(PlanningScene(), {}, planner)
-    with pytest.raises(Failure, match=r"0\.62 m straight in 1\d\.\d s instead of 2\.1") as caught:
+    with pytest.raises(CandidateError, match=r"0\.62 m straight in 1\d\.\d s instead of 2\.1") as caught:
         straight(there, "carry", state, {"right": pose(down, (0.56, 0.03, 0.37))}, PlanningScene())
     assert caught.value.reason == "crawls"
     beside = straight(there, "carry", state, {"right": pose(down, (0.56, -0.2, 0.37))}, PlanningScene())
@@ -383,7 +383,7 @@ def test_what_hands_cannot_do_is_refused(planner):
         (partial(open_hands, SIDES), held, "the object is in the air"),
         (Carry([GOAL], 0.1).offers, START, "no hand holds the object"),
     ):
-        with pytest.raises(Failure, match=says):
+        with pytest.raises(CandidateError, match=says):
             next(offers(state, tools(planner)))
 
 
@@ -420,12 +420,12 @@ def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     given = Tools(PlanningScene(), {"rod": bottle}, planner, seed=1)
     held = replace(state, objects={"rod": T_start})
     stages = {limit: Carry([place], 0.1, limit) for limit in (np.pi, 0.05)}
-    offered = [o for o in stages[np.pi].offers(held, given) if not isinstance(o, Failure)]
+    offered = [o for o in stages[np.pi].offers(held, given) if not isinstance(o, CandidateError)]
     (carried, *_) = (o.segments[-1].trajectory for o in offered if o.label.endswith("round"))
     keeps_the_limits_of_a_carry(planner, carried)
     carries = home(("left",), offered[0].end, given)
     keeps_the_limits_of_a_carry(planner, next(carries).segments[0].trajectory)
-    found = [o for o in stages[0.05].offers(held, given) if isinstance(o, Failure)]
+    found = [o for o in stages[0.05].offers(held, given) if isinstance(o, CandidateError)]
     assert "tilted" in {o.reason for o in found}
     assert "at most 0.05" in next(o.message for o in found if o.reason == "tilted")
 

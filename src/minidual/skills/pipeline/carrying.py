@@ -12,7 +12,7 @@ from minidual.motion.ik import pose_goals
 from minidual.robot.pair import SIDES, Array, group_of, inverse
 from minidual.skills.phases import PHASES, Segment, State, raised
 from minidual.skills.pipeline.hands import free, straight
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure
+from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Tools, candidate_error
 
 _OTHER_HEIGHTS_M = (0.06, 0.2)
 _BUDGET_S = 2.0
@@ -44,14 +44,14 @@ class Carry:
     def offers(self, start: State, tools: Tools) -> Iterator[Offer]:
         """Yield ways to every place."""
         if not start.held_by:
-            raise Failure("not_held", "no hand holds the object")
+            raise CandidateError("not_held", "no hand holds the object")
         both = start.closed_chain
         ways = [(0.2, self._freely)] if both else [(0.0, self._line), (1.0, self._freely)]
         for index, place in enumerate(self._places):
             try:
                 self._check(place, index, start, tools)
             except PlanningError as error:
-                yield failure(error, place.label)
+                yield candidate_error(error, place.label)
                 continue
             if both and start.rests and place.rests:
                 yield self._at_once(place, start, tools)
@@ -71,7 +71,7 @@ class Carry:
         try:
             segment = self._in_both_hands([begin, raised(begin, height), raised(end, height), end], start, tools)
         except PlanningError as error:
-            return failure(error, f"{place.label}, at once")
+            return candidate_error(error, f"{place.label}, at once")
         return Candidate(place.label, place.cost, _at(place, start, segment), (segment,))
 
     def _in_parts(
@@ -94,7 +94,7 @@ class Carry:
             try:
                 segments.append(way(phase, goals, state, tools))
             except PlanningError as error:
-                return failure(error, f"{label}, {phase}")
+                return candidate_error(error, f"{label}, {phase}")
             state = replace(state, q=segments[-1].trajectory.q[-1], objects={**state.objects, **goals})
         return Candidate(label, place.cost + cost, _at(place, state, segments[-1]), tuple(segments))
 
@@ -126,7 +126,8 @@ class Carry:
             ways = {arm: tips[:, SIDES.index(arm)] @ inverse(T) for arm, T in state.held_by.items()}
         tilt = max(tools.things[state.object_of(arm)].tilt_rad(Ts) for arm, Ts in ways.items())
         if tilt > self._tilt_max_rad:
-            raise Failure("tilted", f"the object tilts by {tilt:.2f} rad on the way; at most {self._tilt_max_rad:.2f}")
+            most = f"at most {self._tilt_max_rad:.2f}"
+            raise CandidateError("tilted", f"the object tilts by {tilt:.2f} rad on the way; {most}")
         return segment
 
 

@@ -15,7 +15,7 @@ from minidual.motion.timing import DT_S
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array, group_of, pose
 from minidual.skills.phases import CLOSED, OPEN, PHASES, Segment, State, moved, still
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Tools, failure
+from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Tools, candidate_error
 
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
@@ -51,7 +51,7 @@ def reach(
             try:
                 plan = tools.planner.plan_to_poses(group_of(arms), start.q, over, scene=scene, seed=seed)
             except PlanningError as error:
-                yield failure(error, grip.label)
+                yield candidate_error(error, grip.label)
                 break  # further postures would fail too
             opened = start.opened(arms, OPEN)
             end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
@@ -102,11 +102,11 @@ def _spiral(T: Array) -> Iterator[Array]:
 def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     """Open hands; the object stays in place or with the other hand. `by_force` lowers it first."""
     if missing := [arm for arm in arms if arm not in start.held_by]:
-        raise Failure("not_held", f"the {missing[0]} hand holds nothing to let go")
+        raise CandidateError("not_held", f"the {missing[0]} hand holds nothing to let go")
     held = {arm: T for arm, T in start.held_by.items() if arm not in arms}
     kept = {start.object_of(arm) for arm in held}
     if not start.rests and any(start.object_of(arm) not in kept for arm in arms):
-        raise Failure("would_fall", "the object is in the air and no other hand holds it")
+        raise CandidateError("would_fall", "the object is in the air and no other hand holds it")
     kept_by, soft, q, down = () if start.rests else tuple(held), (), start.q, ()
     if tools.by_force and start.rests and not start.closed_chain:
         poses, soft = tools.planner.kinematics.tcp_poses(start.q), arms
@@ -133,7 +133,7 @@ def retreat(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer
         try:
             segment = straight(tools, "retreat", start, targets, scene)
         except PlanningError as error:
-            yield failure(error, label)
+            yield candidate_error(error, label)
             continue
         yield Candidate(label, 1.0 - share, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
@@ -148,7 +148,7 @@ def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
 
 def _require_open_chain(start: State) -> None:
     if start.closed_chain:
-        raise Failure("closed_chain", "both hands hold the object; a free motion would tear it from them")
+        raise CandidateError("closed_chain", "both hands hold the object; a free motion would tear it from them")
 
 
 def free(tools: Tools, phase: str, state: State, plan: PlanResult, scene: PlanningScene) -> Segment:
@@ -175,8 +175,8 @@ def straight(tools: Tools, phase: str, state: State, targets: Mapping[str, Array
     speed, acceleration = (limits or TIP_LIMITS).speed_m_per_s, (limits or TIP_LIMITS).acceleration_m_per_s2
     alone_s, takes_s = way_m / speed + speed / acceleration, move.trajectory.duration_s
     if takes_s > _CRAWL_RATIO * alone_s:
-        why = "the arms pass a nearly singular posture"
-        raise Failure("crawls", f"{phase}: {way_m:.2f} m straight in {takes_s:.1f} s instead of {alone_s:.1f}: {why}")
+        what = f"{phase}: {way_m:.2f} m straight in {takes_s:.1f} s instead of {alone_s:.1f}"
+        raise CandidateError("crawls", f"{what}: the arms pass a nearly singular posture")
     return Segment(phase, move.trajectory, state.openings, scene, move.verification)
 
 

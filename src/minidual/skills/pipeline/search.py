@@ -12,7 +12,7 @@ from typing import Any
 from minidual.collision.errors import PlanningError
 from minidual.errors import UsageError
 from minidual.skills.phases import Segment, State
-from minidual.skills.pipeline.stage import Candidate, Failure, Offer, Stage, Tools
+from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Stage, Tools
 
 _WIDTH = 220
 
@@ -162,11 +162,11 @@ class Pipeline:
                 if isinstance(offer, Candidate) and tools.gap is not None:
                     tools.gap.check(offer.segments)
             except PlanningError as error:
-                offer = Failure(error.reason, error.message)
+                offer = CandidateError(error.reason, error.message)
             if offer is None:
                 continue
             tries += 1
-            if isinstance(offer, Failure):
+            if isinstance(offer, CandidateError):
                 stage.failures.setdefault(offer.reason, []).append(offer.message)
                 push(node)
                 continue

@@ -16,7 +16,7 @@ _GAP_STEP_S = 0.005
 _LIMIT_ROOM_RAD = 0.003  # arms stray from a plan by 1 to 2 mrad
 
 
-class Failure(PlanningError):
+class CandidateError(PlanningError):
     """A failed candidate: `reason` to count by, `message` with details."""
 
     def __init__(self, reason: str, message: str) -> None:
@@ -34,7 +34,7 @@ class Candidate:
     segments: tuple[Segment, ...] = ()
 
 
-Offer = Candidate | Failure
+Offer = Candidate | CandidateError
 """What a stage yields, preferred first."""
 
 
@@ -55,12 +55,12 @@ class Gap:
         """Check moving segments, for distance every 5 ms where it could close.
 
         Raises:
-            Failure: The arms come closer, or a joint comes within 3 mrad of a limit.
+            CandidateError: The arms come closer, or a joint comes within 3 mrad of a limit.
         """
         room = min((s.verification.limit_margin_rad for s in segments if s.verification), default=np.inf)
         if room < _LIMIT_ROOM_RAD:
             near = f"a joint comes to {1e3 * room:.1f} mrad from its limit; the supervisor stops it there"
-            raise Failure("at_limit", near)
+            raise CandidateError("at_limit", near)
         found = [("", np.inf)]
         for motion in (s.trajectory for s in segments if s.verification is not None):
             q = motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]
@@ -71,7 +71,7 @@ class Gap:
         pair, gap = min(found, key=lambda near: (near[1], near[0]))
         if gap < self.least_m:
             keep = f"they must keep {1e3 * self.least_m:.0f}"
-            raise Failure("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; {keep}")
+            raise CandidateError("arms_too_close", f"{pair} come to {1e3 * gap:.1f} mm; {keep}")
 
 
 @dataclass(frozen=True)
@@ -125,6 +125,6 @@ class Stage:
     offers: Callable[[State, Tools], Iterator[Offer]]
 
 
-def failure(error: PlanningError, label: str) -> Failure:
+def candidate_error(error: PlanningError, label: str) -> CandidateError:
     """Return a planner error as the failure of a labelled candidate."""
-    return Failure(error.reason, f"{label}: {error.message}")
+    return CandidateError(error.reason, f"{label}: {error.message}")
