@@ -28,7 +28,7 @@ from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
 from minidual.demos.episode import inspect_episode, read_episode
 from minidual.demos.lerobot_reader import read_dataset
-from minidual.demos.recording import PARTS, Recording, claim, record
+from minidual.demos.recording import PARTS, RecordedAttempts, claim, record
 from minidual.demos.rig import Attempt, Job, Rig
 from minidual.demos.writer import EpisodeWriter
 from minidual.errors import NothingEvaluatedError, UsageError
@@ -119,7 +119,7 @@ def shared_model(visual_model: mujoco.MjModel) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory, shared_model: None) -> tuple[Job, Recording]:
+def recorded(tmp_path_factory: pytest.TempPathFactory, shared_model: None) -> tuple[Job, RecordedAttempts]:
     """Two demonstrations recorded in this process."""
     real = _job(tmp_path_factory.mktemp("recorded"))
     return real, record(real, workers=1)
@@ -192,7 +192,7 @@ def test_only_what_changes_the_model_can_be_recorded_under() -> None:
         rooms(["rom"])
 
 
-def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Recording]) -> None:
+def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, RecordedAttempts]) -> None:
     real, recording = recorded
     assert [a.trial.index for a in recording.kept] == [0, 1]
     assert sorted(p.name for p in real.folder.rglob("*")) == [
@@ -222,17 +222,17 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
     assert columns[:7] == ["trial", "start_x_m", "start_y_m", "start_yaw_rad", "success", "kept", "reason"]
 
 
-def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, Recording]) -> None:
+def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, RecordedAttempts]) -> None:
     first, second = recorded[1].attempts
     broken = dataclasses.replace(second, faults=("cameras_swapped: ...",), sync_error_max_s=float("nan"))
     first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
-    numbers = Recording((first, broken), workers=2).numbers(60.0)
+    numbers = RecordedAttempts((first, broken), workers=2).numbers(60.0)
     assert numbers["schema_ok"] is False
     assert np.isnan(numbers["sync_error_max_s"]), "an unknown value must not vanish"
     assert numbers["recorded_per_min"] == pytest.approx(3.0)
     assert numbers["episodes_per_min"] == pytest.approx(2.0), "whatever kept it waiting counts"
     before, again = dataclasses.replace(first, adopted=True), dataclasses.replace(broken, wall_s=0.0)
-    numbers = Recording((before, again), workers=1).numbers(20.0)
+    numbers = RecordedAttempts((before, again), workers=1).numbers(20.0)
     assert numbers["episodes_per_min"] == pytest.approx(2.0), "the time before an interruption counts, too"
 
 
@@ -243,7 +243,7 @@ def test_images_taken_after_the_joints_are_counted_and_refused(tmp_path: Path) -
     attempt, sound = rig.record(0), ToyRig(job(tmp_path / "sound"), ()).record(0)
     assert (attempt.success, attempt.kept, sound.kept) == (True, False, True)
     assert "out_of_sync" in attempt.reason
-    late = Recording((sound, attempt), 1).numbers()["sync_error_max_s"]
+    late = RecordedAttempts((sound, attempt), 1).numbers()["sync_error_max_s"]
     assert late == pytest.approx(0.025)
     checks = record_checks(GOOD | {"sync_error_max_s": late}, TeleopConfig())
     assert {c.name for c in checks if c.passed is False} == {"sync_error_max_s"}
@@ -345,7 +345,9 @@ def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupted_recording_is_continued_to_the_bit(recorded: tuple[Job, Recording], tmp_path: Path) -> None:
+def test_an_interrupted_recording_is_continued_to_the_bit(
+    recorded: tuple[Job, RecordedAttempts], tmp_path: Path
+) -> None:
     """One episode is adopted, the other is recorded again by a worker process."""
     cut = _job(tmp_path / "again")
     shutil.copytree(recorded[0].folder, cut.folder)

@@ -77,7 +77,7 @@ def usable_workers(job: Job, workers: int) -> int:
     return 1 if LEADERS[job.teleop.leader].realtime else workers
 
 
-class Recording(NamedTuple):
+class RecordedAttempts(NamedTuple):
     """All attempts in order."""
 
     attempts: tuple[Attempt, ...]
@@ -130,13 +130,13 @@ def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Itera
             yield attempt
 
 
-def recording_of(job: Job, workers: int, attempts: Sequence[Attempt]) -> Recording:
+def recording_of(job: Job, workers: int, attempts: Sequence[Attempt]) -> RecordedAttempts:
     """Return the recording, with the faults that only all attempts show."""
     references = camera_references([a.views for a in attempts if a.kept])
     judged = (replace(a, faults=(*a.faults, *map(str, check_swapped(a.views, references)))) for a in attempts)
-    return Recording(tuple(judged), min(usable_workers(job, workers), job.teleop.episodes_n))
+    return RecordedAttempts(tuple(judged), min(usable_workers(job, workers), job.teleop.episodes_n))
 
 
-def record(job: Job, *, workers: int) -> Recording:
+def record(job: Job, *, workers: int) -> RecordedAttempts:
     """See `attempts_of`."""
     return recording_of(job, workers, list(attempts_of(job, workers)))

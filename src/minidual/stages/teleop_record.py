@@ -35,7 +35,7 @@ _TESTS_SHOWN = 100
 
 
 def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
-    """Return the stage's checks from `Recording.numbers` and the sizes of the dataset."""
+    """Return the stage's checks from `RecordedAttempts.numbers` and the sizes of the dataset."""
     rows: Rows = {
         "episodes": (numbers["episodes"], ">=", config.episodes_n),
         "schema_ok": (numbers["schema_ok"], "==", True),
