@@ -73,7 +73,7 @@ def passed(tmp_path_factory):
 
 
 def rig_of(world, kinematics, **supervisor):
-    return tracking.Rig(world, kinematics, Config(supervisor=SupervisorConfig(**supervisor)))
+    return tracking.TrackingRig(world, kinematics, Config(supervisor=SupervisorConfig(**supervisor)))
 
 
 @pytest.fixture
@@ -428,7 +428,7 @@ class TestLatency:
 
     def test_a_source_that_does_not_get_the_arms_is_told(self, world, kinematics, monkeypatch):
         monkeypatch.setattr(ControlStack, "request", lambda *_: None)
-        never = tracking.Rig(world, kinematics, Config())
+        never = tracking.TrackingRig(world, kinematics, Config())
         step = tracking.step_response(never, HOME, 0.1)
         check = judged(step=step)["control.stopped"]
         assert check.passed is False

@@ -135,7 +135,7 @@ def run(context: StageContext) -> StageResult:
         world, kinematics = World(context.config.scene, robot, model=model), Kinematics(robot)
         contacts, cameras = tracking.arm_contacts(world), pictures.check_cameras(world, folder / "cameras.png")
         task.advance(note="cameras")
-        rig, postures = tracking.Rig(world, kinematics, context.config), Postures(1.0 / FILM_FPS)
+        rig, postures = tracking.TrackingRig(world, kinematics, context.config), Postures(1.0 / FILM_FPS)
         moved = measure.torque_pulse_mapping(world, rig.supervisor, kinematics)
         task.advance(note="mapping")
         states = stream(context.seed, "env-check/states")

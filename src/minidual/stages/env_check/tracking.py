@@ -32,7 +32,7 @@ _SETTLE_STEPS = 120
 _STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
 
 
-class Rig:
+class TrackingRig:
     """One command source, arbiter, controller, supervisor and world.
 
     Measuring continues after a stop.
@@ -105,7 +105,7 @@ class Tracking(NamedTuple):
         start: (n,) [rad] before the first step.
         contacts: Checks, every tenth step, with an arm in contact.
         step_us: Median wall time of a step [us].
-        stopped: See Rig.
+        stopped: See TrackingRig.
     """
 
     t: Array
@@ -142,7 +142,7 @@ def arm_contacts(world: World) -> list[tuple[str, str, float]]:
     return [pair for pair in world.contact_pairs() if pair[0].startswith(prefixes) or pair[1].startswith(prefixes)]
 
 
-def track(rig: Rig, reference: Array, on_step: OnStep = None) -> Tracking:
+def track(rig: TrackingRig, reference: Array, on_step: OnStep = None) -> Tracking:
     """Run one control step per row of `reference` (T, n), the posture wanted after it."""
     world, start = rig.world, rig.world.q
     measured, cost = np.empty_like(reference), np.empty(len(reference))
@@ -159,7 +159,7 @@ def track(rig: Rig, reference: Array, on_step: OnStep = None) -> Tracking:
     return Tracking(t, reference, measured, start, touching, float(np.median(cost)), rig.stopped)
 
 
-def step_response(rig: Rig, target: Array, duration_s: float) -> Tracking:
+def step_response(rig: TrackingRig, target: Array, duration_s: float) -> Tracking:
     """Reset to home, then command `target` (n,) as a step."""
     rig.reset()
     rig.run_to_tick()
@@ -175,7 +175,7 @@ def outward_step(robot: Robot, step_rad: float) -> Array:
     return q
 
 
-def single_joint_steps(rig: Rig, step_rad: float, duration_s: float) -> list[Tracking]:
+def single_joint_steps(rig: TrackingRig, step_rad: float, duration_s: float) -> list[Tracking]:
     """Step each joint alone from home, towards its farther limit; return one entry per joint."""
     robot = rig.world.robot
     away = np.where(robot.q_upper - robot.home > robot.home - robot.q_lower, step_rad, -step_rad)
@@ -199,7 +199,7 @@ def sine_reference(robot: Robot, amplitude_rad: float, rate_hz: float, t: float 
     return home - swing * np.cos(w * t), swing * w * np.sin(w * t), swing * w**2 * np.cos(w * t)
 
 
-def start_swing(rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Trajectory:
+def start_swing(rig: TrackingRig, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Trajectory:
     """Start a swing of all joints about home, at least `duration_s` long, rest to rest; return it."""
     halves = np.ceil(2.0 * frequency_hz * duration_s - 1e-9)  # the swing rests after each half period
     times = np.arange(round(0.5 * halves / (frequency_hz * rig.world.dt)) + 1) * rig.world.dt
@@ -210,7 +210,9 @@ def start_swing(rig: Rig, amplitude_rad: float, frequency_hz: float, duration_s:
     return motion
 
 
-def sine_response(rig: Rig, swing_rad: float, rate_hz: float, duration_s: float, on_step: OnStep = None) -> Tracking:
+def sine_response(
+    rig: TrackingRig, swing_rad: float, rate_hz: float, duration_s: float, on_step: OnStep = None
+) -> Tracking:
     """Swing all joints about home."""
     motion = start_swing(rig, swing_rad, rate_hz, duration_s)
     return track(rig, motion.q[1 : 1 + round(duration_s / rig.world.dt)], on_step)
@@ -258,7 +260,7 @@ class CommandLatency(NamedTuple):
         return max(found - (n - k if k else 0) - 1 for k, found in enumerate(self.ticks))
 
 
-def command_latency(rig: Rig, *, repeats_n: int = 100) -> CommandLatency:
+def command_latency(rig: TrackingRig, *, repeats_n: int = 100) -> CommandLatency:
     """Measure command latency at each instant of the arbiter's period, by nudging the left joint 1."""
     rig.reset()
     nudges = rig.world.robot.home[0] + 0.5 * _NUDGE_RAD * np.array([-1.0, 1.0])
@@ -279,7 +281,7 @@ def command_latency(rig: Rig, *, repeats_n: int = 100) -> CommandLatency:
     return CommandLatency(tuple(ticks), float(np.median(wall)))
 
 
-def _steps_until_torque(rig: Rig) -> int:
+def _steps_until_torque(rig: TrackingRig) -> int:
     changed_nm = _CHANGED_SHARE * rig.supervisor.bounds.tau_step
     for count in range(1, 3 * rig.period + 1):
         before = rig.stack.applied.copy()
@@ -303,7 +305,7 @@ class StopResponse(NamedTuple):
     speed_rad_s: float
 
 
-def emergency_stop(rig: Rig, amplitude_rad: float, frequency_hz: float) -> StopResponse:
+def emergency_stop(rig: TrackingRig, amplitude_rad: float, frequency_hz: float) -> StopResponse:
     """Swing all joints, stop at the fastest instant, and measure until rest."""
     world = rig.world
     start_swing(rig, amplitude_rad, frequency_hz, 1.0 / frequency_hz)
