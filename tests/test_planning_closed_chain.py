@@ -11,7 +11,7 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.motion.held.path import ObjectPath
+from minidual.motion.held.path import HeldPath
 from minidual.motion.held.planner import HeldPlanner, scene_holding
 from minidual.motion.timing import PathLimits
 from minidual.robot.kinematics import Kinematics
@@ -154,7 +154,7 @@ def test_bad_input_is_named(q_start, waypoints):
 
 
 def test_object_path_is_smooth_and_passes_near_its_corners(waypoints):
-    path = ObjectPath.through(waypoints, corner_m=0.04)
+    path = HeldPath.through(waypoints, corner_m=0.04)
     s = np.linspace(0.0, path.length, 3000)
     numeric = np.gradient(path.coordinates(s), s, axis=0)
     assert np.abs(numeric - path.coordinates(s, 1))[1:-1].max() < 1e-3
@@ -164,4 +164,4 @@ def test_object_path_is_smooth_and_passes_near_its_corners(waypoints):
     for T in path.poses(s[::300]):
         assert np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-12
     with pytest.raises(UsageError, match="turns the object by"):
-        ObjectPath.through([rod_at(0, 0, 0), rod_at(0, 0, 0, 3.1)])
+        HeldPath.through([rod_at(0, 0, 0), rod_at(0, 0, 0, 3.1)])

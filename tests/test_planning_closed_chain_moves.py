@@ -25,7 +25,7 @@ from minidual.control.kernels import apart
 from minidual.errors import UsageError
 from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
-from minidual.motion.held.path import ObjectChart, ObjectPath
+from minidual.motion.held.path import HeldPath, ObjectChart
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, _Effort, scene_holding
 from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
 from minidual.motion.ik import pose_goals
@@ -142,7 +142,7 @@ def test_same_query_same_bytes(planner, over_the_wall, q_start):
 
 def test_continuation_and_projection_agree_with_the_grasps(q_start):
     hands = HandsIK(GRASPS, DUAL_PANDA)
-    path = ObjectPath.through([START, pose(rot_z(0.5) @ rot_x(0.3), (0.45, 0.0, 0.35))])
+    path = HeldPath.through([START, pose(rot_z(0.5) @ rot_x(0.3), (0.45, 0.0, 0.35))])
     Ts = path.poses(np.linspace(0.0, path.length, 40))
     followed, ended = hands.follow(Ts, q_start)
     assert ended is None
@@ -256,7 +256,7 @@ def test_moves_are_what_they_say(outcomes):
 def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     """Negative control of the rule that a move counts only with a proven witness."""
     hands = HandsIK(GRASPS, DUAL_PANDA)
-    path = ObjectPath.through([START, GOAL])
+    path = HeldPath.through([START, GOAL])
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
     points = np.array([np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))])

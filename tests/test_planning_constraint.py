@@ -14,7 +14,7 @@ from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.motion.held.constraint import SPACES, GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
-from minidual.motion.held.path import ObjectPath
+from minidual.motion.held.path import HeldPath
 from minidual.motion.held.planner import scene_holding
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
@@ -126,7 +126,7 @@ def move(q_held):
     T_goal = T_start.copy()
     T_goal[:3, :3] = rot_z(0.4) @ T_goal[:3, :3]
     T_goal[:3, 3] += (0.05, -0.25, -0.05)
-    path = ObjectPath.through([T_start, T_goal])
+    path = HeldPath.through([T_start, T_goal])
     Ts = path.poses(np.linspace(0.0, path.length, 60))
     Q, ended = HandsIK(GRASPS, DUAL_PANDA).follow(Ts, q_held)
     assert ended is None

@@ -63,14 +63,14 @@ class ObjectChart:
         return Ts
 
 
-class ObjectPath:
+class HeldPath:
     """T_world_object(s), s in [0, length] [m]; the first six columns of `curve` are chart coordinates."""
 
     def __init__(self, chart: ObjectChart, curve: SmoothPath) -> None:
         self.chart, self.curve, self.length = chart, curve, curve.length
 
     @classmethod
-    def through(cls, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> ObjectPath:
+    def through(cls, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> HeldPath:
         """Return the path through poses (4, 4), straight in the chart, with rounded corners.
 
         Raises:
@@ -120,7 +120,7 @@ class HeldCurve:
     Joints `Q` (k, n) are solved at `marks` (k,), first 0.
     """
 
-    def __init__(self, path: ObjectPath, marks: Array, Q: Array) -> None:
+    def __init__(self, path: HeldPath, marks: Array, Q: Array) -> None:
         self.path, self.marks, self.knots = path, marks, path.curve.knots
         self.spline, self.length = CubicSpline(marks, Q), float(marks[-1])
         self.residual = (np.inf, np.inf)
@@ -145,7 +145,7 @@ class HeldCurve:
         return CarriedTrajectory(*samples, self.path.poses(s), *self.residual, found_by=how)
 
 
-def fine_curve(hands: HandsIK, path: ObjectPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:
+def fine_curve(hands: HandsIK, path: HeldPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:
     """Return a spline through solved points, refined until errors between them are below half the limits.
 
     `solve` maps marks (k,) and object poses to joints (k, n).

@@ -21,7 +21,7 @@ from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
-from minidual.motion.held.path import CarriedTrajectory, HeldCurve, ObjectPath, fine_curve
+from minidual.motion.held.path import CarriedTrajectory, HeldCurve, HeldPath, fine_curve
 from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_object, shorten
 from minidual.motion.ik import check_joints, check_pose, pose_goals, require_free
 from minidual.motion.search import EdgeChecker
@@ -127,7 +127,7 @@ class HeldPlanner:
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
-        hands, path = HandsIK(grasps, self.planner.robot), ObjectPath.through(Ts_world_object)
+        hands, path = HandsIK(grasps, self.planner.robot), HeldPath.through(Ts_world_object)
         hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
         motion = curve.timed(along or PathLimits(), _LIMITS, self.planner.kinematics, "continuation")
@@ -141,7 +141,7 @@ def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajecto
     return replace(motion, verification=proof)
 
 
-def _continued(hands: HandsIK, path: ObjectPath, q_start: Array) -> HeldCurve:
+def _continued(hands: HandsIK, path: HeldPath, q_start: Array) -> HeldCurve:
     def solve(_marks: Array, Ts_world_object: Array) -> Array:
         joints, ended = hands.follow(Ts_world_object, q_start)
         if ended is not None:
@@ -180,7 +180,7 @@ class HeldWork:
         self._T_start = self._object_at(self._q_start)
         self._hands.require_held(self._q_start, self._T_start)
         require_free(self._engines, self._q_start, "start")
-        self._path = ObjectPath.through([self._T_start, T_goal])
+        self._path = HeldPath.through([self._T_start, T_goal])
         self.notes: list[str] = []
 
     def _object_at(self, q: Array) -> Array:
@@ -321,7 +321,7 @@ class HeldWork:
                 solved[k] = q
             return solved
 
-        return fine_curve(self._hands, ObjectPath(self._path.chart, smooth), solve)
+        return fine_curve(self._hands, HeldPath(self._path.chart, smooth), solve)
 
     def _finished(self, curve: HeldCurve, method: str) -> CarriedTrajectory:
         return _proven(curve.timed(PathLimits(), _LIMITS, self._kinematics, method), self._engines)

@@ -17,7 +17,7 @@ from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
-from minidual.motion.held.path import ObjectChart, ObjectPath
+from minidual.motion.held.path import HeldPath, ObjectChart
 from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
 from minidual.motion.held.search import HeldSpace, search_object
 from minidual.motion.search import EdgeChecker
@@ -141,7 +141,7 @@ class HeldMoveGenerator:
         return None
 
     def _blocked(self, engine: MujocoEngine, start: _Held, T_goal: Array) -> bool:
-        path = ObjectPath.through([start[0], T_goal])
+        path = HeldPath.through([start[0], T_goal])
         marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)), dtype=np.float64)
         Q, ended = self._hands.follow(path.poses(marks), start[1])
         return ended is not None or bool(engine.collisions(Q).any())
