@@ -21,7 +21,7 @@ from minidual.proof.scene_engines import SceneEngines, Verification, certify
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, Array, Robot
 
-PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
+PLAN_PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
 
 
 class PlanResult(NamedTuple):
@@ -178,7 +178,7 @@ class _Work:
         scene, self.seed = options.get("scene"), options.get("seed", 0)
         if not Planner._kernels_loaded:
             planner.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        self.arms, self.started, self.seconds = GROUP_ARMS[group], perf_counter(), dict.fromkeys(PHASES, 0.0)
+        self.arms, self.started, self.seconds = GROUP_ARMS[group], perf_counter(), dict.fromkeys(PLAN_PHASES, 0.0)
         self.planner, self.config, self.group = planner, planner.config, group
         self.budget_s = planner.budget(options.get("budget_s"))
         self.q_start = check_joints(q_start, "start", planner.robot)

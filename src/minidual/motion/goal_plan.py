@@ -24,7 +24,7 @@ from minidual.config.scene import SemanticsConfig
 from minidual.config.seeds import stream
 from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, check_name, unknown_name
-from minidual.motion.api import PHASES, Planner, PlanResult, QueryOptions
+from minidual.motion.api import PLAN_PHASES, Planner, PlanResult, QueryOptions
 from minidual.motion.ik import check_joints, goal_joints, pose_goals
 from minidual.motion.linear import LinearPlanner
 from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, SIDES, Array, Robot, pose
@@ -270,5 +270,5 @@ class GoalPlanner:
         move = self._linear.plan(group, q_start, resolved, engines, fraction_min=goal.fraction_min)
         took, path = perf_counter() - began, move.trajectory.q[[0, -1]]
         note = () if move.fraction == 1.0 else (f"the line covers {move.fraction:.1%}: {move.reason}",)
-        times = {**dict.fromkeys(PHASES, 0.0), "search": took}
+        times = {**dict.fromkeys(PLAN_PHASES, 0.0), "search": took}
         return PlanResult(move.trajectory, path, path[-1], move.verification, times, took, 1, note)

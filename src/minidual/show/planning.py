@@ -13,7 +13,7 @@ from minidual.collision.engines import add_body
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
-from minidual.motion.api import PHASES
+from minidual.motion.api import PLAN_PHASES
 from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
 from minidual.plant.render import free_camera, off_screen
 from minidual.robot.kinematics import Kinematics, Trajectory
@@ -27,7 +27,7 @@ from minidual.trials.planning.evaluate import QueryOutcome
 _OBSTACLE_RGBA = [0.78, 0.42, 0.25, 1.0]
 _HELD_RGBA = [0.15, 0.6, 0.4, 1.0]
 _LOOK = {"contype": 0, "conaffinity": 0, "density": 0.0, "group": GROUP_VISUAL}
-_TIMED = tuple(phase for phase in PHASES if phase != "scene")
+_TIMED = tuple(phase for phase in PLAN_PHASES if phase != "scene")
 _LOOK_S = 1.0
 """Pause after each round."""
 Outcomes = Mapping[str, Sequence[QueryOutcome]]

@@ -13,7 +13,7 @@ from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
 from minidual.config.seeds import stream, subseed
 from minidual.control.kernels import apart
-from minidual.motion.api import PHASES, Planner, PlanResult
+from minidual.motion.api import PLAN_PHASES, Planner, PlanResult
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
@@ -79,7 +79,7 @@ class QueryOutcome(PlanAttempt[PlanResult]):
         row |= {"goal": "poses" if query.as_poses else "joints", "line_blocked": self.line_blocked}
         row |= {"total_s": self.total_s, "scene_setup_s": self.scene_s, "cpu_s": self.cpu_s}
         if result is not None:
-            row |= {f"{phase}_s": result.times_s[phase] for phase in PHASES if phase != "scene"}
+            row |= {f"{phase}_s": result.times_s[phase] for phase in PLAN_PHASES if phase != "scene"}
             row |= {"direct": result.direct, "attempts_n": result.attempts_n}
             row |= {"path_length_rad": path_length(result.path), "duration_s": result.trajectory.duration_s}
             row |= {name: getattr(result.verification, name) for name in _PROVEN}
