@@ -16,7 +16,7 @@ from minidual.gate.check import Check
 from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.stage import StageContext
 from minidual.gate.verdict import Verdict, Waiver, build_manifest
-from minidual.show.report.figures import Figure, Trial, benchmark_figures
+from minidual.show.report.figures import Figure, TrialRow, benchmark_figures
 from minidual.show.report.tables import Tables
 from minidual.trials.benchmark import BenchmarkCell, compare_all, compare_with_clean, conditions_data
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
@@ -74,7 +74,7 @@ _DRAWN: dict[str, list[Figure]] = {}
 def figures_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw equal figures once in all tests: drawing takes most of a report's time."""
 
-    def drawn(tables: Tables, trials: list[Trial]) -> list[Figure]:
+    def drawn(tables: Tables, trials: list[TrialRow]) -> list[Figure]:
         key = repr((tables, trials))
         if key not in _DRAWN:
             _DRAWN[key] = benchmark_figures(tables, trials)

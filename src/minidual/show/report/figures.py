@@ -30,7 +30,7 @@ _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
 _BAND = 0.72
 """Share of the row height used."""
-Trial = dict[str, str]
+TrialRow = dict[str, str]
 """A row of benchmark.csv."""
 
 
@@ -94,7 +94,7 @@ def success_figure(rows: Sequence[Row]) -> Figure | None:
     return Figure("success", title, "Dots: share of trials that passed. Lines: 95 % Wilson interval.", svg.getvalue())
 
 
-def read_trials(path: Path) -> list[Trial]:
+def read_trials(path: Path) -> list[TrialRow]:
     """Return the undisturbed rows of benchmark.csv; DataError if unreadable."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
@@ -103,14 +103,14 @@ def read_trials(path: Path) -> list[Trial]:
         raise DataError(f"{path} cannot be read: {error}") from error
 
 
-def _value(trial: Trial, indicator: Indicator) -> float | None:
+def _value(trial: TrialRow, indicator: Indicator) -> float | None:
     try:
         return float(trial[indicator.column]) * indicator.scale
     except ValueError:
         return None
 
 
-def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Sequence[Trial]) -> Figure | None:
+def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Sequence[TrialRow]) -> Figure | None:
     """Plot every trial and the median of successes, if any; `methods` have their colours."""
     found = [(t["method"], t["success"] == "True", x) for t in trials if (x := _value(t, indicator)) is not None]
     if not found:
@@ -140,7 +140,7 @@ def strip_figure(indicator: Indicator, methods: Mapping[str, str], trials: Seque
     return Figure(indicator.key, indicator.title, indicator.meaning, svg.getvalue())
 
 
-def benchmark_figures(tables: Tables, trials: Sequence[Trial]) -> list[Figure]:
+def benchmark_figures(tables: Tables, trials: Sequence[TrialRow]) -> list[Figure]:
     """Return the figures of success under each condition, and of the undisturbed trials."""
     cells = enumerate(tables.clean.cells)
     methods = {cell.method: COLOURS[k % len(COLOURS)] for k, cell in cells if cell.state != "spared"}

@@ -78,7 +78,7 @@ Pair = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Measure:
+class IndicatorValue:
     """One indicator of a cell, SI.
 
     Attributes:
@@ -110,7 +110,7 @@ class Cell:
     state: Literal["measured", "spared", "missing"]
     why: str = ""
     trials: int | None = None
-    measures: Mapping[str, Measure | None] = field(default_factory=dict)
+    measures: Mapping[str, IndicatorValue | None] = field(default_factory=dict)
     loss: Pair | None = None
     failures: tuple[tuple[str, int], ...] = ()
     stopped: int = 0
@@ -118,7 +118,7 @@ class Cell:
     limit: str = ""
 
     @property
-    def success(self) -> Measure | None:
+    def success(self) -> IndicatorValue | None:
         """Success rate with Wilson interval."""
         return self.measures.get(SUCCESS.key)
 
@@ -260,6 +260,6 @@ def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | N
     )
 
 
-def _measure(indicator: Indicator, record: Mapping[str, Any]) -> Measure | None:
+def _measure(indicator: Indicator, record: Mapping[str, Any]) -> IndicatorValue | None:
     found = [number for name in (indicator.key, *indicator.spread) if (number := finite(record.get(name))) is not None]
-    return Measure(*found) if len(found) == 4 else None
+    return IndicatorValue(*found) if len(found) == 4 else None
