@@ -211,11 +211,11 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> TrialMetrics:
     return replace(result, measured={**result.measured, **found})
 
 
-def oscillation_m(errors: Array, rate_hz: float = LOG_RATE_HZ) -> float:
-    """Return the RMS of tracking errors (T, 3) [m] above 5 Hz, zero phase; NaN if too short."""
-    if len(errors) < rate_hz / 2:
+def oscillation_m(errors: Array) -> float:
+    """Return the RMS of tracking errors (T, 3) [m], logged at LOG_RATE_HZ, above 5 Hz, zero phase; NaN if too short."""
+    if len(errors) < LOG_RATE_HZ / 2:
         return math.nan
-    sos = butter(4, _HIGH_PASS_HZ, btype="highpass", fs=rate_hz, output="sos")
+    sos = butter(4, _HIGH_PASS_HZ, btype="highpass", fs=LOG_RATE_HZ, output="sos")
     fast = np.asarray(sosfiltfilt(sos, errors, axis=0))
     return float(np.sqrt(np.mean(np.sum(fast**2, axis=1))))
 

@@ -33,13 +33,13 @@ class Library:
         return self.found is not None and SpecifierSet(self.wanted).contains(self.found, prereleases=True)
 
 
-def required_libraries(distribution: str = "minidual") -> list[Library]:
-    """Return requirements of `distribution` without extras, and installed versions.
+def required_libraries() -> list[Library]:
+    """Return the requirements of minidual without extras, and installed versions.
 
     Raises:
-        importlib.metadata.PackageNotFoundError: The distribution is not installed.
+        importlib.metadata.PackageNotFoundError: minidual is not installed.
     """
-    wanted = map(Requirement, importlib.metadata.requires(distribution) or [])
+    wanted = map(Requirement, importlib.metadata.requires("minidual") or [])
     always = (r for r in wanted if "extra" not in str(r.marker or ""))
     libraries = [Library(r.name, str(r.specifier), installed_version(r.name)) for r in always]
     return sorted(libraries, key=lambda library: library.name)

@@ -26,7 +26,7 @@ def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
 
 
 def torque_pulse_mapping(
-    world: World, supervisor: Supervisor, kinematics: Kinematics, *, pulse_share: float = 0.1, tolerance: float = 0.01
+    world: World, supervisor: Supervisor, kinematics: Kinematics, *, tolerance: float = 0.01
 ) -> tuple[int, ...]:
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
@@ -51,8 +51,8 @@ def torque_pulse_mapping(
     rest, _ = after(np.zeros(n))
     response = np.empty((n, n))  # acceleration of joint i for 1 Nm on command j
     for j in range(n):
-        # Gravity already uses part of the motor; push away from the limit.
-        size = pulse_share * float(robot.tau_max[j]) * (-1.0 if gravity[j] > 0.0 else 1.0)
+        # A tenth of what the motor can. Gravity already uses part of it; push away from the limit.
+        size = 0.1 * float(robot.tau_max[j]) * (-1.0 if gravity[j] > 0.0 else 1.0)
         v, applied = after(size * np.eye(n)[j])
         with np.errstate(invalid="ignore"):  # NaN: no pulse was let through
             response[:, j] = (v - rest) / ((applied[j] - gravity[j]) * world.dt)
