@@ -162,7 +162,7 @@ def test_one_real_carry_passes_and_is_the_same_twice(scene: SceneConfig) -> None
         outcomes.append((judge.outcome(world), world.q.tobytes()))
     first = outcomes[0][0]
     assert first.success, first.reason
-    assert first.internal_force_min_n > 35.0
+    assert first.number("internal_force_min_n") > 35.0
     assert outcomes[0] == outcomes[1]
 
 
