@@ -12,7 +12,7 @@ from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.show.figures.tuning import draw_tuning
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
-from minidual.trials.benchmark import DROP_MAX, PERTURBED, count_trials, promised, robustness, run_benchmark
+from minidual.trials.benchmark import DISTURBED_RATE_MIN, PERTURBED, count_trials, promised, robustness, run_benchmark
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
@@ -38,12 +38,12 @@ def perturb(context: ToolContext) -> ToolResult:
     rows = [{**dict.fromkeys(measured[0], "-"), **row} for row in measured]  # the first, undisturbed, has all columns
     write_csv(context.output / "conditions.csv", rows)
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
-    failed, limit = [r for r in found if not r.holds], f"points fewer than clean (limit {100 * DROP_MAX:.0f})"
-    notes = [f"{r.cell.condition}: {r.row()['successes']}, {100 * r.drop:.0f} {limit}: {r.example}" for r in failed]
+    failed = [r for r in found if not r.holds]
+    notes = [f"{r.cell.condition}: {r.row()['successes']}, limit {100 * r.rate_min:.0f} %: {r.example}" for r in failed]
     return ToolResult(
         lines=markdown(rows),
         notes=[*notes, f"written to {context.folder}"],
-        data={"trials_n": trials_n, "drop_max": DROP_MAX, "conditions": rows},
+        data={"trials_n": trials_n, "success_rate_min": DISTURBED_RATE_MIN, "conditions": rows},
         exit_code=ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS,
     )
 
