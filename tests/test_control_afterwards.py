@@ -1,4 +1,4 @@
-"""Samples that are wrong by little, and what must not undo a stop: a ninth review's findings, with the numbers before."""
+"""Samples that are wrong by little, and what must not undo a stop, with the numbers before."""
 
 from __future__ import annotations
 

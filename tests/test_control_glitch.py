@@ -1,4 +1,4 @@
-"""One packet that is wrong or missing, and motors that dip: an eighth review's findings, with the numbers before."""
+"""One packet that is wrong or missing, and motors that dip, with the numbers before."""
 
 from __future__ import annotations
 

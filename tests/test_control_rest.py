@@ -1,4 +1,4 @@
-"""What was left open after seven reviews: a callback in a stop, hands that open, a halt of two arms, an object unseen."""
+"""A callback in a stop, hands that open, a halt of two arms, an object unseen."""
 
 from __future__ import annotations
 
