@@ -28,6 +28,22 @@ def test_signals_to_the_group_are_left_to_the_starter() -> None:
         assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
+KEPT: list[bytes] = []
+
+
+def _grown(item: int) -> int:
+    time.sleep(0.6)  # loky looks once a second
+    KEPT.append(b"x" * 150_000_000)
+    return os.getpid()
+
+
+def test_a_worker_that_imports_much_is_not_replaced(recwarn: pytest.WarningsRecorder) -> None:
+    """Before, a run with a policy replaced its workers on the way, and printed a warning of joblib."""
+    pids = set(in_workers(_grown, range(8), 2))
+    assert len(pids) == 2
+    assert not [w for w in recwarn if "A worker stopped" in str(w.message)]
+
+
 INTERRUPTED = """
 import pathlib, sys, time
 from minidual.cli import process as cli

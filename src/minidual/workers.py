@@ -12,11 +12,14 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from multiprocessing import resource_tracker
 
 import joblib
+from joblib.externals.loky import process_executor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
 from minidual import emergency
 
 _LOOK_S = 0.2
+_GROWTH_MAX_BYTES = 2_000_000_000
+"""A worker that grows by more is replaced. By default 300 MB: so much is imported with the first policy."""
 
 
 def in_workers[Item, Out](function: Callable[[Item], Out], items: Sequence[Item], workers: int) -> Iterator[Out]:
@@ -52,6 +55,7 @@ def _unsignalled_children() -> Generator[None]:
 def _begin(starter: int) -> None:
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the software renderer uses the calling thread
     emergency.listen()
+    process_executor._MAX_MEMORY_LEAK_SIZE = _GROWTH_MAX_BYTES  # pyright: ignore[reportPrivateUsage]
 
     def watch() -> None:
         while os.getppid() == starter:
