@@ -34,6 +34,7 @@ from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.execution import ObjectExecution
 from minidual.control.impedance import InHand
 from minidual.control.reflexes import ReflexError
+from minidual.control.senses import JointSense
 from minidual.control.soft_stop import TorqueRate
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
@@ -353,6 +354,29 @@ class Driver:
             off = 0.05 * np.eye(DOF)[self.rng.integers(DOF)]
             self.plant.lies["q"] = lambda x: x + off
 
+    def glitch(self) -> None:
+        """One packet is wrong by little or much, in one joint's position, velocity or both: no stop makes arms faster."""
+        rng, stack = self.rng, self.stack
+        if self.plant.lies or self.plant.steps == 0 or stack.reflex is not None or not self.on.all():
+            return
+        for _ in range(int(rng.integers(1, 300))):  # often until they rest
+            self.tick()
+        if stack.reflex is not None or stack.stopping:
+            return
+        joint, which, before = np.eye(DOF)[rng.integers(DOF)], rng.integers(1, 4), np.abs(self.v)
+        off = rng.choice([-1.0, 1.0], 2) * 10.0 ** rng.uniform([-3.0, -1.5], [0.0, 1.5])  # rad, rad/s
+        lies: dict[str, Any] = {"q": lambda x: x + off[0] * joint, "v": lambda x: x + off[1] * joint}
+        self.plant.lies.update({name: lies[name] for k, name in enumerate("qv") if which & 1 << k})
+        self.tick()
+        self.plant.lies.clear()
+        if stack.reflex is None:
+            return
+        self.seen["glitch"] += 1
+        for _ in range(300):
+            self.tick()
+            faster = float((np.abs(self.v) - before.max()).max())
+            assert faster < 0.2, f"{off} of joint {joint.argmax()} ({which}) makes a stop {faster:.2f} rad/s faster"
+
     def freeze(self) -> None:
         """Freeze all positions, or all velocities: an arm that has lost both can only be held by its model."""
         row = "qv"[self.rng.integers(2)]
@@ -397,6 +421,9 @@ RARE: dict[str, Any] = {
 }
 FAST: dict[str, Any] = {name: getattr(Driver, name) for name in ("dive", "override", "request", "halt", "recover")}
 
+WRONG: dict[str, Any] = {name: getattr(Driver, name) for name in ("glitch", "request", "recover", "override", "halt")}
+WRONG |= {"glitch again": Driver.glitch, "glitch anew": Driver.glitch}
+
 
 @pytest.fixture
 def driver(scene: SceneConfig) -> Driver:
@@ -418,6 +445,23 @@ def test_arms_driven_at_the_table_and_at_one_another_never_get_there(driver: Dri
     for seed, what in ((22, "with right"), (23, "with table")):
         with pytest.raises(AssertionError, match=what):
             driver.play(seed)
+
+
+def test_a_packet_that_is_wrong_makes_no_stop_faster(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver.rare = WRONG
+    driver.play(*range(8))
+    assert driver.seen["glitch"] > 5
+
+    monkeypatch.setattr(JointSense, "v_slower", property(lambda self: self.v))  # negative control
+    with pytest.raises(AssertionError, match="makes a stop"):
+        driver.play(*range(8))
+
+
+@pytest.mark.slow
+def test_a_thousand_episodes_of_wrong_packets_keep_every_rule(driver: Driver) -> None:
+    driver.rare = WRONG
+    driver.play(*range(10_000, 11_000))
+    assert driver.seen["glitch"] > 500
 
 
 @pytest.mark.slow
