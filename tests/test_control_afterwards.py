@@ -60,6 +60,24 @@ def test_a_velocity_that_is_wrong_by_little_with_its_position_moves_no_resting_a
     assert np.abs(plant.q - was).max() < 0.005
 
 
+@pytest.mark.parametrize("dv", [5.5, 8.0, 20.0])
+def test_a_velocity_that_was_wrong_in_the_last_packet_starts_no_stop_in_motion(scene: SceneConfig, dv: float) -> None:
+    """Before, 0.33 rad/s: it is named in the next packet, and the stop began with a part of it."""
+    plant = Arms(scene)
+    stack = supervised(plant)
+    assert run(stack, 200) == []
+    plant.lies["v"] = off_by(5, dv)
+    names = run(stack, 1)
+    plant.lies.clear()
+    fastest = 0.0
+    for _ in range(1000):
+        names += run(stack, 1)
+        fastest = max(fastest, float(np.abs(plant.v).max()))
+    assert names == ["joint_velocity" if dv < 10.0 else "implausible_measurement"]
+    assert fastest < 0.03
+    assert np.abs(plant.q - HOME).max() < 0.005
+
+
 def test_it_moves_no_rod_in_the_hands(world: World) -> None:
     """Before, by 79 mm, and the grip fell to 33 N."""
     carried = Carried(world)

@@ -158,6 +158,8 @@ class JointSense:
         lost[0] |= leapt
         lost[1] |= sped | (apart & ~lost.any(axis=0))  # unknown which: positions err less than a model that falls
         lost |= bad | still
+        newly = finite & lost[1] & ~self.lost[1]  # the last velocity may be the wrong one
+        self.v[newly] = slower(kept[_V], kept[_V] - kept[_DV])[newly]
         if (apart | still).any() and not self.why:
             joint = int(np.argmax(apart | still))
             what = " and ".join(np.array(["position", "velocity"])[lost[:, joint]])
