@@ -24,6 +24,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.stack import ControlStack
+from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
@@ -259,3 +260,98 @@ def test_an_arm_that_nobody_drives_does_not_sink_where_the_others_source_falls_s
     assert stack.state is not ArbiterState.ACTIVE
     np.testing.assert_allclose(stack.output.q_target[7:], HOME[7:], atol=1e-12)
     assert abs(stack.output.q_target[0] - target[0]) > 0.01, "the silent arm stops where it can"
+
+
+@pytest.mark.parametrize("dv", [6.0, 8.0, 9.5])
+def test_a_joint_that_comes_back_starts_no_stop_of_the_others_anew(scene: SceneConfig, dv: float) -> None:
+    """Before, 1.6 rad/s and 0.36 rad: one packet lied of a joint's both values, and of another one's velocity."""
+    plant = Arms(scene)
+    stack = supervised(plant)
+    assert run(stack, 200) == []
+    lie = np.eye(14)[8]
+    plant.lies.update(q=lambda q: q + 0.5 * lie, v=lambda v: v + 1000.0 * lie + dv * np.eye(14)[1])
+    assert len(run(stack, 1)) == 1
+    plant.lies.clear()
+    fastest = 0.0
+    for _ in range(1000):
+        run(stack, 1)
+        fastest = max(fastest, float(np.abs(plant.v).max()))
+    assert fastest < 0.12
+    assert np.abs(plant.q - HOME).max() < 0.01
+
+
+@pytest.mark.parametrize("dq", [0.0, 0.3])
+@pytest.mark.parametrize("dv", [0.5, 1.0, 2.0])
+def test_the_first_packet_after_an_outage_is_not_believed_alone(scene: SceneConfig, dq: float, dv: float) -> None:
+    """Before, it began the stop anew: 1.5 rad/s and 0.33 rad at rest."""
+    plant = Arms(scene)
+    stack = supervised(plant)
+    run(stack, 50)
+    stack.supervisor.estop()
+    run(stack, 400)
+    plant.lies.update(q=lambda q: q * np.nan, v=lambda v: v * np.nan)
+    run(stack, 30)
+    plant.lies.update(q=off_by(1, dq), v=off_by(1, dv))
+    run(stack, 1)
+    plant.lies.clear()
+    fastest = 0.0
+    for _ in range(1000):
+        run(stack, 1)
+        fastest = max(fastest, float(np.abs(plant.v).max()))
+    assert fastest < 0.1
+    assert np.abs(plant.q - HOME).max() < 0.01
+
+
+@pytest.mark.parametrize(("share", "then", "after"), [(0.1, "silence", 120), (0.1, "hold", 500), (1.0, "hold", 200)])
+def test_what_brakes_beside_its_path_stays_there(scene: SceneConfig, share: float, then: str, after: int) -> None:
+    """Before, the arms came to rest and then travelled the rest of the offset, up to 0.099 rad, with nobody driving."""
+    plant = Arms(scene)
+    stack = stack_on(plant, config=ArbiterConfig(speed_override=share), supervisor=Supervisor(dt_s=plant.dt))
+    hand_over(stack, "moveit")
+    start = HOME + 0.099
+    assert stack.propose("moveit", trajectory(stack, move(start, start, 1.0))) is None
+    assert run(stack, after) == []
+    if then == "hold":
+        stack.request("hold")
+    stack.dead = True
+    run(stack, 300)
+    rest = plant.q.copy()
+    run(stack, 3000)
+    assert stack.output.active_source is None
+    assert np.abs(plant.q - rest).max() < 0.015
+    assert np.abs(plant.q - start).max() > 0.015
+
+
+def test_a_reset_that_is_refused_forgets_no_failure(scene: SceneConfig) -> None:
+    """Before, it did: no reflex."""
+    plant = Arms(scene)
+    stack = under_way(plant)
+    stack.fail(RuntimeError("the camera is gone"))
+    with pytest.raises(UsageError, match="the arms move"):
+        stack.reset()
+    assert run(stack, 5) == ["controller_failed"]
+
+
+def test_a_drive_that_is_never_handed_the_arms_ends(scene: SceneConfig) -> None:
+    """Before, it waited for ever."""
+    stack = supervised(Arms(scene))
+    drive = Drive(stack, [still("a", HOME, 0.2, (1.0, 1.0))])
+    stack.request("hold")
+    for _ in range(300):
+        drive.step()
+    assert drive.done
+    assert drive.aborted is not None
+    assert "not handed over" in drive.aborted
+
+
+def test_who_drives_after_a_halt_may_change_the_controllers(scene: SceneConfig) -> None:
+    """A halt is over once a source has the arms."""
+    plant = Arms(scene)
+    stack = under_way(plant)
+    stack.halt("teleop")
+    run(stack, 400)
+    hand_over(stack, "teleop")
+    assert stack.propose("teleop", JointCommand(plant.q + 0.09, OPEN, plant.time, 1)) is None
+    run(stack, 60)
+    assert np.abs(plant.v).max() > 0.05
+    stack.switch_controllers(("left_arm", "right_arm"))

@@ -202,11 +202,12 @@ class JointTrajectoryController(Controller):
                 (s, ds, dds), rate = minimum_jerk(k * self._dt / _BLEND_S), execution.rate / _BLEND_S
                 fade = 1.0 - s, -ds * rate, -dds * rate**2
                 self._rows[:3, joints] += np.outer(fade, offset)
+                execution.left = fade[0] * offset
                 self._executions[execution] = (offset, k + execution.rate if k * self._dt < _BLEND_S else -1)
             if execution.finished:
                 del self._executions[execution]
                 self._target = self._target.copy()
-                self._target[joints] = execution.q
+                self._target[joints] = execution.q + execution.left * execution.braking
                 self._filter.reset(*self._rows[:2], joints=joints)
         q, v, a, planned = self._rows.copy()
         return q, v, a, planned

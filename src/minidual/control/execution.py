@@ -110,7 +110,10 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
     Attributes:
         joints: Slice of the driven joints.
         q, v, a: Reference.
+        left: Start offset [rad] that has not faded.
     """
+
+    left: Array | float = 0.0
 
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
         super().__init__(command, dt_s)
@@ -211,7 +214,8 @@ class Underway:
         for execution in self.executions:
             if isinstance(execution, TrajectoryExecution):
                 joints = execution.joints
-                target[joints] = np.clip(execution.q, self._robot.q_lower[joints], self._robot.q_upper[joints])
+                q = execution.q + execution.left * execution.braking  # braked, it fades no further
+                target[joints] = np.clip(q, self._robot.q_lower[joints], self._robot.q_upper[joints])
         running = tuple(e for e in self.executions if not e.finished)
         ended, self.executions = len(running) < len(self.executions), running
         return target, ended

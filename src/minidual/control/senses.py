@@ -81,8 +81,8 @@ class JointSense:
         q: (n,) [rad], measured or replaced.
         v: (n,) [rad/s].
         lost: (2, n) positions and velocities not to be used, until `reset`. A joint that lost both, or was not measured
-            when control began, is used again once both are measured and change.
-        returned: Whether a joint came back in this update.
+            when control began, is used again once both are measured, change and agree with the packet before.
+        returned: (n,), which joints came back in this update.
     """
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
@@ -103,7 +103,8 @@ class JointSense:
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self._kept, self._started, self._any_lost, self.returned = np.zeros((10, n)), False, False, False
+        self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
+        self._none = self.returned = np.zeros(n, dtype=bool)
         self.q, self.v = self._kept[_Q_USABLE:]
         self.q[:] = self._robot.home
         self.applied, self.ticks = np.zeros((_KEPT, n)), 0
@@ -114,13 +115,14 @@ class JointSense:
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        row, self.ticks, self.returned = self.ticks % _KEPT, self.ticks + 1, False
+        row, self.ticks, self.returned = self.ticks % _KEPT, self.ticks + 1, self._none
         if new_s > 0.0:
             if self._any_lost:
                 back = self.lost.all(axis=0) & (self._kept[[_Q, _V]] != [q, v]).all(axis=0)
+                back &= np.abs(q - self._kept[_Q] - new_s * v) < self._config.position_mismatch_rad
                 back = (back | np.isnan(self._kept[_Q])) & np.isfinite(q + v)
-                self.lost[:, back], self.returned = False, bool(back.any())
-                self._begin(back, q, v, tau, new_s)
+                self.lost[:, back], self.returned = False, back
+                self._begin(back, q, slower(v, self._kept[_V]), tau, new_s)
             if not self._started:
                 self.q[:], self.v[:] = np.where(np.isfinite(q), q, self.q), np.where(np.isfinite(v), v, 0.0)
             if not self._started or new_s > self._age_max_s:  # nothing to compare with

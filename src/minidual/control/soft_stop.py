@@ -145,11 +145,14 @@ class SupervisedStop:
         self._dt, self._hands = dt_s, Hands(kinematics)
         self.bears_n: Sequence[float] = (0.0, 0.0)
         """Weight in each hand."""
+        self.v = np.zeros(robot.dof)
+        """Reference (n,) [rad/s]."""
 
     def begin(self, q: Array, v: Array, tau: Array) -> None:
         """Start from finite posture, velocity and applied torque (n,)."""
         robot = self._robot
-        self._q_ref, self._v_0 = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
+        self._q_ref, self.v = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
+        self._v_0 = self.v
         self._r, self._slope = np.ones(robot.dof), np.zeros(robot.dof)
         self._slope_max = self._largest_slope(self._q_ref, self._v_0)
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
@@ -176,14 +179,14 @@ class SupervisedStop:
         fall = np.sqrt(2.0 * self._r * self._slope_max / _RAMP_S)
         self._slope = np.minimum(np.minimum(rise, fall), self._slope_max)
         self._r = np.maximum(0.0, self._r - self._slope * self._dt)
-        v_ref, a_ref = self._r * self._v_0, -self._slope * self._v_0
-        self._q_ref = np.clip(self._q_ref + self._dt * v_ref, self._robot.q_lower, self._robot.q_upper)
+        self.v, a_ref = self._r * self._v_0, -self._slope * self._v_0
+        self._q_ref = np.clip(self._q_ref + self._dt * self.v, self._robot.q_lower, self._robot.q_upper)
         way = self._q_ref - q
         back = way * v > _BACK_RAD_S * np.abs(way)
         self._q_ref[back] = (q + np.clip(way, -_AHEAD_RAD, _AHEAD_RAD))[back]
         self._hands.update(q)
         load = np.concatenate([force_n * self._hands.rise(arm) for arm, force_n in enumerate(self.bears_n)])
-        wanted = self._servo.torque(q, v, self._q_ref, v_ref, a_ref, load)
+        wanted = self._servo.torque(q, v, self._q_ref, self.v, a_ref, load)
         if np.isfinite(wanted).all():  # a posture far outside the joint limits overflows
             self._rate.limit(wanted)
         self.tau = self._rate.tau.copy()

@@ -109,8 +109,6 @@ class ControlStack[P: Plant]:
             UsageError: The arms move.
         """
         plant, q, fastest = self.plant, self.plant.q, self._fastest()
-        self._failed: Exception | None = None
-        """What the next step stops for, whatever resumes until then."""
         if not fastest < self._config.still_speed_rad_s:
             raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
         self.grippers.reset()
@@ -118,6 +116,8 @@ class ControlStack[P: Plant]:
             self.supervisor.reset()
             if self.grippers.closed.any() and plant.tau.any():
                 self.supervisor.reset(plant.tau)  # what holds an object goes on
+        self._failed: Exception | None = None
+        """What the next step stops for, whatever resumes until then."""
         self._before.clear()
         self._before.append((plant.time, q))
         self._v = plant.v
@@ -510,6 +510,6 @@ class ControlStack[P: Plant]:
         return self.manager.update(q, v)  # raises if these have failed: no others could hold the arms
 
     def _confirmed(self, mode: str) -> None:
-        names = self._wanted.pop(mode, self.manager.active)
+        self._stop_ticks, names = 0, self._wanted.pop(mode, self.manager.active)
         if names != self.manager.active:
             self.manager.switch(names, self.plant.q, self.plant.v)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.control.commands import ArbiterState, TrajectoryCommand
+from minidual.control.commands import TrajectoryCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.robot.pair import SIDES
@@ -61,7 +61,7 @@ class Drive:
             stack.step()
         except ReflexError as error:
             self._stopped(error)
-        if self._left and (stack.state == ArbiterState.STOPPED or (self._proposed and stack.source != SOURCE)):
+        if self._left and stack.source != SOURCE and (self._proposed or not stack.arbiter.switching):
             self._abort("the arms were taken over" if self._proposed else "the arms were not handed over")
 
     def _propose_next(self) -> None:
