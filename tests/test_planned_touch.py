@@ -159,6 +159,24 @@ def test_a_halt_in_the_stop_of_a_touch_is_not_overridden(
     assert np.abs(world.q - stopped).max() < 0.1
 
 
+def test_arms_that_are_not_measured_grasp_nothing_again(
+    world: World, planner: Planner, axis: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, `step` raised: the touch of NaN has no force."""
+    carry = seen(world, planner, -0.018 * axis)
+    assert drive(carry, "done") == ["approach", "descend", "done"]
+    monkeypatch.setattr(np.linalg, "lstsq", lambda a, b: _raise(np.linalg.LinAlgError("SVD did not converge")))
+    for _ in range(600):
+        carry.step()
+    assert carry.done
+    assert "_contact" in carry.aborted
+    assert carry.stack.reflex is not None
+
+
+def _raise(error: Exception) -> None:
+    raise error
+
+
 def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:
     """Return the joint torques of a force up on the giving hand, so far along its fingers."""
     arm, kinematics, q = giver(carry), carry.stack.kinematics, carry.world.q

@@ -11,6 +11,7 @@ import pinocchio as pin
 from minidual.control.impedance import InHand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.errors import MinidualError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array, inverse, pose
@@ -71,7 +72,9 @@ class PlannedCarry(Drive):
             self._touch = None
         if self._touch is not None and not self.stack.stopping:
             touch, self._touch = self._touch, None
-            with suppress(Exception):  # it moves still, is not measured, or finds no plan: it stays aborted
+            with suppress(
+                MinidualError, np.linalg.LinAlgError
+            ):  # moving, not measured, or without a plan: it stays aborted
                 self._grasp_again(*touch)
 
     def _tell_held(self, segment: Segment) -> None:
