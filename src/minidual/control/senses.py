@@ -153,7 +153,7 @@ class JointSense:
         # A position that moved as neither velocity says, or too far for any joint, is wrong; so is a velocity whose jump
         # alone explains the mismatch.
         moved, ways = kept[_DQ], new_s * np.stack([kept[_V], kept[_V] - kept[_DV]])
-        leapt = np.abs(moved - ways).min(axis=0) > self._config.position_mismatch_rad
+        leapt = np.abs(moved - ways).min(axis=0) > 0.5 * self._config.position_mismatch_rad
         leapt = apart & (leapt | (np.abs(moved) > 2.0 * new_s * self._robot.v_max))
         sped = apart & (new_s * np.abs(kept[_DV]) > 0.5 * self._config.position_mismatch_rad)
         lost = apart & (same > 0.0) & ~leapt & ~sped
