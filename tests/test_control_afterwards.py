@@ -79,20 +79,6 @@ def test_a_velocity_that_was_wrong_in_the_last_packet_starts_no_stop_in_motion(s
     assert np.abs(plant.q - HOME).max() < 0.005
 
 
-def test_it_moves_no_rod_in_the_hands(world: World) -> None:
-    """Before, by 79 mm, and the grip fell to 33 N."""
-    carried = Carried(world)
-    gap = Gap(world)
-    carried.stack.plant = gap  # type: ignore[assignment]
-    gap.instead.update(q=off_by(1, 0.05), v=off_by(1, 2.0))
-    carried.run(1)
-    gap.instead.clear()
-    carried.run(1000)
-    assert carried.names == ["implausible_measurement"]
-    assert carried.height_m > 0.145
-    assert world.grip.min() > 55.0
-
-
 @pytest.mark.parametrize(
     ("kind", "dq"), [(At100Hz, 0.006), (At100Hz, 0.01), (At100Hz, 0.03), (At50Hz, 0.03), (At50Hz, 0.08)]
 )

@@ -375,7 +375,7 @@ class Driver:
         for _ in range(300):
             self.tick()
             faster = float((np.abs(self.v) - before.max()).max())
-            assert faster < 0.35, f"{off} of joint {joint.argmax()} ({which}) makes a stop {faster:.2f} rad/s faster"
+            assert faster < 0.15, f"{off} of joint {joint.argmax()} ({which}) makes a stop {faster:.2f} rad/s faster"
 
     def freeze(self) -> None:
         """Freeze all positions, or all velocities: an arm that has lost both can only be held by its model."""
