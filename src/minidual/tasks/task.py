@@ -6,8 +6,10 @@ Other distributions add rows through the entry point group `minidual.tasks` (doc
 from __future__ import annotations
 
 import math
+import pkgutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -121,10 +123,11 @@ class Task:
         return Trial(purpose, index, start, goal)
 
 
-_OWN = "rod_carry", "handover", "pot_lift", "sort", "insertion"
-"""Functions of the same name in modules of the same name."""
+_SHARED = {"judge", "objects", "success", "task"}
+_OWN = {module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)])} - _SHARED
+"""Every other module of this folder is a task: its function of the same name."""
 TASKS: Registry[Callable[[Config], Task]] = Registry(
-    "task", {name: f"minidual.tasks.{name}:{name}" for name in _OWN}, group="minidual.tasks"
+    "task", {name: f"minidual.tasks.{name}:{name}" for name in sorted(_OWN)}, group="minidual.tasks"
 )
 
 
