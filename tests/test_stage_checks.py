@@ -28,7 +28,7 @@ from minidual.stages.carry import carry_checks
 from minidual.stages.config_checks import check_deploy
 from minidual.stages.deploy import deploy_checks, deploy_starts, farthest, seed_rates, set_checks
 from minidual.stages.train_act import training_seeds
-from minidual.tasks.task import make_task, placement
+from minidual.tasks.task import TASKS, make_task, placement
 from minidual.trials.metrics import TrialMetrics, summarise
 
 TASK = Config().scene.task
@@ -153,7 +153,7 @@ def test_deploy_fails_if_the_policy_succeeds_without_seeing_the_object(missed_n:
     assert unjudged.op is None
 
 
-@pytest.mark.parametrize("name", ["rod_carry", "sort"])
+@pytest.mark.parametrize("name", TASKS)
 def test_the_object_is_hidden_where_going_to_the_middle_fails(name: str) -> None:
     task = make_task(Config(task=name))
     trials = [task.trial(3, "hidden", index) for index in range(40)]

@@ -76,8 +76,8 @@ def test_the_lines_of_the_page_count_the_stops_of_a_run(
             {"method": "act", "condition": "object hidden", "aborted": "frozen_picture: camera"},
         ],
         "benchmark/benchmark.csv": [
-            {"task": "sort", **carry, "aborted": "slip at 2.00 s: 3 mm"},
-            {"task": "sort", **carry, "condition": "heavy", "aborted": "slip at 2.00 s: 3 mm"},
+            {"task": "handover", **carry, "aborted": "slip at 2.00 s: 3 mm"},
+            {"task": "handover", **carry, "condition": "heavy", "aborted": "slip at 2.00 s: 3 mm"},
         ],
     }.items():
         path = tmp_path / "runs" / "standard" / table
@@ -93,7 +93,7 @@ def test_the_lines_of_the_page_count_the_stops_of_a_run(
         "teleop-record/quality.csv": (1, 3),
         "deploy/trials.csv act held_out": (1, 1),
         "deploy/trials.csv act training": (0, 1),
-        "benchmark/benchmark.csv sort impedance clean": (1, 1),
+        "benchmark/benchmark.csv handover impedance clean": (1, 1),
     }
     for why in ("'reflex joint_contact': 1", "'reflex torque_rate': 1", "'oscillation': 1", "'slip': 1"):
         assert why in said

@@ -267,10 +267,10 @@ def test_between_pictures_a_step_pays_for_a_look_at_the_clock_only(view: WebView
 
 
 def test_the_overlay_of_several_objects_is_of_all_of_them() -> None:
-    config = Config().model_copy(update={"task": "sort"})
+    config = Config().model_copy(update={"task": "insertion"})
     world = World(task_config(config).scene)
     words = overlay(world, Overlay(title="a title", mode="moveit", source="moveit", state="active"))
-    assert len(world.objects) == 4
+    assert len(world.objects) == 2
     assert words.pinch_n == (0.0, 0.0)
 
 
