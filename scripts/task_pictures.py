@@ -36,8 +36,8 @@ SHOWN = {
     "handover": [View(at, *WHOLE) for at in (0.25, 0.5, 0.7, 0.93)],
     "pot_lift": [View(at, *NEAR) for at in (0.3, 0.6, 0.9)],
     "insertion": [View(0.15, *NEAR), View(0.3, *NEAR), View(0.36, *CLOSE), View(0.99, *CLOSE)],
-    "sort": [View(at, *WHOLE) for at in (0.2, 0.3, 0.4, 0.6, 0.8, 0.97)],
 }
+OTHERS = [View(at, *WHOLE) for at in (0.2, 0.3, 0.4, 0.6, 0.8, 0.97)]
 
 
 def main(task: str, target: str) -> None:
@@ -56,7 +56,7 @@ def main(task: str, target: str) -> None:
     renderer, option = mujoco.Renderer(model, SIZE_PX[1], SIZE_PX[0]), mujoco.MjvOption()
     option.geomgroup[GROUP_COLLISION] = 0
     pictures = []
-    for view in SHOWN[task]:
+    for view in SHOWN.get(task, OTHERS):
         data.qpos[:] = min(seen, key=lambda pair: abs(pair[0] - view.at * seen[-1][0]))[1]
         mujoco.mj_forward(model, data)
         camera = mujoco.MjvCamera()

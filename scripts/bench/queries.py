@@ -34,7 +34,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import around, shape_of, thing_of
 from minidual.skills.phases import PHASES, raised
-from minidual.tasks.task import Task, Trial, grasp_offsets, make_task, pose_of
+from minidual.tasks.task import TASKS, Task, Trial, grasp_offsets, make_task, pose_of
 
 GROUP = "both_arms"
 _RESTARTS_SCALE = 4
@@ -154,7 +154,8 @@ def _sets() -> dict[str, QuerySet]:
     content = rows_beside(__file__)
     regions = {name: Region(**row) for name, row in content["regions"].items()}
     found = {}
-    for name, row in content["sets"].items():
+    of_tasks = {name: {**content["each_task"], "task": name} for name in TASKS if name != "rod_carry"}
+    for name, row in {**content["sets"], **of_tasks}.items():
         ends = {end: tuple(regions[region] for region in row.pop(end)) for end in ("start", "goal")}
         boxes = Boxes(**row.pop("boxes")) if "boxes" in row else None
         found[name] = QuerySet(name, **ends, boxes=boxes, **row)
