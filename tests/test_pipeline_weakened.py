@@ -52,7 +52,7 @@ def test_a_shipped_profile_asks_for_itself(profile):
         (
             "benchmark",
             "benchmark.tasks=[rod_carry]",
-            "benchmark.tasks is {'rod_carry': 50}, the profile asks for {'pot_lift': 20, 'handover': 20, 'insertion': 20, ",
+            "benchmark.tasks is {'rod_carry': 50}, the profile asks for {'pot_lift': 20, 'handover': 20, 'insertion': 20",
         ),
         ("benchmark", f"benchmark.tasks=[{FURTHER}]", "benchmark.own_task is False"),
         ("benchmark", "benchmark.further_tasks={}", "benchmark.tasks is {}, the profile asks for {'pot_lift': 20"),
