@@ -174,6 +174,14 @@ def test_the_caption_changes_with_who_drives(world: World) -> None:
     assert not np.array_equal(held[95:], driven[95:])
 
 
+def test_a_planner_alone_moves_the_arms(tmp_path: Path) -> None:
+    """Before, its first motion was also its last one: home, where the arms stood."""
+    result = modes(_context(tmp_path / "run", modes="moveit"))
+    assert result.exit_code == ExitCode.PASS
+    (outcome,) = result.data["outcomes"]
+    assert outcome["from_home_rad"] > 0.1
+
+
 def test_modes_are_parsed_or_refused() -> None:
     assert parse_modes("moveit, teleop") == ("moveit", "teleop")
     assert DEFAULT_MODES == ("moveit", "teleop", "policy", "moveit")

@@ -167,7 +167,7 @@ def test_the_object_is_hidden_where_going_to_the_middle_fails(name: str) -> None
 
 
 def test_a_limit_of_deploy_needs_its_condition() -> None:
-    with pytest.raises(ValidationError, match="condition_rate_min limits camera moved, which conditions does not name"):
+    with pytest.raises(ValidationError, match=r"limits camera moved, not one of conditions \(room\)"):
         DeployConfig(condition_rate_min={"camera moved": 0.5})
 
 

@@ -183,6 +183,6 @@ class DeployConfig(StrictModel):
     @model_validator(mode="after")
     def _limits_are_measured(self) -> Self:
         if missing := [name for name in self.condition_rate_min if name not in self.conditions]:
-            missed = f"condition_rate_min limits {missing[0]}, which conditions does not name"
+            missed = f"condition_rate_min limits {missing[0]}, not one of conditions ({', '.join(self.conditions)})"
             raise ValueError(f"{missed}: name it there too, or set condition_rate_min to {{}}")
         return self

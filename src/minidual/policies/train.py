@@ -158,11 +158,10 @@ class _Loop:
             group["lr"] = share * rate
         value, parts = self.shares.gradient(batch)
         if not math.isfinite(value):
-            at = f"(learning rate {rate:.2g}, gradient clip {self.config.gradient_clip:g})"
+            at = f"at step {step} (learning rate {rate:.2g}, gradient clip {self.config.gradient_clip:g})"
             names = "learning_rate", "backbone_learning_rate"
             lower = " ".join(f"--set train.{name}={getattr(self.config, name) / 3:.1g}" for name in names)
-            remedy = f"lower both rates, for example {lower}"
-            raise UsageError(f"the training loss became {value} at step {step} {at}", remedy=remedy)
+            raise UsageError(f"the training loss became {value} {at}", remedy=f"lower both rates, for example {lower}")
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
         self.consistent = False
         self.optimiser.step()

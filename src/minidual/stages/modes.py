@@ -110,8 +110,8 @@ def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, .
     turns: list[Turn] = []
     for number, mode in enumerate(wanted, start=1):
         if mode == "moveit":
-            home = number == len(wanted)
-            turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=1.0 if home else _INTERRUPT_SHARE))
+            home, share = 1 < number == len(wanted), 1.0 if number == len(wanted) else _INTERRUPT_SHARE
+            turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=share))
         elif mode == "teleop":
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
         elif policy is not None:
