@@ -1,7 +1,5 @@
 """Queries in, proven trajectories or named errors out."""
 
-import typing
-
 import numpy as np
 import pytest
 from panda import GROUPS, HOME, Q_UPPER
@@ -15,12 +13,14 @@ from minidual.collision.errors import (
 )
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Sphere
-from minidual.config.planning import PlannerConfig, PlannerName
+from minidual.config.planning import PlannerConfig
+from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.motion.api import Effort, Planner
 from minidual.motion.search import PLANNERS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import pose, rot_x, rot_z
+from minidual.stages.registry import STAGES
 
 POST = Box("post", (0.36, 0.25, 0.4), size_m=(0.06, 0.06, 0.8))
 DOWN = rot_z(np.pi / 2) @ rot_x(np.pi)
@@ -219,11 +219,20 @@ def test_forbidding_a_robot_pair_changes_what_plans(planner):
     assert planner.plan_to_joints("left_arm", HOME, HOME[:7] + 0.1, scene=back).verification.ok
 
 
-def test_planner_names_are_the_same_in_configuration_and_code():
-    assert set(typing.get_args(PlannerName)) == set(PLANNERS)
-    with pytest.raises(UsageError, match="did you mean 'rrtconnect'") as caught:
-        PLANNERS["rrtconect"]
+@pytest.mark.parametrize("settings", [{"planner": "rrtconect"}, {"fallback_planners": ("kpiece", "rrtconect")}])
+def test_an_unknown_planner_is_refused_before_the_first_query(settings):
+    config = Config.model_validate({"plan": {"planner": settings}})
+    with pytest.raises(UsageError, match="no planner 'rrtconect'.*\n?.*did you mean 'rrtconnect'") as caught:
+        STAGES["plan"].resolved(config, checked=True)
     assert "kpiece" in str(caught.value)
+
+
+def test_a_planner_of_another_distribution_plans(post_planner, monkeypatch):
+    monkeypatch.setitem(PLANNERS._rows, "bkpiece", "ompl.geometric:BKPIECE1")  # as an entry point of minidual.planners names it
+    other = Planner(post_planner.scene, PlannerConfig(planner="bkpiece"))
+    result = other.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=1)
+    assert result.verification.ok
+    assert not result.direct
 
 
 def test_the_other_planner_solves_it_too(post_planner):

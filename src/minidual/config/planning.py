@@ -1,12 +1,8 @@
 """Configuration of `plan` and the planner."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from minidual.config.base import AtLeast, AtMost, StrictModel
-
-PlannerName = Literal["rrtconnect", "kpiece"]
 
 
 class MotionLimits(StrictModel):
@@ -24,14 +20,15 @@ class MotionLimits(StrictModel):
 class PlannerConfig(MotionLimits):
     """Settings of one plan; none weakens its proof."""
 
-    planner: PlannerName = "rrtconnect"
+    planner: str = "rrtconnect"
+    """Row of PLANNERS: rrtconnect or kpiece."""
     range_rad: float = Field(default=1.0, ge=0.05, le=10.0)
     """Longest edge of a search tree (Euclidean)."""
     edge_step_rad: float = Field(default=0.08, ge=0.0005, le=0.2)
     """Largest joint step between checks in the search."""
     padding_m: float = Field(default=0.008, ge=0.0, le=0.1)
     """Clearance in the search; less near a tight start or goal."""
-    fallback_planners: tuple[PlannerName, ...] = ("rrtconnect", "kpiece")
+    fallback_planners: tuple[str, ...] = ("rrtconnect", "kpiece")
     """Planners used in turn after four failed searches."""
     search_checks_n: int = Field(default=2_500, ge=100, le=100_000_000)
     """State checks of the first search; each further one gets half as many more."""

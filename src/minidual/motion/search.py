@@ -81,8 +81,8 @@ class EdgeChecker:
         return self.all_free(a + bisection_order(math.ceil(np.abs(b - a).max() / self.step_rad))[:, None] * (b - a))
 
 
-PLANNERS: Registry[Callable[[Any], Any]] = Registry("planner", {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1})
-"""OMPL planners. PRM hangs: it evaluates the termination condition in its own threads."""
+PLANNERS = Registry[Any]("planner", {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1}, group="minidual.planners")
+"""OMPL planners with a range. PRM hangs: it evaluates the termination condition in its own threads."""
 
 
 class _Motion(ob.MotionValidator):

@@ -3,6 +3,7 @@
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
+from minidual.motion.search import PLANNERS
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
 from minidual.tasks.task import make_task, tasks_of
@@ -11,8 +12,9 @@ from minidual.trials.methods import METHODS, check_able
 
 
 def check_plan(config: Config) -> None:
-    """Raise UsageError for an unknown arm, or query sets with equal seeds."""
+    """Raise UsageError for an unknown arm or planner, or query sets with equal seeds."""
     robot_from(config.robot)
+    PLANNERS.names(tuple({config.plan.planner.planner, *config.plan.planner.fallback_planners}))
     if config.plan.second_queries_n and config.seed == config.plan.second_seed:
         equal = f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one"
         raise ConfigError(equal, remedy="choose another --seed, or --set plan.second_seed=NUMBER")
