@@ -20,7 +20,7 @@ class MotionLimits(StrictModel):
 class PlannerConfig(MotionLimits):
     """Settings of one plan; none weakens its proof."""
 
-    planner: str = "rrtconnect"
+    planner: str = Field(default="rrtconnect", min_length=1)
     """Row of PLANNERS: rrtconnect or kpiece."""
     range_rad: float = Field(default=1.0, ge=0.05, le=10.0)
     """Longest edge of a search tree (Euclidean)."""
