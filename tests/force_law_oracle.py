@@ -14,7 +14,7 @@ from minidual.config.control import ImpedanceConfig
 from minidual.control.impedance import (
     POSTURE_DAMPING_PER_S,
     POSTURE_STIFFNESS_PER_S2,
-    SQUEEZE_CEILING_N,
+    SQUEEZE_MAX_N,
     HeldObject,
     ObjectState,
 )
@@ -100,7 +100,7 @@ def torque(
         -gains.force_correction_max_n,
         gains.force_correction_max_n,
     )
-    F = np.clip(internal_force_n + correction, 0.0, SQUEEZE_CEILING_N)
+    F = np.clip(internal_force_n + correction, 0.0, SQUEEZE_MAX_N)
     axis, none = R @ held.axis, np.zeros(3)
     f_int = np.concatenate([-F * axis, none, F * axis, none])
     tcps = kinematics.tcp_poses(q)

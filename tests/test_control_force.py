@@ -50,7 +50,7 @@ def test_at_rest_at_the_goal_the_hands_carry_weight_and_squeeze_alone() -> None:
 
 
 def test_force_feedback_is_bounded_and_the_ceiling_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(impedance, "SQUEEZE_CEILING_N", 38.0)  # low enough that no motor saturates
+    monkeypatch.setattr(impedance, "SQUEEZE_MAX_N", 38.0)  # low enough that no motor saturates
     law, centre, q = _law()
     kinematics = Kinematics()
     J = np.vstack(kinematics.tcp_jacobians(q)).T

@@ -222,13 +222,15 @@ def test_forbidding_a_robot_pair_changes_what_plans(planner):
 @pytest.mark.parametrize("settings", [{"planner": "rrtconect"}, {"fallback_planners": ("kpiece", "rrtconect")}])
 def test_an_unknown_planner_is_refused_before_the_first_query(settings):
     config = Config.model_validate({"plan": {"planner": settings}})
-    with pytest.raises(UsageError, match="no planner 'rrtconect'.*\n?.*did you mean 'rrtconnect'") as caught:
+    with pytest.raises(UsageError, match=r"no planner 'rrtconect'.*\n?.*did you mean 'rrtconnect'") as caught:
         STAGES["plan"].resolved(config, checked=True)
     assert "kpiece" in str(caught.value)
 
 
 def test_a_planner_of_another_distribution_plans(post_planner, monkeypatch):
-    monkeypatch.setitem(PLANNERS._rows, "bkpiece", "ompl.geometric:BKPIECE1")  # as an entry point of minidual.planners names it
+    monkeypatch.setitem(
+        PLANNERS._rows, "bkpiece", "ompl.geometric:BKPIECE1"
+    )  # as an entry point of minidual.planners names it
     other = Planner(post_planner.scene, PlannerConfig(planner="bkpiece"))
     result = other.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=1)
     assert result.verification.ok

@@ -37,9 +37,8 @@ def console(*, stderr: bool) -> Console:
     """Return a console on stderr or stdout."""
     stream = sys.stderr if stderr else sys.stdout
     # Off a terminal rich assumes 80 columns, if COLUMNS does not say so, and would fold log lines.
-    return SafeConsole(
-        stderr=stderr, highlight=False, width=None if stream.isatty() or "COLUMNS" in os.environ else 160
-    )
+    known = stream.isatty() or "COLUMNS" in os.environ
+    return SafeConsole(stderr=stderr, highlight=False, width=None if known else 160)
 
 
 class BarTask(ProgressTask):

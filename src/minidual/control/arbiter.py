@@ -90,7 +90,7 @@ class CommandArbiter:
         self._affirmed: set[str] = set()
         self._streamed, self._stopping = set[int](), set[int]()
         """Arms with a fresh streamed command, and arms on the way to where they can stop since theirs have ended."""
-        self._alive_s, self.speed = 0.0, self.config.speed_override
+        self._alive_s, self.speed = -np.inf, self.config.speed_override
         """Share of full speed, from the next tick on."""
 
     def propose(self, source: str, command: Command) -> Refusal | None:
@@ -110,8 +110,10 @@ class CommandArbiter:
         self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
-        """Request a source, or "hold"; the last request counts."""
+        """Request a source, or "hold"; the last request counts, but one of who drives takes back no hold."""
         check_name("mode", mode, (*SOURCES, HOLD))
+        if self._requested == HOLD and mode == self.source:
+            self._requested, mode = mode, HOLD
         if self._requested not in (None, mode):
             self._refuse(self._requested, "superseded", f"'{mode}' was requested before the switch began")
         self._requested = mode

@@ -13,7 +13,7 @@ import numpy as np
 
 from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE
-from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
+from minidual.control.impedance import SQUEEZE_MAX_N, ObjectState
 from minidual.control.kernels import near, within
 from minidual.control.mailbox import OBJECT_MAX, own_columns
 from minidual.errors import UsageError
@@ -161,8 +161,8 @@ class ObjectExecution(_Execution[ObjectCommand]):
         if not near(state.T_world_object, self.desired.T_world_object, state.twist, state.acceleration, self._most):
             fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
             raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
-        if not -1e-6 <= squeeze_n <= SQUEEZE_CEILING_N + 1e-6:
-            raise UsageError(f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_CEILING_N} N")
+        if not -1e-6 <= squeeze_n <= SQUEEZE_MAX_N + 1e-6:
+            raise UsageError(f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_MAX_N} N")
         self.desired, self.squeeze_n = state, squeeze_n
         if self._paced:
             self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))

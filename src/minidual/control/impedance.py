@@ -26,7 +26,7 @@ from minidual.errors import DataError, MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array, inverse, pose
 
-SQUEEZE_CEILING_N = 80.0
+SQUEEZE_MAX_N = 80.0
 """Highest internal force."""
 POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S = 20.0, 9.0
 """Of the null space: keeps the elbows in place."""
@@ -91,7 +91,7 @@ class ObjectImpedance:
         K = np.repeat([gains.stiffness_n_per_m, gains.stiffness_nm_per_rad], 3)
         posture = POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S
         R_tcps_object = [T[:3, :3].T for T in held.T_object_tcps]
-        servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_CEILING_N
+        servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_MAX_N
         data = (K, np.zeros(6), held.mass_kg, *posture, *servo, held.inertia_kg_m2, held.axis, R_tcps_object)
         self._law, self._by_world = np.array([data], LAW), gains.squeeze_axes == "world"
         self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)

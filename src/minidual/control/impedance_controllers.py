@@ -10,14 +10,7 @@ from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
-from minidual.control.impedance import (
-    SQUEEZE_CEILING_N,
-    HandImpedance,
-    HeldObject,
-    ObjectImpedance,
-    ObjectState,
-    towards,
-)
+from minidual.control.impedance import SQUEEZE_MAX_N, HandImpedance, HeldObject, ObjectImpedance, ObjectState, towards
 from minidual.control.kernels import apart, within
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
@@ -109,7 +102,7 @@ class ObjectImpedanceController(Controller):
         self._T_tcp_objects = [inverse(T) @ self.desired.T_world_object for T in self._kinematics.tcp_poses(q)]
         self._T_seen, self._back, self._updates = self.desired.T_world_object, False, 0
         self._twists, self._off = np.zeros((2, 6))
-        self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_CEILING_N))
+        self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_MAX_N))
         self._execution = None
         self.reference, self._v = np.array(q, dtype=float), v
 

@@ -31,17 +31,19 @@ class ReferenceFilter:
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
         self._v_max = self._v_allowed = 0.95 * robot.v_max
         self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
-        self._state, self._slewing = np.zeros((6, robot.dof)), False
+        self._state, self._slewing, self._fresh = np.zeros((6, robot.dof)), False, True
 
     def limit_speed(self, share: float) -> None:
         """Follow targets at most at this share of full speed."""
         self._v_allowed, self._slewing = share * self._v_max, True
+        if self._fresh:  # as after a reset: nothing moved faster
+            self._bounds[1], self._fresh = np.maximum(self._v_allowed, np.abs(self._state[1])), False
 
     def reset(self, q: Array, v: Array | None = None, joints: slice = slice(None)) -> None:
         """Start some joints from posture q (n,) [rad], by default all, at rest."""
         still = np.zeros_like(q)
         self._state[:, joints] = np.array([q, still if v is None else v, still, q, q, still])[:, joints]
-        self._bounds[1], self._slewing = np.maximum(self._bounds[1], np.abs(self._state[1])), True  # no step of v
+        self._bounds[1], self._slewing, self._fresh = np.maximum(self._bounds[1], np.abs(self._state[1])), True, True
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Advance towards target (n,); return new (q_ref, v_ref, a_ref).

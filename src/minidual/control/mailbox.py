@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from minidual.control.commands import Command, JointCommand, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
-from minidual.control.impedance import SQUEEZE_CEILING_N, ObjectState
+from minidual.control.impedance import SQUEEZE_MAX_N, ObjectState
 from minidual.control.kernels import apart
 from minidual.robot.pair import Array, Robot
 
@@ -122,8 +122,8 @@ def _object(command: ObjectCommand) -> Reason | None:
         values = (state.T_world_object, state.twist, state.acceleration)
         if not (all(np.isfinite(x).all() for x in values) and np.isfinite(squeeze)):
             return "not_finite", f"object path or squeeze at {t:.3f} s"
-        if not 0.0 <= squeeze <= SQUEEZE_CEILING_N:
-            return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_CEILING_N:.0f} N")
+        if not 0.0 <= squeeze <= SQUEEZE_MAX_N:
+            return ("squeeze_out_of_range", f"{squeeze:.1f} N at {t:.3f} s; 0 to {SQUEEZE_MAX_N:.0f} N")
         jump_m, jump_rad, mean = (0.0, 0.0, 0.0) if before is None else _moved(before, state, duration / (samples - 1))
         if not (jump_m <= _JUMP_M and jump_rad <= _JUMP_RAD):
             jump = f"{1e3 * jump_m:.0f} mm, {jump_rad:.2f} rad by {t:.3f} s"

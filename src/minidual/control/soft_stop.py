@@ -57,14 +57,19 @@ class SoftStop:
     """Joint reference from (q, v) to rest.
 
     Joints follow v(t) = v_0 (1 - s)^2 (1 + 2 s), s = t/T, with one T for each arm, or for both where they move
-    `together`. Peak deceleration: 1.5 |v_0| / T.
+    `together`; a joint that would pass its `limits` (2, n) has its own. Peak deceleration 1.5 |v_0| / T: `most` (n,),
+    and 1.54 times that before a limit.
     """
 
-    def __init__(self, q: Array, v: Array, deceleration: Array, *, together: bool = True) -> None:
-        self._q, self._v, times_s = q.copy(), v.copy(), (1.5 * np.abs(v) / deceleration).reshape(len(SIDES), -1)
+    def __init__(self, q: Array, v: Array, most: Array, limits: Array | None = None, *, together: bool = True) -> None:
+        self._q, self._v, times_s = q.copy(), v.copy(), (1.5 * np.abs(v) / most).reshape(len(SIDES), -1)
         self.duration_s = max(_STOP_LEAST_S, float(times_s.max()))
         arms_s = np.maximum(_STOP_LEAST_S, times_s.max(axis=1))
         self._times_s = np.full(len(v), self.duration_s) if together else np.repeat(arms_s, times_s.shape[1])
+        if limits is not None:  # it goes on by v_0 T / 2
+            least_s = 2.0 * np.where(v > 0.0, limits[1] - q, q - limits[0]) / np.maximum(np.abs(v), 1e-9)
+            own_s = np.maximum(np.maximum(STOP_SHARE * times_s.ravel(), least_s), 0.01)
+            self._times_s = np.where(self._times_s > least_s, np.minimum(own_s, self._times_s), self._times_s)
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
         """Return (q, v, a) at time t; at rest from `duration_s` on."""
@@ -88,7 +93,8 @@ class SoftStopController(Controller):
     def activate(self, q: Array, v: Array) -> None:
         """Start stopping from the measurement."""
         both = all(self._payload.closed)
-        self._motion, self._steps = SoftStop(q, v, STOP_SHARE * self._robot.a_max, together=both), 0
+        limits = np.array([self._robot.q_lower, self._robot.q_upper])
+        self._motion, self._steps = SoftStop(q, v, STOP_SHARE * self._robot.a_max, limits, together=both), 0
         self.reference = np.array(q, dtype=float)
 
     def update(self, q: Array, v: Array) -> Array:
@@ -103,7 +109,7 @@ class SoftStopController(Controller):
 
 _RAMP_S = 0.06
 """Rise and fall time of the deceleration."""
-_LEAST_S = 0.05
+_LEAST_S, _LEAST_R = 0.05, 1e-3
 _BACK_RAD_S, _AHEAD_RAD = 0.3, 0.1
 """A joint that goes back faster than this, after a push or without power, is held this far ahead of where it is."""
 _TORQUE_SHARE = 0.9
@@ -148,13 +154,20 @@ class SupervisedStop:
         self.v = np.zeros(robot.dof)
         """Reference (n,) [rad/s]."""
 
-    def begin(self, q: Array, v: Array, tau: Array) -> None:
-        """Start from finite posture, velocity and applied torque (n,)."""
+    def begin(self, q: Array, v: Array, tau: Array, anew: Array | bool | None = None) -> None:
+        """Start from finite posture, velocity and applied torque (n,).
+
+        With `anew` a stop under way goes on: at its deceleration, and from its own reference for the joints not `anew`.
+        """
         robot = self._robot
-        self._q_ref, self.v = q.copy(), np.clip(v, -robot.v_max, robot.v_max)
-        self._v_0 = self.v
-        self._r, self._slope = np.ones(robot.dof), np.zeros(robot.dof)
-        self._slope_max = self._largest_slope(self._q_ref, self._v_0)
+        under_way = 0.0 if anew is None else self._slope / np.maximum(self._r, _LEAST_R)
+        self._q_ref = q.copy() if anew is None else np.where(anew, q, self._q_ref)
+        self._v_0 = self.v = np.clip(v, -robot.v_max, robot.v_max)
+        self._r, self._slope_max = np.ones(robot.dof), self._largest_slope(self._q_ref, self._v_0)
+        # Where the ramp would end beyond a position limit, the deceleration begins in full.
+        room = np.where(self.v > 0.0, self._limits[1] - q, q - self._limits[0])
+        close = np.abs(self.v) * (0.5 / self._slope_max + 0.5 * _RAMP_S) > room
+        self._slope = np.where(close, self._slope_max, np.minimum(under_way, self._slope_max))
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
 
     def rest(self, q: Array, v: Array) -> Array:

@@ -216,10 +216,11 @@ class ControlStack[P: Plant]:
             raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
         if self.stopping:  # others would bring them back to where they were at the switch
             raise ControllerSwitchError("under_way", "the arms are being stopped", remedy="switch once they rest")
-        if self.manager.active in (OBJECT_CONTROLLERS, _STOPPING) or any(
-            h.name in self.manager.active for h in self.hands
-        ):
-            self.arbiter.stand(self.plant.q)
+        active = self.manager.active
+        if active in (OBJECT_CONTROLLERS, _STOPPING) or any(hand.name in active for hand in self.hands):
+            kept = {arm for name in set(names) & set(active) for arm in self.manager[name].arms}
+            stays = np.repeat([arm in kept for arm in (0, 1)], self._robot.dof_per_arm)
+            self.arbiter.stand(np.where(stays, self.output.q_target, self.plant.q))
         self.manager.switch(names, self.plant.q, slower(self.plant.v, self._v))
         self._due = True
 
@@ -395,7 +396,7 @@ class ControlStack[P: Plant]:
         """Return the posture (n,) without the sag of resting arms under a load, or None; at q they would sag again."""
         reference = self.manager.reference
         sag, still = np.abs(reference - q).max(), np.abs(v).max() < self._config.still_speed_rad_s
-        if not (still and _SAG_MIN_RAD <= sag <= _SAG_MAX_RAD):
+        if self.manager.active == _STOPPING or not (still and _SAG_MIN_RAD <= sag <= _SAG_MAX_RAD):
             return None
         held, wanted = q.copy(), [T[2, 3] for T in self.kinematics.tcp_poses(reference)]
         for arm, T in enumerate(self.kinematics.tcp_poses(q)):
@@ -471,9 +472,14 @@ class ControlStack[P: Plant]:
             self._attempt(partial(self._hand_down, error.reflex.name in _BEARING), None)
             self._attempt(lambda: self.request(HOLD), None)
             return error.tau, error
+        except Exception as error:  # the supervisor's own: the next tick stops for it
+            self._failed = error
+            return self.applied, None
 
     def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
         if self.plant.health:
+            if self.supervisor is not None:  # brakes of its own may hold the arms: the stop goes on from where they are
+                self.supervisor.brake_anew(self.applied)
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
         age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._age_max_s
         if not -limit_s <= age_s <= limit_s:

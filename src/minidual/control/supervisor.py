@@ -136,7 +136,7 @@ class Supervisor:
     def brake_anew(self, tau: Array) -> None:
         """Let a latched stop begin again where the arms are, from applied torques tau (n,) [Nm]."""
         if self.reflex is not None:
-            self._stop.begin(self._sense.q, self._sense.v_slower, tau)
+            self._stop.begin(self._sense.q, self._sense.v_slower, tau, True)
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`; a `reset` without torques forgets it."""
@@ -234,7 +234,8 @@ class Supervisor:
             self._q[:], self._v[:] = q, v
         self._sense.update(self._q, self._v, self._stop.tau, newer_s)
         if (back := self._sense.returned).any():  # where the arms are now, which the model alone did not know
-            self._stop.begin(self._sense.q, np.where(back, self._sense.v_slower, self._stop.v), self._stop.tau)
+            v = np.where(back, self._sense.v_slower, self._stop.v)
+            self._stop.begin(self._sense.q, v, self._stop.tau, back)
         return self._stop.torque(self._sense.q, self._sense.v)
 
     def _before_control(self, q: Array) -> Array:

@@ -42,9 +42,7 @@ class KeyboardLeader(Leader):
     def __init__(self, kinematics: Kinematics, *, descriptor: int = 0) -> None:
         if not os.isatty(descriptor):
             missing = "the keyboard leader needs a terminal, and standard input is not one"
-            remedy = (
-                "run it in an interactive terminal, or let the scripted operator lead: --set teleop.leader=scripted"
-            )
+            remedy = "run it in a terminal, or let the scripted operator lead: --set teleop.leader=scripted"
             raise EnvironmentMissingError(missing, remedy=remedy)
         self._fd = descriptor
         self._saved = termios.tcgetattr(self._fd)

@@ -164,7 +164,7 @@ class TeleopSession:
                 ended_by = "reflex"
                 break
         while stack.stopping:
-            stack.advance()
+            stack.step()
             judge.observe(world)
         reflex = "" if stack.reflex is None else stack.reflex.message
         return SessionResult(np.array(measured), judge.outcome(world), latencies, stack.refusals, ended_by, reflex)

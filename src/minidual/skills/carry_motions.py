@@ -16,7 +16,7 @@ import numpy as np
 
 from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.impedance import SQUEEZE_CEILING_N, HeldObject, ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance import SQUEEZE_MAX_N, HeldObject, ObjectPath, ObjectState, Waypoint
 from minidual.control.impedance_controllers import SLOW_AT, SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
 from minidual.motion.ik import PoseUnreachableError, posture_at
@@ -132,7 +132,7 @@ def held_motion(
     """
     ramp_s = max(PHASES[phase].force_s, squeeze_n / SQUEEZE_RATE_N_PER_S)
     if phase == "squeeze":
-        most = min(_TESTED, SQUEEZE_CEILING_N / max(squeeze_n, 1.0))
+        most = min(_TESTED, SQUEEZE_MAX_N / max(squeeze_n, 1.0))
         duration_s = (2.0 * most - 1.0) * ramp_s + PHASES["settle"].force_s
         motion = HeldMotion(path, T_level_object, -duration_s, duration_s)
         return motion, lambda t_s: squeeze_n * min(t_s / ramp_s, max(1.0, 2.0 * most - t_s / ramp_s))

@@ -72,9 +72,7 @@ class PlannedCarry(Drive):
             self._touch = None
         if self._touch is not None and not self.stack.stopping:
             touch, self._touch = self._touch, None
-            with suppress(
-                MinidualError, np.linalg.LinAlgError
-            ):  # moving, not measured, or without a plan: it stays aborted
+            with suppress(MinidualError, np.linalg.LinAlgError):  # moving, unmeasured or unplanned: it stays aborted
                 self._grasp_again(*touch)
 
     def _tell_held(self, segment: Segment) -> None:

@@ -94,12 +94,11 @@ def run(context: StageContext) -> StageResult:
             checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
             checks += condition_checks(cells, methods, tuple(trials_n), prefix)
             data[task] = benchmark.benchmark_data(cells, trials, seed)
-            if failed := benchmark.first_failures(trials):
+            if lost := benchmark.first_failures(trials):
                 name = f"failures-{task}.png"
                 captions[name] = f"{task}: failed trials, the first of each kind"
-                draw_failures(
-                    [(given, benchmark.draw_under(given, t.condition)(t.index), t) for t in failed], folder / name
-                )
+                drawn = [(given, benchmark.draw_under(given, t.condition)(t.index), t) for t in lost]
+                draw_failures(drawn, folder / name)
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
             tables["conditions"] += [{"task": task, **c.row()} for c in cells]

@@ -18,10 +18,7 @@ from minidual.policies.policy import exercise_checkpoint
 from minidual.robot.pair import GRIPPERS_N, robot_from
 from minidual.stages.words import worded
 
-_SIZES = {
-    "plan": ("queries_n", "second_queries_n", "held", "time_median_max_s", "time_p99_max_s"),
-    "carry": ("trials_n",),
-}
+_FEW = {"plan": ("queries_n", "second_queries_n", "held", "time_median_max_s", "time_p99_max_s"), "carry": ["trials_n"]}
 """Taken from `smoke`, which limits no planning time."""
 
 
@@ -61,7 +58,7 @@ def doctor(context: ToolContext) -> ToolResult:
 def stage(name: str, context: ToolContext) -> Examination:
     """Run a stage with the run's settings, as many queries and trials as `smoke`, and no limit on planning times."""
     small, config, entry = load_config("smoke").config, context.config, context.gate.table[name]
-    for part, names in _SIZES.items():
+    for part, names in _FEW.items():
         sized = getattr(config, part).model_copy(update={size: getattr(getattr(small, part), size) for size in names})
         config = config.model_copy(update={part: sized})
     (folder := context.output / name).mkdir()

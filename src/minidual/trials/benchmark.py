@@ -255,9 +255,7 @@ def limits_of(config: Config, task: str, method: str, name: str) -> str:
     if method == "impedance" and task == "rod_carry" and CONDITIONS[name].promised:
         return f"{100 * DISTURBED_RATE_MIN:.0f} % or more (carry --perturb)"
     asked = config.deploy.condition_rate_min.get(name)
-    return (
-        f"{100 * asked:.0f} % or more (deploy)" if method == "act" and task == config.task and asked is not None else ""
-    )
+    return f"{100 * asked:.0f} % or more (deploy)" if asked and method == "act" and task == config.task else ""
 
 
 def robustness(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], rate_min: float) -> list[Robustness]:

@@ -1,6 +1,7 @@
 """Demonstration: planner, leader and policy drive one plant in turn, measured at every control step."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -101,12 +102,15 @@ class ModesDemo:
         try:
             for turn in self._turns:
                 yield from self._drive(turn)
-        except (SwitchError, ReflexError, DataError) as error:
+        except Exception as error:
             self.ended = str(error)
             if self.stack.reflex is None and self.turn is not None:
                 self.stack.halt(self.turn.mode)
             while self.stack.stopping:
-                self.stack.step()
+                with suppress(ReflexError):  # the arms come to rest all the same
+                    self.stack.step()
+            if not isinstance(error, SwitchError | ReflexError | DataError):
+                raise
 
     def _drive(self, turn: Turn) -> Iterator[Turn]:
         stack, world = self.stack, self.stack.plant

@@ -33,7 +33,7 @@ OSCILLATION_MAX_M = 0.0003
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
-_FORCE_STEP_N, _STIFFNESS_STEP_N_PER_M = 0.5, 10.0
+_FORCE_STEP_N, _STEP_N_PER_M = 0.5, 10.0
 _SAFE_TORQUE = 0.95
 # The condition of success that the softest step may fail.
 _SQUEEZED = "squeezed"
@@ -133,9 +133,7 @@ class Tuner:
         # Rounded before the final carries, so that exactly the written values are tried.
         force = round(FORCE_FACTOR * least, 1)
 
-        last, _ = _bracket(
-            STIFFNESSES_N_PER_M, _STIFFNESS_STEP_N_PER_M, lambda k: not self._step("stiffness", force, k).steady
-        )
+        last, _ = _bracket(STIFFNESSES_N_PER_M, _STEP_N_PER_M, lambda k: not self._step("stiffness", force, k).steady)
         if last is None:
             row = self.steps[-1].row()
             found = f"{row['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz) {row['first_failure']}"

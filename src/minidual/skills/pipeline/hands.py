@@ -17,6 +17,7 @@ from minidual.robot.pair import SIDES, Array, group_of, pose
 from minidual.skills.phases import CLOSED, OPEN, PHASES, Segment, State, moved, still
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Tools, candidate_error
 
+Arms = tuple[str, ...]
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
 _SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
@@ -34,9 +35,7 @@ class Grip:
     cost: float = 0.0
 
 
-def reach(
-    arms: tuple[str, ...], grips: Sequence[Grip], about: Mapping[str, str], start: State, tools: Tools
-) -> Iterator[Offer]:
+def reach(arms: Arms, grips: Sequence[Grip], about: Mapping[str, str], start: State, tools: Tools) -> Iterator[Offer]:
     """Yield free motions of open hands to the approach height over every grip, of the objects in `about`, by arm."""
     _require_open_chain(start)
     start = replace(start, about={**start.about, **about})
@@ -60,14 +59,14 @@ def reach(
             yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))
 
 
-def descend(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+def descend(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
     """Yield the straight motion to the grasps."""
     targets = {arm: start.objects[start.object_of(arm)] @ start.reached[arm] for arm in arms}
     segment = straight(tools, "descend", start, targets, tools.scene(start, touching=arms))
     yield Candidate("", 0.0, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
-def close(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+def close(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
     """Close the hands; from then on they hold the object."""
     held = {**start.held_by, **{arm: start.reached[arm] for arm in arms}}
     left = {arm: T for arm, T in start.reached.items() if arm not in arms}
@@ -78,9 +77,7 @@ def close(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
     yield Candidate("", 0.0, end, (closing, felt))
 
 
-def insert(
-    arms: tuple[str, ...], way: Sequence[Array], what: str, into: str, start: State, tools: Tools
-) -> Iterator[Offer]:
+def insert(arms: Arms, way: Sequence[Array], what: str, into: str, start: State, tools: Tools) -> Iterator[Offer]:
     """A held object touches another one, searches across its y axis, and goes in; `by_force` without search."""
     scene = tools.scene(start).allowing(what, into, "one goes into the other")
     state, segments, (touch, end) = start, list[Segment](), way
@@ -99,7 +96,7 @@ def _spiral(T: Array) -> Iterator[Array]:
         yield T @ pose(np.eye(3), (radius_m * np.cos(angle), 0.0, radius_m * np.sin(angle)))
 
 
-def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+def open_hands(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
     """Open hands; the object stays in place or with the other hand. `by_force` lowers it first."""
     if missing := [arm for arm in arms if arm not in start.held_by]:
         raise CandidateError("not_held", f"the {missing[0]} hand holds nothing to let go")
@@ -122,7 +119,7 @@ def open_hands(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Of
     yield Candidate("", 0.0, end, (*down, settle, opens))
 
 
-def retreat(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+def retreat(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
     """Yield straight motions away from the released object."""
     scene = tools.scene(start, touching=arms)
     tips = {arm: T for arm, T in zip(SIDES, tools.planner.kinematics.tcp_poses(start.q), strict=True) if arm in arms}
@@ -138,7 +135,7 @@ def retreat(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer
         yield Candidate(label, 1.0 - share, replace(start, q=segment.trajectory.q[-1]), (segment,))
 
 
-def home(arms: tuple[str, ...], start: State, tools: Tools) -> Iterator[Offer]:
+def home(arms: Arms, start: State, tools: Tools) -> Iterator[Offer]:
     """Yield the free motion of some arms, and what they hold, home."""
     _require_open_chain(start)
     scene, group, robot = tools.scene(start), group_of(arms), tools.planner.robot
