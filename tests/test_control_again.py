@@ -140,6 +140,26 @@ def test_arms_that_the_plants_own_brakes_held_stay_when_these_open(scene: SceneC
     assert way(plant, stack, lambda k: None) < 0.002
 
 
+def test_arms_that_a_plant_only_calls_ill_hold_what_they_bear(scene: SceneConfig) -> None:
+    """Negative control: a stop that begins anew in every tick would only damp them, and they would sink."""
+    sunk_m = []
+    for health in ("", "too warm"):
+        plant = Arms(scene)
+        stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
+        assert stack.supervisor is not None
+        run(stack, 200)
+        stack.supervisor.estop()
+        run(stack, 100)
+        push, began_m = pressed(plant, 6.0), height_m(plant)
+        for k in range(3000):
+            plant.health = health if k < 2000 else ""
+            push(k)
+            run(stack, 1)
+        sunk_m.append(began_m - height_m(plant))
+    assert sunk_m[1] == pytest.approx(sunk_m[0], abs=0.01)
+    assert sunk_m[0] < 0.03
+
+
 @pytest.mark.parametrize("answer", [None, ("a", None), ("a", 1.0, 2.0)])
 def test_a_monitor_with_a_wrong_answer_is_a_named_stop_with_a_torque_in_every_tick(
     scene: SceneConfig, answer: Any

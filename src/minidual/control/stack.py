@@ -218,9 +218,8 @@ class ControlStack[P: Plant]:
             raise ControllerSwitchError("under_way", "the arms are being stopped", remedy="switch once they rest")
         active = self.manager.active
         if active in (OBJECT_CONTROLLERS, _STOPPING) or any(hand.name in active for hand in self.hands):
-            kept = {arm for name in set(names) & set(active) for arm in self.manager[name].arms}
-            stays = np.repeat([arm in kept for arm in (0, 1)], self._robot.dof_per_arm)
-            self.arbiter.stand(np.where(stays, self.output.q_target, self.plant.q))
+            kept = [any(arm in self.manager[name].arms for name in set(names) & set(active)) for arm in (0, 1)]
+            self.arbiter.stand(np.where(np.repeat(kept, self._robot.dof_per_arm), self.output.q_target, self.plant.q))
         self.manager.switch(names, self.plant.q, slower(self.plant.v, self._v))
         self._due = True
 
@@ -478,8 +477,8 @@ class ControlStack[P: Plant]:
 
     def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
         if self.plant.health:
-            if self.supervisor is not None:  # brakes of its own may hold the arms: the stop goes on from where they are
-                self.supervisor.brake_anew(self.applied)
+            if self.supervisor is not None:
+                self.supervisor.brake_anew(self.applied, arrested=True)
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
         age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._age_max_s
         if not -limit_s <= age_s <= limit_s:

@@ -133,10 +133,14 @@ class Supervisor:
             self._trip("controller_failed", why, 1.0, None)
         return self._stopping(q, v, stamp_s)
 
-    def brake_anew(self, tau: Array) -> None:
-        """Let a latched stop begin again where the arms are, from applied torques tau (n,) [Nm]."""
-        if self.reflex is not None:
-            self._stop.begin(self._sense.q, self._sense.v_slower, tau, True)
+    def brake_anew(self, tau: Array, *, arrested: bool = False) -> None:
+        """Let a latched stop begin again where the arms are, from applied torques tau (n,) [Nm].
+
+        `arrested`: only while they are 0.05 rad/s slower than the stop, as by brakes of their own.
+        """
+        v = self._sense.v_slower
+        if self.reflex is not None and not (arrested and np.abs(self._stop.v).max() < np.abs(v).max() + 0.05):
+            self._stop.begin(self._sense.q, v, tau, True)
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`; a `reset` without torques forgets it."""
