@@ -34,17 +34,22 @@ from minidual.skills.pipeline.drive import Drive
 STRIDE = HOME + np.eye(14)[0] * 0.9 + np.eye(14)[7] * 0.9
 
 
+def in_a_second(plant: Arms, stack: ControlStack) -> float:
+    """Return the largest speed in a second of sound packets."""
+    fastest = 0.0
+    for _ in range(round(1.0 / plant.dt)):
+        run(stack, 1)
+        fastest = max(fastest, float(np.abs(plant.__dict__["v"]).max()))
+    return fastest
+
+
 def after_one_lie(plant: Arms, stack: ControlStack, **lies: Any) -> tuple[float, Array]:
     """Return the largest speed in a second after one packet of lies, and where the arms were."""
     was = plant.__dict__["q"].copy()
     plant.lies.update(lies)
     assert run(stack, 1) == ["implausible_measurement"]
     plant.lies.clear()
-    fastest = 0.0
-    for _ in range(round(1.0 / plant.dt)):
-        run(stack, 1)
-        fastest = max(fastest, float(np.abs(plant.__dict__["v"]).max()))
-    return fastest, was
+    return in_a_second(plant, stack), was
 
 
 @pytest.mark.parametrize("dv", [0.5, 1.0, 2.0, 2.4])
@@ -258,10 +263,7 @@ def test_a_joint_that_comes_back_starts_no_stop_of_the_others_anew(scene: SceneC
     plant.lies.update(q=lambda q: q + 0.5 * lie, v=lambda v: v + 1000.0 * lie + dv * np.eye(14)[1])
     assert len(run(stack, 1)) == 1
     plant.lies.clear()
-    fastest = 0.0
-    for _ in range(1000):
-        run(stack, 1)
-        fastest = max(fastest, float(np.abs(plant.v).max()))
+    fastest = in_a_second(plant, stack)
     assert fastest < 0.12
     assert np.abs(plant.q - HOME).max() < 0.01
 
@@ -280,10 +282,7 @@ def test_the_first_packet_after_an_outage_is_not_believed_alone(scene: SceneConf
     plant.lies.update(q=off_by(1, dq), v=off_by(1, dv))
     run(stack, 1)
     plant.lies.clear()
-    fastest = 0.0
-    for _ in range(1000):
-        run(stack, 1)
-        fastest = max(fastest, float(np.abs(plant.v).max()))
+    fastest = in_a_second(plant, stack)
     assert fastest < 0.1
     assert np.abs(plant.q - HOME).max() < 0.01
 

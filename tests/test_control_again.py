@@ -8,17 +8,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carry_trials import carry_task, sample_trial
 from panda import A_MAX, HOME, Q_UPPER, V_MAX
 from test_control_controllers import hand_over, move, stack_on, trajectory
 from test_control_driver import Arms
 from test_control_lies import OPEN, run, supervised
 
 from minidual.config.control import ArbiterConfig, SupervisorConfig
+from minidual.config.learning import TeleopConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
+from minidual.demos.leader import ScriptedLeader
+from minidual.demos.session import TeleopSession, Tick
+from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.skills.operator import ScriptedOperator
 from minidual.trials.modes import ModesDemo
 from minidual.trials.modes_turns import SwitchError, Turn
 
@@ -200,6 +206,26 @@ def test_a_demonstration_of_modes_ends_with_arms_at_rest(scene: SceneConfig, err
     assert demo.ended == str(error)
     assert np.abs(plant.__dict__["v"]).max() < 0.05
     assert (stack.reflex is not None) is blind
+
+
+@pytest.mark.parametrize("when", [45, 60])
+def test_a_halt_in_a_teleoperated_episode_ends_it_as_stopped(scene: SceneConfig, when: int) -> None:
+    """Before, `stale_command` was raised 0.1 s later, in place of the result."""
+    config, world = TeleopConfig(), World(scene)
+    stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz, supervisor=Supervisor(dt_s=world.dt))
+    trial, fastest = sample_trial(scene, 7, "demonstrations", 0, widen=1.3), list[float]()
+
+    def on_tick(_: Tick) -> None:
+        fastest.append(float(np.abs(world.v).max()))
+        if len(fastest) == when:
+            stack.halt("teleop")
+
+    leader = ScriptedLeader(ScriptedOperator(scene).plan(trial, seed=7))
+    result = TeleopSession(stack, config).run(carry_task(scene), trial, leader, on_tick=on_tick)
+    assert fastest[when - 1] > 0.8
+    assert result.ended_by == "stopped"
+    assert stack.reflex is None
+    assert np.abs(world.v).max() < 0.05
 
 
 def test_a_repeated_request_of_who_drives_takes_back_no_hold(scene: SceneConfig) -> None:
