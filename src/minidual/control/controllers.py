@@ -89,7 +89,7 @@ class Payload:
         if not (learn or any(self.force_n + self._wanted_n)):
             return None
         self._hands.update(q)
-        tau, wanted_n = np.zeros_like(q), self._wanted_n
+        tau, wanted_n = np.zeros(len(q)), self._wanted_n
         step_n = _RAMP_N_PER_S * self._dt * (1 if learn else EVERY)
         for arm in arms:
             joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
@@ -131,6 +131,10 @@ class Controller(ABC):
     @abstractmethod
     def activate(self, q: Array, v: Array) -> None:
         """Take over smoothly at measured q, v (n,)."""
+
+    def regain(self, arms: Sequence[int], q: Array, v: Array) -> None:
+        """Take over again where power has returned to some arms."""
+        self.activate(q, v)
 
     def follow(self, output: ArbiterOutput) -> None:  # noqa: B027 - a controller may follow nothing
         """Receive the arbiter's output."""

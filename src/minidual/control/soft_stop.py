@@ -63,7 +63,7 @@ class SoftStop:
 
     def __init__(self, q: Array, v: Array, most: Array, limits: Array | None = None, *, together: bool = True) -> None:
         self._q, self._v, times_s = q.copy(), v.copy(), (1.5 * np.abs(v) / most).reshape(len(SIDES), -1)
-        self.duration_s = max(_STOP_LEAST_S, float(times_s.max()))
+        self.duration_s, self._from_s = max(_STOP_LEAST_S, float(times_s.max())), np.zeros_like(v)
         arms_s = np.maximum(_STOP_LEAST_S, times_s.max(axis=1))
         self._times_s = np.full(len(v), self.duration_s) if together else np.repeat(arms_s, times_s.shape[1])
         if limits is not None:  # it goes on by v_0 T / 2
@@ -71,9 +71,15 @@ class SoftStop:
             own_s = np.maximum(np.maximum(STOP_SHARE * times_s.ravel(), least_s), 0.01)
             self._times_s = np.where(self._times_s > least_s, np.minimum(own_s, self._times_s), self._times_s)
 
+    def renew(self, joints: slice, t_s: float, anew: "SoftStop") -> None:
+        """Move these joints as another stop does that begins at time t."""
+        for name in ("_q", "_v", "_times_s"):
+            getattr(self, name)[joints] = getattr(anew, name)[joints]
+        self._from_s[joints] = t_s
+
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
         """Return (q, v, a) at time t; at rest from `duration_s` on."""
-        s = np.clip(t_s / self._times_s, 0.0, 1.0)
+        s = np.clip((t_s - self._from_s) / self._times_s, 0.0, 1.0)
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3
         slope = -6.0 * s + 6.0 * s * s
@@ -92,10 +98,16 @@ class SoftStopController(Controller):
 
     def activate(self, q: Array, v: Array) -> None:
         """Start stopping from the measurement."""
-        both = all(self._payload.closed)
-        limits = np.array([self._robot.q_lower, self._robot.q_upper])
-        self._motion, self._steps = SoftStop(q, v, STOP_SHARE * self._robot.a_max, limits, together=both), 0
-        self.reference = np.array(q, dtype=float)
+        self._motion, self._steps, self.reference = self._stop(q, v), 0, np.array(q, dtype=float)
+
+    def regain(self, arms: Sequence[int], q: Array, v: Array) -> None:
+        """See `Controller`; the other arm goes on braking."""
+        for arm in arms:
+            self._motion.renew(self._robot.joints_of(arm), self._steps * self._dt, self._stop(q, v))
+
+    def _stop(self, q: Array, v: Array) -> SoftStop:
+        limits, both = np.array([self._robot.q_lower, self._robot.q_upper]), all(self._payload.closed)
+        return SoftStop(q, v, STOP_SHARE * self._robot.a_max, limits, together=both)
 
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""

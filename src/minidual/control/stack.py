@@ -35,7 +35,7 @@ DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
-_STOP_MAX_S = 2.0
+_STOP_MAX_S, _REFUSALS_KEPT = 2.0, 1000
 _BEARING = "emergency_stop", "stale_command", "controller_failed"
 """Reflexes in which an external torque is a load: the arms are sound and touch nothing else."""
 _SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
@@ -128,8 +128,8 @@ class ControlStack[P: Plant]:
         for hand in self.hands:
             hand.law.held, hand.law.other = InHand(), None
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
-        self.refusals: list[Refusal] = []
-        """All since the reset."""
+        self.refusals, self.refused_n = list[Refusal](), 0
+        """The last of the refused_n since the reset: a source may be refused at its rate, for days."""
         self.applied = np.array(self.kinematics.gravity(q))
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
@@ -258,7 +258,7 @@ class ControlStack[P: Plant]:
             self._interrupt()
             self.arbiter.stand(self.plant.q)
             for name in self.manager.active:
-                self.manager[name].activate(self.plant.q, slower(self.plant.v, self._v))
+                self.manager[name].regain(sorted(returned), self.plant.q, slower(self.plant.v, self._v))
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""
@@ -289,6 +289,10 @@ class ControlStack[P: Plant]:
         self.request(HOLD)
 
     # State -----------------------------------------------------------------------------------------------
+
+    def refused_since(self, n: int) -> list[Refusal]:
+        """Return what was refused after the first n since the reset."""
+        return self.refusals[max(0, n - self.refused_n + len(self.refusals)) :]
 
     @property
     def source(self) -> str | None:
@@ -371,7 +375,8 @@ class ControlStack[P: Plant]:
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
         if output.refusals:
-            self.refusals.extend(output.refusals)
+            self.refused_n += len(output.refusals)
+            self.refusals = [*self.refusals, *output.refusals][-_REFUSALS_KEPT:]
         self._pending = False
         if plant.time > self._before[-1][0]:  # not where the clock stands, or jumped back
             self._before.append((plant.time, q))

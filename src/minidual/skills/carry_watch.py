@@ -88,7 +88,7 @@ class CarryWatch:
 
     def read(self) -> tuple[ObjectState, float]:
         """See `ObjectSensor`."""
-        return self.estimate, self._felt_n
+        return self.estimate if self._held is None else self._held.state, self._felt_n
 
     # Updates -----------------------------------------------------------------------------------------------
 

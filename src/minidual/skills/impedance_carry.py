@@ -278,10 +278,10 @@ class ImpedanceCarry:
 
     def _heed_arbiter(self) -> None:
         stack = self.stack
-        if (stack.output is self._heeded and len(stack.refusals) == self._refusals_seen) or self.done:
+        if (stack.output is self._heeded and stack.refused_n == self._refusals_seen) or self.done:
             return
         self._heeded = stack.output
-        news, self._refusals_seen = stack.refusals[self._refusals_seen :], len(stack.refusals)
+        news, self._refusals_seen = stack.refused_since(self._refusals_seen), stack.refused_n
         refused = next((r for r in news if r.source == SOURCE), None)
         if stack.output.halted:  # first: sources see a halt as a hold request
             self._note("interrupted", "the arms were halted")

@@ -49,7 +49,7 @@ def moveit(stack: ControlStack[World], planner: Planner, seed: int, *, home: boo
     groups = ("left_arm", "right_arm") if home else ("both_arms",)
 
     def drive() -> Steps:
-        before, planned_s, motions_s = len(stack.refusals), 0.0, list[float]()
+        before, planned_s, motions_s = stack.refused_n, 0.0, list[float]()
         for number, group in enumerate(groups, start=1):
             if home:  # the other arm is held in place
                 result = planner.plan_to_joints(group, world.q, robot.home[robot.groups[group]], seed=seed)
@@ -68,7 +68,7 @@ def moveit(stack: ControlStack[World], planner: Planner, seed: int, *, home: boo
                 if stack.tick_next:
                     stack.affirm("moveit")
                 yield
-                refusal = next((r for r in stack.refusals[before:] if r.source == "moveit"), None)
+                refusal = next((r for r in stack.refused_since(before) if r.source == "moveit"), None)
             if refusal is not None:
                 which = f"trajectory {number} of mode 'moveit' was refused at {world.time:.2f} s"
                 raise SwitchError(f"{which} ({refusal.name}): {refusal.detail}")

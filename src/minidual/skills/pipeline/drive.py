@@ -26,7 +26,7 @@ class Drive:
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
         self.stack = stack
         self.aborted: str | None = None
-        self._left, self._proposed, self._refused_n = list(segments), 0, len(stack.refusals)
+        self._left, self._proposed, self._refused_n = list(segments), 0, stack.refused_n
         self._began_s = self._ended_s = 0.0
         self._under_way = False
         if self._left:
@@ -65,7 +65,7 @@ class Drive:
             self._abort("the arms were taken over" if self._proposed else "the arms were not handed over")
 
     def _propose_next(self) -> None:
-        refused = next((r for r in self.stack.refusals[self._refused_n :] if r.source == SOURCE), None)
+        refused = next((r for r in self.stack.refused_since(self._refused_n) if r.source == SOURCE), None)
         if refused is None:
             if self._under_way:
                 self._left.pop(0)
