@@ -14,7 +14,7 @@ import numpy as np
 from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE
 from minidual.control.impedance import SQUEEZE_MAX_N, ObjectState
-from minidual.control.kernels import near, within
+from minidual.control.kernels import adopt, within
 from minidual.control.mailbox import OBJECT_MAX, own_columns
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array, Robot
@@ -152,20 +152,22 @@ class ObjectExecution(_Execution[ObjectCommand]):
         super().__init__(command, dt_s)
         self._at, self._squeeze_n = command.motion.at, command.squeeze_n
         self._most = np.array([_TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s, *OBJECT_MAX])
-        self.desired, self.squeeze_n = self._at(0.0).copied(), self._squeeze_n(0.0)
+        self.desired = self._own = self._at(0.0).copied()  # overwritten in each step
+        self.squeeze_n = self._squeeze_n(0.0)
 
     def step(self) -> None:
         """Advance one control step; the squeeze follows path time."""
         super().step()
-        state, squeeze_n = self._at(self._t_s).copied(), self._squeeze_n(self._t_s)
-        if not near(state.T_world_object, self.desired.T_world_object, state.twist, state.acceleration, self._most):
-            fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
-            raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
+        squeeze_n = self._squeeze_n(self._t_s)
         if not -1e-6 <= squeeze_n <= SQUEEZE_MAX_N + 1e-6:
             raise UsageError(f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_MAX_N} N")
-        self.desired, self.squeeze_n = state, squeeze_n
+        if not adopt(*self._at(self._t_s), self._most, *self._own):
+            fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
+            raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
+        self.squeeze_n = squeeze_n
         if self._paced:
-            self.desired = ObjectState(state.T_world_object, *self._slowed(state.twist, state.acceleration))
+            T, twist, acceleration = self._own
+            self.desired = ObjectState(T, *self._slowed(twist, acceleration))
 
 
 Execution = TrajectoryExecution | ObjectExecution

@@ -21,10 +21,10 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import ComputedTorque, motor_torque
-from minidual.control.kernels import HAND_LAW, LAW, approach, follow, hand_impedance, impedance, on_path
+from minidual.control.kernels import HAND_LAW, LAW, approach, follow, from_hand, hand_impedance, impedance, on_path
 from minidual.errors import DataError, MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import SIDES, Array, inverse, pose
+from minidual.robot.pair import SIDES, Array, inverse
 
 SQUEEZE_MAX_N = 80.0
 """Highest internal force."""
@@ -201,7 +201,7 @@ class HandImpedance(ComputedTorque):
     def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, load: Array | None = None) -> Array:
         """See `ComputedTorque`; of its own arm, or raise SingularPostureError."""
         T_ref = self._wanted(q, q_ref)
-        qdd, push = a_ref.copy(), np.zeros_like(q) if load is None else load.copy()
+        qdd, push = a_ref.copy(), np.zeros(len(q)) if load is None else load.copy()
         of_hand = self._law, self._hands.views, self._arm, T_ref
         if not hand_impedance(*of_hand, q, v, q_ref, v_ref, self._learnt, qdd, push):
             raise lost_direction(self._arm)
@@ -209,13 +209,15 @@ class HandImpedance(ComputedTorque):
 
     def _wanted(self, q: Array, q_ref: Array) -> Array:
         """Return the object's pose (4, 4) that the reference asks for, and update the hands."""
-        tips, hands, away = self._kinematics.tcp_poses(q_ref), self._hands, 1 - self._arm
-        T = tips[self._arm] @ self._held.T_tcp_planned
+        hands, away, T, T_away = self._hands, 1 - self._arm, np.empty((4, 4)), np.empty((4, 4))
+        hands.place(q_ref)
+        from_hand(hands.views, self._arm, self._held.T_tcp_planned, _AT_TCP, False, T)
+        if self._other is not None:
+            from_hand(hands.views, away, self._other.T_tcp_planned, T, True, T_away)
         hands.update(q)
-        if self._other is None:
-            return T
-        T_other = pose(hands.R[away], hands.p[away]) @ self._other.T_tcp_object
-        return T_other @ inverse(tips[away] @ self._other.T_tcp_planned) @ T
+        if self._other is not None:
+            from_hand(hands.views, away, self._other.T_tcp_object, T_away, False, T)
+        return T
 
     def _placed(self, q: Array) -> tuple[Array, Array]:
         """Return the object's pose (4, 4) and the Jacobian (6, n) at the centre of compliance."""

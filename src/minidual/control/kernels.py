@@ -284,6 +284,23 @@ def hand_impedance(
     return least_norm(J_hand, lacking, qdd[own])
 
 
+@kernel(types.void(_HANDS, types.intp, _POSE, _POSE, types.boolean, ROWS))
+def from_hand(hands: Placed, arm: int, X: Array, T: Array, back: bool, out: Array) -> None:
+    """Fill `out` (4, 4) with H T, or H^-1 T if `back`, of the frame H at X in a hand."""
+    R_tcp, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
+    R, p = np.empty((3, 3)), plus(three(p_tcp, 0), apply(R_tcp, X[:3, 3]))
+    for i in range(3):
+        for k in range(3):
+            R[i, k] = inner(R_tcp[i], X[:3, k])
+    for k in range(4):
+        x = three(T[:, k], 0)
+        if back:
+            out[:3, k] = apply(R.T, minus(x, times(T[3, k], p)))
+        else:
+            out[:3, k] = plus(apply(R, x), times(T[3, k], p))
+    out[3] = T[3]
+
+
 @njit
 def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
     """Return the velocity (linear, angular) of a hand at p."""
@@ -384,20 +401,23 @@ def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion:
         motion[0, axis], motion[1, axis] = ds / span * way, dds / span**2 * way
 
 
-@kernel(types.boolean(_POSE, _POSE, *[VIEW] * 3))
-def near(T: Array, T_other: Array, twist: Array, acceleration: Array, most: Array) -> bool:
-    """Return whether a pose is near another, and its motion within bounds; false for NaN.
+@kernel(types.boolean(_POSE, VIEW, VIEW, VIEW, ROWS, VECTOR, VECTOR))
+def adopt(
+    T: Array, twist: Array, acceleration: Array, most: Array, T_own: Array, twist_own: Array, a_own: Array
+) -> bool:
+    """Copy a pose and its motion, if the pose is near the last one and the motion within bounds; else, or for NaN, return false.
 
     most (6,): difference of rotations' entries and of positions', speed, rate of turning, and their accelerations.
     """
     for i in range(3):
         for k in range(4):
-            if not abs(T[i, k] - T_other[i, k]) <= (most[1] if k == 3 else most[0]):
+            if not abs(T[i, k] - T_own[i, k]) <= (most[1] if k == 3 else most[0]):
                 return False
     for i in range(4):
         x = three(twist if i < 2 else acceleration, 3 * (i % 2))
         if not inner(x, x) <= most[2 + i] ** 2:
             return False
+    T_own[:3], twist_own[:], a_own[:] = T[:3], twist, acceleration
     return True
 
 

@@ -104,7 +104,8 @@ class World:
     @property
     def gaps_m(self) -> tuple[float, ...]:
         """Between each hand's fingers [m]."""
-        return tuple((2.0 * self.fingers).tolist())
+        a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
+        return a + b, c + d
 
     @property
     def grip(self) -> Array:

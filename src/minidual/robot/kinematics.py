@@ -259,6 +259,14 @@ class Hands:
             updateFramePlacement(kinematics.model, self._data, frame)
         kinematics.placed = placed
 
+    def place(self, q: Array) -> None:
+        """Update positions and orientations alone."""
+        kinematics = self._kinematics
+        kinematics.placed = b""
+        pin.forwardKinematics(kinematics.model, self._data, q)
+        for frame in kinematics.tcp_ids:
+            updateFramePlacement(kinematics.model, self._data, frame)
+
     def rise(self, arm: int) -> Array:
         """Return how far a tip rises (m,) [m/rad] with each joint of its arm."""
         J, (x, y, _) = self.J[:, self._kinematics.robot.joints_of(arm)], self.p[arm]
