@@ -157,8 +157,7 @@ class Tuner:
         remedy = "carry more slowly: lower carry.pace.object_speed_m_per_s"
         what = f"the softest carry ({stiffness_n_per_m:.0f} N/m, {force_n:.0f} N)"
         if not (ratio := step.worst("torque_ratio_max")) < _SAFE_TORQUE:
-            share = f"{100 * ratio:.0f} %"
-            raise TuningError(f"{what} already takes {share} of a motor's torque", remedy=remedy)
+            raise TuningError(f"{what} already takes {100 * ratio:.0f} % of a motor's torque", remedy=remedy)
         if failed := [c for c in step.carries if not c.success and c.failure != _SQUEEZED]:
             raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
 
@@ -174,17 +173,15 @@ class Tuner:
         return step
 
 
-def _bracket(
-    ladder: Sequence[float], tolerance: float, stops: Callable[[float], bool]
-) -> tuple[float | None, float | None]:
+def _bracket(ladder: Sequence[float], step: float, stops: Callable[[float], bool]) -> tuple[float | None, float | None]:
     """Return the last value for which `stops` is false and the first for which it is true, or None.
 
-    Tries `ladder` in order, then bisects to `tolerance`.
+    Tries `ladder` in order, then bisects to `step`.
     """
     first = next((k for k, value in enumerate(ladder) if stops(value)), len(ladder))
     low = ladder[first - 1] if first else None
     high = ladder[first] if first < len(ladder) else None
-    while low is not None and high is not None and high - low > tolerance:
+    while low is not None and high is not None and high - low > step:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if stops(middle) else (middle, high)
     return low, high
