@@ -108,9 +108,7 @@ def policy(inputs: MethodInputs) -> Factory:
     camera = functools.cache(lambda model: Camera.recorded(model, config.scene.camera))
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
-        picture = lambda name: (camera(world.model).picture(world.data, name), world.time)  # noqa: E731
-        rate_hz = config.teleop.rate_hz
-        stack = ControlStack(world, kinematics, config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
-        return PolicyPilot(stack, runtime, picture)
+        stack = ControlStack(world, kinematics, config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
+        return PolicyPilot(stack, runtime, lambda name: (camera(world.model).picture(world.data, name), world.time))
 
     return make
