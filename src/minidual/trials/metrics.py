@@ -154,9 +154,8 @@ def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **kn
     unfinished = Failure("unfinished", outcome.duration_s, "the object was never released at rest")
     first = min(outcome.failures, key=lambda failure: failure.at_s, default=unfinished)
     cause = Failure("", math.nan, "") if outcome.success else first
-    ended = outcome.success, cause.name, cause.detail, cause.at_s
     return TrialMetrics(
-        *(method, index, "clean", *ended),
+        *(method, index, "clean", outcome.success, cause.name, cause.detail, cause.at_s),
         duration_s=outcome.duration_s if outcome.success else math.nan,
         jerk_rms=jerk(log.q, CUTOFF_HZ),
         path_length_m=float(path_length(log.tcp).mean()),

@@ -81,8 +81,7 @@ class Bench:
         carry = self.task.config.carry
         details = {"method": self.method, "purpose": trial.purpose, "trial": trial.index, "success": result.success}
         details |= {"task": self.task.name, "object": carry.object, "motion": carry.motion}
-        reason = f"{self.method}, trial {trial.index}: {result.text}"
-        write_recording(path, recorder.recording(reason, details=details))
+        write_recording(path, recorder.recording(f"{self.method}, trial {trial.index}: {result.text}", details=details))
         return result, log
 
     def _run(self, trial: Trial, disturb: Disturbance | None, on_step: StepHook) -> Judged:
