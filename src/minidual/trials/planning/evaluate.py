@@ -128,8 +128,7 @@ def run_queries(
         for index in range(queries_n):
             outcome = plan_query(planner, source(group, index))
             if outcome.result is not None:
-                verifier = planner.engines(outcome.query.scene)
-                outcome = replace(outcome, audit=verifier.audit(outcome.result.trajectory))
+                outcome = replace(outcome, audit=planner.engines(outcome.query.scene).audit(outcome.result.trajectory))
             done.append(outcome)
             on_query(outcome)
     return outcomes
@@ -188,12 +187,11 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
     At the samples (1 kHz): each hand relative to its grasp and to the other; between samples: relative to the other.
     """
     hands = HandsIK(query.grasps, kinematics.robot)
-    at_samples = hands.strays(plan.q, plan.Ts_world_object)
     between, _, _ = plan.sample_many(plan.times[:-1] + 0.5 * plan.dt_s)
     T_tcp_object = inverse(query.grasps[0])
     # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
-    return tuple(np.max([at_samples, hands.strays(between, objects)], axis=0).tolist())
+    return tuple(np.max([hands.strays(plan.q, plan.Ts_world_object), hands.strays(between, objects)], axis=0).tolist())
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
@@ -225,8 +223,7 @@ def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], lis
     """Return plans of the moves to be driven, from the table, and a line for each failure."""
     planner = HeldPlanner(_planner(config))
     generator = HeldMoveGenerator(seed, config.scene, planner.planner.robot, from_table=True)
-    moves = range(config.plan.held.executed_n)
-    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in moves]
+    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in range(config.plan.held.executed_n)]
     failures = [f"held move {k} off the table cannot be driven: {t.message}" for k, t in enumerate(tried) if not t.ok]
     return [t.result for t in tried if t.result is not None], failures
 

@@ -160,13 +160,12 @@ def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
     mine, theirs = tuple(f"{arm}_" for arm in arms), tuple(f"{arm}_" for arm in SIDES if arm not in arms)
-    fixed = ("left_", "right_", "table")
 
     def between_mine_and(wanted: Callable[[str], bool]) -> bool:
         return any(any(n.startswith(mine) for n in pair) and any(map(wanted, pair)) for pair in touched)
 
     if kind == "past_obstacle":
-        return between_mine_and(lambda name: not name.startswith(fixed))
+        return between_mine_and(lambda name: not name.startswith(("left_", "right_", "table")))
     if kind == "past_arm":
         return between_mine_and(lambda name: name.startswith(theirs))
     return kind == "any" or bool(touched)
