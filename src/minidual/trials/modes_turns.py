@@ -56,8 +56,7 @@ def moveit(stack: ControlStack[World], planner: Planner, seed: int, *, home: boo
             else:
                 above = level_part(world.object_pose())
                 above[2, 3] += PHASES["approach"].rise_m
-                grasps = zip(robot.sides, grasp_offsets(world.scene), strict=True)
-                targets = {arm: above @ grasp for arm, grasp in grasps}
+                targets = {arm: above @ T for arm, T in zip(robot.sides, grasp_offsets(world.scene), strict=True)}
                 result = planner.plan_to_poses(group, world.q, targets, seed=seed)
             planned_s += result.total_s
             motions_s.append(result.trajectory.duration_s)
