@@ -55,7 +55,6 @@ class Disturbance(Protocol):
 
     def __call__(self, world: World) -> None:
         """Act or wait."""
-        ...
 
 
 Change = Callable[["mujoco.MjModel", Task, Trial, np.random.Generator], None]

@@ -50,7 +50,6 @@ class Method(Protocol):
 
     def step(self) -> None:
         """Run one control step."""
-        ...
 
 
 type Factory = Callable[[World, Kinematics, Trial], Method]
