@@ -73,10 +73,8 @@ def held_by(path: Path) -> tuple[int, str] | None:
     """Return a lock's holder as process id (0 if unreadable) and name; None if nobody holds it."""
     require(path, "file")
     try:
-        with path.open(encoding="utf-8") as stream:
+        with suppress(FileNotFoundError, NotADirectoryError), path.open(encoding="utf-8") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
     except BlockingIOError:
         with suppress(DataError, KeyError, TypeError):
             record = read_json(path, 10_000)
