@@ -192,10 +192,8 @@ class Gate:
         state: State = "stale" if reasons else verdict.status
         if state == "error":
             reasons = ["nothing was evaluated: no check with a limit"]
-        warnings = [
-            *verdict.fingerprint.circumstances(now),
-            *(f"{path} is not one of its artefacts" for path in extra if "/" not in path),
-        ]
+        warnings = verdict.fingerprint.circumstances(now)
+        warnings += [f"{path} is not one of its artefacts" for path in extra if "/" not in path]
         if (attempt := self.store.attempt(name)) is not None:
             warnings.append(f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})")
         return StageState(name, state, tuple(reasons), tuple(warnings), verdict, sha256, folder)
