@@ -41,9 +41,8 @@ class ProgressTask(AbstractContextManager["ProgressTask"]):
             self._say(self._line(now))
 
     def _line(self, now: float) -> str:
-        spent = now - self._started
         of = "" if self._total is None else f"/{self._total:g}"
-        line = f"{self._description}: {self._done:g}{of}, {spent:.0f} s"
+        line = f"{self._description}: {self._done:g}{of}, {now - self._started:.0f} s"
         since, before = self._first or (now, self._done)
         if self._total is not None and before < self._done < self._total:
             line += f", about {(now - since) * (self._total - self._done) / (self._done - before):.0f} s left"

@@ -177,6 +177,5 @@ def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str
 
 def strays(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
     """Return the relative paths of other files and links; a link to a folder counts as one."""
-    known = {*manifest, VERDICT_FILE}
     found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_symlink() or not p.is_dir()}
-    return [os.fsencode(name).decode(errors="replace") for name in sorted(found - known)]
+    return [os.fsencode(name).decode(errors="replace") for name in sorted(found - {*manifest, VERDICT_FILE})]
