@@ -117,8 +117,7 @@ class Session:
         progress = ConsoleProgress(self.people)
         if view is not None and self.loaded.config.workers > 1:
             progress.note("what is watched runs in this process: one worker for this run")
-        command = self.typed.command
-        return Runner(self.table, self.store, self.loaded, progress, command, view, lambda: interrupt.raised)
+        return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view, lambda: interrupt.raised)
 
     @contextmanager
     def view(self, values: Mapping[str, Any], default: str = "none") -> Generator[View | None]:

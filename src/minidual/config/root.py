@@ -97,12 +97,11 @@ def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: 
         name, _, rest = path.partition(".")
         if name not in type(section).model_fields:
             raise unknown_name("configuration value", path, type(section).model_fields)
-        now = getattr(section, name)
         if rest:
             inner.setdefault(name, {})[rest] = value
         elif not unset_only or name not in section.model_fields_set:
             wanted[name] = value
-        elif isinstance(now, BaseModel) and isinstance(value, BaseModel):
+        elif isinstance(getattr(section, name), BaseModel) and isinstance(value, BaseModel):
             inner.setdefault(name, {}).update({k: getattr(value, k) for k in value.model_fields_set})
     for name, part in inner.items():
         wanted[name] = changed(getattr(section, name), part, unset_only=unset_only)
