@@ -133,9 +133,13 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise disk_error(error, path) or UsageError(
-            f"cannot make the folder {path}: {error}", remedy="choose another folder"
-        ) from error
+        refused = UsageError(f"cannot make the folder {path}: {error}", remedy="choose another folder")
+        raise disk_error(error, path) or refused from error
+
+
+def unwritten(error: Exception, path: Path, remedy: str) -> MinidualError:
+    """Return the error of what could not be written at `path`: that of the disk, or DataError with `remedy`."""
+    return disk_error(error, path) or DataError(f"{path} could not be written: {error}", remedy=remedy)
 
 
 def disk_error(error: BaseException, path: Path) -> EnvironmentMissingError | None:

@@ -67,9 +67,7 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
         with durable.replacing(out_dir) as partial:
             verify_dataset(partial, _write_dataset(partial, out_dir.name, first, paths, robot), robot)
     except OSError as error:
-        raise durable.disk_error(error, out_dir) or DataError(
-            f"{out_dir} could not be written: {error}", remedy="check the disk or choose another folder"
-        ) from error
+        raise durable.unwritten(error, out_dir, "check the disk or choose another folder") from error
     return read_dataset(out_dir)
 
 

@@ -170,9 +170,7 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
         except (OSError, RuntimeError) as error:
             self.abort()
             remedy = "check the disk or choose another folder; nothing half-written was left"
-            raise durable.disk_error(error, self.path) or DataError(
-                f"{self.path} could not be written: {error}", remedy=remedy
-            ) from error
+            raise durable.unwritten(error, self.path, remedy) from error
 
 
 def _row(field: schema.Field, value: ArrayLike | None, joints_n: int, tick: int) -> NDArray[np.float64] | None:
