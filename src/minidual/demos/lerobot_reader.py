@@ -5,8 +5,8 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ IMAGE_PREFIX = "observation.images.cam_"
 Image = NDArray[np.uint8]
 Rows = NDArray[np.int64]
 _AGAIN = "record and convert again, the finished recording is kept beside it: minidual teleop-record --force"
+_reading = partial(reading, remedy=_AGAIN)
 _VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
 """Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
@@ -179,10 +180,6 @@ def _room_for(shape: tuple[int, ...], folder: Path | None) -> Image:
 def _integers(table: Any, key: str) -> Rows:
     with np.errstate(invalid="raise"):
         return np.asarray(table[key].to_numpy(), dtype=np.int64)
-
-
-def _reading(what: Path | str) -> AbstractContextManager[None]:
-    return reading(what, _AGAIN)
 
 
 def _read_parquet(root: Path, folder: str) -> Any:
