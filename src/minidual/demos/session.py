@@ -148,8 +148,7 @@ class TeleopSession:
             joints, images = (world.stamp_s, world.time, world.q, world.v, world.gripper), self._pictures()
             before = time.perf_counter()
             if (reading := leader.read(elapsed_s)) is not None:
-                target = follower_target(world.robot, reading[0])
-                stack.propose(SOURCE, JointCommand(target, reading[1], joints[0], k))
+                stack.propose(SOURCE, JointCommand(follower_target(world.robot, reading[0]), reading[1], joints[0], k))
             out = stack.arbitrate()
             tick = Tick(*joints, images, out.q_target, out.gripper)
             self._move(judge, 1)
