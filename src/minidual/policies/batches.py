@@ -41,10 +41,8 @@ def dataset_statistics(demos: Demonstrations, rows: Rows, std_floor: float) -> S
 
 
 def _mean_std(mean: Array, std: Array, floor: float) -> dict[str, Tensor]:
-    return {
-        "mean": torch.from_numpy(mean.astype(np.float32)),
-        "std": torch.from_numpy(np.maximum(std, floor).astype(np.float32)),
-    }
+    values = {"mean": mean, "std": np.maximum(std, floor)}
+    return {name: torch.from_numpy(value.astype(np.float32)) for name, value in values.items()}
 
 
 def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
@@ -55,8 +53,7 @@ def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
 def normalise_images(images: Tensor, stats: dict[str, Tensor]) -> Tensor:
     """Normalise uint8 (B, H, W, 3) to channels-last float (B, 3, H, W)."""
     inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
-    normalised = torch.addcmul(-stats["mean"].view(1, 1, 1, 3) * inverse, images.float(), inverse / 255.0)
-    return normalised.permute(0, 3, 1, 2)
+    return torch.addcmul(-stats["mean"].view(1, 1, 1, 3) * inverse, images.float(), inverse / 255.0).permute(0, 3, 1, 2)
 
 
 class BatchMaker:
