@@ -157,8 +157,7 @@ def read_tensors(path: Path, bytes_max: int = WEIGHTS_BYTES_MAX) -> dict[str, to
 def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
     inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.dim,))}
     for camera in demos.cameras:
-        size = demos.images[camera].shape[1:3]
-        inputs[camera_key(camera)] = PolicyFeature(type=FeatureType.VISUAL, shape=(3, *size))
+        inputs[camera_key(camera)] = PolicyFeature(type=FeatureType.VISUAL, shape=(3, *demos.images[camera].shape[1:3]))
     return {
         "input_features": inputs,
         "output_features": {ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))},

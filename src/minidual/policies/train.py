@@ -245,8 +245,7 @@ class _Loop:
         intact = hashlib.sha256(rest).digest() == digest
         saved = torch.load(io.BytesIO(rest), map_location=self.config.device, weights_only=True) if intact else {}
         if saved.get("fingerprint") != self.fingerprint:
-            name = f"train-act.{'other' if intact else 'damaged'}-progress"
-            self.set_aside = durable.set_aside(self.progress, name)
+            self.set_aside = durable.set_aside(self.progress, f"train-act.{'other' if intact else 'damaged'}-progress")
             return 0
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])

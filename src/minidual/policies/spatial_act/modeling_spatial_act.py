@@ -109,8 +109,7 @@ class KeyframeReader(nn.Module):
         # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few
         # centimetres that an object moves, and few demonstrations suffice for a linear map.
         self.linear = nn.Linear(self.keypoint_dim, math.prod(self.shape))
-        layers = nn.Linear(self.keypoint_dim, 64), nn.ReLU(), nn.Linear(64, math.prod(self.shape))
-        self.hidden = nn.Sequential(*layers)
+        self.hidden = nn.Sequential(nn.Linear(self.keypoint_dim, 64), nn.ReLU(), nn.Linear(64, math.prod(self.shape)))
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return keypoints (B, 3 P) and keyframes (B, K A)."""
