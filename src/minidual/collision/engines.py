@@ -152,9 +152,8 @@ def _boxes_to_meshes(spec: mujoco.MjSpec) -> None:
     """Replace boxes by meshes: MuJoCo's box-box test gives most separate pairs no distance."""
     for index, geom in enumerate(spec.geoms):
         if geom.type == _KIND.mjGEOM_BOX:
-            mesh = spec.add_mesh(name=f"box_mesh{index}", uservert=(BOX_CORNERS * geom.size).ravel())
+            geom.meshname = spec.add_mesh(name=f"box_mesh{index}", uservert=(BOX_CORNERS * geom.size).ravel()).name
             geom.type = _KIND.mjGEOM_MESH
-            geom.meshname = mesh.name
             geom.size = np.zeros(3)
 
 
@@ -170,5 +169,4 @@ def add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape, prefix: 
         body.add_geom(type=_KIND.mjGEOM_BOX, size=[0.5 * v for v in shape.size_m], **look)
     else:
         radius_m, *lengths_m = shape.lengths()
-        half_m = 0.5 * sum(lengths_m)
-        body.add_geom(type=_ROUND[type(shape)], size=[radius_m, half_m, 0.0], **look)
+        body.add_geom(type=_ROUND[type(shape)], size=[radius_m, 0.5 * sum(lengths_m), 0.0], **look)

@@ -144,9 +144,8 @@ def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _P
             for own, (_, _, ball, disc, _) in zip(points, rows, strict=True)
         )
 
-    vertices = np.vstack(points)
     # The mean of the vertices lies inside their hull, so it is no farther from any axis than the part reaches.
-    centre = vertices.mean(axis=0)
+    centre = np.vstack(points).mean(axis=0)
     joints, n, far = _joints(robot), robot.dof_per_arm, radius(np.zeros(3))
     reach = np.zeros(n)  # largest distances [m] from the arm's joints; 0 if not moved
     for k in range(frame, 0 if frame <= n else n, -1):
