@@ -15,6 +15,7 @@ import numpy as np
 import ompl.base as ob
 import ompl.geometric as og
 import ompl.util as ou
+from numpy.typing import ArrayLike
 
 from minidual.config.seeds import subseed
 from minidual.proof import planes
@@ -41,12 +42,7 @@ class EdgeChecker:
     """
 
     def __init__(
-        self,
-        engines: SceneEngines,
-        padding_m: float,
-        ends: Sequence[Array],
-        step_rad: float,
-        arms: Sequence[str] = SIDES,
+        self, engines: SceneEngines, padding_m: float, ends: ArrayLike, step_rad: float, arms: Sequence[str] = SIDES
     ) -> None:
         solids, self.robot = engines.solids, engines.solids.robot
         self.padding_m, self.step_rad, self.checks_n = padding_m, step_rad, 0
