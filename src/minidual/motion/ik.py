@@ -2,10 +2,11 @@
 
 import functools
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, OutOfLimitsError, StartInCollisionError
 from minidual.errors import UsageError, check_name
@@ -145,18 +146,14 @@ def solvers(robot: Robot) -> dict[str, ArmIK]:
 
 
 def posture_at(
-    robot: Robot,
-    Ts_world_tcp: tuple[Array, Array],
-    q_start: Array,
-    posture: Array | None = None,
-    weights: Array | None = None,
+    robot: Robot, Ts_world_tcp: Sequence[Array], q_start: Array, posture: Array | None = None, weights: ArrayLike = 1.0
 ) -> Array:
     """Return q (n,) at both tcp poses (4, 4), nearest to a reference posture (n,) [rad], or by descent from the start.
 
     Raises:
         PoseUnreachableError: A pose is out of reach.
     """
-    q, mobility = np.array(q_start, dtype=float), 1.0 / (np.ones(robot.dof_per_arm) if weights is None else weights)
+    q, mobility = np.array(q_start, dtype=float), np.ones(robot.dof_per_arm) / np.asarray(weights)
     for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
         near = q[arm.joints]
         found = arm.solve(T, near) if posture is None else arm.resting(T, near, posture[arm.joints], mobility)
