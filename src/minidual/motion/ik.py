@@ -133,10 +133,14 @@ class ArmIK:
             elif best is None or solution.residual_m + solution.residual_rad < best.residual_m + best.residual_rad:
                 best = solution
         if not found and best is not None:
-            x, y, z = T_world_tcp[:3, 3]
-            what = f"the {self.arm} hand cannot reach ({x:.3f}, {y:.3f}, {z:.3f}) m as asked"
+            what = f"the {self.arm} hand cannot reach {place_text(T_world_tcp)} as asked"
             remedy = "move the goal nearer to the base or change its orientation"
             raise IKUnreachableError(f"{what}: the best of {tries_n} starts stays {best.off} away", remedy=remedy)
+
+
+def place_text(T: Array) -> str:
+    """Return the position of a pose (4, 4) for messages."""
+    return "({:.3f}, {:.3f}, {:.3f}) m".format(*T[:3, 3])
 
 
 @functools.cache

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError
-from minidual.motion.ik import check_pose, solvers
+from minidual.motion.ik import check_pose, place_text, solvers
 from minidual.robot.pair import Array, Robot, inverse
 
 _LIMIT_BAND_RAD = 0.35
@@ -101,8 +101,7 @@ class HandsIK:
     def _ended(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
         """Return why the hands cannot follow from `before` to q (n,); arms that failed are NaN."""
         robot = self.robot
-        x, y, z = T_world_object[:3, 3]
-        where = f"({x:.3f}, {y:.3f}, {z:.3f}) m"
+        where = place_text(T_world_object)
         remedy = "choose waypoints within reach of both arms, or another grasp or posture to start from"
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             if not np.isfinite(q[arm.joints]).all():

@@ -23,7 +23,7 @@ from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory, HeldCurve, HeldPath, fine_curve
 from minidual.motion.held.search import JOINT_WEIGHT_M, HeldSpace, Q, search_object, shorten
-from minidual.motion.ik import check_joints, check_pose, pose_goals, require_free
+from minidual.motion.ik import check_joints, check_pose, place_text, pose_goals, require_free
 from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import PathLimits
 from minidual.proof.scene_engines import SceneEngines
@@ -269,8 +269,7 @@ class HeldWork:
             if all(np.abs(q - other).max() > _SAME_RAD for other in found):
                 found.append(q)
         if not found:
-            x, y, z = T_goal[:3, 3]
-            bent = f"every posture found for the goal at ({x:.3f}, {y:.3f}, {z:.3f}) m lies at a joint limit"
+            bent = f"every posture found for the goal at {place_text(T_goal)} lies at a joint limit"
             raise ClosedChainError(bent, remedy="move the goal nearer to the middle, or choose another grasp")
         return found
 
@@ -316,8 +315,7 @@ class HeldWork:
             solved = smooth.at(marks)[:, Q] / JOINT_WEIGHT_M
             for k, T in enumerate(Ts_world_object):
                 if (q := self._hands.solve(T, solved[k])) is None:
-                    x, y, z = T[:3, 3]
-                    raise ClosedChainError(f"the hands cannot hold the object at ({x:.3f}, {y:.3f}, {z:.3f}) m")
+                    raise ClosedChainError(f"the hands cannot hold the object at {place_text(T)}")
                 solved[k] = q
             return solved
 
