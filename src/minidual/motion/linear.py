@@ -163,7 +163,6 @@ class LinearPlanner:
 
 
 def _cut_short(group: str, fraction: float, reason: str) -> LinearMoveError:
-    return LinearMoveError(
-        f"the straight move of {group} ends at {fraction:.1%} of the way: {reason}",
-        remedy="ask for a shorter move or a smaller fraction_min, start from another posture, or plan without `linear`",
-    )
+    what = f"the straight move of {group} ends at {fraction:.1%} of the way: {reason}"
+    remedy = "ask for a shorter move or a smaller fraction_min, start from another posture, or plan without `linear`"
+    return LinearMoveError(what, remedy=remedy)

@@ -92,9 +92,8 @@ class HandsIK:
             turn = float(np.linalg.norm(pin.log3(before[:3, :3].T @ T[:3, :3])))
             way = float(np.hypot(np.linalg.norm(T[:3, 3] - before[:3, 3]), _ARM_M * turn))
             Q[k] = self._nearest(T, Q[k - 1], way * self.off_limits(Q[k - 1]))
-            step = float(np.abs(Q[k] - Q[k - 1]).max())
             inside = (Q[k] >= self.robot.q_lower) & (Q[k] <= self.robot.q_upper)
-            if not (step <= JUMP_MAX_RAD and inside.all()):
+            if not (np.abs(Q[k] - Q[k - 1]).max() <= JUMP_MAX_RAD and inside.all()):
                 return Q[:k], self._ended(T, Q[k - 1], Q[k])
         return Q, None
 
@@ -119,9 +118,8 @@ class HandsIK:
             low, high = robot.q_lower[joint], robot.q_upper[joint]
             why = f"would go to {q[joint]:.3f} rad, its limits are {low:.3f} to {high:.3f} rad"
         side = robot.sides[joint // robot.dof_per_arm]
-        return ClosedChainError(
-            f"the {side} hand cannot follow the object to {where}: {robot.joint_names[joint]} {why}", remedy=remedy
-        )
+        what = f"the {side} hand cannot follow the object to {where}: {robot.joint_names[joint]} {why}"
+        return ClosedChainError(what, remedy=remedy)
 
     def require_held(self, q: Array, T_world_object: Array) -> None:
         """Check the grasps at q (n,) for an object pose (4, 4), to 0.1 mm and 0.05 degrees.
