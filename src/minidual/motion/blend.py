@@ -61,10 +61,9 @@ def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, jo
     if i0 == i1:
         return path
     a, b = stretch
-    inner = path[i0 + 1 : i1 + 1]
     if joints != checker.robot.groups["both_arms"]:
         # The other arm keeps its motion at the same fractions.
-        stretch = np.vstack([a, inner, b])
+        stretch = np.vstack([a, path[i0 + 1 : i1 + 1], b])
         fractions = (np.concatenate([[s0], marks[i0 + 1 : i1 + 1], [s1]]) - s0) / (s1 - s0)
         stretch[:, joints] = a[joints] + fractions[:, None] * (b - a)[joints]
     candidate = np.concatenate([path[: i0 + 1], stretch, path[i1 + 1 :]])

@@ -171,8 +171,7 @@ def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Genera
 def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
-        point = tree.points[current]
-        if (new := _step_towards(space, point, x, None)) is None:
+        if (new := _step_towards(space, tree.points[current], x, None)) is None:
             return None
         current = tree.add(new, current)
         if np.array_equal(new[X], x):
