@@ -53,10 +53,9 @@ def modes(context: ToolContext) -> ToolResult:
     with Camera.recorded(world.model, config.scene.camera) as eyes:
         demo = _demo(context, world, eyes, wanted, checkpoint)
         doing = lambda: ("" if demo.turn is None else demo.turn.caption, None)  # noqa: E731
-        tell = StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing)
         with (
             Camera(world.model, *_FILM_SIZE, shadows=True) as camera,
-            watched(context.view, world, tell),
+            watched(context.view, world, StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing)),
             context.progress.task("modes", len(wanted)) as bar,
         ):
             write_video(context.output / "modes.mp4", _filmed(_counted(demo, bar), demo.stack, camera), fps=FILM_FPS)
@@ -115,9 +114,8 @@ def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, .
         elif mode == "teleop":
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
         elif policy is not None:
-            runtime = load_runtime(policy, config.deploy, robot)
             picture = lambda name: (eyes.picture(world.data, name), world.time)  # noqa: E731
-            turns.append(modes_turns.policy(stack, runtime, picture, task, trial))
+            turns.append(modes_turns.policy(stack, load_runtime(policy, config.deploy, robot), picture, task, trial))
     return ModesDemo(stack, turns)
 
 

@@ -35,8 +35,7 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
 
 def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], path: Path) -> None:
     """Run failed trials again and draw each a second before it failed, then, and a second later, or as it ended."""
-    pictures = [picture for inputs, trial, result in failed for picture in _failure(inputs, trial, result)]
-    sheet(pictures, 3, path)
+    sheet([picture for inputs, trial, result in failed for picture in _failure(inputs, trial, result)], 3, path)
 
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:

@@ -58,9 +58,8 @@ def torque_pulse_mapping(
             response[:, j] = (v - rest) / ((applied[j] - gravity[j]) * world.dt)
     scale = np.abs(predicted).max(axis=0)
     distance = np.abs(response[:, :, None] - predicted[:, None, :]).max(axis=0) / scale  # (command, joint)
-    nearest = distance.argmin(axis=1)
     world.reset()
-    return tuple(int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(nearest))
+    return tuple(int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(distance.argmin(axis=1)))
 
 
 def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generator, states_n: int) -> dict[str, float]:
