@@ -67,10 +67,9 @@ def inspect_episode(
 
     All arrays are read, to verify their checksums.
     """
-    episode, faults = _load(Path(path), None)
-    if episode is None:
+    e, faults = _load(Path(path), None)
+    if e is None:
         return None, faults
-    e = episode
     if cameras is not None and tuple(cameras) != e.meta.cameras:
         detail = f"cameras are {_list(e.meta.cameras)}; expected {_list(cameras)}"
         faults.append(EpisodeFault("cameras_wrong", detail))
