@@ -205,8 +205,7 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
         ConfigError: Empty or invalid file.
         UsageError, DataError: Unknown name, or unreadable mesh.
     """
-    document = read_document(path)
-    if not document.tree:
+    if not (document := read_document(path)).tree:
         remedy = "leave --scene out for the bare table, or write at least 'table: true'"
         raise ConfigError(f"{path.name}: the scene file is empty; it would mean the bare table", remedy=remedy)
     content = validate_document(document, SceneFile)

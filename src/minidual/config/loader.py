@@ -119,8 +119,7 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
     if path.resolve() in below:
         chain = " -> ".join(item.name for item in (*below, path))
         raise ConfigError(f"{path.name}: profiles extend each other in a circle: {chain}")
-    document = read_document(path)
-    if not document.tree:
+    if not (document := read_document(path)).tree:
         raise ConfigError(f"{path.name} is empty", remedy="begin it with 'extends: standard', then what differs")
     if (base_name := document.tree.pop("extends", None)) is None:
         return document, (path,)

@@ -109,8 +109,7 @@ def load_goal(path: Path) -> Goal:
         except (ValueError, TypeError, KeyError, IndexError) as error:
             what = f"{type(error).__name__}: {error}"
             raise DataError(f"{path} is no trajectory of `minidual plan --out`: {what}") from error
-    document = read_document(path)
-    if not document.tree:
+    if not (document := read_document(path)).tree:
         raise ConfigError(f"{path.name}: the goal file is empty", remedy=f"give one of {', '.join(_KINDS)}")
     return validate_document(document, Goal)
 
