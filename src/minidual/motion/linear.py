@@ -103,8 +103,7 @@ class LinearPlanner:
         length = max(line.length_m for line in lines.values())
         if length < _STILL_M:
             still = resting(q_start, DT_S, group)
-            proof = engines.verify(still)
-            if not proof.ok:
+            if not (proof := engines.verify(still)).ok:
                 raise _cut_short(group, 1.0, f"staying there is not proven: {proof.reason}")
             return LinearMove(still, proof)
         for refinement in range(_REFINEMENTS):
@@ -149,8 +148,7 @@ class LinearPlanner:
             if keep < 4:
                 break
             trajectory, way = time_path(_Curve(marks[:keep], Q[:keep]), group, self._limits, self._kinematics, limits)
-            proof = engines.verify(trajectory)
-            if proof.ok:
+            if (proof := engines.verify(trajectory)).ok:
                 return LinearMove(trajectory, proof, float(marks[keep - 1] / marks[-1]), reason), way
             reason = reason or f"the proof refuses the rest: {proof.reason}"
         raise _cut_short(group, 0.0, reason or "there is no room to begin")

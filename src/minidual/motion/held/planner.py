@@ -135,8 +135,7 @@ class HeldPlanner:
 
 
 def _proven(motion: CarriedTrajectory, engines: SceneEngines) -> CarriedTrajectory:
-    proof = engines.verify(motion)
-    if not proof.ok:
+    if not (proof := engines.verify(motion)).ok:
         raise NotFreeError(f"the carried path is not free: {proof.reason}")
     return replace(motion, verification=proof)
 
