@@ -246,8 +246,7 @@ class GoalPlanner:
         self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
     ) -> Array:
         """Return start joints (n,); for poses the free IK solution nearest to q_near (n,)."""
-        resolved = self.resolve(group, q_near, start, scene)
-        if not isinstance(resolved, dict):
+        if not isinstance(resolved := self.resolve(group, q_near, start, scene), dict):
             return resolved
         engines, rng = self.planner.engines(scene), stream(seed, "motion/start")
         return pose_goals(group, q_near, resolved, engines, rng, self.planner.config.ik_restarts_n)[0]
@@ -260,8 +259,7 @@ class GoalPlanner:
             And what `resolve` and the planner raise.
         """
         scene = options.get("scene")
-        resolved = self.resolve(group, q_start, goal, scene)
-        if not isinstance(resolved, dict):
+        if not isinstance(resolved := self.resolve(group, q_start, goal, scene), dict):
             return self.planner.plan_to_joints(group, q_start, resolved, **options)
         if not goal.linear:
             return self.planner.plan_to_poses(group, q_start, resolved, **options)

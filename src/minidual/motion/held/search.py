@@ -147,8 +147,7 @@ def search_object(
         x, swing = space.sample(rng, ends, room, _TURN_M), rng.random() < _ELBOW_SHARE
         # Growing only the nearest point would not spread the elbows.
         parent = here.near_object(x, rng, _NEXT_N if swing else 1)
-        new = _step_towards(space, here.points[parent], x, rng if swing else None)
-        if new is not None:
+        if (new := _step_towards(space, here.points[parent], x, rng if swing else None)) is not None:
             met, grown = _connect(space, there, new), here.add(new, parent)
             if met is not None:
                 path = here.branch(grown) + there.branch(met)[::-1][1:]
