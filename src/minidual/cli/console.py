@@ -131,8 +131,7 @@ def print_explanation(
     if not upstream:
         _lines(console, ["  requires no other stage"])
     _lines(console, [f"  {reason}" for reason in state.reasons], "yellow")
-    if state.verdict is not None:
-        verdict = state.verdict
+    if (verdict := state.verdict) is not None:
         made = verdict.fingerprint
         title = f"verdict: {verdict.status}, {verdict.finished_at}, profile '{made.profile}', seed {made.seed}"
         _print_verdict(console, state, verdict, title, wording)

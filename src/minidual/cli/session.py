@@ -166,8 +166,7 @@ class Session:
 
     def following(self, gate: Gate | None = None, *, explained: bool = False) -> str:
         """Return the next command to type; `explain` first after a failure."""
-        state = (gate or self.gate()).lowest()
-        if state is None:
+        if (state := (gate or self.gate()).lowest()) is None:
             return "every stage passes and is fresh"
         explain = state.state in ("fail", "error") and not explained
         attempt = None if explain else self.store.attempt(state.name)

@@ -63,8 +63,7 @@ def unverified(gate: Gate, key: Path) -> list[str]:
     Raises:
         DataError: `key` is no public key of OpenSSH.
     """
-    public = _PUBLIC.match(regular_file(key, _KEY_BYTES).read_text(encoding="utf-8", errors="replace"))
-    if public is None:
+    if (public := _PUBLIC.match(regular_file(key, _KEY_BYTES).read_text(encoding="utf-8", errors="replace"))) is None:
         raise DataError(f"{key} is no public key of OpenSSH", remedy="give the .pub file of the key that signed")
     path = gate.store.folder / SIGNED_FILE
     sealed = path.with_name(f"{SIGNED_FILE}.sig")

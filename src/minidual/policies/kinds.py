@@ -129,8 +129,7 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
     if not folder.is_dir():
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     with reading(f"checkpoint {folder}", f"{REMEDY} --force"):
-        kind = read_json(folder / "config.json")["type"]
-        if kind not in POLICIES:
+        if (kind := read_json(folder / "config.json")["type"]) not in POLICIES:
             raise DataError(f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}")
     return POLICIES[kind].load(folder, device, threads)
 
