@@ -256,8 +256,7 @@ class CommandLatency(NamedTuple):
     @property
     def late_steps(self) -> int:
         """Largest delay beyond the arbiter's tick."""
-        n = len(self.ticks)
-        return max(found - (n - k if k else 0) - 1 for k, found in enumerate(self.ticks))
+        return max(found - (len(self.ticks) - k if k else 0) - 1 for k, found in enumerate(self.ticks))
 
 
 def command_latency(rig: TrackingRig, *, repeats_n: int = 100) -> CommandLatency:
