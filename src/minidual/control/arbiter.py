@@ -197,9 +197,10 @@ class CommandArbiter:
             self._target[joints] += np.clip(way[joints], -bound, bound) if driven else way[joints]
         self._stopping = far if driven else set()
 
-    def stand(self, q: Array) -> None:
-        """Forget the joint target: what drove the arms to q (n,) had none."""
-        self._target = np.clip(q, self._robot.q_lower, self._robot.q_upper)
+    def stand(self, q: Array, v: Array | float = 0.0) -> None:
+        """Forget the joint target: what drove the arms to q, v (n,) had none. They stop where they can."""
+        rest = q + v * np.abs(v) / (2.0 * _STOP_SHARE * self._robot.a_max)
+        self._target = np.clip(rest, self._robot.q_lower, self._robot.q_upper)
 
     def _elapsed(self, now_s: float) -> float:
         last = now_s if self._last_tick_s is None else self._last_tick_s

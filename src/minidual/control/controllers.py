@@ -28,7 +28,7 @@ LOAD_MAX_N = 30.0
 """The Panda's payload."""
 _GAIN_N_PER_M_S = 2000.0  # slow beside the joints' stiffness, about 1.2 kN/m at a hand
 _NEAR_M = 2e-4
-_RAMP_N_PER_S, EVERY = 100.0, 10  # a moving arm's Jacobian in each step makes it a third longer
+_RAMP_N_PER_S, _EVERY_S = 100.0, 0.01  # a moving arm's Jacobian in each step makes it a third longer
 
 
 class Payload:
@@ -36,6 +36,8 @@ class Payload:
 
     def __init__(self, kinematics: Kinematics, dt_s: float) -> None:
         self._kinematics, self._hands, self._dt = kinematics, Hands(kinematics), dt_s
+        self.every = max(1, round(_EVERY_S / dt_s))
+        """Steps from one update of moving arms' torques to the next."""
         self.reset()
 
     def reset(self) -> None:
@@ -84,13 +86,13 @@ class Payload:
     def torque(self, q: Array, q_ref: Array, arms: Sequence[int], *, learn: bool) -> Array | None:
         """Return the torques (n,) [Nm] that bear these arms' loads, or None.
 
-        Call it in each step with `learn` if they hold still, else in each tenth.
+        Call it in each step with `learn` if they hold still, else in `every` so many.
         """
         if not (learn or any(self.force_n + self._wanted_n)):
             return None
         self._hands.update(q)
         tau, wanted_n = np.zeros(len(q)), self._wanted_n
-        step_n = _RAMP_N_PER_S * self._dt * (1 if learn else EVERY)
+        step_n = _RAMP_N_PER_S * self._dt * (1 if learn else self.every)
         for arm in arms:
             joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
             below_m, now_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm]
@@ -186,7 +188,7 @@ class JointTrajectoryController(Controller):
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
         self.reference = q_ref
-        if self._holds or self._age % EVERY == 0:
+        if self._holds or self._age % self._payload.every == 0:
             self._load = self._payload.torque(q, q_ref, self.arms, learn=self._holds)
         self._age += 1
         return self._servo.torque(q, v, q_ref, v_ref, a_ref, self._load)

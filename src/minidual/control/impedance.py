@@ -150,6 +150,8 @@ STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD, DAMPING_RATIO = 2000.0, 100.0, 1.0
 FORCE_MAX_N, MOMENT_MAX_NM = 10.0, 1.2
 """Bounds of the spring along and about each axis: beyond the dry friction of a joint."""
 _LEARNING_PER_S = 4.0
+_ELBOW_STIFFNESS_PER_S2, _ELBOW_DAMPING_PER_S = 100.0, 20.0
+"""Of one hand's null space: dry friction of 0.5 Nm holds an elbow off by 0.03 to 0.04 rad (0.1 with 20 and 9)."""
 _HEAVIEST = 20.0
 """Largest inertia [kg, kg m^2] of a hand that damping is made for: near a singularity it is hundreds, and soon past."""
 _AT_TCP = np.eye(4)
@@ -183,7 +185,7 @@ class HandImpedance(ComputedTorque):
         """What the other hand holds, if the reference moves with it; both from the next engagement on."""
         self._other = self.other
         K, most = np.repeat([[STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], [FORCE_MAX_N, MOMENT_MAX_NM]], 3, axis=1)
-        posture = POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S
+        posture = _ELBOW_STIFFNESS_PER_S2, _ELBOW_DAMPING_PER_S
         own = K, most, np.zeros((6, 6)), np.zeros(3), _AT_TCP, _LEARNING_PER_S * dt_s, *posture
         self._law, self._learnt = np.array([own], HAND_LAW), np.zeros(6)
 

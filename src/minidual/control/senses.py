@@ -334,7 +334,7 @@ class ContactSense:
             self.limits, reference = self.limits.copy(), self._mean[0] if reference is None else reference.copy()
             for arm in expected.off:
                 joints = self._kinematics.robot.joints_of(arm)
-                self.limits[joints], reference[joints] = math.inf, self._mean[0, joints]
+                self.limits[joints], reference[joints], self._kept[:, joints] = math.inf, self._mean[0, joints], 0.0
         return observe(
             self._kinematics.rnea(*self._mean),
             *(self._mean, applied, newest, round(step_s / self._dt)),

@@ -12,7 +12,7 @@ import numpy as np
 from numba.core import types
 
 from minidual.config.control import SupervisorConfig
-from minidual.control.controllers import EVERY, Controller, Payload
+from minidual.control.controllers import Controller, Payload
 from minidual.control.joint_control import ComputedTorque
 from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
 from minidual.robot.kinematics import Hands, Kinematics
@@ -112,7 +112,7 @@ class SoftStopController(Controller):
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
         q_ref, v_ref, a_ref = self._motion.at(self._steps * self._dt)
-        if self._steps % EVERY == 0:
+        if self._steps % self._payload.every == 0:
             self._load = self._payload.torque(q, q_ref, self.arms, learn=False)
         self._steps += 1
         self.reference = q_ref

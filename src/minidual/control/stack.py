@@ -26,7 +26,7 @@ from minidual.control.senses import Expected, slower
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
-from minidual.plant.protocol import Plant
+from minidual.plant.protocol import Plant, PlantEndedError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
 
@@ -36,6 +36,8 @@ OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 _STOP_MAX_S, _REFUSALS_KEPT = 2.0, 1000
+_BACK_S = 0.1
+"""An arm whose power returns is watched for contacts after this time: its torque rises, its own brakes open."""
 _BEARING = "emergency_stop", "stale_command", "controller_failed"
 """Reflexes in which an external torque is a load: the arms are sound and touch nothing else."""
 _SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
@@ -133,6 +135,8 @@ class ControlStack[P: Plant]:
         self.applied = np.array(self.kinematics.gravity(q))
         """Last torques (n,) [Nm], after the supervisor."""
         self._off: SwitchedOff | None = None
+        self._back: tuple[int, ...] = ()
+        self._back_until_s = -math.inf
 
     def _fastest(self) -> float:
         """Return the largest speed [rad/s], also by positions: velocities may be what has failed."""
@@ -219,7 +223,9 @@ class ControlStack[P: Plant]:
         active = self.manager.active
         if active in (OBJECT_CONTROLLERS, _STOPPING) or any(hand.name in active for hand in self.hands):
             kept = [any(arm in self.manager[name].arms for name in set(names) & set(active)) for arm in (0, 1)]
-            self.arbiter.stand(np.where(np.repeat(kept, self._robot.dof_per_arm), self.output.q_target, self.plant.q))
+            keeps = np.repeat(kept, self._robot.dof_per_arm)
+            q, v = np.where(keeps, self.output.q_target, self.plant.q), np.where(keeps, 0.0, self.plant.v)
+            self.arbiter.stand(q, v)
         self.manager.switch(names, self.plant.q, slower(self.plant.v, self._v))
         self._due = True
 
@@ -251,14 +257,18 @@ class ControlStack[P: Plant]:
         """Ramp these arms' torque to zero until reset; replaces an earlier call. Where drives return, nobody drives."""
         if self._off is None:
             self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
-        returned, self._off.arms = set(self._off.arms) - set(arms), tuple(arms)
+        returned, self._off.arms = sorted(set(self._off.arms) - set(arms)), tuple(arms)
+        if returned:
+            self._back, self._back_until_s = tuple(returned), self.plant.time + _BACK_S
         if returned and self.supervisor is not None and self.reflex is not None:
             self.supervisor.brake_anew(self.applied)
         elif returned and np.isfinite(self.plant.q + self.plant.v).all():  # where the arms are now
             self._interrupt()
-            self.arbiter.stand(self.plant.q)
+            q, v = self.plant.q, slower(self.plant.v, self._v)
+            back = np.repeat([arm in returned for arm in (0, 1)], self._robot.dof_per_arm)
+            self.arbiter.stand(q, np.where(back, 0.0, v))
             for name in self.manager.active:
-                self.manager[name].regain(sorted(returned), self.plant.q, slower(self.plant.v, self._v))
+                self.manager[name].regain(returned, q, v)
 
     def on_flush(self, listener: Callable[[str], None]) -> None:
         """Call `listener(mode)` at every switch or halt; sources must drop queued chunks."""
@@ -307,7 +317,7 @@ class ControlStack[P: Plant]:
     @property
     def stopping(self) -> bool:
         """Whether a reflex or a halt is bringing the arms to rest, for 2 s at most."""
-        return self._stop_ticks > 0 and not np.max(np.abs(self.plant.v)) < self._config.still_speed_rad_s
+        return self._stop_ticks > 0 and not self._fastest() < self._config.still_speed_rad_s
 
     @property
     def calm(self) -> bool:
@@ -433,10 +443,17 @@ class ControlStack[P: Plant]:
         except Exception as error:
             self._failed = self._failed or error
             fingers_m = self.grippers.targets_m
-        plant.command(tau, fingers_m)
-        if self.supervisor is not None and isinstance(stopped, ReflexError):
-            self.supervisor.tell(stopped)
-        plant.step()
+        try:
+            try:
+                plant.command(tau, fingers_m)
+            finally:  # the arms go on moving, told or not
+                if self.supervisor is not None and isinstance(stopped, ReflexError):
+                    self.supervisor.tell(stopped)
+                plant.step()
+        except Exception as error:
+            if self.supervisor is None or isinstance(error, PlantEndedError):
+                raise
+            self._failed = self._failed or error
         if stopped is not None:
             raise stopped
 
@@ -486,7 +503,7 @@ class ControlStack[P: Plant]:
                 self.supervisor.brake_anew(self.applied, arrested=True)
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
         age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._age_max_s
-        if not -limit_s <= age_s <= limit_s:
+        if not abs(age_s) <= limit_s + 1e-9:
             remedy = "see that the plant delivers its state; supervisor.measurement_age_max_s is how old it may be"
             raise PlantError(f"the measurements are {age_s:.3f} s old; limit {limit_s} s", remedy=remedy)
         tau = self.manager.update(q, v)
@@ -496,6 +513,8 @@ class ControlStack[P: Plant]:
     def _expected(self) -> Expected:
         manager, grippers = self.manager, self.grippers
         off, bears_n = () if self._off is None else self._off.arms, self.payload.force_n
+        if self.plant.time < self._back_until_s:
+            off = (*off, *self._back)
         if manager.active == OBJECT_CONTROLLERS:
             return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off, bears_n)
         soft = any(hand.name in manager.active for hand in self.hands)  # dry joints hold a spring off

@@ -129,6 +129,7 @@ class Supervisor:
             ReflexError: See `guard`.
         """
         if self.reflex is None:
+            time_s += self.dt_s * (time_s == self._time_s)  # a plant that failed to step has not kept the time
             self._note(time_s, q, v, self._tau, stamp_s, None)
             self._trip("controller_failed", why, 1.0, None)
         return self._stopping(q, v, stamp_s)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from minidual.config.learning import MirrorConfig, TeleopConfig
-from minidual.control.commands import ArbiterState, JointCommand, Refusal
+from minidual.control.commands import HOLD, ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.demos.leader import Leader
@@ -160,11 +160,14 @@ class TeleopSession:
                 break
             self._move(judge, stack.every - 1)
             if stack.reflex is not None:
-                ended_by = "reflex"
                 break
-        while stack.stopping:
-            stack.step()
+        if stack.source is not None:
+            stack.request(HOLD)  # who has ended drives no further
+        while stack.stopping or stack.arbiter.switching:
+            with contextlib.suppress(ReflexError):
+                stack.step()
             judge.observe(world)
+        ended_by = ended_by if stack.reflex is None else "reflex"
         reflex = "" if stack.reflex is None else stack.reflex.message
         return SessionResult(np.array(measured), judge.outcome(world), latencies, stack.refusals, ended_by, reflex)
 

@@ -2,7 +2,12 @@
 
 from typing import NamedTuple, Protocol
 
+from minidual.errors import MinidualError
 from minidual.robot.pair import Array, Robot
+
+
+class PlantEndedError(MinidualError):
+    """There is nothing left to drive. After any other error of `command` or `step`, the arms are stopped."""
 
 
 class Plant(Protocol):

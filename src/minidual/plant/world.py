@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 
 from minidual.config.scene import SceneConfig
-from minidual.errors import MinidualError, UsageError, unknown_name
+from minidual.errors import UsageError, unknown_name
 from minidual.plant.bodies import NamedObject, ObjectPose, halves, touching
 from minidual.plant.model import GOAL_MARK, build_model, map_joints
+from minidual.plant.protocol import PlantEndedError
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 
@@ -26,7 +27,7 @@ class StepRecorder(Protocol):
         ...
 
 
-class SimulationDivergedError(MinidualError):
+class SimulationDivergedError(PlantEndedError):
     """A state or command is not finite."""
 
 

@@ -39,8 +39,8 @@ class Drive:
 
     @property
     def done(self) -> bool:
-        """Whether no segment is left, and the arms rest after a reflex."""
-        return not (self._left or self.stack.stopping)
+        """Whether no segment is left, and nothing brakes the arms any more."""
+        return not (self._left or self.stack.stopping or self.stack.arbiter.switching)
 
     @property
     def elapsed_s(self) -> float:
