@@ -5,9 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 from panda import HOME
 
 from minidual.collision.scene import PlanningScene
+from minidual.control import kernels
 from minidual.motion.search import EdgeChecker
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
@@ -17,7 +19,7 @@ from minidual.robot import compiled
 def test_without_a_place_for_the_cache_it_compiles_in_memory(monkeypatch):
     calls = []
 
-    def njit(signature, *, cache=False, error_model=""):
+    def njit(signature, *, cache=False, **options):
         calls.append(cache)
         if cache:
             raise RuntimeError("cannot cache function: no locator available")
@@ -53,6 +55,24 @@ def test_what_compiled_code_takes_is_made_of_anything():
 def test_the_private_flag_of_numba_is_still_there():
     """Without it planning is five times slower: say so here when a numba drops the name."""
     assert compiled.UNCOUNTED == {"_nrt": False}
+
+
+def test_a_kernel_that_counts_no_references_checks_its_arguments_all_the_same():
+    a, b = np.arange(3.0), np.array([0.0, 3.0, 2.0])
+    before = sys.getrefcount(a)
+    for _ in range(1000):
+        assert kernels.farthest(a, b) == 2.0
+    assert sys.getrefcount(a) == before
+    for wrong in (b.astype(np.float32), b.reshape(1, 3), np.zeros(6)[::2], b.tolist()):
+        with pytest.raises(TypeError):
+            kernels.farthest(a, wrong)
+
+
+def test_a_kernel_that_makes_arrays_must_say_so():
+    kind = compiled.VECTOR(compiled.VECTOR)
+    assert compiled.kernel(kind, heap=True)(lambda a: a + a)(np.ones(2)).tolist() == [2.0, 2.0]
+    with pytest.raises(NumbaError):
+        compiled.kernel(kind)(lambda a: a - 1.0)
 
 
 def test_numba_loads_without_scipy_linalg_and_still_multiplies_matrices():

@@ -166,8 +166,7 @@ class ObjectExecution(_Execution[ObjectCommand]):
             raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
         self.squeeze_n = squeeze_n
         if self._paced:
-            T, twist, acceleration = self._own
-            self.desired = ObjectState(T, *self._slowed(twist, acceleration))
+            self.desired = ObjectState(self._own[0], *self._slowed(*self._own[1:]))
 
 
 Execution = TrajectoryExecution | ObjectExecution

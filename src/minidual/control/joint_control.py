@@ -101,6 +101,5 @@ class JointLoop[P: Plant]:
     def follow(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:
         """Run one step on a smooth reference."""
         world = self.world
-        tau = self.controller.torque(world.q, world.v, q_ref, v_ref, a_ref)
-        world.command(tau, self.grippers.step(gripper))
+        world.command(self.controller.torque(world.q, world.v, q_ref, v_ref, a_ref), self.grippers.step(gripper))
         world.step()

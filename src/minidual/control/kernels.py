@@ -92,14 +92,15 @@ def apart(T: Array, T_other: Array, way: Array) -> tuple[float, float]:
 def approach(T: Array, goal: Array, share: float, moved: Array) -> tuple[float, float]:
     """Fill `moved` (4, 4) with T moved by a share of the way to a goal; return that way's distance [m] and angle [rad]."""
     p, (turned, angle) = three(T[:, 3], 0), turn(goal, T)
-    way, axis, moved[:] = minus(three(goal[:, 3], 0), p), times(share, turned), T
+    way, axis = minus(three(goal[:, 3], 0), p), times(share, turned)
     square = inner(axis, axis)
     size = math.sqrt(square)
     sine, cosine = (math.sin(size) / size, (1.0 - math.cos(size)) / square) if size > 1e-6 else (1.0, 0.5)
     for k in range(3):  # Rodrigues
         across = cross(axis, three(T[:, k], 0))
         moved[:3, k] = plus(three(T[:, k], 0), plus(times(sine, across), times(cosine, cross(axis, across))))
-    moved[:3, 3] = plus(p, times(share, way))
+        moved[3, k] = T[3, k]
+    moved[:3, 3], moved[3, 3] = plus(p, times(share, way)), T[3, 3]
     return math.sqrt(inner(way, way)), angle
 
 
@@ -143,7 +144,7 @@ def least_norm(J: Array, b: Array, x: Array) -> bool:
     return True
 
 
-@kernel(types.void(_HANDS, VECTOR, VECTOR, _REAL, ROWS))
+@kernel(types.void(_HANDS, VECTOR, VECTOR, _REAL, ROWS), heap=True)
 def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array) -> None:
     """Fill `out` (2, 5): each hand's force |(J J^T + 1e-3)^-1 J torque| [N], speed [m/s], and place [m] in `ahead_s`."""
     J, p_left, p_right, _, _ = hands
@@ -164,7 +165,8 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
     types.boolean(
         *(types.Array(from_dtype(LAW), 1, "C"), ROWS, VIEW, ROWS, VIEW, VIEW, _REAL, _REAL),
         *(_HANDS, VIEW, VIEW, VECTOR, VECTOR, VECTOR),
-    )
+    ),
+    heap=True,
 )
 def impedance(
     law: Array,
@@ -233,7 +235,8 @@ def impedance(
     types.boolean(
         *(types.Array(from_dtype(HAND_LAW), 1, "C"), _HANDS, types.intp, ROWS),
         *(VIEW, VIEW, VIEW, VIEW, VECTOR, VECTOR, VECTOR),
-    )
+    ),
+    heap=True,
 )
 def hand_impedance(
     law: Array,
@@ -287,18 +290,15 @@ def hand_impedance(
 @kernel(types.void(_HANDS, types.intp, _POSE, _POSE, types.boolean, ROWS))
 def from_hand(hands: Placed, arm: int, X: Array, T: Array, back: bool, out: Array) -> None:
     """Fill `out` (4, 4) with H T, or H^-1 T if `back`, of the frame H at X in a hand."""
-    R_tcp, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
-    R, p = np.empty((3, 3)), plus(three(p_tcp, 0), apply(R_tcp, X[:3, 3]))
-    for i in range(3):
-        for k in range(3):
-            R[i, k] = inner(R_tcp[i], X[:3, k])
+    R, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
+    p, p_X = three(p_tcp, 0), three(X[:, 3], 0)
     for k in range(4):
-        x = three(T[:, k], 0)
+        x, one = three(T[:, k], 0), T[3, k]
         if back:
-            out[:3, k] = apply(R.T, minus(x, times(T[3, k], p)))
+            out[:3, k] = apply(X.T, minus(apply(R.T, minus(x, times(one, p))), times(one, p_X)))
         else:
-            out[:3, k] = plus(apply(R, x), times(T[3, k], p))
-    out[3] = T[3]
+            out[:3, k] = plus(apply(R, plus(apply(X, x), times(one, p_X))), times(one, p))
+        out[3, k] = one
 
 
 @njit
@@ -417,7 +417,10 @@ def adopt(
         x = three(twist if i < 2 else acceleration, 3 * (i % 2))
         if not inner(x, x) <= most[2 + i] ** 2:
             return False
-    T_own[:3], twist_own[:], a_own[:] = T[:3], twist, acceleration
+    for k in range(4):
+        T_own[:3, k] = three(T[:, k], 0)
+    for k in range(6):
+        twist_own[k], a_own[k] = twist[k], acceleration[k]
     return True
 
 

@@ -65,7 +65,8 @@ def compare(q: Array, v: Array, tau: Array, dt: float, row: int, bounds: Array, 
         elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= bounds[1]:
             worst = max(worst, abs(tau[j] - kept[_TAU, j]) / bounds[2 + j])
     if worst <= 1.0:
-        kept[_Q_USABLE], kept[_V_USABLE] = q, v
+        for j in range(len(q)):
+            kept[_Q_USABLE, j], kept[_V_USABLE, j] = q[j], v[j]
     return worst
 
 

@@ -229,8 +229,7 @@ class Supervisor:
 
     def _overtaken(self, newer_s: float) -> bool:
         """Return whether a later measurement has overtaken this one; where none has come for long, the clock jumped."""
-        most_s = self.config.measurement_age_max_s
-        return -most_s < newer_s < 0.0 and self._sense.age_s < 0.5 * most_s
+        return -(most_s := self.config.measurement_age_max_s) < newer_s < 0.0 and self._sense.age_s < 0.5 * most_s
 
     def _stopping(self, q: Array, v: Array, stamp_s: float | None) -> Array:
         newer_s = self._newer_s(stamp_s)

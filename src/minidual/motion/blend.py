@@ -100,7 +100,7 @@ class SmoothPath(NamedTuple):
         return _evaluated(floats(self.coefficients), floats(self.knots), floats(s), factors)
 
 
-@kernel(ROWS(BLOCKS, VECTOR, VECTOR, VECTOR))
+@kernel(ROWS(BLOCKS, VECTOR, VECTOR, VECTOR), heap=True)
 def _evaluated(coefficients: Array, knots: Array, s: Array, factors: Array) -> Array:
     """Return `SmoothPath.at` (n, d): a third of numpy's time."""
     out, piece = np.zeros((len(s), coefficients.shape[2])), 0

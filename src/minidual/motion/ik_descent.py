@@ -118,7 +118,7 @@ def _inner(J: Array, i: int, e: Array) -> float:
     return s
 
 
-@kernel(types.void(BLOCKS, VECTOR, ROWS))
+@kernel(types.void(BLOCKS, VECTOR, ROWS), heap=True)
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
     """Fill the tcp pose T (4, 4)."""
     _reach(frames, q, T, np.empty((len(q), 6)))
@@ -126,7 +126,7 @@ def tcp_pose(frames: Array, q: Array, T: Array) -> None:
         T[3, c] = 1.0 if c == 3 else 0.0
 
 
-@kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS))
+@kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS), heap=True)
 def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
     """Fill e (6,) and de/dq (6, n)."""
     measured = _measured(frames, target, q)
@@ -134,7 +134,7 @@ def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
     e[:] = measured[4]
 
 
-@kernel(types.UniTuple(types.float64, 3)(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, types.int64, types.float64))
+@kernel(types.UniTuple(types.float64, 3)(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, types.int64, types.float64), heap=True)
 def descend(
     frames: Array, target: Array, q: Array, lower: Array, upper: Array, iterations: int, tolerance: float
 ) -> tuple[float, float, float]:
@@ -174,7 +174,7 @@ def descend(
     return math.sqrt(cost), math.sqrt(_dot(p, p)), now[5]
 
 
-@kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, ROWS))
+@kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, ROWS), heap=True)
 def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array, limits: Array) -> None:
     """Move q (n,) to the least sum_i (q_i - posture_i)^2 / mobility_i at the pose (4, 4).
 
@@ -202,7 +202,7 @@ def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array
             return
 
 
-@kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64))
+@kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64), heap=True)
 def project(frames: Array, target: Array, q: Array, wish: Array, rounds: int, small: float, step_max: float) -> bool:
     """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 

@@ -53,7 +53,7 @@ def _rows(first: Array, second: Array, i: int, step: float, out: Array) -> None:
         out[d + j, 1] = second[i + 1, j]
 
 
-@kernel(VECTOR(VECTOR, ROWS, ROWS, VECTOR, VECTOR))
+@kernel(VECTOR(VECTOR, ROWS, ROWS, VECTOR, VECTOR), heap=True)
 def squared_speeds(grid: Array, first: Array, second: Array, v_max: Array, a_max: Array) -> Array:
     """Return (ds/dt)^2 on the grid (n,), zero at both ends.
 
@@ -160,7 +160,7 @@ def time_path(
     raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
 
 
-@kernel(types.UniTuple(ROWS, 3)(ROWS, ROWS, VECTOR, VECTOR, types.intp))
+@kernel(types.UniTuple(ROWS, 3)(ROWS, ROWS, VECTOR, VECTOR, types.intp), heap=True)
 def _motion(first: Array, second: Array, speed: Array, acceleration: Array, dof: int) -> tuple[Array, Array, Array]:
     """Return velocities, accelerations (n, dof) and the largest of both and of the accelerations' changes (3, dof).
 

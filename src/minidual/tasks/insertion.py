@@ -110,7 +110,7 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     )
 
 
-@kernel(types.float64(ROWS, ROWS, ROWS, ROWS))
+@kernel(types.float64(ROWS, ROWS, ROWS, ROWS), heap=True)
 def depth_in(T_peg: Array, peg: Array, T_socket: Array, socket: Array) -> float:
     """Return `depth_m` of a peg near a socket, whose block has four walls around the bore, the first on its -x side.
 

@@ -141,5 +141,4 @@ def _hands_at(objects: Mapping[str, Array], state: State) -> dict[str, Array]:
 
 
 def _at(place: Place, state: State, last: Segment) -> State:
-    objects = {**state.objects, **place.objects}
-    return replace(state, q=last.trajectory.q[-1], objects=objects, rests=place.rests)
+    return replace(state, q=last.trajectory.q[-1], objects={**state.objects, **place.objects}, rests=place.rests)
