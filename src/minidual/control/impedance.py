@@ -96,6 +96,7 @@ class ObjectImpedance:
         self._law, self._by_world = np.array([data], LAW), gains.squeeze_axes == "world"
         self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)
         self._hands = Hands(kinematics)
+        self._work = np.zeros((19, max(6, kinematics.robot.dof_per_arm)))
         self._qdd, self.push = np.zeros((2, kinematics.robot.dof))
         """push: (n,) [Nm], last J^T f."""
 
@@ -136,7 +137,7 @@ class ObjectImpedance:
         sound = impedance(
             *(self._law, measured.T_world_object, measured.twist),
             *(desired.T_world_object, desired.twist, desired.acceleration, wanted_n, felt_n),
-            *(hands.views, self._posture, q, v, self._qdd, self.push),
+            *(hands.views, self._posture, q, v, self._qdd, self.push, self._work),
         )
         if not sound and np.isfinite(q + v).all():  # of joints, the supervisor says what is wrong
             seen = {"pose": measured.T_world_object, "twist": measured.twist, "internal force": felt_n + wanted_n}

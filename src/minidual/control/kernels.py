@@ -133,10 +133,9 @@ def hand_motion(J: Array, p: Elements, v: Array, J_hand: Array) -> tuple[Vector,
 
 
 @njit
-def least_norm(J: Array, b: Array, x: Array) -> bool:
-    """Add J^T (J J^T)^-1 b to x, J (6, n); return False if J lost a rank."""
-    y = b.copy()
-    if not solve_gram(J, y, 0.0):
+def least_norm(J: Array, y: Array, x: Array, L: Array) -> bool:
+    """Add J^T (J J^T)^-1 y to x, J (6, n), and overwrite y and L (6, 6); return False if J lost a rank."""
+    if not solve_gram(J, y, 0.0, L):
         return False
     for i in range(5, -1, -1):
         for k in range(J.shape[1]):
@@ -155,7 +154,7 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
         hand_motion(J[:, own], p, v[own], J_hand)
         y[:], velocity[:] = 0.0, 0.0
         add_product(y, 1.0, J_hand, torque[own])
-        solve_gram(J_hand, y, 1e-3)
+        solve_gram(J_hand, y, 1e-3, np.empty((6, 6)))
         add_product(velocity, 1.0, J_hand[:3], v[own])
         out[i, 0], out[i, 1] = math.sqrt(inner(y, y)), math.sqrt(inner(velocity, velocity))
         out[i, 2:] = plus(p, times(ahead_s, velocity))
@@ -164,9 +163,8 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
 @kernel(
     types.boolean(
         *(types.Array(from_dtype(LAW), 1, "C"), ROWS, VIEW, ROWS, VIEW, VIEW, _REAL, _REAL),
-        *(_HANDS, VIEW, VIEW, VECTOR, VECTOR, VECTOR),
-    ),
-    heap=True,
+        *(_HANDS, VIEW, VIEW, VECTOR, VECTOR, VECTOR, ROWS),
+    )
 )
 def impedance(
     law: Array,
@@ -183,15 +181,18 @@ def impedance(
     v: Array,
     qdd: Array,
     push: Array,
+    work: Array,
 ) -> bool:
     """Fill qdd (n,) and push (n,) = J^T f; see docs/force-control.md.
 
-    law: (1,) of LAW. Return False if a hand has lost a direction of motion, or something is not finite.
+    law: (1,) of LAW. work: (19, n / 2, at least 6), overwritten: to make arrays takes a quarter of the law's time. Return
+    False if a hand has lost a direction of motion, or something is not finite.
     """
     J, p_left, p_right, R_left, R_right = hands
     s = law[0]
     K, D = s.K, s.D
-    force = np.empty(3)
+    n, J_hand, L, R = len(v) // 2, work[:6, : len(v) // 2], work[6:12, :6], work[12:15, :3]
+    lacking, wrench, slow, force = work[15, :6], work[16, :6], work[17, :3], work[18, :3]
     for k in range(3):
         force[k] = K[k] * (T_d[k, 3] - T[k, 3]) + D[k] * (twist_d[k] - twist[k]) + s.mass * a_d[k]
     force[2] += 9.81 * s.mass
@@ -204,8 +205,6 @@ def impedance(
     correction = within(s.force_gain * (wanted_n - felt_n), -s.force_limit, s.force_limit)
     squeeze_n = within(wanted_n + correction, 0.0, s.force_max)
     f = hand_wrenches(three(force, 0), moment, r[0], r[1], times(squeeze_n, apply(T, s.axis)))
-    n = len(v) // 2
-    J_hand, R, lacking, wrench, slow = np.empty((6, n)), np.empty((3, 3)), np.empty(6), np.empty(6), np.empty(3)
     for i, R_hand in enumerate((R_left, R_right)):
         own = slice(n * i, n * i + n)
         drift = hand_motion(J[:, own], p_hands[i], v[own], J_hand)
@@ -214,7 +213,7 @@ def impedance(
             R[k] = apply(s.R_tcps_object[i].T, R_hand[k])
         error, _ = turn(T_d, R)
         wrench[:3], wrench[3:] = f[i]
-        slow[:] = omega
+        slow[0], slow[1], slow[2] = omega
         add_product(slow, -1.0, J_hand[3:], v[own])
         for k in range(3):
             wrench[3 + k] += 0.5 * (K[3 + k] * error[k] + D[3 + k] * slow[k])
@@ -226,7 +225,7 @@ def impedance(
         for j in range(n * i, n * i + n):
             qdd[j] = s.posture_stiffness * (posture[j] - q[j]) - s.posture_damping * v[j]
         add_product(lacking, -1.0, J_hand, qdd[own])
-        if not least_norm(J_hand, lacking, qdd[own]):
+        if not least_norm(J_hand, lacking, qdd[own], L):
             return False
     return math.isfinite(push.sum() + qdd.sum())
 
@@ -284,7 +283,7 @@ def hand_impedance(
         posture[j] = s.posture_stiffness * (q_ref[k] - q[k]) + s.posture_damping * (v_ref[k] - v[k])
         qdd[k] += posture[j]
     add_product(lacking, -1.0, J_hand, posture)  # only the null space keeps the posture
-    return least_norm(J_hand, lacking, qdd[own])
+    return least_norm(J_hand, lacking, qdd[own], np.empty((6, 6)))
 
 
 @kernel(types.void(_HANDS, types.intp, _POSE, _POSE, types.boolean, ROWS))

@@ -78,7 +78,7 @@ class SoftStop:
         self._from_s[joints] = t_s
 
     def at(self, t_s: float) -> tuple[Array, Array, Array]:
-        """Return (q, v, a) at time t; at rest from `duration_s` on."""
+        """Return (q, v, a) at time t; at rest from `duration_s` on, if not renewed."""
         s = np.clip((t_s - self._from_s) / self._times_s, 0.0, 1.0)
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3

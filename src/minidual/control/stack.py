@@ -223,9 +223,8 @@ class ControlStack[P: Plant]:
         active = self.manager.active
         if active in (OBJECT_CONTROLLERS, _STOPPING) or any(hand.name in active for hand in self.hands):
             kept = [any(arm in self.manager[name].arms for name in set(names) & set(active)) for arm in (0, 1)]
-            keeps = np.repeat(kept, self._robot.dof_per_arm)
-            q, v = np.where(keeps, self.output.q_target, self.plant.q), np.where(keeps, 0.0, self.plant.v)
-            self.arbiter.stand(q, v)
+            keeps, v = np.repeat(kept, self._robot.dof_per_arm), slower(self.plant.v, self._v)
+            self.arbiter.stand(np.where(keeps, self.output.q_target, self.plant.q), np.where(keeps, 0.0, v))
         self.manager.switch(names, self.plant.q, slower(self.plant.v, self._v))
         self._due = True
 

@@ -157,7 +157,7 @@ def descend(
         if not J.any():
             break
         y[:] = now[4]
-        if not _solve_gram(J, y, damping):
+        if not _solve_gram(J, y, damping, np.empty((6, 6))):
             damping *= _DAMPING_UP
             continue
         for i in range(n):
@@ -192,7 +192,7 @@ def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array
             for k in range(6):
                 y[k] += J[k, i] * wish[i]
                 J[k, i] *= least[i]
-        if not _solve_gram(J, y, _DAMPING_PROJECT):
+        if not _solve_gram(J, y, _DAMPING_PROJECT, np.empty((6, 6))):
             return
         for i in range(n):
             step = wish[i] - least[i] * _inner(J, i, y)
@@ -220,7 +220,7 @@ def project(frames: Array, target: Array, q: Array, wish: Array, rounds: int, sm
             for k in range(6):
                 for i in range(n):
                     e[k] += J[k, i] * wish[i]
-        if not _solve_gram(J, e, _DAMPING_PROJECT):
+        if not _solve_gram(J, e, _DAMPING_PROJECT, np.empty((6, 6))):
             return False
         for i in range(n):
             step[i] = wish[i] if wished else 0.0

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from minidual.robot.pair import Array
 
 Vector = Sequence[float]
@@ -61,9 +59,8 @@ def larger(x: float, y: float) -> float:
     return x if x > y or x != x else y
 
 
-def solve_gram(J: Array, y: Array, damping: float) -> bool:
-    """Solve (J J^T + damping) x = y in place by Cholesky factors; return False if J (6, n) lost a rank."""
-    L = np.empty((6, 6))
+def solve_gram(J: Array, y: Array, damping: float, L: Array) -> bool:
+    """Solve (J J^T + damping) x = y in place by Cholesky factors L (6, 6); return False if J (6, n) lost a rank."""
     for i in range(6):
         for j in range(i + 1):
             s = damping if i == j else 0.0
