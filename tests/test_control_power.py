@@ -61,7 +61,7 @@ class Linked(Arms):
 def cut(plant: Linked, stack: ControlStack, *, off: bool) -> None:
     """Take the right arm's power, or give it back; its brakes hold it meanwhile."""
     plant.powered = ~RIGHT if off else np.ones(14, dtype=bool)
-    plant.stuck = RIGHT if off else np.zeros(14, dtype=bool)
+    plant.stuck = RIGHT.copy() if off else np.zeros(14, dtype=bool)
     stack.switch_off((1,) if off else ())
 
 
@@ -271,3 +271,34 @@ def test_hands_that_give_way_to_joints_in_motion_are_drawn_nowhere(scene: SceneC
         assert run(stack, 1) == []
         targets.append(plant.q[0])
     assert max(targets) - targets[-1] < 0.01
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1000.0])
+def test_a_velocity_that_is_none_sends_nobody_anywhere_at_a_change_of_controllers(
+    scene: SceneConfig, wrong: float
+) -> None:
+    plant = Linked(scene)
+    stack = stack_on(plant, supervisor=Supervisor(WIDE, dt_s=plant.dt))
+    hand_over(stack, "teleop", ("left_hand", "right_hand"))
+    began = plant.q.copy()
+    plant.lies["v"] = lambda v: np.where(np.arange(14) == 3, wrong, v)
+    stack.switch_controllers(("both_arms",))
+    plant.lies.clear()
+    run(stack, 500)
+    assert np.isfinite(stack.output.q_target).all()
+    assert np.abs(stack.output.q_target - began).max() < 1e-3
+    assert np.abs(plant.q - began).max() < 1e-3
+
+
+def test_one_wrong_velocity_as_power_returns_sends_nobody_anywhere(scene: SceneConfig) -> None:
+    plant = Linked(scene)
+    stack = supervised(plant)
+    hand_over(stack, "teleop")
+    cut(plant, stack, off=True)
+    run(stack, 100)
+    began = plant.q.copy()
+    plant.lies["v"] = lambda v: v + 2.0 * np.eye(14)[3]
+    cut(plant, stack, off=False)
+    plant.lies.clear()
+    run(stack, 500)
+    assert np.abs(stack.output.q_target - began).max() < 1e-3

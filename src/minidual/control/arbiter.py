@@ -198,7 +198,8 @@ class CommandArbiter:
         self._stopping = far if driven else set()
 
     def stand(self, q: Array, v: Array | float = 0.0) -> None:
-        """Forget the joint target: what drove the arms to q, v (n,) had none. They stop where they can."""
+        """Forget the joint target: what drove the arms to q, v (n,) had none. They stop where they can; NaN is rest."""
+        v = np.clip(np.nan_to_num(v), -self._robot.v_max, self._robot.v_max)
         rest = q + v * np.abs(v) / (2.0 * _STOP_SHARE * self._robot.a_max)
         self._target = np.clip(rest, self._robot.q_lower, self._robot.q_upper)
 

@@ -532,7 +532,7 @@ class ControlStack[P: Plant]:
         if not np.isfinite(q + v).all():
             return self.applied
         if interrupted or self.manager.active != DEFAULT_CONTROLLERS:
-            self.arbiter.stand(q, v)
+            self.arbiter.stand(q, slower(v, self._v))
             self.manager[DEFAULT_CONTROLLERS[0]].activate(q, v)  # an active one would go on with what was interrupted
             self.manager.switch(DEFAULT_CONTROLLERS, q, v)
         return self.manager.update(q, v)  # raises if these have failed: no others could hold the arms
