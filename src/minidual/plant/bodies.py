@@ -8,7 +8,7 @@ import numpy as np
 from numba.core import types
 
 from minidual.config.scene import PartConfig
-from minidual.robot.compiled import ROWS, VECTOR, kernel
+from minidual.robot.compiled import ROWS, VECTOR, bound, kernel
 from minidual.robot.pair import Array, Robot, pose
 
 type Vector = tuple[float, float, float]
@@ -92,12 +92,12 @@ class NamedObject:
         self._omega = self.qvel[3:]
         self._model, self._first = model, int(model.body_geomadr[self.body])
         self._rest_height_m = float(model.qpos0[position + 2])
-        self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
+        self.frame = self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
         first = int(model.sensor(contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])).adr[0])
         pads = data.sensordata[first : first + 12].reshape(4, 3)
         palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
         axes, self._seen = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms], np.zeros(16)
-        self._look = pads, self._R, self._p, *axes, self._seen
+        self._look = bound(look, pads, self._R, self._p, *axes, self._seen)
 
     def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:
         """Return place and half extents (3,) [m] of its parts as they are now, in its frame."""
@@ -130,7 +130,7 @@ class NamedObject:
 
     def look(self) -> Array:
         """Return p (3), the third row of R (3), forces (6), pinches (2), internal force and yaw; overwritten by the next."""
-        look(*self._look)
+        self._look()
         return self._seen
 
     def forces(self) -> Array:

@@ -12,6 +12,7 @@ from minidual.errors import UsageError, unknown_name
 from minidual.plant.bodies import NamedObject, ObjectPose, halves, touching
 from minidual.plant.model import GOAL_MARK, build_model, map_joints
 from minidual.plant.protocol import PlantEndedError
+from minidual.robot.compiled import bound
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 
@@ -67,6 +68,9 @@ class World:
             self._objects[None] = self._objects[self.objects[0]]
         data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
         self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
+        self._fingers, self._grip = np.zeros((2, 2))
+        self._halve_places = bound(halves, self._qpos, self.finger_joints.qpos, 0.5, self._fingers)
+        self._halve_forces = bound(halves, self._force, self.finger_joints.ctrl, -0.5, self._grip)
         self._finger_ctrl = tuple(np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T))  # strided is slow
         self.recorder: StepRecorder | None = None
         """For replays."""
@@ -99,20 +103,21 @@ class World:
     @property
     def fingers(self) -> Array:
         """See `Plant`."""
-        halves(self._qpos, self.finger_joints.qpos, 0.5, sums := np.empty(2))
-        return sums
+        self._halve_places()
+        return self._fingers.copy()
 
     @property
-    def gaps_m(self) -> tuple[float, ...]:
+    def gaps_m(self) -> tuple[float, float]:
         """Between each hand's fingers [m]."""
-        a, b, c, d = self._qpos[self.finger_joints.qpos].tolist()
-        return a + b, c + d
+        self._halve_places()
+        left, right = self._fingers.tolist()
+        return 2.0 * left, 2.0 * right
 
     @property
     def grip(self) -> Array:
         """Closing force (2,) [N], last step."""
-        halves(self._force, self.finger_joints.ctrl, -0.5, sums := np.empty(2))
-        return sums
+        self._halve_forces()
+        return self._grip.copy()
 
     @property
     def gripper(self) -> Array:

@@ -6,6 +6,7 @@ watches no other; after a change here or in `vectors.py` delete the `__pycache__
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -44,6 +45,13 @@ def kernel(signature: Any = None, *, heap: bool = False) -> Callable[[Callable[.
             return njit(signature, **options)(function)
 
     return compiled
+
+
+def bound[T](function: Callable[..., T], *arguments: Any) -> Callable[[], T]:
+    """Return a kernel's call with the same arguments each time; numba's check of their types, half of it, is made now."""
+    function(*arguments)
+    compiled = cast(Any, function).overloads.values()
+    return partial(next(iter(compiled)).entry_point, *arguments)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
