@@ -157,6 +157,10 @@ class Thing:
     def pose(self) -> np.ndarray:
         return self.T
 
+    @property
+    def frame(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.T[:3, :3].copy(), self.T[:3, 3].copy()
+
     def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Any, Any]]:
         return [(part.position_m, part.half_m) for part in parts]
 

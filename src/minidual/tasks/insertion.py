@@ -11,7 +11,7 @@ from numba.core import types
 from minidual.config.root import Config, preset
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.registry import rows_beside
-from minidual.robot.compiled import ROWS, kernel
+from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import SIDES, Array, pose
 from minidual.tasks import success
 from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, level_pose, near, placement
@@ -110,20 +110,20 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     )
 
 
-@kernel(types.float64(ROWS, ROWS, ROWS, ROWS), heap=True)
-def depth_in(T_peg: Array, peg: Array, T_socket: Array, socket: Array) -> float:
+@kernel(types.float64(*(ROWS, VECTOR, ROWS) * 2), heap=True)
+def depth_in(R_peg: Array, p_peg: Array, peg: Array, R_socket: Array, p_socket: Array, socket: Array) -> float:
     """Return `depth_m` of a peg near a socket, whose block has four walls around the bore, the first on its -x side.
 
-    T_peg, T_socket: (4, 4). peg, socket: (k, 8), see `ObjectTruth.solids`.
+    peg, socket: (k, 8), see `ObjectTruth.solids`.
     """
     turned, at = np.zeros((3, 3)), np.zeros(3)
     half, length, block, wall = peg[0, 3], peg[0, 4], socket[0], socket[1]
     bore, mouth = block[0] - wall[0] - wall[3], wall[1] - wall[4] - block[1]
     for i in range(3):
         for j in range(3):
-            at[i] += T_socket[j, i] * (T_peg[j, 3] - T_socket[j, 3])
+            at[i] += R_socket[j, i] * (p_peg[j] - p_socket[j])
             for k in range(3):
-                turned[i, k] += T_socket[j, i] * T_peg[j, k]
+                turned[i, k] += R_socket[j, i] * R_peg[j, k]
         at[i] += turned[i, 0] * peg[0, 0] + turned[i, 1] * peg[0, 1] + turned[i, 2] * peg[0, 2] - block[i]
     deep = at[1] + turned[1, 1] * length - mouth
     for i in (0, 2):
@@ -139,7 +139,7 @@ def depth_m(truth: success.Truth) -> float:
     peg, socket = truth[PEG], truth[SOCKET]
     if math.dist(peg.xyz, socket.xyz) > 1.2 * (_PEG_LENGTH_M / 2 - _MOUTH_M + _PEG_M):
         return 0.0
-    return float(depth_in(peg.T, peg.solids, socket.T, socket.solids))
+    return float(depth_in(*peg.frame, peg.solids, *socket.frame, socket.solids))
 
 
 @dataclass

@@ -75,8 +75,10 @@ class Judge:
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        self._observing = [c for c in self._conditions if c.has("observe")]
-        self._final = [c for c in self._conditions if c.has("holds")]
+        self._observing = [
+            (p.observe, (c.name, of)) for c in self._conditions for of, p in c.each() if p.has("observe")
+        ]
+        self._final = [part.holds for c in self._conditions for _, part in c.each() if part.has("holds")]
         self._stages = [c for c in self._conditions if c.stage]
         self._ahead = self._stages.copy()
         self.failures: dict[str, Failure] = {}
@@ -99,13 +101,17 @@ class Judge:
         truth = self.truth
         truth.refresh(world)
         now = truth.time
-        for condition in self._observing:
-            if (detail := condition.observe(truth)) and condition.name not in self._muted:
-                self.failures.setdefault(condition.name, Failure(condition.name, now, detail))
+        for observe, told in self._observing:
+            if detail := observe(truth):
+                name, of = told
+                if name not in self._muted:
+                    self.failures.setdefault(name, Failure(name, now, of + detail))
         while self._ahead and self._ahead[0].reached(truth):
             self._ahead.pop(0)
-        for condition in self._final:
-            if not condition.holds(truth):
+        for holds in (final := self._final):
+            if not holds(truth):
+                if holds is not final[0]:  # ask it first from now on: it is likely to fail again
+                    final.insert(0, final.pop(final.index(holds)))
                 self._quiet_since = self._done_at = None
                 return
         if self._quiet_since is None:

@@ -129,11 +129,11 @@ class _Inside(success.OfObject):
     def holds(self, truth: success.Truth) -> bool:
         item = truth[self.object]
         (x, y, _), (a, b, _) = item.xyz, item.half_m
-        dx, dy = abs(x - self.mark.xy_m[0]), abs(y - self.mark.xy_m[1])
-        if max(dx - self.mark.size_m[0] / 2, dy - self.mark.size_m[1] / 2) > -min(a, b):
+        (x_mark, y_mark), (length, width) = self.mark.xy_m, self.mark.size_m
+        if not ((room_x := length / 2 - abs(x - x_mark)) > 0.0 < (room_y := width / 2 - abs(y - y_mark))):
             return False
         c, s = abs(math.cos(item.yaw_rad)), abs(math.sin(item.yaw_rad))
-        return dx + c * a + s * b <= self.mark.size_m[0] / 2 and dy + s * a + c * b <= self.mark.size_m[1] / 2
+        return c * a + s * b <= room_x and s * a + c * b <= room_y
 
     def end(self, truth: success.Truth) -> str:
         x, y, _ = truth[self.object].xyz
@@ -153,7 +153,8 @@ class _Placed(success.SuccessCondition):
         self._count, self._ends = count, ends
 
     def reached(self, truth: success.Truth) -> bool:
-        return sum(all(part.holds(truth) for part in parts) for parts in self._ends) >= self._count
+        placed = [a.holds(truth) and b.holds(truth) and c.holds(truth) for a, b, c in self._ends]
+        return sum(placed) >= self._count
 
 
 class _Job(NamedTuple):

@@ -37,7 +37,6 @@ class ObjectTruth:
         solids: (k, 8), place and half extents (3,) [m] in its frame, whether round, and its axis; as they are in the trial.
         clearance_m: Height of its lowest point above the table.
         pinch: Normal force of each hand's weaker finger [N].
-        hand_forces: Net force (3,) [N] of each hand.
         squeeze_n: Internal force: the smaller inward hand force along y.
         yaw_rad: Yaw of its y axis.
     """
@@ -57,13 +56,24 @@ class ObjectTruth:
         seen = self._object.look()
         self.tilt_rad, self.clearance_m = lie(seen, self.solids, self._upright)
         # Plain floats: a success test of arrays costs four times as much.
-        x, y, z, _, _, _, a, b, c, d, e, f, left, right, self.squeeze_n, self.yaw_rad = seen.tolist()
-        self.xyz, self.hand_forces, self.pinch = (x, y, z), ((a, b, c), (d, e, f)), (left, right)
+        self._seen = numbers = seen.tolist()
+        x, y, z, *_, left, right, self.squeeze_n, self.yaw_rad = numbers
+        self.xyz, self.pinch = (x, y, z), (left, right)
         self.airborne = self.clearance_m > AIRBORNE_M
 
     def distance_m(self, xy: Sequence[float]) -> float:
         """Return the horizontal distance of its centre."""
         return math.hypot(self.xyz[0] - xy[0], self.xyz[1] - xy[1])
+
+    @property
+    def hand_forces(self) -> tuple[list[float], list[float]]:
+        """Net force (3,) [N] of each hand."""
+        return self._seen[6:9], self._seen[9:12]
+
+    @property
+    def frame(self) -> tuple[Array, Array]:
+        """Orientation (3, 3) and position (3,) [m] in the world, in MuJoCo's own memory: they change with it."""
+        return self._object.frame
 
     @property
     def T(self) -> Array:
@@ -110,6 +120,10 @@ class SuccessCondition:
     """Counts for `progress`."""
     optional: bool = False
     """Only measured unless demanded."""
+
+    def each(self) -> Sequence[tuple[str, SuccessCondition]]:
+        """Return its parts, each with what introduces its violations."""
+        return [("", self)]
 
     def has(self, method: str) -> bool:
         """Return whether it does more in `observe` or `holds` than this base class."""
@@ -163,7 +177,8 @@ class Level(OfObject):
 
     def observe(self, truth: Truth) -> str:
         tilt = truth[self.object].tilt_rad
-        self._largest = tilt if tilt > self._largest else self._largest
+        if tilt > self._largest:
+            self._largest = tilt
         if tilt > self.limit_rad:
             return f"tilt {np.degrees(tilt):.1f} deg, limit {np.degrees(self.limit_rad):.1f}"
         return ""
@@ -180,13 +195,17 @@ class Whole(OfObject):
     pinch_max_n: float | None
     force_max_n: float | None
 
+    def has(self, method: str) -> bool:
+        return super().has(method) and not (self.pinch_max_n is self.force_max_n is None)
+
     def observe(self, truth: Truth) -> str:
         item = truth[self.object]
         pinch = max(item.pinch)
         if self.pinch_max_n is not None and pinch > self.pinch_max_n:
             return f"the object broke: pinch {pinch:.1f} N, it stands {self.pinch_max_n:.0f} N"
         if self.force_max_n is not None:
-            force = max([math.hypot(*hand) for hand in item.hand_forces])
+            left, right = item.hand_forces
+            force = max(math.hypot(*left), math.hypot(*right))
             if force > self.force_max_n:
                 return f"the object broke: a hand pressed with {force:.1f} N, it stands {self.force_max_n:.0f} N"
         return ""
@@ -219,18 +238,18 @@ class Held(OfObject):
     _least: float = math.inf
     _let_go: tuple[float, float, float] | None = None
 
-    def _pinch(self, truth: Truth) -> tuple[int, float]:
-        left, right = pinch = truth[self.object].pinch
+    def _pinch(self, item: ObjectTruth) -> tuple[int, float]:
+        left, right = pinch = item.pinch
         hand = self.hand
         if hand is None:  # the weaker one, or the firmer
-            hand = int(right < left if self.both else right > left)
+            hand = 1 if (right < left if self.both else right > left) else 0
         return hand, pinch[hand]
 
     def observe(self, truth: Truth) -> str:
         item = truth[self.object]
         if not item.airborne and self._let_go is None:
             return ""
-        hand, pinch = self._pinch(truth)
+        hand, pinch = self._pinch(item)
         if item.airborne and pinch < self._least:
             self._least = pinch
         if pinch > self.limit_n:
@@ -244,7 +263,7 @@ class Held(OfObject):
         return f"{who} {pinch:.1f} N{moving}, needs > {self.limit_n:.0f}"
 
     def reached(self, truth: Truth) -> bool:
-        return self._pinch(truth)[1] > self.limit_n
+        return self._pinch(truth[self.object])[1] > self.limit_n
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"pinch_min_n": self._least if math.isfinite(self._least) else 0.0}
@@ -321,7 +340,8 @@ class Squeezed(OfObject):
         if not item.airborne:
             return ""
         squeeze = item.squeeze_n
-        self._least = min(self._least, squeeze)
+        if squeeze < self._least:
+            self._least = squeeze
         return "" if squeeze > self.limit_n else f"internal force {squeeze:.1f} N, needs > {self.limit_n:.0f}"
 
     def measured(self, truth: Truth) -> dict[str, float]:
@@ -338,7 +358,9 @@ class Rose(OfObject):
     _most: float = 0.0
 
     def observe(self, truth: Truth) -> str:
-        self._most = max(self._most, truth[self.object].clearance_m)
+        clearance_m = truth[self.object].clearance_m
+        if clearance_m > self._most:
+            self._most = clearance_m
         return ""
 
     def holds(self, truth: Truth) -> bool:
@@ -436,22 +458,12 @@ class Each(SuccessCondition):
     def __init__(self, parts: Sequence[OfObject], *, stage: bool = False) -> None:
         self.name, self.optional, self.parts, self.stage = parts[0].name, parts[0].optional, parts, stage
 
-    def has(self, method: str) -> bool:
-        return any(part.has(method) for part in self.parts)
-
-    def observe(self, truth: Truth) -> str:
-        first = ""
-        for part in self.parts:
-            detail = part.observe(truth)
-            first = first or (detail and f"{part.object}: {detail}")
-        return first
+    def each(self) -> Sequence[tuple[str, SuccessCondition]]:
+        return [(f"{part.object}: ", part) for part in self.parts]
 
     def disturbed(self) -> None:
         for part in self.parts:
             part.disturbed()
-
-    def holds(self, truth: Truth) -> bool:
-        return all(part.holds(truth) for part in self.parts)
 
     def reached(self, truth: Truth) -> bool:
         return all(part.reached(truth) for part in self.parts)

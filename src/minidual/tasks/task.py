@@ -211,4 +211,5 @@ def tilt_rad(T_world_object: Array, body: ObjectConfig) -> float:
     """Return the long axis' tilt."""
     if body.upright:
         return math.acos(min(1.0, abs(T_world_object.item(2, 2))))
-    return math.asin(min(1.0, abs(T_world_object.item(2, 1))))
+    along = abs(T_world_object.item(2, 1))  # a rounded matrix may have more than 1
+    return math.asin(along if along < 1.0 else 1.0)
