@@ -106,8 +106,9 @@ class CommandArbiter:
 
     def affirm(self, source: str) -> None:
         """Report a source as alive; after silence for `stale_s` its timed commands brake."""
-        self._mailbox(source)
-        self._affirmed.add(source)
+        if source not in self._affirmed:
+            self._mailbox(source)
+            self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
         """Request a source, or "hold"; the last request counts, but one of who drives takes back no hold."""

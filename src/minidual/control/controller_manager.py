@@ -90,7 +90,8 @@ class ControllerManager:
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
-        tau = self._joined([controller.update(q, v) for controller in self._active])
+        active = self._active
+        tau = active[0].update(q, v) if len(active) == 1 else self._joined([one.update(q, v) for one in active])
         if self.fade_left:
             tau = self._faded(tau)
         self.tau = tau
@@ -104,6 +105,8 @@ class ControllerManager:
     @property
     def acceleration(self) -> Array | None:
         """Last commanded reference acceleration (n,) [rad/s^2], or None."""
+        if len(self._active) == 1:
+            return self._active[0].acceleration
         parts = [a for controller in self._active if (a := controller.acceleration) is not None]
         return self._joined(parts) if len(parts) == len(self._active) else None
 

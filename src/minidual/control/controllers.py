@@ -181,9 +181,7 @@ class JointTrajectoryController(Controller):
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
         if self._executions:
-            braking = [execution for execution in self._executions if execution.braking]
-            q_ref, v_ref, a_ref, planned = self._trajectory_reference()
-            self.acceleration = None if braking else planned
+            q_ref, v_ref, a_ref, self.acceleration = self._trajectory_reference()
         else:
             q_ref, v_ref, a_ref = self._filter.step(self._target)
             self.acceleration = a_ref
@@ -193,10 +191,11 @@ class JointTrajectoryController(Controller):
         self._age += 1
         return self._servo.torque(q, v, q_ref, v_ref, a_ref, self._load)
 
-    def _trajectory_reference(self) -> tuple[Array, Array, Array, Array]:
+    def _trajectory_reference(self) -> tuple[Array, Array, Array, Array | None]:
         execution, (_, k) = next(iter(self._executions.items()))
+        braking = execution.braking or (len(self._executions) > 1 and any(one.braking for one in self._executions))
         if k < 0 and len(execution.q) == len(self._target) and not execution.finished:  # it drives all joints
-            return execution.q, execution.v, execution.a, execution.a
+            return execution.q, execution.v, execution.a, None if braking else execution.a
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
             self._rows[:3] = self._filter.step(self._target)
@@ -216,4 +215,4 @@ class JointTrajectoryController(Controller):
                 self._target[joints] = execution.q + execution.left * execution.braking
                 self._filter.reset(*self._rows[:2], joints=joints)
         q, v, a, planned = self._rows.copy()
-        return q, v, a, planned
+        return q, v, a, None if braking else planned

@@ -82,7 +82,8 @@ class _Execution[C: TimedCommand]:
         if not self._paced:
             if not self.finished:
                 self._k = k = self._k + 1
-                self._t_s, self.finished = min(k * self._dt, self._end_s), k >= self._steps
+                self.finished = k >= self._steps
+                self._t_s = t_s if (t_s := k * self._dt) < self._end_s else self._end_s
             return
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S

@@ -178,7 +178,8 @@ class ObjectImpedanceController(Controller):
         if self._squeeze != self._squeeze_wanted:
             self._squeeze += within(self._squeeze_wanted - self._squeeze, -self._squeeze_step, self._squeeze_step)
         # The hands slip above the friction limit: reduce the squeeze at once.
-        self._squeeze = min(self._squeeze, sensor.grip_limit_n)
+        if self._squeeze > sensor.grip_limit_n:
+            self._squeeze = sensor.grip_limit_n
         measured, felt_n = sensor.read()
         self._twists += measured.twist
         self.reference, self._v, desired, self._updates = q, v, self.desired or measured, self._updates + 1

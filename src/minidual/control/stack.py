@@ -45,7 +45,8 @@ _SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
 
 
 def _row(x: Any, n: int) -> Array:
-    return np.asarray(x, dtype=float).reshape(n)
+    x = np.asarray(x, dtype=float)
+    return x if x.shape == (n,) else x.reshape(n)
 
 
 class PlantError(MinidualError):
@@ -326,7 +327,10 @@ class ControlStack[P: Plant]:
     @property
     def executing(self) -> bool:
         """Whether a timed command runs or waits."""
-        return self._pending or bool([e for e in self.arbiter.underway.executions if not e.finished])
+        for execution in self.arbiter.underway.executions:
+            if not execution.finished:
+                return True
+        return self._pending
 
     @property
     def tick_next(self) -> bool:

@@ -203,8 +203,8 @@ class Supervisor:
         """Take what is measured and asked; return the largest excess."""
         if self._applied is None:
             self._applied = self._before_control(q)
-        follows, self._referred = self._referred and a_ref is not None, a_ref is not None
-        more = self._applied, self._nothing if a_ref is None else a_ref, follows, *self._within
+        follows, self._referred = self._referred, a_ref is not None
+        more = self._applied, self._nothing if a_ref is None else a_ref, follows and self._referred, *self._within
         try:
             most: float = excess(q, v, tau, *more)
         except TypeError:  # no arrays of floats
@@ -223,9 +223,10 @@ class Supervisor:
         before_s, self._stamp_s = self._stamp_s, stamp_s
         if stamp_s is None or before_s is None:
             return self.dt_s
-        if self._overtaken(stamp_s - before_s):
+        newer_s = stamp_s - before_s
+        if newer_s < 0.0 and self._overtaken(newer_s):
             self._stamp_s = before_s
-        return stamp_s - before_s
+        return newer_s
 
     def _overtaken(self, newer_s: float) -> bool:
         """Return whether a later measurement has overtaken this one; where none has come for long, the clock jumped."""

@@ -254,9 +254,10 @@ class Hands:
         kinematics, placed = self._kinematics, q.tobytes()
         if kinematics.placed == placed:
             return
-        computeJointJacobians(kinematics.model, self._data, q)
-        for frame in kinematics.tcp_ids:
-            updateFramePlacement(kinematics.model, self._data, frame)
+        model, data, (left, right) = kinematics.model, self._data, kinematics.tcp_ids
+        computeJointJacobians(model, data, q)
+        updateFramePlacement(model, data, left)
+        updateFramePlacement(model, data, right)
         kinematics.placed = placed
 
     def place(self, q: Array) -> None:
