@@ -16,7 +16,7 @@ from minidual.tasks.task import tilt_rad
 
 _GRIPPED = 0.9
 _MOVED_M = 0.0005  # motion of the hands between two poses that the second must show
-_COMPARE_S, _GRIPPERS_S = 0.01, 0.004
+_COMPARE_S, _CHECK_S = 0.01, 0.004
 _FORCES = {"the left hand's force": slice(3), "the right hand's force": slice(3, 6), "the pinch": slice(6, 8)}
 _SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
 _EASED = 0.75  # share of the force felt at slip onset, requested afterwards
@@ -43,7 +43,7 @@ class CarryWatch:
         self._felt = np.nan_to_num(self._raw)
         self._pinch = self._felt[6:]  # a view
         self._period_s = 1.0 / config.sensing.pose_rate_hz  # of poses
-        self._odd_n, self._forces_s, self._gripped_s = 0, world.time, 0.0
+        self._odd_n, self._forces_s, self._gripped_s, self._check_s = 0, world.time, 0.0, 0.0
         self._odd_max_n, self._creep_m = round(faults.persistence_s / world.dt), faults.creep_m
         self._felt_max_s = sensors.delay_ticks * world.dt + faults.sensor_age_max_s
         self._posed_max_s = self._felt_max_s + self._period_s
@@ -79,7 +79,8 @@ class CarryWatch:
     @property
     def squeeze_n(self) -> float:
         """Requested internal force [N]; reduced on slip."""
-        return min(self._squeeze_n, self.grip_limit_n)
+        wanted_n, most_n = self._squeeze_n, self.grip_limit_n
+        return wanted_n if wanted_n < most_n else most_n
 
     @property
     def lost_arms(self) -> tuple[int, ...]:
@@ -135,10 +136,12 @@ class CarryWatch:
 
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
-        now_s, pose, (before, compared_s) = self._now_s, self._reading.pose, self._compared
-        posed_s, felt_s, compare = now_s - self._posed_s, now_s - self._forces_s, now_s - compared_s >= _COMPARE_S
-        if posed_s <= self._posed_max_s and felt_s <= self._felt_max_s and pose is None and not compare:
+        now_s, pose = self._now_s, self._reading.pose
+        if pose is None and now_s < self._check_s:
             return None
+        before, compared_s = self._compared
+        self._check_s = min(now_s + _CHECK_S, compared_s + _COMPARE_S)
+        posed_s, felt_s, compare = now_s - self._posed_s, now_s - self._forces_s, now_s - compared_s >= _COMPARE_S
         monitor, held = self._monitor, self._held
         found = monitor.silent("pose", posed_s, self._posed_max_s)
         found = found or monitor.silent("usable force", felt_s, self._felt_max_s)
@@ -186,7 +189,7 @@ class CarryWatch:
     def grippers(self, told: str) -> Fault | None:
         """Check every 4 ms the motion of hands that are told to "open", to "close", or neither ("")."""
         now_s = self._now_s
-        if now_s - self._gripped_s < _GRIPPERS_S:
+        if now_s - self._gripped_s < _CHECK_S:
             return None
         self._gripped_s, margin_m = now_s, self._config.faults.gap_margin_m
         target_m = 2.0 * self._world.robot.hand.travel_m - margin_m if told == "open" else self._width_m + margin_m

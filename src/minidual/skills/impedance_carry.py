@@ -255,8 +255,9 @@ class ImpedanceCarry:
 
     def _sensed(self) -> Fault | None:
         watch, phase = self.watch, self.phase
-        watched = phase not in ("open", "retreat", "stop", "done")
-        if watched and (lost := watch.sensors(moving=phase in ("squeeze", "carry"))):
+        if phase in ("squeeze", "carry"):
+            return watch.sensors(moving=True) or watch.grippers("") or watch.holding(steady=phase == "carry")
+        if phase not in ("open", "retreat", "stop", "done") and (lost := watch.sensors(moving=False)):
             return lost
         untouched = phase in ("approach", "descend", "retreat")
         hands = None if phase in ("approach", "descend", "stop", "done") else watch.grippers(_TOLD.get(phase, ""))
@@ -266,7 +267,7 @@ class ImpedanceCarry:
             return None if watch.gripped else watch.closing(self.world.time - self._began_s)
         # the arbiter's stop leaves the object squeezed
         pressed = phase in ("stop", "done") and self.stack.manager.active == OBJECT_CONTROLLERS
-        return watch.holding(steady=phase == "carry") if pressed or phase in ("squeeze", "carry") else None
+        return watch.holding(steady=False) if pressed else None
 
     def _halt(self, fault: Fault | None) -> None:
         if fault is None or self._halted:
