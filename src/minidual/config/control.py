@@ -190,6 +190,8 @@ class SupervisorConfig(StrictModel):
     """Longest silence of the arbiter."""
     measurement_age_max_s: float = Field(default=0.02, gt=0.0, le=0.2)
     """Longest time without new joint measurements; default as in libfranka (20 lost packets)."""
+    torque_delay_s: float = Field(default=0.0, ge=0.0, le=0.04)
+    """How late a plant's torques act; the contact observer compares motion with torques so old."""
     position_mismatch_rad: float = Field(default=0.005, gt=0.0, le=0.05)
     """Difference between the change of a position and the integral of its velocity, over 0.1 s."""
     frozen_s: float = Field(default=0.02, gt=0.0, le=0.2)

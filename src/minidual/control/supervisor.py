@@ -304,7 +304,7 @@ class Supervisor:
         self._stop.bears_n = expected.bears_n
         if expected.hand_fault:
             self._trip("gripper_opened", expected.hand_fault, 1.0, None)
-        sense, age = self._sense, (self._time_s - stamp_s) / self.dt_s
+        sense, age = self._sense, (self._time_s - stamp_s + self.config.torque_delay_s) / self.dt_s
         age = max(0, round(age)) if abs(age) < len(sense.applied) else 0  # the stack refuses such stamps
         if sense.ticks <= age + self._feel_every:
             return  # torques before the start are not known
