@@ -83,6 +83,21 @@ def test_a_call_of_the_plant_that_fails_stops_the_arms_by_its_name(scene: SceneC
     assert np.abs(plant.q - began).max() < 0.12, "of 0.3 rad that were left"
 
 
+@pytest.mark.parametrize("after_ms", [0, 30])
+def test_torques_go_on_from_the_last_ones_given_when_the_link_returns(scene: SceneConfig, after_ms: int) -> None:
+    """Before, they stepped by 1 Nm for each command that had failed: here by up to 15 Nm."""
+    plant = Linked(scene)
+    stack = in_motion(plant)
+    if after_ms:
+        stack.supervisor.estop()  # type: ignore[union-attr]
+        run(stack, after_ms)
+    plant.fails["command"] = 40, DOWN
+    began = len(plant.torques) - 1
+    assert run(stack, 1500) == ([] if after_ms else ["controller_failed"])
+    assert np.abs(np.diff(plant.torques[began:], axis=0)).max() < 1.0 + 1e-9
+    assert np.abs(plant.v).max() < 0.01
+
+
 def test_a_reflex_is_told_also_if_its_first_command_fails(scene: SceneConfig) -> None:
     """Before, only the error of the command came out."""
     plant = Linked(scene)

@@ -182,6 +182,10 @@ class SupervisedStop:
         self._slope = np.where(close, self._slope_max, np.minimum(under_way, self._slope_max))
         self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
 
+    def resume(self, tau: Array) -> None:
+        """Go on from torques tau (n,) [Nm]: the last ones did not reach the motors."""
+        self.tau = self._rate.tau = tau.copy()
+
     def rest(self, q: Array, v: Array) -> Array:
         """Return the posture (n,) in which a stop from q, v ends."""
         v_0 = np.minimum(np.maximum(v, -self._v_max), self._v_max)

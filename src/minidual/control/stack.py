@@ -440,7 +440,7 @@ class ControlStack[P: Plant]:
         self._v = measured[3]
         if self._off is not None:
             tau = self._off.limit(tau)
-        self.applied = tau
+        given, self.applied = self.applied, tau
         try:
             fingers_m = self.grippers.step(self._openings)
         except Exception as error:
@@ -449,6 +449,7 @@ class ControlStack[P: Plant]:
         try:
             try:
                 plant.command(tau, fingers_m)
+                given = tau
             finally:  # the arms go on moving, told or not
                 if self.supervisor is not None and isinstance(stopped, ReflexError):
                     self.supervisor.tell(stopped)
@@ -456,7 +457,8 @@ class ControlStack[P: Plant]:
         except Exception as error:
             if self.supervisor is None or isinstance(error, PlantEndedError):
                 raise
-            self._failed = self._failed or error
+            self._failed, self.applied = self._failed or error, given
+            self.supervisor.resume(given)
         if stopped is not None:
             raise stopped
 

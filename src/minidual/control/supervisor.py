@@ -143,6 +143,12 @@ class Supervisor:
         if self.reflex is not None and not (arrested and np.abs(self._stop.v).max() < np.abs(v).max() + 0.05):
             self._stop.begin(self._sense.q, v, tau, True)
 
+    def resume(self, tau: Array) -> None:
+        """Go on from torques tau (n,) [Nm]: the last ones did not reach the motors."""
+        self._applied = tau.copy()
+        if self.reflex is not None:
+            self._stop.resume(tau)
+
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`; a `reset` without torques forgets it."""
         if self._clearance is not None:
