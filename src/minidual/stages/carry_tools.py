@@ -15,7 +15,7 @@ from minidual.tasks.task import task_config
 from minidual.trials.benchmark import DISTURBED_RATE_MIN, PERTURBED, count_trials, promised, robustness, run_benchmark
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, gains
+from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, TuningStep, gains
 
 PERTURB_TRIALS_N = 20
 _OF_A_RUN = ("seed", "workers", "view")
@@ -40,24 +40,20 @@ def perturb(context: ToolContext) -> ToolResult:
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
     failed = [r for r in found if not r.holds]
     notes = [f"{r.cell.condition}: {r.row()['successes']}, limit {100 * r.rate_min:.0f} %: {r.example}" for r in failed]
-    return ToolResult(
-        lines=markdown(rows),
-        notes=[*notes, f"written to {context.folder}"],
-        data={"trials_n": trials_n, "success_rate_min": DISTURBED_RATE_MIN, "conditions": rows},
-        exit_code=ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS,
-    )
+    data = {"trials_n": trials_n, "success_rate_min": DISTURBED_RATE_MIN, "conditions": rows}
+    code = ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS
+    return ToolResult(markdown(rows), [*notes, f"written to {context.folder}"], data, code)
 
 
 def tune(context: ToolContext) -> ToolResult:
     """Tune squeeze and stiffness by carrying; write a profile."""
     config = task_config(context.config)
     with context.progress.task("tuning") as task:
-        tuner = Tuner(
-            config,
-            context.seed,
-            workers=context.workers,
-            on_step=lambda s: task.advance(note=f"{s.phase}: {s.force_n:.1f} N, {s.stiffness_n_per_m:.0f} N/m"),
-        )
+
+        def tell(step: TuningStep) -> None:
+            task.advance(note=f"{step.phase}: {step.force_n:.1f} N, {step.stiffness_n_per_m:.0f} N/m")
+
+        tuner = Tuner(config, context.seed, workers=context.workers, on_step=tell)
         try:
             tuning = tuner.run()
         except TuningError:

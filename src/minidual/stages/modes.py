@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image as Picture
@@ -69,12 +68,9 @@ def modes(context: ToolContext) -> ToolResult:
         notes.append(f"ENDED TOO EARLY: {demo.ended}")
     if passed:
         notes.append("every step at every switch within its bound")
-    return ToolResult(
-        lines=[str(context.folder / "modes.json"), str(context.folder / "modes.mp4")],
-        notes=[*notes, f"log, film: {context.folder}"],
-        data=record,
-        exit_code=ExitCode.PASS if passed else ExitCode.ACCEPTANCE_FAILED,
-    )
+    lines = [str(context.folder / name) for name in ("modes.json", "modes.mp4")]
+    code = ExitCode.PASS if passed else ExitCode.ACCEPTANCE_FAILED
+    return ToolResult(lines, [*notes, f"log, film: {context.folder}"], record, code)
 
 
 def find_checkpoint(context: ToolContext) -> Path:
@@ -133,8 +129,9 @@ def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
         for s in demo.switches
     ]
     for outcome in demo.outcomes:
-        values: dict[str, Any] = {k: v for k, v in outcome.items() if k != "mode"}
-        said = (f"{k} {np.round(v, 4) if isinstance(v, float | list) else v}" for k, v in values.items())
+        said = (
+            f"{k} {np.round(v, 4) if isinstance(v, float | list) else v}" for k, v in outcome.items() if k != "mode"
+        )
         notes.append(f"{outcome['mode']}: {', '.join(said)}")
     refused = [r.name for r in demo.stack.refusals]
     notes += [f"refused as {name}: {refused.count(name)}" for name in sorted(set(refused))]

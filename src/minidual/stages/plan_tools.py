@@ -22,7 +22,7 @@ from minidual.robot.pair import GROUP_ARMS, Array, Robot, robot_from
 
 _ENDINGS = {"out": ".json", "csv": ".csv", "picture": ".png"}
 _BUDGET_MAX_S = 600.0
-Targets = dict[str, Path | None]
+Targets = dict[str, Path]
 """Output files by option."""
 _MEANINGS: dict[str, str] = rows_beside(__file__)
 
@@ -30,7 +30,7 @@ _MEANINGS: dict[str, str] = rows_beside(__file__)
 def plan_once(context: ToolContext) -> ToolResult:
     """Plan from --from to --to; exit 1 if no path, 2 if the query is invalid."""
     options = context.options
-    targets = {name: target_file(name, options.get(name), end) for name, end in _ENDINGS.items()}
+    targets = {name: path for name, end in _ENDINGS.items() if (path := target_file(name, options.get(name), end))}
     group, budget_s = options.get("group", "both_arms"), options.get("budget-s")
     if budget_s is not None and not 0.0 < budget_s <= _BUDGET_MAX_S:
         raise UsageError(f"--budget-s is {budget_s:g}; 0 < value <= {_BUDGET_MAX_S:g}")
@@ -39,12 +39,9 @@ def plan_once(context: ToolContext) -> ToolResult:
     try:
         result = planner.plan(group, q_start, goal, scene=scene, seed=context.seed, budget_s=budget_s)
     except (NoPathInTimeError, TimingError, ClosedChainError, LinearMoveError) as error:
-        return ToolResult(
-            lines=[f"no path: {error.message}"],
-            notes=[*notes, *([f"remedy: {error.remedy}"] if error.remedy else [])],
-            data={"solved": False, "group": group, "reason": error.reason, "message": error.message},
-            exit_code=ExitCode.ACCEPTANCE_FAILED,
-        )
+        notes += [f"remedy: {error.remedy}"] if error.remedy else []
+        data = {"solved": False, "group": group, "reason": error.reason, "message": error.message}
+        return ToolResult([f"no path: {error.message}"], notes, data, ExitCode.ACCEPTANCE_FAILED)
     title = f"{group} to {options['to']}"
     notes += _write(targets, context, scene, result, title)
     if context.view is not None:
@@ -97,8 +94,6 @@ def target_file(name: str, text: str | None, ending: str) -> Path | None:
 def _write(targets: Targets, context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> list[str]:
     notes, motion, names = [*result.notes], result.trajectory, scene.robot.joint_names
     for name, target in targets.items():
-        if target is None:
-            continue
         with disk_errors(target):
             if name == "picture":
                 from minidual.show.planning import write_picture
@@ -143,7 +138,7 @@ def _document(group: str, result: PlanResult, targets: Targets) -> dict[str, Any
         "q_goal_rad": result.q_goal.tolist(),
         "proof": result.verification._asdict(),
         "digest": result.trajectory.digest(),
-        "files": {name: str(path) for name, path in targets.items() if path is not None},
+        "files": {name: str(path) for name, path in targets.items()},
     }
 
 

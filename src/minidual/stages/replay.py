@@ -47,12 +47,8 @@ def replay_tool(context: ToolContext) -> ToolResult:
     broken = found.deviates is not None and not found.versions_differ
     code = ExitCode.PASS if found.compared else ExitCode.NOTHING_EVALUATED
     told = {name: getattr(recording, name) for name in ("kind", "reason", "seed", "details")}
-    return ToolResult(
-        lines=_lines(path, recording, found),
-        notes=notes,
-        data={"file": str(path), **told, "made_by": recording.libraries, "exact": found.exact, **asdict(found)},
-        exit_code=ExitCode.ACCEPTANCE_FAILED if broken else code,
-    )
+    data = {"file": str(path), **told, "made_by": recording.libraries, "exact": found.exact, **asdict(found)}
+    return ToolResult(_lines(path, recording, found), notes, data, ExitCode.ACCEPTANCE_FAILED if broken else code)
 
 
 def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:

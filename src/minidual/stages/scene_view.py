@@ -74,7 +74,6 @@ def view_scene(context: ToolContext) -> ToolResult:
                 stack.step()
             brake.hold(world.time)
     spent = time.monotonic() - began
-    return ToolResult(
-        notes=[f"showed {world.time:.1f} s of simulated time in {spent:.1f} s"],
-        data={"view": view.name, "url": view.url, "simulated_s": world.time, "wall_s": round(spent, 3)},
-    )
+    notes = [f"showed {world.time:.1f} s of simulated time in {spent:.1f} s"]
+    data = {"view": view.name, "url": view.url, "simulated_s": world.time, "wall_s": round(spent, 3)}
+    return ToolResult(notes=notes, data=data)
