@@ -23,7 +23,7 @@ from minidual.motion.ik import PoseUnreachableError, posture_at
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array, Robot, inverse
 from minidual.skills.phases import PHASES, raised
-from minidual.tasks.task import grasp_offsets, level_pose, placement
+from minidual.tasks.task import Placement, grasp_offsets, level_pose, placement
 
 LANDED_S = 0.1
 """Rest time before release."""
@@ -61,8 +61,7 @@ def grasp_posture(scene: SceneConfig, robot: Robot, T_level: Array, q_near: Arra
     Raises:
         PoseUnreachableError: No solution near `q_near`.
     """
-    left, right = (raised(T_level @ T, above_m) for T in grasp_offsets(scene))
-    return posture_at(robot, (left, right), q_near)
+    return posture_at(robot, [raised(T_level @ T, above_m) for T in grasp_offsets(scene)], q_near)
 
 
 def object_duration_s(
@@ -143,13 +142,7 @@ def held_motion(
 
 
 def plan_path(
-    scene: SceneConfig,
-    robot: Robot,
-    pace: PaceConfig,
-    goal: tuple[float, float, float],
-    T_world_object: Array,
-    q: Array,
-    rest_m: float,
+    scene: SceneConfig, robot: Robot, pace: PaceConfig, goal: Placement, T_world_object: Array, q: Array, rest_m: float
 ) -> ObjectPath:
     """Return the path to `goal` (x [m], y [m], yaw [rad]), as fast as limits allow.
 
@@ -161,16 +154,14 @@ def plan_path(
     (x, y, yaw), z = placement(T_world_object), float(T_world_object[2, 3])
     gx, gy, goal_yaw = goal
     high = z + scene.task.lift_height_m
-    start = place = Waypoint((x, y, z), yaw, 0.0)
-    waypoints: list[Waypoint] = []
+    waypoints = [Waypoint((x, y, z), yaw, 0.0)]
     ends = [((x, y, high), yaw), ((gx, gy, high), goal_yaw), ((gx, gy, rest_m + pace.landing_m), goal_yaw)]
     for xyz, direction in ends:
-        duration_s, q = object_duration_s(scene, robot, place, Waypoint(xyz, direction, 0.0), q, pace)
-        place = Waypoint(xyz, direction, duration_s)
-        waypoints.append(place)
+        duration_s, q = object_duration_s(scene, robot, waypoints[-1], Waypoint(xyz, direction, 0.0), q, pace)
+        waypoints.append(Waypoint(xyz, direction, duration_s))
     if pace.landing_m > 0.0:
         waypoints.append(Waypoint((gx, gy, rest_m), goal_yaw, pace.landing_s))
-    return ObjectPath(start, waypoints)
+    return ObjectPath(waypoints[0], waypoints[1:])
 
 
 def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:

@@ -20,6 +20,7 @@ from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array
 
 OPEN, CLOSED = 1.0, 0.0
+Arms = tuple[str, ...]
 
 
 class Phase(StrictModel):
@@ -92,8 +93,8 @@ class Segment:
     openings: tuple[float, float]
     scene: PlanningScene | None = None
     verification: Verification | None = None
-    kept_by: tuple[str, ...] = ()
-    soft: tuple[str, ...] = ()
+    kept_by: Arms = ()
+    soft: Arms = ()
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,7 @@ class Thing:
 
 
 def still(
-    phase: str,
-    q: Array,
-    duration_s: float,
-    openings: tuple[float, float],
-    kept_by: tuple[str, ...] = (),
-    soft: tuple[str, ...] = (),
+    phase: str, q: Array, duration_s: float, openings: tuple[float, float], kept_by: Arms = (), soft: Arms = ()
 ) -> Segment:
     """Return a segment that holds the arms at q (n,)."""
     return Segment(phase, resting(q, duration_s, "both_arms"), openings, kept_by=kept_by, soft=soft)

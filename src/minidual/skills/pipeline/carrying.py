@@ -17,6 +17,8 @@ from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Too
 _OTHER_HEIGHTS_M = (0.06, 0.2)
 _BUDGET_S = 2.0
 _TILT_EVERY = 10
+Way = Callable[[str, Mapping[str, Array], State, Tools], Segment]
+"""Moves the held objects to poses in a phase."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +76,7 @@ class Carry:
             return candidate_error(error, f"{place.label}, at once")
         return Candidate(place.label, place.cost, _at(place, start, segment), (segment,))
 
-    def _in_parts(
-        self,
-        place: Place,
-        height: float,
-        cost: float,
-        across: Callable[[str, Mapping[str, Array], State, Tools], Segment],
-        start: State,
-        tools: Tools,
-    ) -> Offer:
+    def _in_parts(self, place: Place, height: float, cost: float, across: Way, start: State, tools: Tools) -> Offer:
         label = f"{place.label}, {100 * height:.0f} cm up, {'straight' if across == self._line else 'round'}"
         held = {start.object_of(arm): start.objects[start.object_of(arm)] for arm in start.held_by}
         lifted, above = ({name: raised(T, height) for name, T in poses.items()} for poses in (held, place.objects))

@@ -14,10 +14,9 @@ from minidual.motion.linear import TIP_LIMITS, Line, LinearPlanner
 from minidual.motion.timing import DT_S
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array, group_of, pose
-from minidual.skills.phases import CLOSED, OPEN, PHASES, Segment, State, moved, still
+from minidual.skills.phases import CLOSED, OPEN, PHASES, Arms, Segment, State, moved, still
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Tools, candidate_error
 
-Arms = tuple[str, ...]
 _ATTEMPTS = 5  # postures tried per grip
 _TIP_MAX_M_PER_S, _TIPS_EVERY = 1.6, 8  # hand speed of free motions; the supervisor stops the arms at 1.7 m/s
 _SEARCH_M, _SEARCH_PITCH_M = 0.0035, 0.0012  # radius and pitch of the spiral
