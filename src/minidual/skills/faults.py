@@ -155,8 +155,7 @@ class FaultMonitor:
     def closing(self, gap_m: Sequence[float], pinch_n: Array, t_s: float) -> Fault | None:
         """Check closing hands by gaps (2,), pinch (2,) and time."""
         for arm, name in enumerate(SIDES):
-            through = not gap_m[arm] >= self._width - self._config.gap_margin_m
-            if self._lasts(f"gap {name}", through, 3):
+            if self._lasts(f"gap {name}", not gap_m[arm] >= self._least_m, 3):
                 closed = f"the {name} hand has closed to {1e3 * gap_m[arm]:.0f} mm"
                 return Fault("missed_grasp", f"{closed}, the object is {1e3 * self._width:.0f} mm wide")
         if t_s > self._config.grasp_timeout_s:
@@ -172,8 +171,7 @@ class FaultMonitor:
             self._told = told, now_s
             self._watch_hands()
         bound_s = self._config.gripper_answer_s * (2.0 if told == "open" else 1.0)  # its force must fall first
-        hands = zip(SIDES, self._hands, gap_m, pinch_n, strict=True)
-        for name, (gap, pinch), gap_now_m, pinch_now_n in hands:
+        for name, (gap, pinch), gap_now_m, pinch_now_n in zip(SIDES, self._hands, gap_m, pinch_n, strict=True):
             jitters = gap.update(gap_now_m, now_s) | pinch.update(pinch_now_n, now_s)
             still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
             done = gap_now_m > target_m if told == "open" else gap_now_m < target_m

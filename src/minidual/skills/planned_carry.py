@@ -49,10 +49,8 @@ class PlannedCarry(Drive):
         self.task, self.world = task, (world := stack.plant)
         self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
         lying = {name for name, where in trial.start.items() if isinstance(where, tuple)}
-        known = self._poses = {
-            name: pose_of(task.objects[name].body, placement(T) if name in lying else level_part(T))
-            for name, T in self.poses.items()
-        }
+        level = {name: placement(T) if name in lying else level_part(T) for name, T in self.poses.items()}
+        known = self._poses = {name: pose_of(task.objects[name].body, where) for name, where in level.items()}
         start, self._tries_left = State(world.q, dict(known)), _TRIES
         self._touch: tuple[Solution, Segment, Array] | None = None
         apart_m = None if stack.supervisor is None else stack.supervisor.config.self_collision_min_m

@@ -13,7 +13,7 @@ from minidual.collision.shapes import Attached, Pairs, Shape
 from minidual.config.control import SupervisorConfig
 from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array, Robot, pose
 
 _WITHIN_M, _NEAR_M = 0.15, 0.02
 _APART_M, _FINGERS_TO_TABLE_M, _HELD_TO_TABLE_M = 0.005, -0.006, -0.008
@@ -68,8 +68,7 @@ class SceneClearance:
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`."""
         for index, name in enumerate(self._held):
-            away = np.eye(4)
-            away[2, 3] = 100.0 * (1 + index)
+            away = pose(np.eye(3), (0.0, 0.0, 100.0 * (1 + index)))
             if arm in (None, index):
                 self._engine.place(name, away if arm is None or T_tcp_shape is None else T_tcp_shape)
 

@@ -42,8 +42,7 @@ def reach(arms: Arms, grips: Sequence[Grip], about: Mapping[str, str], start: St
     for grip in sorted(grips, key=lambda grip: grip.cost):
         grasps = {arm: grip.grasps[arm] for arm in arms}
         at = {arm: start.objects[start.object_of(arm)] @ T for arm, T in grasps.items()}
-        shift = off(at, PHASES["approach"].rise_m)
-        over = {arm: moved(T, shift) for arm, T in at.items()}
+        over = {arm: moved(T, off(at, PHASES["approach"].rise_m)) for arm, T in at.items()}
         for attempt in range(_ATTEMPTS):
             seed = subseed(tools.seed, "pipeline/approach", attempt)
             try:
@@ -51,8 +50,7 @@ def reach(arms: Arms, grips: Sequence[Grip], about: Mapping[str, str], start: St
             except PlanningError as error:
                 yield candidate_error(error, grip.label)
                 break  # further postures would fail too
-            opened = start.opened(arms, OPEN)
-            end = replace(opened, q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
+            end = replace(start.opened(arms, OPEN), q=plan.trajectory.q[-1], reached={**start.reached, **grasps})
             segment = free(tools, "approach", end, plan, scene)
             label = grip.label if attempt == 0 else f"{grip.label}, posture {attempt + 1}"
             yield Candidate(label, grip.cost + 0.5 * attempt, end, (segment,))

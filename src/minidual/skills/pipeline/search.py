@@ -75,10 +75,8 @@ class TaskFailedError(PlanningError, reason="task_failed"):
     def __init__(self, name: str, record: Record) -> None:
         blocking = record.deepest()
         where = "no stage stops it alone" if blocking is None else f"'{blocking.name}' stops it"
-        super().__init__(
-            f"the task '{name}' failed; {where}\n{record.tree(name)}",
-            remedy="offer more grasps or places, make room in the scene, or move start or goal",
-        )
+        what = f"the task '{name}' failed; {where}\n{record.tree(name)}"
+        super().__init__(what, remedy="offer more grasps or places, make room in the scene, or move start or goal")
         self.record = record
         messages = [] if blocking is None else ["; ".join(m[0] for m in blocking.failures.values())]
         self.summary = ": ".join([where, *messages])
