@@ -142,8 +142,7 @@ def _corners(path: Array, radius: float) -> tuple[Array, Array, Array]:
 
 
 def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float) -> bool:
-    count = max(2, int(np.ceil(2.0 * d / step_rad)))
-    x = np.linspace(0.0, 1.0, count + 1)[1:-1, None]
+    x = np.linspace(0.0, 1.0, max(2, int(np.ceil(2.0 * d / step_rad))) + 1)[1:-1, None]
     return checker.all_free(vertex - d * u1 + 2.0 * d * (u1 * x + (u2 - u1) * (x**3 - 0.5 * x**4)))
 
 

@@ -124,8 +124,7 @@ class ArmIK:
         best: IKSolution | None = None
         first = self.resting(T_world_tcp, q_near, q_near, np.ones(self._n)).q, self._home
         for attempt in range(tries_n):
-            start = first[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper)
-            solution = self.solve(T_world_tcp, start)
+            solution = self.solve(T_world_tcp, first[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper))
             if solution.reached:
                 if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in found):
                     found.append(solution.q)

@@ -161,8 +161,7 @@ class _Effort(NamedTuple):
 
     def after(self, error: PlanningError) -> _Effort:
         """Return finer steps, and more padding for a path that is not proven."""
-        unproven = isinstance(error, NotFreeError | TimingError)
-        padding_m = more_padding(self.padding_m) if unproven else self.padding_m
+        padding_m = more_padding(self.padding_m) if isinstance(error, NotFreeError | TimingError) else self.padding_m
         return self._replace(step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
 
 

@@ -43,8 +43,7 @@ class HeldSpace:
     def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0) -> None:
         self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
         self._jump_rad = step_scale * _JUMP_RAD
-        self.hands, self.chart = hands, chart
-        self.checker = checker
+        self.hands, self.chart, self.checker = hands, chart, checker
 
     def point(self, T_world_object: Array, q: Array) -> Array:
         """Return (6 + n,)."""
@@ -64,8 +63,8 @@ class HeldSpace:
     def edge_free(self, a: Array, b: Array) -> bool:
         """Return whether an edge is continuous, and free between its ends."""
         step = b - a
-        count = int(np.ceil(max(np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad)))
-        count = max(count, 1)
+        steps = np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad
+        count = max(1, int(np.ceil(max(steps))))
         joints = np.empty((count + 1, len(step) - 6))
         joints[0], joints[-1] = a[Q], b[Q]
         for share in bisection_order(count)[1:]:  # the first is b
@@ -206,8 +205,8 @@ def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: i
         before = float(lengths[i : j + 1].sum())
         pieces = (points[i], a, b, points[j + 1])
         after = sum(float(space.distance(p, r[None])[0]) for p, r in itertools.pairwise(pieces))
-        if after > 0.99 * before:
-            continue
-        if all(space.edge_free(p, r) for p, r in ((a, b), (points[i], a), (b, points[j + 1]))):
+        if after <= 0.99 * before and all(
+            space.edge_free(p, r) for p, r in ((a, b), (points[i], a), (b, points[j + 1]))
+        ):
             points = np.vstack([points[: i + 1], a, b, points[j + 1 :]])
     return points
