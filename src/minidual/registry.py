@@ -25,10 +25,8 @@ class Registry[T](Mapping[str, T]):
 
     def __init__(self, kind: str, rows: Mapping[str, T | str] | None = None, *, group: str | None = None) -> None:
         self.kind, self._group = kind, group
-        self._rows: dict[str, T | str] = {}
+        self._rows: dict[str, T | str] = dict(rows or {})
         self._plugged = group is None
-        for name, value in (rows or {}).items():
-            self.add(name, value)
 
     def add(self, name: str, value: T | str) -> None:
         """Add a row.

@@ -45,8 +45,7 @@ class PlaceFields(StrictModel):
     def quaternion(self) -> Quat | None:
         """Return the unit quaternion, or None."""
         if self.quat_wxyz is not None:
-            length = math.hypot(*self.quat_wxyz)
-            w, x, y, z = (v / length for v in self.quat_wxyz)
+            w, x, y, z = (np.array(self.quat_wxyz) / math.hypot(*self.quat_wxyz)).tolist()
             return (w, x, y, z)
         if self.rpy_rad is not None:
             quat = pin.Quaternion(pin.rpy.rpyToMatrix(np.array(self.rpy_rad))).normalized()

@@ -220,12 +220,9 @@ class SceneEngines:
         """Sample densely and ask all engines."""
         Q = collision_samples(trajectory, self._step_rad)
         seen = np.array([self.engine(name).collisions(Q) for name in ENGINES])
-        return Audit(
-            samples_n=len(Q),
-            collisions_n=int(np.sum(seen.any(axis=0))),
-            disagreements_n=int(np.sum(seen.any(axis=0) != seen.all(axis=0))),
-            clearance_m=self.solids.clearance(Q, CLEARANCE_MAX_M),
-        )
+        by_any, by_all = seen.any(axis=0), seen.all(axis=0)
+        clearance_m = self.solids.clearance(Q, CLEARANCE_MAX_M)
+        return Audit(len(Q), int(by_any.sum()), int((by_any != by_all).sum()), clearance_m)
 
 
 def collision_samples(trajectory: Trajectory, step_rad: float = STEP_RAD) -> Array:
