@@ -125,10 +125,8 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     print_status(session.people, gate, f"run {store.run}", session.following(gate))
     if key is not None:
         session.say("not signed: a stage does not pass" if code else f"signed: {sign(gate, names, key)}")
-    session.finish(
-        {"run": store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]},
-        [store.verdict_path(outcome.state.name) for outcome in outcomes],
-    )
+    document = {"run": store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]}
+    session.finish(document, [store.verdict_path(outcome.state.name) for outcome in outcomes])
     return code
 
 

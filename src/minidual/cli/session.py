@@ -179,8 +179,7 @@ class Session:
 
     def finish(self, document: Mapping[str, Any], lines: Iterable[object]) -> None:
         """Print the document (--json) or the lines to stdout."""
-        texts = [dumps(document).rstrip("\n")] if self.typed.json else map(str, lines)
-        for text in texts:
+        for text in [dumps(document).rstrip("\n")] if self.typed.json else map(str, lines):
             print(printable(text))
 
     def end(self, body: Callable[[Session], int]) -> int:

@@ -214,8 +214,7 @@ def _spec(name: str) -> ModuleSpec | None:
 @cache
 def _files(name: str) -> list[Path]:
     """Return a module's source and its YAML table."""
-    origin = spec.origin if (spec := _spec(name)) else None
-    source = Path(origin or "")
+    source = Path(getattr(_spec(name), "origin", None) or "")
     return [path for path in (source, source.with_suffix(".yaml")) if path.exists()] if source.suffix == ".py" else []
 
 
