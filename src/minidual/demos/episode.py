@@ -150,10 +150,9 @@ def _array(file: h5py.File, key: str, shape: tuple[int, ...], dtype: type, fault
         what = f"{key} {found.shape} takes over {ARRAY_BYTES_MAX} bytes, or lies in another file"
         faults.append(EpisodeFault("field_too_large", what))
         return np.empty(0, dtype)
-    if is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape):
-        fits = [wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)]
-        if all(fits):
-            return np.asarray(found[()], dtype=dtype)
+    alike = is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape)
+    if alike and all(wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)):
+        return np.asarray(found[()], dtype=dtype)
     shown = f"{found.dtype} {found.shape}" if is_array else "a group"
     faults.append(EpisodeFault("field_wrong", f"{key} is {shown}; it must be {np.dtype(dtype)} {shape}"))
     return np.empty(0, dtype)

@@ -71,9 +71,9 @@ class KeyboardLeader(Leader):
         bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
         wanted = self._offset + np.clip(self._goal - self._offset, -bound, bound)
         moves = zip(self._start, wanted, strict=True)
+        hands = [pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in moves]
         try:
-            left, right = (pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in moves)
-            self._q, self._offset = posture_at(self._robot, (left, right), self._q, self._robot.home), wanted
+            self._q, self._offset = posture_at(self._robot, hands, self._q, self._robot.home), wanted
         except UsageError:  # out of reach: stay, and reset the goal to the present position
             self._goal = self._offset.copy()
         return self._q.copy(), self._open.copy()

@@ -182,8 +182,7 @@ class Rig:
                 durable.set_aside(path, path.name)
             return None
         path = self.job.folder / said.path if said.path else None
-        values: dict[str, Any] = dict(said) | {"path": path}
-        attempt = Attempt(trial, **values, adopted=True)
+        attempt = Attempt(trial, **said.model_dump(exclude={"path"}), path=path, adopted=True)
         if path is None:
             return attempt
         if path.exists():  # else killed before the file got its name

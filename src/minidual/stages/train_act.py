@@ -60,12 +60,8 @@ def run(context: StageContext) -> StageResult:
         emitted = exercise_checkpoint(folder / "checkpoint", demos, robot, device=config.device)
         write_loss_csv(result.curve, folder / "loss.csv")
         draw_loss(result, folder / "loss.png")
-        extra = {
-            "policy": config.policy,
-            "seed": seed,
-            "cameras": {c: list(demos.images[c].shape[1:3]) for c in demos.cameras},
-            "inference_hz": emitted.inference_hz,
-        }
+        sizes = {c: list(demos.images[c].shape[1:3]) for c in demos.cameras}
+        extra = {"policy": config.policy, "seed": seed, "cameras": sizes, "inference_hz": emitted.inference_hz}
         all_records.append(write_train_json(result, extra, folder / "train.json"))
         prefix = f"seed_{k + 1}." if k else ""
         checks += [replace(check, name=prefix + check.name) for check in train_checks(result, emitted, config, robot)]
