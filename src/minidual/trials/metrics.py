@@ -209,8 +209,7 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
     stopped_n = sum(bool(t.aborted) and not t.success for t in trials)
     measures = {name: _median([x for t in trials if math.isfinite(x := t.measures[name])]) for name in MEASURES}
     measures["progress"] = float(np.mean([t.measures["progress"] for t in trials]))
-    label = trials[0].method, trials[0].condition
-    return MethodSummary(*label, len(trials), len(won), numbers, failures, stopped_n, measures)
+    return MethodSummary(*labels.pop(), len(trials), len(won), numbers, failures, stopped_n, measures)
 
 
 def _median(values: Sequence[float]) -> float:

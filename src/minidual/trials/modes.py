@@ -128,8 +128,7 @@ class ModesDemo:
             yield turn
 
     def _driven(self, turn: Turn) -> Iterator[None]:
-        result = yield from turn.drive()
-        self.outcomes.append({"mode": turn.mode, **result})
+        self.outcomes.append({"mode": turn.mode, **(yield from turn.drive())})
 
     def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
         """Return the exceeded bounds of all switches; NaN exceeds all."""

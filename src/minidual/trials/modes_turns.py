@@ -84,8 +84,7 @@ def teleop(stack: ControlStack[World], operator: ScriptedOperator, target: Trial
 
     def between(a: Array, b: Array) -> Array:
         """Return rest-to-rest joint targets (k, n)."""
-        span = max(_JOIN_MIN_S, 1.875 * float(np.abs(b - a).max()) / _JOIN_SPEED_RAD_S)
-        n = round(span * rate_hz)
+        n = round(rate_hz * max(_JOIN_MIN_S, 1.875 * float(np.abs(b - a).max()) / _JOIN_SPEED_RAD_S))
         blend = np.array([minimum_jerk(k / n)[0] for k in range(n + 1)])
         return a + blend[:, None] * (b - a)
 

@@ -108,11 +108,10 @@ class QueryGenerator:
         arms, kind = GROUP_ARMS[group], self.kind(group, index)
         scene = scene_of(self.seed, group, index, attempt, self.obstacles_n, self.robot)
         rng = stored_stream(self.seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
-        engine, crossed_at_goal = MujocoEngine(scene), bool(rng.integers(2))
+        engine, crossed = MujocoEngine(scene), kind == "crossing"
+        at_goal = bool(rng.integers(2)) and crossed
         for _ in range(_PAIRS_TRIES_N):
-            crossed = kind == "crossing"
-            start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not crossed_at_goal)
-            at_goal = crossed and crossed_at_goal
+            start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not at_goal)
             if start is None or (goal := self._configuration(rng, engine, start, arms, at_goal)) is None:
                 continue
             way = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
