@@ -128,7 +128,8 @@ class ModesDemo:
             yield turn
 
     def _driven(self, turn: Turn) -> Iterator[None]:
-        self.outcomes.append({"mode": turn.mode, **(yield from turn.drive())})
+        result = yield from turn.drive()
+        self.outcomes.append({"mode": turn.mode, **result})
 
     def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
         """Return the exceeded bounds of all switches; NaN exceeds all."""
