@@ -39,12 +39,14 @@ _KEPT = 64
 _Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV, _Q_USABLE, _V_USABLE = range(10)
 
 
-@kernel(types.float64(*[VECTOR] * 3, types.float64, types.intp, VECTOR, ROWS, ROWS))
-def compare(q: Array, v: Array, tau: Array, dt: float, row: int, bounds: Array, kept: Array, applied: Array) -> float:
-    """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque when both last changed, last change of q, v.
+@kernel(types.float64(*[VECTOR] * 4, types.float64, types.intp, VECTOR, ROWS, ROWS))
+def compare(
+    q: Array, v: Array, tau: Array, needed: Array, dt: float, row: int, bounds: Array, kept: Array, applied: Array
+) -> float:
+    """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque beyond `needed` before both froze, change of q, v.
 
     Last, usable q, v. Copies tau to a row of `applied`. Returns the largest ratio to a bound; infinite if not finite.
-    bounds (n + 2,): mismatch [rad], time frozen [s], changes of torque that must move the joints.
+    bounds (n + 2,): mismatch [rad], time frozen [s], changes of that torque that must move the joints.
     """
     worst, keep = 0.0, math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
@@ -60,10 +62,10 @@ def compare(q: Array, v: Array, tau: Array, dt: float, row: int, bounds: Array, 
         kept[_R, j] = keep * kept[_R, j] + moved - 0.5 * dt * (v[j] + before)
         kept[_Q, j], kept[_V, j] = q[j], v[j]
         worst = max(worst, abs(kept[_R, j]) / bounds[0])
-        if kept[_Q_SAME, j] == 0.0 or kept[_V_SAME, j] == 0.0:
-            kept[_TAU, j] = tau[j]
-        elif min(kept[_Q_SAME, j], kept[_V_SAME, j]) >= bounds[1]:
-            worst = max(worst, abs(tau[j] - kept[_TAU, j]) / bounds[2 + j])
+        if min(kept[_Q_SAME, j], kept[_V_SAME, j]) < bounds[1]:
+            kept[_TAU, j] = tau[j] - needed[j]
+        else:  # what holds up a joint that stands may change, coarse encoders then show nothing
+            worst = max(worst, abs(tau[j] - needed[j] - kept[_TAU, j]) / bounds[2 + j])
     if worst <= 1.0:
         for j in range(len(q)):
             kept[_Q_USABLE, j], kept[_V_USABLE, j] = q[j], v[j]
@@ -104,6 +106,8 @@ class JointSense:
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
+        self.needed: Array = np.zeros(n)
+        """Torque (n,) [Nm] that the motion takes."""
         self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
         self._none = self.returned = np.zeros(n, dtype=bool)
         self.q, self.v = self._kept[_Q_USABLE:]
@@ -128,7 +132,8 @@ class JointSense:
                 self.q[:], self.v[:] = np.where(np.isfinite(q), q, self.q), np.where(np.isfinite(v), v, 0.0)
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 self._begin(np.ones_like(self.lost[0]), q, v, tau, new_s)
-            self.age_s, usable = 0.0, compare(q, v, tau, new_s, row, self._bounds, self._kept, self.applied) <= 1.0
+            more = self.needed, new_s, row, self._bounds, self._kept, self.applied
+            self.age_s, usable = 0.0, compare(q, v, tau, *more) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         else:
@@ -142,7 +147,7 @@ class JointSense:
         return usable
 
     def _begin(self, joints: npt.NDArray[np.bool_], q: Array, v: Array, tau: Array, new_s: float) -> None:
-        for row, value in ((_Q, q - new_s * v), (_V, v), (_R, 0.0 * v), (_TAU, tau)):
+        for row, value in ((_Q, q - new_s * v), (_V, v), (_R, 0.0 * v), (_TAU, tau - self.needed)):
             self._kept[row, joints] = value[joints]
         self._started = True
 
@@ -150,7 +155,8 @@ class JointSense:
         kept, bad = self._kept, ~np.isfinite(np.stack([q, v]))
         finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
         apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad) & ~self.lost.any(axis=0)
-        still = finite & (same.min(axis=0) >= self._config.frozen_s) & (np.abs(tau - kept[_TAU]) > self._tau_moves)
+        moves = np.abs(tau - self.needed - kept[_TAU]) > self._tau_moves
+        still = finite & (same.min(axis=0) >= self._config.frozen_s) & moves
         # A position that moved as neither velocity says, or too far for any joint, is wrong; so is a velocity whose jump
         # alone explains the mismatch.
         moved, ways = kept[_DQ], new_s * np.stack([kept[_V], kept[_V] - kept[_DV]])
@@ -293,6 +299,7 @@ class ContactSense:
 
     Attributes:
         torque: (n,) [Nm], unexplained.
+        needed: (n,) [Nm], of the motion.
         late_s: (n,), time too far from the reference.
         away: (n,) [rad] from it.
         steady: (n,) [Nm], mean of `torque` over the last 0.1 s.
@@ -315,6 +322,7 @@ class ContactSense:
     def reset(self) -> None:
         """Start at the next measurement."""
         self.torque, self.late_s, self.away, self.steady = self._kept = np.zeros((4, len(self._nothing)))
+        self.needed = self._nothing
         self._stamp_s = math.nan
 
     def update(
@@ -336,8 +344,9 @@ class ContactSense:
             for arm in expected.off:
                 joints = self._kinematics.robot.joints_of(arm)
                 self.limits[joints], reference[joints], self._kept[:, joints] = math.inf, self._mean[0, joints], 0.0
+        self.needed = self._kinematics.rnea(*self._mean)
         return observe(
-            self._kinematics.rnea(*self._mean),
+            self.needed,
             *(self._mean, applied, newest, round(step_s / self._dt)),
             self._nothing if torque is None else torque,
             self._mean[0] if reference is None else reference,

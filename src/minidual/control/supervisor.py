@@ -244,6 +244,7 @@ class Supervisor:
             if not newer_s > 0.0 and not (np.array_equal(q, self._q) and np.array_equal(v, self._v)):
                 newer_s = self.dt_s  # the clock has failed, not the sensors
             self._q[:], self._v[:] = q, v
+        self._sense.needed = self._stop.tau  # a joint at rest may stand under any torque of a stop
         self._sense.update(self._q, self._v, self._stop.tau, newer_s)
         if (back := self._sense.returned).any():  # where the arms are now, which the model alone did not know
             v = np.where(back, self._sense.v_slower, self._stop.v)
@@ -315,6 +316,7 @@ class Supervisor:
         if sense.ticks <= age + self._feel_every:
             return  # torques before the start are not known
         torque, late = contact.update(stamp_s, self._q, self._v, sense.applied, sense.ticks - 1 - age, expected)
+        sense.needed = contact.needed if expected.torque is None else contact.needed - expected.torque
         if torque <= 1.0 and late <= 1.0:
             return
         *bounds, away_max, _, _ = contact.limits.tolist()
