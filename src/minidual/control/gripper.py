@@ -49,6 +49,8 @@ _FIRMER, _MOST = 1.3, 0.95
 """Where an object slips, the pinch rises by this factor, to no more than this share of what the motors give."""
 _LOST, _LOST_S = 0.5, 0.004
 """Below this share for this long, a grip is lost."""
+_LAG_M = 0.005
+"""Fingers on the way are no further from their target."""
 _NOTHING_M = 0.002
 """Nearer to the middle, fingers have closed on nothing."""
 _SLIPPED_M = 0.0003
@@ -94,7 +96,8 @@ def advance(
             hands[_TARGET, i], hands[_LOST_N, i] = target, 0.0
             continue
         if not math.isnan(felt[i]):  # else the target stays; it is not far ahead of the fingers
-            hands[_TARGET, i] = max(min(target, hands[_TARGET, i]), fingers[i] - 0.5 * travel_m)
+            behind = min(fingers[i] - 0.5 * travel_m, hands[_TARGET, i] + step_m)  # one reading may be wrong
+            hands[_TARGET, i] = max(min(target, hands[_TARGET, i]), behind)
         lost = away or (not felt[i] >= _LOST * force_n and moved > -_SLIPPED_M)
         hands[_LOST_N, i], found = (hands[_LOST_N, i] + 1.0, found | _LOSES) if lost else (0.0, found)
     return found | (_WIDE if wide_n == 2 else 0)
@@ -111,7 +114,7 @@ class Grippers:
         self._usual_n = min(pinch_force_n, plant.grip_max_n)
         self._firm_n = max(self._usual_n, min(_FIRMER * self._usual_n, _MOST * plant.grip_max_n))
         self._lost_ticks = max(1.0, _LOST_S / plant.dt)
-        self._how = _COMPLIANCE_M_PER_NS * plant.dt, speed_m_per_s * plant.dt, self._travel_m
+        self._how = min(_COMPLIANCE_M_PER_NS * plant.dt, 0.5 / _SERVO_N_PER_M), speed_m_per_s * plant.dt, self._travel_m
         self.reset()
 
     def reset(self) -> None:
@@ -121,7 +124,7 @@ class Grippers:
             UsageError: The grip is not measured.
         """
         grip, self._force_n = self._plant.grip, self._usual_n
-        if not np.isfinite(grip).all():
+        if not np.isfinite(grip + self._plant.fingers).all():
             raise UsageError(f"the grip is not measured ({grip} N)", remedy="begin once both hands are measured")
         self.closed = grip > _HOLDS_N
         """(2,) of the start; a program that begins anew lets nothing fall."""
@@ -151,7 +154,8 @@ class Grippers:
         fingers, (opening, target_m, held_m, _) = self._plant.fingers, self._hands
         moving = np.isnan(held_m) & ((opening == 0.0) | (target_m < self._travel_m))
         free = moving & ~(self._plant.grip > _HOLDS_N) & np.isfinite(fingers)
-        target_m[free] = np.clip(fingers[free], 0.0, self._travel_m)
+        near = np.clip(fingers, target_m - _LAG_M, target_m + _LAG_M)  # the reading may be what the stop is for
+        target_m[free] = np.clip(near[free], 0.0, self._travel_m)
         return np.where(moving, np.nan, opening)
 
     @property

@@ -114,15 +114,16 @@ class ControlStack[P: Plant]:
         plant, q, fastest = self.plant, self.plant.q, self._fastest()
         if not fastest < self._config.still_speed_rad_s:
             raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
+        if self.supervisor is not None:
+            emergency.check()  # before the hands are told anything
         self.grippers.reset()
         if self.supervisor is not None:
             self.supervisor.reset()
-            if self.grippers.closed.any() and plant.tau.any():
+            if self.grippers.closed.any() and plant.tau.any() and np.isfinite(plant.tau).all():
                 self.supervisor.reset(plant.tau)  # what holds an object goes on
         self._failed: Exception | None = None
         """What the next step stops for, whatever resumes until then."""
-        self._before.clear()
-        self._before.append((plant.time, q))
+        self._before.extend([(plant.time, q)] * 2)
         self._v = plant.v
         self._stand()
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
@@ -295,6 +296,7 @@ class ControlStack[P: Plant]:
             self.grippers.forget_grip(excused=True)  # what is lost in the stop is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
+        self._before.extend([(self.plant.time, q)] * 2)  # the clock may have begun anew
         self._stand()
         self.request(HOLD)
 
@@ -327,10 +329,7 @@ class ControlStack[P: Plant]:
     @property
     def executing(self) -> bool:
         """Whether a timed command runs or waits."""
-        for execution in self.arbiter.underway.executions:
-            if not execution.finished:
-                return True
-        return self._pending
+        return self._pending or bool([e for e in self.arbiter.underway.executions if not e.finished])
 
     @property
     def tick_next(self) -> bool:
@@ -518,7 +517,7 @@ class ControlStack[P: Plant]:
     def _expected(self) -> Expected:
         manager, grippers = self.manager, self.grippers
         off, bears_n = () if self._off is None else self._off.arms, self.payload.force_n
-        if self.plant.time < self._back_until_s:
+        if 0.0 < self._back_until_s - self.plant.time <= _BACK_S:  # false where the clock began anew
             off = (*off, *self._back)
         if manager.active == OBJECT_CONTROLLERS:
             return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off, bears_n)
