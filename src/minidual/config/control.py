@@ -188,7 +188,7 @@ class SupervisorConfig(StrictModel):
     self_collision_min_m: float = Field(default=0.01, ge=1e-4, le=0.2)
     stale_s: float = Field(default=0.1, ge=0.001, le=2.0)
     """Longest silence of the arbiter."""
-    measurement_age_max_s: float = Field(default=0.02, gt=0.0, le=0.2)
+    measurement_age_max_s: float = Field(default=0.02, gt=0.0, le=0.03)
     """Longest time without new joint measurements; default as in libfranka (20 lost packets)."""
     torque_delay_s: float = Field(default=0.0, ge=0.0, le=0.04)
     """How late a plant's torques act; the contact observer compares motion with torques so old."""
@@ -200,7 +200,7 @@ class SupervisorConfig(StrictModel):
     """Period of checks that need kinematics; see docs/supervisor.md."""
     stop_deceleration_scale: float = Field(default=0.9, ge=0.5, le=1.0)
     """Largest share of the joints' acceleration limits in a stop."""
-    stop_frequency_rad_s: float = Field(default=10.0, ge=0.1, le=30.0)
+    stop_frequency_rad_s: float = Field(default=10.0, ge=5.0, le=20.0)
     """Closed-loop frequency of the damped hold after a stop."""
 
     @model_validator(mode="after")

@@ -7,7 +7,7 @@ import numpy as np
 from minidual.config.control import ImpedanceConfig
 from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, ObjectCommand, Reason
-from minidual.control.controllers import Controller, JointTrajectoryController, Payload
+from minidual.control.controllers import LOAD_MAX_N, Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
 from minidual.control.impedance import SQUEEZE_MAX_N, HandImpedance, HeldObject, ObjectImpedance, ObjectState, towards
@@ -69,7 +69,14 @@ class ObjectImpedanceController(Controller):
         self.reference = np.zeros(self._kinematics.robot.dof)
 
     def configure(self, held: HeldObject, gains: ImpedanceConfig | None = None) -> None:
-        """Set object and gains of the next activation."""
+        """Set object and gains of the next activation.
+
+        Raises:
+            UsageError: A mass that the hands cannot bear.
+        """
+        most_kg = 2.0 * LOAD_MAX_N / GRAVITY_M_PER_S2
+        if not 0.0 <= held.mass_kg <= most_kg:
+            raise UsageError(f"two hands cannot hold {held.mass_kg} kg; they hold 0 to {most_kg:.2f} kg")
         self._next = ObjectImpedance(self._kinematics, held, gains or ImpedanceConfig())
 
     def refuses(self, command: Command) -> Reason | None:

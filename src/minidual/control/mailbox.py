@@ -94,6 +94,9 @@ def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
         return reason
     if not (np.isfinite(v).all() and np.isfinite(a).all()):
         return "not_finite", "a velocity or an acceleration of the trajectory"
+    way = v * motion.dt_s / 3.0  # what is between the samples lies within these points
+    if (reason := _posture(np.concatenate([q[:-1] + way[:-1], q[1:] - way[1:]]), joints, robot)) is not None:
+        return reason
     for place, row in (("starts", 0), ("ends", -1)):
         index = int(np.argmax(np.abs(v[row])))
         if abs(v[row, index]) > _REST_RAD_PER_S:
@@ -105,9 +108,16 @@ def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
         index = int(np.argmax(largest / limit))
         if largest[index] > _RATE_TOLERANCE * limit[index]:
             return name, f"{names[index]} at {largest[index]:.3f} {unit}; limit {limit[index]:.3f}"
-    beside = np.abs(np.diff(q, axis=0) / motion.dt_s - 0.5 * (v[1:] + v[:-1])).max(axis=0) / robot.a_max[joints]
+    mean, ends = np.diff(q, axis=0) / motion.dt_s, v[1:] + v[:-1]
+    beside = np.abs(mean - 0.5 * ends).max(axis=0) / robot.a_max[joints]
     if beside.max() > 0.25 * _RATE_TOLERANCE * motion.dt_s:  # more than any course between two samples may bend
         return "too_sharp", f"{names[int(np.argmax(beside))]}: its velocities do not belong to its positions"
+    peak = np.abs(3.0 * mean - ends).max(axis=0) / v_max
+    if peak.max() > _RATE_TOLERANCE:
+        return (
+            "too_fast",
+            f"{names[int(np.argmax(peak))]} at up to {peak.max():.1f} times its limit between two samples",
+        )
     return None
 
 

@@ -75,10 +75,9 @@ class Judge:
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        self._observing = [
-            (p.observe, (c.name, of)) for c in self._conditions for of, p in c.each() if p.has("observe")
-        ]
-        self._final = [part.holds for c in self._conditions for _, part in c.each() if part.has("holds")]
+        parts = [(part, (c.name, of)) for c in self._conditions for of, part in c.each()]
+        self._observing = [(part.observe, told) for part, told in parts if part.has("observe")]
+        self._final = [part.holds for part, _ in parts if part.has("holds")]
         self._stages = [c for c in self._conditions if c.stage]
         self._ahead = self._stages.copy()
         self.failures: dict[str, Failure] = {}
