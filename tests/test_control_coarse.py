@@ -123,6 +123,17 @@ def test_one_wrong_reading_of_the_fingers_opens_no_hand(wrong_m: float) -> None:
     assert np.abs(after_m - before_m).max() < 1e-4
 
 
+def test_a_pinch_at_50_hz_settles_although_the_grip_is_a_period_old() -> None:
+    """Before, it swung between 52 and 68 N for ever."""
+    plant: Any = Holding()
+    plant.dt, plant.grip = 0.02, np.full(2, 40.0)
+    grippers, felt = Grippers(plant), [plant.grip] * 2
+    for _ in range(200):
+        felt.append(5000.0 * (0.0125 - grippers.step(CLOSED)))
+        plant.grip = felt[-2]
+    assert np.abs(np.array(felt[-50:]) - 60.0).max() < 0.1
+
+
 @pytest.mark.parametrize("wrong_m", [0.0, 0.04])
 def test_a_stop_believes_no_reading_far_from_what_the_fingers_were_told(scene: SceneConfig, wrong_m: float) -> None:
     """Before, the packet that tripped sent closing fingers to where it said, without a speed limit."""
