@@ -11,6 +11,7 @@ from panda import HOME, Q_UPPER
 from test_control_again import APART
 from test_control_controllers import hand_over, move, stack_on, trajectory
 from test_control_driver import Arms
+from test_control_late import Slow
 from test_control_lies import CLOSED, OPEN, run, supervised
 
 from minidual import emergency
@@ -96,6 +97,32 @@ def test_one_joint_that_freezes_alone_at_rest_is_still_named(scene: SceneConfig,
     assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.8 * APART, 0.8))) is None
     assert run(stack, 90) == ["implausible_measurement"]
     assert np.abs(plant.__dict__["v"][joint]) < 0.2
+
+
+class SlowAndStill(Slow):
+    """Arms at 100 Hz that carry a load, with readings that are exactly constant at rest."""
+
+    def __init__(self, scene: SceneConfig) -> None:
+        super().__init__(scene)
+        self.lies |= {"q": lambda q: np.round(q, 3), "v": lambda v: np.round(v, 2)}
+
+
+@pytest.mark.parametrize("kind", [Arms, SlowAndStill])
+def test_arms_that_stand_under_a_load_are_no_frozen_ones(scene: SceneConfig, kinematics: Kinematics, kind: Any) -> None:
+    """Neither at the start, nor while they are stopped: nothing but the model would hold a joint taken for frozen."""
+    plant = kind(scene)
+    plant.lies |= {"q": lambda q: np.round(q, 3), "v": lambda v: np.round(v, 2)}
+    stack = supervised(plant)
+    stack.payload.take_over(10.0)
+    plant.pushed = -10.0 * sum(J[2] for J in kinematics.tcp_jacobians(HOME))
+    stack.applied = kinematics.gravity(HOME) - plant.pushed
+    assert stack.supervisor is not None
+    stack.supervisor.reset(stack.applied)
+    assert run(stack, 100) == []
+    stack.supervisor.estop()
+    assert run(stack, 200) == ["emergency_stop"]
+    assert not stack.supervisor._sense.lost.any()
+    assert np.abs(plant.__dict__["v"]).max() < 0.05
 
 
 class Holding:

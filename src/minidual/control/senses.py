@@ -62,10 +62,11 @@ def compare(
         kept[_R, j] = keep * kept[_R, j] + moved - 0.5 * dt * (v[j] + before)
         kept[_Q, j], kept[_V, j] = q[j], v[j]
         worst = max(worst, abs(kept[_R, j]) / bounds[0])
-        if min(kept[_Q_SAME, j], kept[_V_SAME, j]) < bounds[1]:
-            kept[_TAU, j] = tau[j] - needed[j]
-        else:  # what holds up a joint that stands may change, coarse encoders then show nothing
-            worst = max(worst, abs(tau[j] - needed[j] - kept[_TAU, j]) / bounds[2 + j])
+        beyond = tau[j] - needed[j]  # NaN where it is not known
+        if min(kept[_Q_SAME, j], kept[_V_SAME, j]) < bounds[1] or math.isnan(kept[_TAU, j]):
+            kept[_TAU, j] = beyond
+        elif abs(beyond - kept[_TAU, j]) > worst * bounds[2 + j]:
+            worst = abs(beyond - kept[_TAU, j]) / bounds[2 + j]
     if worst <= 1.0:
         for j in range(len(q)):
             kept[_Q_USABLE, j], kept[_V_USABLE, j] = q[j], v[j]
@@ -106,8 +107,8 @@ class JointSense:
         """Which values of which joint disagreed first, and by how much."""
         self.age_s = 0.0
         """Time without a new measurement."""
-        self.needed: Array = np.zeros(n)
-        """Torque (n,) [Nm] that the motion takes."""
+        self.needed: Array = np.full(n, math.nan)
+        """Torque (n,) [Nm] that posture and motion take: a joint that stands under it need not be frozen."""
         self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
         self._none = self.returned = np.zeros(n, dtype=bool)
         self.q, self.v = self._kept[_Q_USABLE:]
@@ -322,7 +323,7 @@ class ContactSense:
     def reset(self) -> None:
         """Start at the next measurement."""
         self.torque, self.late_s, self.away, self.steady = self._kept = np.zeros((4, len(self._nothing)))
-        self.needed = self._nothing
+        self.needed = np.full(len(self._nothing), math.nan)
         self._stamp_s = math.nan
 
     def update(

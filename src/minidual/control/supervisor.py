@@ -244,7 +244,7 @@ class Supervisor:
             if not newer_s > 0.0 and not (np.array_equal(q, self._q) and np.array_equal(v, self._v)):
                 newer_s = self.dt_s  # the clock has failed, not the sensors
             self._q[:], self._v[:] = q, v
-        self._sense.needed = self._stop.tau  # a joint at rest may stand under any torque of a stop
+        self._sense.needed = np.full(self._robot.dof, math.nan)  # a joint at rest may stand under any torque of a stop
         self._sense.update(self._q, self._v, self._stop.tau, newer_s)
         if (back := self._sense.returned).any():  # where the arms are now, which the model alone did not know
             v = np.where(back, self._sense.v_slower, self._stop.v)
