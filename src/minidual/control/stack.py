@@ -124,6 +124,7 @@ class ControlStack[P: Plant]:
         self._failed: Exception | None = None
         """What the next step stops for, whatever resumes until then."""
         self._before.extend([(plant.time, q)] * 2)
+        self._ticked_s = plant.time
         self._v = plant.v
         self._stand()
         self.manager = ControllerManager(self._controllers, plant.dt, self._robot)
@@ -296,7 +297,6 @@ class ControlStack[P: Plant]:
             self.grippers.forget_grip(excused=True)  # what is lost in the stop is yet to be named
         if self.supervisor is not None:
             self.supervisor.reset(self.applied)
-        self._before.extend([(self.plant.time, q)] * 2)  # the clock may have begun anew
         self._stand()
         self.request(HOLD)
 
@@ -390,8 +390,9 @@ class ControlStack[P: Plant]:
             self.refused_n += len(output.refusals)
             self.refusals = [*self.refusals, *output.refusals][-_REFUSALS_KEPT:]
         self._pending = False
-        if plant.time > self._before[-1][0]:  # not where the clock stands, or jumped back
+        if plant.time > min(self._before[-1][0], self._ticked_s):  # where the clock goes on, also one that began anew
             self._before.append((plant.time, q))
+        self._ticked_s = plant.time
         self._attempt(lambda: self._hand_down(output.halted), None)
         if output.halted:
             self._wanted.pop(HOLD, None)  # overrides even a set named with "hold"
