@@ -14,7 +14,9 @@ def main() -> None:
     goal = planner.robot.home.copy()
     goal[0] += 0.4
     planner.plan_to_joints("both_arms", planner.robot.home, goal, seed=1)
-    print(f"kernels of {kernels.__name__}, proof and motion: ready, {time.process_time():.0f} s of processor time")
+    print(
+        f"kernels of {kernels.__name__}, proof and motion: ready, {time.process_time():.0f} s of processor time",
+    )
 
 
 if __name__ == "__main__":

@@ -50,7 +50,10 @@ def witness(seed: int, group: str, index: int) -> Array:
     query = stored_query(seed, group, index)
     assert query is not None
     with np.load(FOLDER / f"seed-{seed}.npz") as arrays:
-        corners = np.split(arrays[f"{group}.corners"].astype(float), np.cumsum(arrays[f"{group}.corners_n"])[:-1])
+        corners = np.split(
+            arrays[f"{group}.corners"].astype(float),
+            np.cumsum(arrays[f"{group}.corners_n"])[:-1],
+        )
     return np.vstack([query.q_start, corners[index], query.q_goal])
 
 
@@ -60,7 +63,8 @@ def find_way(query: Query) -> Array | None:
     for attempt, (padding, step) in enumerate(_ROUNDS):
         checker = EdgeChecker(engines, padding, (query.q_start, query.q_goal), step)
         checker.allow(_CHECKS_N, time.perf_counter() + _DEADLINE_S)
-        ends, seed = np.array([query.q_start, query.q_goal]), subseed(query.seed, "witness/search", attempt)
+        ends = np.array([query.q_start, query.q_goal])
+        seed = subseed(query.seed, "witness/search", attempt)
         path = search(checker, ends, ROBOT.groups[query.group], seed=seed)
         if path is None:
             continue
@@ -74,7 +78,8 @@ def find_way(query: Query) -> Array | None:
 def _solve(job: tuple[int, str, int]) -> tuple[Query, Array, int]:
     seed, group, index = job
     generator = QueryGenerator(seed, OBSTACLES_N)
-    attempt, left_out = 0, 0
+    attempt = 0
+    left_out = 0
     while True:
         query = generator.query(group, index, attempt)
         query = replace(query, q_start=stored(query.q_start), q_goal=stored(query.q_goal))
@@ -96,14 +101,20 @@ def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Any]:
     with ProcessPoolExecutor(workers_n) as pool:
         for done, (job, result) in enumerate(zip(jobs, pool.map(_solve, jobs), strict=True)):
             found[job[1]].append(result)
-            print(f"{done + 1} of {len(jobs)}: {job[1]} {job[2]}, attempt {result[0].attempt}", file=sys.stderr)
+            print(
+                f"{done + 1} of {len(jobs)}: {job[1]} {job[2]}, attempt {result[0].attempt}",
+                file=sys.stderr,
+            )
     arrays: dict[str, Any] = {"seed": np.array(seed)}
     for group, rows in found.items():
         corners = [path[1:-1] for _, path, _ in rows]
         arrays |= {
             f"{group}.attempts": np.array([q.attempt for q, _, _ in rows], dtype=np.int32),
             f"{group}.seeds": np.array([q.seed for q, _, _ in rows], dtype=np.int64),
-            f"{group}.ends": np.array([(q.q_start, q.q_goal) for q, _, _ in rows], dtype=np.float32),
+            f"{group}.ends": np.array(
+                [(q.q_start, q.q_goal) for q, _, _ in rows],
+                dtype=np.float32,
+            ),
             f"{group}.corners_n": np.array([len(c) for c in corners], dtype=np.int32),
             f"{group}.corners": np.vstack([np.zeros((0, ROBOT.dof)), *corners]).astype(np.float32),
             f"{group}.left_out": np.array(sum(left for _, _, left in rows)),

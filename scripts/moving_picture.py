@@ -8,7 +8,9 @@ import sys
 
 import av
 
-WIDTH_PX, EVERY, QUALITY = 480, 3, 55
+WIDTH_PX = 480
+EVERY = 3
+QUALITY = 55
 
 
 def main(film: str, target: str) -> None:
@@ -16,11 +18,19 @@ def main(film: str, target: str) -> None:
     with av.open(film) as container:
         stream = container.streams.video[0]
         period_ms = round(1000.0 * EVERY / float(stream.average_rate or 0))
-        frames = [frame.to_image() for k, frame in enumerate(container.decode(stream)) if k % EVERY == 0]
+        frames = [
+            frame.to_image() for k, frame in enumerate(container.decode(stream)) if k % EVERY == 0
+        ]
     for frame in frames:
         frame.thumbnail((WIDTH_PX, WIDTH_PX))
     frames[0].save(
-        target, save_all=True, append_images=frames[1:], duration=period_ms, loop=0, quality=QUALITY, method=6
+        target,
+        save_all=True,
+        append_images=frames[1:],
+        duration=period_ms,
+        loop=0,
+        quality=QUALITY,
+        method=6,
     )
 
 

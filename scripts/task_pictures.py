@@ -16,7 +16,9 @@ from minidual.tasks.task import make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
-SIZE_PX, QUALITY, EVERY_S = (480, 360), 60, 0.02
+SIZE_PX = (480, 360)
+QUALITY = 60
+EVERY_S = 0.02
 
 
 class View(NamedTuple):
@@ -52,8 +54,10 @@ def main(task: str, target: str) -> None:
 
     result, _ = bench.run(make_task(config).trial(config.seed, "benchmark", 0), on_step=watch)
     print(f"{task}: {result.text}; {seen[-1][0]:.1f} s")
-    model, data = bench.world.model, mujoco.MjData(bench.world.model)
-    renderer, option = mujoco.Renderer(model, SIZE_PX[1], SIZE_PX[0]), mujoco.MjvOption()
+    model = bench.world.model
+    data = mujoco.MjData(bench.world.model)
+    renderer = mujoco.Renderer(model, SIZE_PX[1], SIZE_PX[0])
+    option = mujoco.MjvOption()
     option.geomgroup[GROUP_COLLISION] = 0
     pictures = []
     for view in SHOWN.get(task, OTHERS):

@@ -12,7 +12,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, pose
 from minidual.tasks.task import Trial, grasp_offsets, level_pose, placement
 
-_OPEN, _CLOSED = np.ones(2), np.zeros(2)
+_OPEN = np.ones(2)
+_CLOSED = np.zeros(2)
 
 
 def solve_hands(kinematics: Kinematics, poses: tuple[Array, Array], q_start: Array) -> Array:
@@ -23,7 +24,7 @@ def solve_hands(kinematics: Kinematics, poses: tuple[Array, Array], q_start: Arr
             [
                 np.r_[goal[:3, 3] - T[:3, 3], T[:3, :3] @ pin.log3(T[:3, :3].T @ goal[:3, :3])]
                 for T, goal in zip(kinematics.tcp_poses(q), poses, strict=True)
-            ]
+            ],
         )
         if np.abs(error).max() < 1e-9:
             return q
@@ -33,13 +34,24 @@ def solve_hands(kinematics: Kinematics, poses: tuple[Array, Array], q_start: Arr
     raise AssertionError(f"no posture found, error {np.abs(error).max()}")
 
 
-def grasp_posture(scene: SceneConfig, kinematics: Kinematics, T_world_level: Array, q_start: Array = HOME) -> Array:
+def grasp_posture(
+    scene: SceneConfig,
+    kinematics: Kinematics,
+    T_world_level: Array,
+    q_start: Array = HOME,
+) -> Array:
     """Return q (14,) with the hands on a level rod at T_world_level (4, 4)."""
     left, right = grasp_offsets(scene)
     return solve_hands(kinematics, (T_world_level @ left, T_world_level @ right), q_start)
 
 
-def pinch_rod(loop: JointLoop, scene: SceneConfig, kinematics: Kinematics, *, hands: Array = _CLOSED) -> Array:
+def pinch_rod(
+    loop: JointLoop,
+    scene: SceneConfig,
+    kinematics: Kinematics,
+    *,
+    hands: Array = _CLOSED,
+) -> Array:
     """Put the open hands round the nominal rod, close those whose opening in `hands` is 0; return the posture."""
     x, y = scene.task.start_xy_m
     q = grasp_posture(scene, kinematics, level_pose(x, y, scene.object.radius_m, 0.0))
@@ -52,7 +64,8 @@ def pinch_rod(loop: JointLoop, scene: SceneConfig, kinematics: Kinematics, *, ha
 
 def carry_script(scene: SceneConfig, kinematics: Kinematics, trial: Trial) -> list[Array]:
     """Return 50 Hz actions (16,) that carry a rod from start to goal (x, y, yaw): a plain joint-space carry."""
-    start, goal = placement(trial.start["rod"]), placement(trial.goal["rod"])
+    start = placement(trial.start["rod"])
+    goal = placement(trial.goal["rod"])
     actions: list[Array] = []
     q = HOME.copy()
 
@@ -64,14 +77,25 @@ def carry_script(scene: SceneConfig, kinematics: Kinematics, trial: Trial) -> li
         n = round(50 * seconds)
         for k in range(1, n + 1):
             u = k / n
-            x, y, z, yaw = np.array(a) + u**3 * (10 - 15 * u + 6 * u * u) * (np.array(b) - np.array(a))
-            q = grasp_posture(scene, kinematics, level_pose(x, y, scene.object.radius_m + z, yaw), q)
+            x, y, z, yaw = np.array(a) + u**3 * (10 - 15 * u + 6 * u * u) * (
+                np.array(b) - np.array(a)
+            )
+            q = grasp_posture(
+                scene,
+                kinematics,
+                level_pose(x, y, scene.object.radius_m + z, yaw),
+                q,
+            )
             actions.append(np.concatenate([q, hands]))
 
     def at(place: tuple[float, float, float], z: float) -> tuple[float, float, float, float]:
         return place[0], place[1], z, place[2]
 
-    first = grasp_posture(scene, kinematics, level_pose(start[0], start[1], scene.object.radius_m + 0.1, start[2]))
+    first = grasp_posture(
+        scene,
+        kinematics,
+        level_pose(start[0], start[1], scene.object.radius_m + 0.1, start[2]),
+    )
     for k in range(1, 76):
         u = k / 75
         s = u**3 * (10 - 15 * u + 6 * u * u)

@@ -37,7 +37,12 @@ class Branches[State, Point]:
             for ours, _ in pipes.values():
                 ours.close()
             try:
-                _grow(start(), step, reached, {point: theirs for point, (_, theirs) in pipes.items()})
+                _grow(
+                    start(),
+                    step,
+                    reached,
+                    {point: theirs for point, (_, theirs) in pipes.items()},
+                )
             except BaseException:  # pytest, of which this is a copy, must not go on here
                 traceback.print_exc()
             os._exit(0)
@@ -64,7 +69,10 @@ class Branches[State, Point]:
 
 
 def _grow[State, Point](
-    state: State, step: Callable[[State], None], reached: Callable[[State, Point], bool], pipes: dict[Point, Connection]
+    state: State,
+    step: Callable[[State], None],
+    reached: Callable[[State, Point], bool],
+    pipes: dict[Point, Connection],
 ) -> None:
     """Run once past all points and leave a copy that waits at each."""
     while pipes:

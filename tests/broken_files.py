@@ -18,7 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from late import late
 
-torch, tensor_files = late("torch"), late("safetensors.torch")
+torch = late("torch")
+tensor_files = late("safetensors.torch")
 
 Break = Callable[[Path, np.random.Generator], None]
 STRANGE: tuple[Any, ...] = (None, "text", [], {}, -1, 1e300, True, [["deep"]])
@@ -109,13 +110,23 @@ def _terabytes(file: h5py.File, rng: np.random.Generator) -> None:
     camera = next(iter(file["observations/images"]))
     del file[f"observations/images/{camera}"]
     shape = (ticks, 1_000_000, 1_000_000, 3)
-    file.create_dataset(f"observations/images/{camera}", shape=shape, dtype="uint8", chunks=(1, 96, 128, 3))
+    file.create_dataset(
+        f"observations/images/{camera}",
+        shape=shape,
+        dtype="uint8",
+        chunks=(1, 96, 128, 3),
+    )
 
 
 def _elsewhere(file: h5py.File, rng: np.random.Generator) -> None:
     shape = file["action"].shape
     del file["action"]
-    file.create_dataset("action", shape=shape, dtype="float64", external=[("/dev/zero", 0, h5py.h5f.UNLIMITED)])
+    file.create_dataset(
+        "action",
+        shape=shape,
+        dtype="float64",
+        external=[("/dev/zero", 0, h5py.h5f.UNLIMITED)],
+    )
 
 
 def _one(value: float) -> Callable[[Any], Any]:
@@ -196,7 +207,8 @@ def _small_video(path: Path, rng: np.random.Generator) -> None:
 def _write_video(path: Path, divide: int) -> None:
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
-        size, count = (stream.height // divide, stream.width // divide), stream.frames
+        size = (stream.height // divide, stream.width // divide)
+        count = stream.frames
     with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("h264", rate=50)
         stream.height, stream.width, stream.pix_fmt = *size, "yuv444p"
@@ -217,8 +229,15 @@ DATASET: dict[str, Break] = {
     "rate negative": _info("fps", value=-50),
     "pictures of terabytes": _info("features", HIGH, "shape", value=[1_000_000, 1_000_000, 3]),
     "pictures negative": _info("features", HIGH, "shape", value=[-96, 128, 3]),
-    "video path": _info("video_path", value="{video_key.__class__.__mro__}/{chunk_index:999999999}"),
-    "state NaN": _column("data", "observation.state", lambda v: [*v[:-1], [float("nan")] * len(v[0])]),
+    "video path": _info(
+        "video_path",
+        value="{video_key.__class__.__mro__}/{chunk_index:999999999}",
+    ),
+    "state NaN": _column(
+        "data",
+        "observation.state",
+        lambda v: [*v[:-1], [float("nan")] * len(v[0])],
+    ),
     "state text": _column("data", "observation.state", lambda v: ["text"] * len(v)),
     "action short": _column("data", "action", _set([1.0])),
     "action missing": _column("data", "action", lambda v: None),
@@ -253,7 +272,9 @@ def _tensors(name: str, change: Callable[[dict[str, torch.Tensor]], Any]) -> Bre
     return within(name, broken)
 
 
-def _first(make: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[dict[str, torch.Tensor]], None]:
+def _first(
+    make: Callable[[torch.Tensor], torch.Tensor],
+) -> Callable[[dict[str, torch.Tensor]], None]:
     def change(tensors: dict[str, torch.Tensor]) -> None:
         name = sorted(tensors)[0]
         tensors[name] = make(tensors[name]).contiguous()
@@ -262,22 +283,39 @@ def _first(make: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[dict[str, 
 
 
 _JSON = ("config.json", "policy_preprocessor.json", "policy_postprocessor.json")
-_WEIGHTS = ("model.safetensors", "policy_preprocessor_*.safetensors", "policy_postprocessor_*.safetensors")
+_WEIGHTS = (
+    "model.safetensors",
+    "policy_preprocessor_*.safetensors",
+    "policy_postprocessor_*.safetensors",
+)
 CHECKPOINT: dict[str, Break] = {
-    **{f"{name} {change.__name__}": within(name, change) for name in (*_JSON, *_WEIGHTS) for change in FILES},
+    **{
+        f"{name} {change.__name__}": within(name, change)
+        for name in (*_JSON, *_WEIGHTS)
+        for change in FILES
+    },
     **{f"{name} deep": within(name, deep) for name in _JSON},
-    **{f"steps {value!r}": _record(_JSON[1], lambda r, v=value: r.update(steps=v)) for value in STRANGE},
-    **{f"step {value!r}": _record(_JSON[1], lambda r, v=value: r["steps"].append(v)) for value in STRANGE},
+    **{
+        f"steps {value!r}": _record(_JSON[1], lambda r, v=value: r.update(steps=v))
+        for value in STRANGE
+    },
+    **{
+        f"step {value!r}": _record(_JSON[1], lambda r, v=value: r["steps"].append(v))
+        for value in STRANGE
+    },
     **{
         f"{name} {value!r}": _record(_JSON[0], lambda r, n=name, v=value: r.update({n: v}))
         for name in ("type", "input_features", "dim_model")
         for value in STRANGE
     },
     "runs a command": _record(
-        _JSON[1], lambda r: r["steps"].insert(0, {"class": "os.system", "config": {"command": "exit 3"}})
+        _JSON[1],
+        lambda r: r["steps"].insert(0, {"class": "os.system", "config": {"command": "exit 3"}}),
     ),
     **{f"{name} NaN": _tensors(name, _first(lambda t: t * float("nan"))) for name in _WEIGHTS},
-    **{f"{name} integers": _tensors(name, _first(lambda t: t.to(torch.int32))) for name in _WEIGHTS},
+    **{
+        f"{name} integers": _tensors(name, _first(lambda t: t.to(torch.int32))) for name in _WEIGHTS
+    },
     **{f"{name} deeper": _tensors(name, _first(lambda t: t[None, None])) for name in _WEIGHTS[:1]},
     "a weight missing": _tensors(_WEIGHTS[0], lambda t: t.pop(sorted(t)[0])),
     "a weight more": _tensors(_WEIGHTS[0], lambda t: t.update(more=torch.zeros(3))),

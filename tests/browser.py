@@ -51,21 +51,38 @@ class Browser:
     def __init__(self, path, folder: Path, size=(1000, 620)):
         self.requests: list[str] = []
         self._id = 0
-        command = [path, *FLAGS, f"--user-data-dir={folder}", f"--window-size={size[0]},{size[1]}", "about:blank"]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        command = [
+            path,
+            *FLAGS,
+            f"--user-data-dir={folder}",
+            f"--window-size={size[0]},{size[1]}",
+            "about:blank",
+        ]
+        self._process = subprocess.Popen(
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         address = self._page_address(folder / "DevToolsActivePort")
         self._socket = connect(address, max_size=None)
         for domain in ("Page", "Network", "Runtime"):
             self.call(f"{domain}.enable")
         self.call(
-            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
+            "Emulation.setDeviceMetricsOverride",
+            width=size[0],
+            height=size[1],
+            deviceScaleFactor=1,
+            mobile=False,
         )
 
     def _page_address(self, file: Path, limit_s=30.0):
         end = time.monotonic() + limit_s
         while time.monotonic() < end:
             if file.is_file() and (lines := file.read_text().split()):
-                with urllib.request.urlopen(f"http://127.0.0.1:{lines[0]}/json", timeout=5) as answer:
+                with urllib.request.urlopen(
+                    f"http://127.0.0.1:{lines[0]}/json",
+                    timeout=5,
+                ) as answer:
                     pages = [page for page in json.load(answer) if page["type"] == "page"]
                 if pages:
                     return pages[0]["webSocketDebuggerUrl"]
@@ -121,7 +138,10 @@ class Browser:
         for _ in range(tries - 1):
             try:
                 return self.call("Page.captureScreenshot", limit_s=60.0, format="png")["data"]
-            except (RuntimeError, TimeoutError):  # between two pages there is nothing to see, or no frame comes
+            except (
+                RuntimeError,
+                TimeoutError,
+            ):  # between two pages there is nothing to see, or no frame comes
                 time.sleep(0.5)
         return self.call("Page.captureScreenshot", limit_s=60.0, format="png")["data"]
 

@@ -11,7 +11,9 @@ from minidual.tasks.judge import Judge
 from minidual.tasks.task import Task, Trial, make_task
 from minidual.trials.metrics import TrialMetrics
 
-_SENSED = "pose_noise_m pose_noise_rad pose_rate_hz force_noise_n delay_s force_filter_s grasp_memory_s"
+_SENSED = (
+    "pose_noise_m pose_noise_rad pose_rate_hz force_noise_n delay_s force_filter_s grasp_memory_s"
+)
 PERFECT_SENSING = SensingConfig(**dict.fromkeys(_SENSED.split(), 0.0) | {"pose_rate_hz": 1000.0})
 
 
@@ -20,12 +22,24 @@ def carry_task(scene: SceneConfig) -> Task:
     return make_task(Config(scene=SceneConfig.model_validate(scene.model_dump())))
 
 
-def sample_trial(scene: SceneConfig, seed: int, purpose: str, index: int, *, widen: float = 1.0) -> Trial:
+def sample_trial(
+    scene: SceneConfig,
+    seed: int,
+    purpose: str,
+    index: int,
+    *,
+    widen: float = 1.0,
+) -> Trial:
     """Draw a trial of the rod task."""
     return carry_task(scene).trial(seed, purpose, index, widen=widen)
 
 
-def rod_trial(purpose: str, index: int, start: tuple[float, float, float], goal: tuple[float, float, float]) -> Trial:
+def rod_trial(
+    purpose: str,
+    index: int,
+    start: tuple[float, float, float],
+    goal: tuple[float, float, float],
+) -> Trial:
     """Return a trial of the rod from and to (x, y, yaw)."""
     return Trial(purpose, index, {"rod": start}, {"rod": goal})
 

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of PyTorch first: of two processes that share the tests, one imports it and the other does not."""
     if "torch" in sys.modules:
-        raise pytest.UsageError("a test module imports PyTorch as it is collected: use late.late, mark it `torch`")
+        raise pytest.UsageError(
+            "a test module imports PyTorch as it is collected: use late.late, mark it `torch`",
+        )
     items.sort(key=lambda item: item.get_closest_marker("torch") is None)
 
 

@@ -19,13 +19,15 @@ class ArmsPlant:
     """Fourteen joints at 1 kHz, semi-implicit Euler; keeps every torque it was given."""
 
     def __init__(self, scene: SceneConfig) -> None:
-        self.scene, self.robot = scene, DUAL_PANDA
+        self.scene = scene
+        self.robot = DUAL_PANDA
         self.dt = 1e-3
         self.health = ""
         self.age_s = 0.0
         """How old the measurements claim to be."""
         self.grip_max_n = 70.0
-        self.fingers, self.grip = np.full(2, DUAL_PANDA.hand.travel_m), np.zeros(2)
+        self.fingers = np.full(2, DUAL_PANDA.hand.travel_m)
+        self.grip = np.zeros(2)
         self.tau = np.zeros(14)
         self._kinematics = Kinematics()
         self.torques: list[Array] = []
@@ -52,7 +54,8 @@ class ArmsPlant:
         self.torques.append(self.tau)
 
     def step(self) -> None:
-        model, data = self._kinematics.model, self._kinematics.data
+        model = self._kinematics.model
+        data = self._kinematics.data
         a = pin.aba(model, data, self.q, self.v, self.tau - JOINT_DAMPING * self.v)
         self.v = self.v + self.dt * np.array(a)
         self.q = self.q + self.dt * self.v
@@ -69,14 +72,18 @@ class TrueObject:
 
     def read(self) -> tuple[ObjectState, float]:
         world = self._world
-        return ObjectState(world.object_pose(), world.truth().twist()), world.truth().internal_force()
+        return ObjectState(
+            world.object_pose(),
+            world.truth().twist(),
+        ), world.truth().internal_force()
 
 
 class HandsObject:
     """An object that is wherever the hands are: level between them, weightless."""
 
     def __init__(self, plant: ArmsPlant) -> None:
-        self._plant, self._kinematics = plant, Kinematics()
+        self._plant = plant
+        self._kinematics = Kinematics()
 
     grip_limit_n = float("inf")
 

@@ -49,10 +49,23 @@ def arrays(
     }
 
 
-def write(path: Path, data: dict[str, Any], *, success: bool = True, fps: float = 50.0, **meta: Any) -> Path:
+def write(
+    path: Path,
+    data: dict[str, Any],
+    *,
+    success: bool = True,
+    fps: float = 50.0,
+    **meta: Any,
+) -> Path:
     """Write `arrays(...)` as one episode."""
     cameras = tuple(data["images"])
-    record = EpisodeMeta(fps=fps, task="carry the rod", seed=meta.pop("seed", 3), cameras=cameras, **meta)
+    record = EpisodeMeta(
+        fps=fps,
+        task="carry the rod",
+        seed=meta.pop("seed", 3),
+        cameras=cameras,
+        **meta,
+    )
     with EpisodeWriter(path, record) as writer:
         for k in range(len(data["timestamps"])):
             writer.append(**tick(data, k))

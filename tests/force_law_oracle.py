@@ -31,8 +31,11 @@ def cross_matrix(r: Array) -> Array:
 
 def grasp_matrix(r_left: Array, r_right: Array) -> Array:
     """Return G (6, 12)."""
-    one, none = np.eye(3), np.zeros((3, 3))
-    return np.block([[one, none, one, none], [cross_matrix(r_left), one, cross_matrix(r_right), one]])
+    one = np.eye(3)
+    none = np.zeros((3, 3))
+    return np.block(
+        [[one, none, one, none], [cross_matrix(r_left), one, cross_matrix(r_right), one]],
+    )
 
 
 def split(G: Array, f: Array) -> tuple[Array, Array]:
@@ -65,7 +68,9 @@ def damping(kinematics: Kinematics, held: HeldObject, gains: ImpedanceConfig, q:
     lever = max(np.linalg.norm(T[:3, 3]) for T in held.T_object_tcps)
     for J in kinematics.tcp_jacobians(q):
         mass, inertia = (np.linalg.inv(part @ np.linalg.inv(M) @ part.T) for part in (J[:3], J[3:]))
-        moving += np.concatenate([np.diag(mass), lever**2 * np.trace(mass) / 3.0 + np.diag(inertia)])
+        moving += np.concatenate(
+            [np.diag(mass), lever**2 * np.trace(mass) / 3.0 + np.diag(inertia)],
+        )
     return 2.0 * gains.damping_ratio * np.sqrt(stiffness(gains) * moving)
 
 
@@ -82,16 +87,23 @@ def torque(
     measured_internal_force_n: float,
 ) -> Array:
     """Return the law's torques (14,) [Nm]."""
-    R, p = measured.T_world_object[:3, :3], measured.T_world_object[:3, 3]
-    R_d, p_d = desired.T_world_object[:3, :3], desired.T_world_object[:3, 3]
-    a_d, alpha_d, omega_d = desired.acceleration[:3], desired.acceleration[3:], desired.twist[3:]
+    R = measured.T_world_object[:3, :3]
+    p = measured.T_world_object[:3, 3]
+    R_d = desired.T_world_object[:3, :3]
+    p_d = desired.T_world_object[:3, 3]
+    a_d = desired.acceleration[:3]
+    alpha_d = desired.acceleration[3:]
+    omega_d = desired.twist[3:]
 
     # What the object should feel.
-    K, D = stiffness(gains), damping(kinematics, held, gains, q_engaged)
+    K = stiffness(gains)
+    D = damping(kinematics, held, gains, q_engaged)
     spring = np.concatenate([K[:3] * (p_d - p), np.zeros(3)])
     damper = np.concatenate([D[:3] * (desired.twist - measured.twist)[:3], np.zeros(3)])
     I_w = R @ held.inertia_kg_m2 @ R.T
-    inertia = np.concatenate([held.mass_kg * (a_d - GRAVITY), I_w @ alpha_d + np.cross(omega_d, I_w @ omega_d)])
+    inertia = np.concatenate(
+        [held.mass_kg * (a_d - GRAVITY), I_w @ alpha_d + np.cross(omega_d, I_w @ omega_d)],
+    )
     w = spring + damper + inertia
 
     # How the hands share it, and how they squeeze.
@@ -101,7 +113,8 @@ def torque(
         gains.force_correction_max_n,
     )
     F = np.clip(internal_force_n + correction, 0.0, SQUEEZE_MAX_N)
-    axis, none = R @ held.axis, np.zeros(3)
+    axis = R @ held.axis
+    none = np.zeros(3)
     f_int = np.concatenate([-F * axis, none, F * axis, none])
     tcps = kinematics.tcp_poses(q)
     r = [T[:3, 3] - p for T in tcps]
@@ -116,7 +129,9 @@ def torque(
     external = np.zeros(DOF)
     for i, (J, arm) in enumerate(((J_left, GROUPS["left_arm"]), (J_right, GROUPS["right_arm"]))):
         J = J[:, arm]
-        a_hand = np.concatenate([a_d + np.cross(alpha_d, r[i]) + np.cross(omega_d, np.cross(omega_d, r[i])), alpha_d])
+        a_hand = np.concatenate(
+            [a_d + np.cross(alpha_d, r[i]) + np.cross(omega_d, np.cross(omega_d, r[i])), alpha_d],
+        )
         posture = (POSTURE_STIFFNESS_PER_S2 * (q_engaged - q) - POSTURE_DAMPING_PER_S * v)[arm]
         J_inverse = np.linalg.pinv(J)
         null = np.eye(7) - J_inverse @ J

@@ -29,7 +29,8 @@ class GuardedArms:
     """
 
     def __init__(self, world: World, supervisor: Supervisor) -> None:
-        self.world, self.supervisor = world, supervisor
+        self.world = world
+        self.supervisor = supervisor
         self.controller = ComputedTorque(Kinematics(), natural_frequency_rad_s=30.0)
         self.applied: list[Array] = []
         self.error: ReflexError | None = None
@@ -57,7 +58,8 @@ class GuardedArms:
             try:
                 tau = self.supervisor.guard(t, q, v, tau, a_ref if tell_reference else None)
             except ReflexError as error:
-                self.error, tau = error, error.tau
+                self.error = error
+                tau = error.tau
             self._apply(tau)
             if self.error is not None:
                 self.supervisor.tell(self.error)
@@ -65,11 +67,16 @@ class GuardedArms:
         return self.error
 
     def go_on(
-        self, seconds: float, tau: Array | None = None, senses: Senses = lambda _t, q, v: (q, v)
+        self,
+        seconds: float,
+        tau: Array | None = None,
+        senses: Senses = lambda _t, q, v: (q, v),
     ) -> tuple[Array, Array]:
         """Keep calling the supervisor after a reflex, with a mad request; return each arm's peak speed and way (2,)."""
         mad = np.full(DOF, np.nan) if tau is None else tau
-        began, speeds, ways = self.world.q, [], []
+        began = self.world.q
+        speeds = []
+        ways = []
         for _ in range(round(seconds / self.world.dt)):
             t = self.world.time
             self._apply(self.supervisor.guard(t, *senses(t, self.world.q, self.world.v), mad))
@@ -90,8 +97,13 @@ def hold(q: Array) -> Reference:
 
 def swing(t: float) -> tuple[Array, Array, Array]:
     """Swing all joints, at 0.9 rad/s at t = 0, for 0.2 s."""
-    w, ones = 3.0, np.ones(DOF)
-    return HOME - 0.3 * (1.0 + np.sin(w * t)) * ones, -0.9 * np.cos(w * t) * ones, 2.7 * np.sin(w * t) * ones
+    w = 3.0
+    ones = np.ones(DOF)
+    return (
+        HOME - 0.3 * (1.0 + np.sin(w * t)) * ones,
+        -0.9 * np.cos(w * t) * ones,
+        2.7 * np.sin(w * t) * ones,
+    )
 
 
 def begin_swing(world: World) -> None:
@@ -100,7 +112,13 @@ def begin_swing(world: World) -> None:
     world.data.qvel[world.joints.qvel] = swing(0.0)[1]
 
 
-def accelerate(joint: int, acceleration: float, *, until_s: float = 10.0, q0: Array = HOME) -> Reference:
+def accelerate(
+    joint: int,
+    acceleration: float,
+    *,
+    until_s: float = 10.0,
+    q0: Array = HOME,
+) -> Reference:
     """Accelerate one joint from q0 for `until_s`, then go on at the speed reached, for ever."""
     e = np.eye(DOF)[joint]
 

@@ -41,10 +41,14 @@ def distribution(folder: Path, name: str, modules: dict[str, str], toml: str) ->
         (folder / f"{module}.py").write_text(text, encoding="utf-8")
     info = folder / f"{name}-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", encoding="utf-8")
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n",
+        encoding="utf-8",
+    )
     groups = tomllib.loads(toml)["project"]["entry-points"]
     lines = [
-        f"[{group}]\n" + "\n".join(f"{key} = {value}" for key, value in rows.items()) for group, rows in groups.items()
+        f"[{group}]\n" + "\n".join(f"{key} = {value}" for key, value in rows.items())
+        for group, rows in groups.items()
     ]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     paths = [str(folder), os.environ.get("PYTHONPATH", "")]
@@ -54,7 +58,8 @@ def distribution(folder: Path, name: str, modules: dict[str, str], toml: str) ->
 @contextmanager
 def program(page: str, table: Registry[Any], folder: Path) -> Iterator[dict[str, Any]]:
     """Install the module that a page prints first as its pyproject.toml says, run the program after it; its names."""
-    (module, text), (toml,) = blocks(page), blocks(page, "toml")
+    (module, text) = blocks(page)
+    (toml,) = blocks(page, "toml")
     name = tomllib.loads(toml)["project"]["name"].replace("-", "_")
     with installed(table, folder, name, {name: module}, toml):
         names = {"module": importlib.import_module(name)}
@@ -63,7 +68,13 @@ def program(page: str, table: Registry[Any], folder: Path) -> Iterator[dict[str,
 
 
 @contextmanager
-def installed(table: Registry[Any], folder: Path, name: str, modules: dict[str, str], toml: str) -> Iterator[None]:
+def installed(
+    table: Registry[Any],
+    folder: Path,
+    name: str,
+    modules: dict[str, str],
+    toml: str,
+) -> Iterator[None]:
     """Install a distribution in this process: its row is in the table, found by its entry point, until the end."""
     distribution(folder, name, modules, toml)
     with pytest.MonkeyPatch.context() as patch:

@@ -16,11 +16,18 @@ from numpy.typing import NDArray
 
 from minidual.policies.demonstrations import Demonstrations
 
-HEIGHT, WIDTH = 96, 128
+HEIGHT = 96
+WIDTH = 128
 M_PER_PX = 0.0077
-APPROACH, CLOSING, CARRY = 150, 25, 45
-HALF_GRASP_M, HALF_ROD_M, RADIUS_M = 0.12, 0.15, 0.00887
-HOME = np.array([[-0.05, 0.25, 0.25, 0.0], [-0.05, -0.25, 0.25, 0.0]])  # left, right: x, y, z [m], yaw [rad]
+APPROACH = 150
+CLOSING = 25
+CARRY = 45
+HALF_GRASP_M = 0.12
+HALF_ROD_M = 0.15
+RADIUS_M = 0.00887
+HOME = np.array(
+    [[-0.05, 0.25, 0.25, 0.0], [-0.05, -0.25, 0.25, 0.0]],
+)  # left, right: x, y, z [m], yaw [rad]
 _V, _U = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
 
 
@@ -39,7 +46,9 @@ def joints(hands: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def hands_of(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the hand poses (2, 4) of (14,) joints: least squares, exact for reachable joints."""
-    stacked = [np.linalg.lstsq(_M[a], q[7 * a : 7 * a + 7] - _Q0[a], rcond=None)[0] for a in range(2)]
+    stacked = [
+        np.linalg.lstsq(_M[a], q[7 * a : 7 * a + 7] - _Q0[a], rcond=None)[0] for a in range(2)
+    ]
     return np.arcsinh(3 * np.array(stacked)) / 3
 
 
@@ -57,17 +66,29 @@ def _cover(a: tuple[float, float], b: tuple[float, float], radius_px: float) -> 
 
 
 _BACKGROUND = (
-    np.array([120, 110, 100], np.float32) + 12 * np.sin(_V / 9.0)[..., None] + 10 * np.cos(_U / 13.0)[..., None]
+    np.array([120, 110, 100], np.float32)
+    + 12 * np.sin(_V / 9.0)[..., None]
+    + 10 * np.cos(_U / 13.0)[..., None]
 )
 
 
-def render(rod: NDArray[np.float64], hands: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
+def render(
+    rod: NDArray[np.float64],
+    hands: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:
     """Return a (96, 128, 3) image of the bar (x, y [m], yaw [rad]) and the two arms over it."""
     image = _BACKGROUND.copy()
     along = HALF_ROD_M * np.array([-np.sin(rod[2]), np.cos(rod[2])])
-    layers = [(_cover(_pixel(*(rod[:2] - along)), _pixel(*(rod[:2] + along)), RADIUS_M / M_PER_PX), (200.0, 40, 30))]
+    layers = [
+        (
+            _cover(_pixel(*(rod[:2] - along)), _pixel(*(rod[:2] + along)), RADIUS_M / M_PER_PX),
+            (200.0, 40, 30),
+        ),
+    ]
     for hand, base in zip(hands, ((-0.5, 0.25), (-0.5, -0.25)), strict=True):
-        x, y = hand[0] - 0.3 * hand[2], hand[1]  # a raised hand appears further up
+        x = hand[0] - 0.3 * hand[2]  # a raised hand appears further up
+        y = hand[1]
         layers.append((_cover(_pixel(*base), _pixel(x - 0.06, y), 4.0), (235.0, 235, 230)))
         layers.append((_cover(_pixel(x - 0.06, y), _pixel(x, y), 2.5), (60.0, 60, 65)))
     for cover, colour in layers:
@@ -107,7 +128,10 @@ def expert(rod: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.fl
 def demonstrations(episodes: int, seed: int, every: int = 1) -> Demonstrations:
     """Return recorded episodes of the expert; `every` > 1 keeps every n-th tick to make tests smaller."""
     rng = np.random.default_rng(seed)
-    images, states, actions, index = [], [], [], []
+    images = []
+    states = []
+    actions = []
+    index = []
     for episode in range(episodes):
         rod = sample_rod(rng)
         poses, opening = expert(rod)
@@ -144,11 +168,13 @@ class GraspErrors:
 def closed_loop(act, reset, episodes: int, seed: int) -> GraspErrors:  # type: ignore[no-untyped-def]
     """Let `act(images, state) -> (16,)` drive the hands from home until it closes; return the grasp errors."""
     rng = np.random.default_rng(seed)
-    errors, closed = [], []
+    errors = []
+    closed = []
     for _ in range(episodes):
         rod = sample_rod(rng)
         reset()
-        q, opening = joints(HOME), np.ones(2)
+        q = joints(HOME)
+        opening = np.ones(2)
         for _tick in range(APPROACH + 60):
             hands = hands_of(q)
             look = functools.partial(render, rod, hands, rng)
@@ -161,7 +187,9 @@ def closed_loop(act, reset, episodes: int, seed: int) -> GraspErrors:  # type: i
         centre = hands.mean(axis=0)
         d = hands[0, :2] - hands[1, :2]
         yaw = np.arctan2(-d[0], d[1])
-        errors.append([(centre[0] - rod[0]) * 1e3, (centre[1] - rod[1]) * 1e3, np.degrees(yaw - rod[2])])
+        errors.append(
+            [(centre[0] - rod[0]) * 1e3, (centre[1] - rod[1]) * 1e3, np.degrees(yaw - rod[2])],
+        )
         closed.append(action[14:].min() < 0.4)
     table = np.array(errors)
     return GraspErrors(table[:, 0], table[:, 1], table[:, 2], np.array(closed))

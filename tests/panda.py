@@ -6,10 +6,18 @@ from minidual.robot.pair import DUAL_PANDA, PANDA, SIDES
 
 ARMS = SIDES
 DOF = DUAL_PANDA.dof
-JOINT_NAMES, FINGER_JOINT_NAMES = DUAL_PANDA.joint_names, DUAL_PANDA.finger_joint_names
+JOINT_NAMES = DUAL_PANDA.joint_names
+FINGER_JOINT_NAMES = DUAL_PANDA.finger_joint_names
 GROUPS = DUAL_PANDA.groups
-HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
-V_MAX, TAU_MAX, A_MAX, JERK_MAX = DUAL_PANDA.v_max, DUAL_PANDA.tau_max, DUAL_PANDA.a_max, DUAL_PANDA.jerk_max
-TAU_RATE_MAX, JOINT_ARMATURE, JOINT_DAMPING = PANDA.tau_rate_max, PANDA.armature, PANDA.damping
+HOME = DUAL_PANDA.home
+Q_LOWER = DUAL_PANDA.q_lower
+Q_UPPER = DUAL_PANDA.q_upper
+V_MAX = DUAL_PANDA.v_max
+TAU_MAX = DUAL_PANDA.tau_max
+A_MAX = DUAL_PANDA.a_max
+JERK_MAX = DUAL_PANDA.jerk_max
+TAU_RATE_MAX = PANDA.tau_rate_max
+JOINT_ARMATURE = PANDA.armature
+JOINT_DAMPING = PANDA.damping
 FINGER_TRAVEL_M = PANDA.hand.travel_m
 BASE_POSITIONS_M = dict(zip(SIDES, DUAL_PANDA.base_positions_m, strict=True))

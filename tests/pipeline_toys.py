@@ -44,7 +44,15 @@ class Toy:
         checks = self.behaviour(context) if self.behaviour else None
         if checks is None:
             checks = [
-                Check("quality", self.observed, ">=", 1.0, "n", why="toys must hold", remedy=self.remedy),
+                Check(
+                    "quality",
+                    self.observed,
+                    ">=",
+                    1.0,
+                    "n",
+                    why="toys must hold",
+                    remedy=self.remedy,
+                ),
                 Check("size", 3.0, unit="m"),
             ]
         return StageResult(checks=checks, data={"observed": self.observed}, notes=["a toy ran"])
@@ -54,7 +62,9 @@ class Bench:
     """A run of three toys, first <- second <- third, the last one closing."""
 
     def __init__(self, root: Path, profile: str = "standard", run: str = "toys") -> None:
-        self.root, self.profile, self.run_name = root, profile, run
+        self.root = root
+        self.profile = profile
+        self.run_name = run
         self.first = Toy("first")
         self.second = Toy("second", ("first",))
         self.third = Toy("third", ("second",))

@@ -23,13 +23,18 @@ class CoalDistances:
     """Exact distances of every checked pair through coal's own query."""
 
     def __init__(self, scene: PlanningScene, engine: CoalEngine) -> None:
-        self._model, self._geometry = engine.model, engine.geometry
+        self._model = engine.model
+        self._geometry = engine.geometry
         names = {k: name for name, items in engine.items.items() for k in items}
-        owners = [frozenset((names[p.first], names[p.second])) for p in self._geometry.collisionPairs]
-        self._items = [
-            [k for k, owner in enumerate(owners) if owner == frozenset(pair)] for pair in scene.checked_pairs
+        owners = [
+            frozenset((names[p.first], names[p.second])) for p in self._geometry.collisionPairs
         ]
-        self._data, self._placed = self._model.createData(), pin.GeometryData(self._geometry)
+        self._items = [
+            [k for k, owner in enumerate(owners) if owner == frozenset(pair)]
+            for pair in scene.checked_pairs
+        ]
+        self._data = self._model.createData()
+        self._placed = pin.GeometryData(self._geometry)
         for request in self._placed.distanceRequests:
             request.gjk_tolerance = 1e-9
 
@@ -40,25 +45,32 @@ class CoalDistances:
             pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
             rows.append(
                 [
-                    min(pin.computeDistance(self._geometry, self._placed, k).min_distance for k in items)
+                    min(
+                        pin.computeDistance(self._geometry, self._placed, k).min_distance
+                        for k in items
+                    )
                     for items in self._items
-                ]
+                ],
             )
         return np.array(rows)
 
 
 def farthest_in_mujoco(engine: MujocoEngine, part: str, direction: Array) -> float:
     """Return how far a part goes along a unit direction (3,) [m] at the engine's last state, from what it compiled."""
-    model, data = engine.model, engine.data
+    model = engine.model
+    data = engine.data
     body = model.body(part)
     far = -np.inf
     for geom in range(int(body.geomadr[0]), int(body.geomadr[0]) + int(body.geomnum[0])):
-        R, p = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-        own, size = R.T @ direction, model.geom_size[geom]
+        R = data.geom_xmat[geom].reshape(3, 3)
+        p = data.geom_xpos[geom]
+        own = R.T @ direction
+        size = model.geom_size[geom]
         match mujoco.mjtGeom(int(model.geom_type[geom])):
             case mujoco.mjtGeom.mjGEOM_MESH:
                 mesh = int(model.geom_dataid[geom])
-                first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+                first = int(model.mesh_vertadr[mesh])
+                count = int(model.mesh_vertnum[mesh])
                 reach = float((model.mesh_vert[first : first + count] @ own).max())
             case mujoco.mjtGeom.mjGEOM_SPHERE:
                 reach = size[0]

@@ -39,7 +39,8 @@ class ToyRig(Rig):
     late_s = 0.0
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
-        self.job, self.kinematics = job, Kinematics(job.robot)
+        self.job = job
+        self.kinematics = Kinematics(job.robot)
 
     def lead(self, trial: Trial, on_tick: Callable[[Tick], None]) -> SessionResult:
         """Sway the arms a little."""
@@ -49,7 +50,12 @@ class ToyRig(Rig):
         times = np.arange(TICKS) / 50.0
         q = DUAL_PANDA.home + 0.05 * np.sin(2.0 * np.pi * 0.5 * times[:, None] + phase)
         camera = self.job.task.scene.camera
-        pixels = np.random.default_rng(7).integers(90, 110, (camera.height_px, camera.width_px, 3), dtype=np.uint8)
+        pixels = np.random.default_rng(7).integers(
+            90,
+            110,
+            (camera.height_px, camera.width_px, 3),
+            dtype=np.uint8,
+        )
         for k, t in enumerate(times):
             images = {camera: pixels + np.uint8(k) for camera in self.job.teleop.cameras}
             seen = t, t + self.late_s, q[k], np.zeros(14), np.ones(2), images

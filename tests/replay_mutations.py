@@ -17,7 +17,8 @@ def mutate(arrays, seed):
     """Return the arrays with one changed, and what was changed."""
     rng = np.random.default_rng(seed)
     name = rng.choice(sorted(set(arrays) - {"digest"}))
-    values, how = arrays[name].copy(), rng.integers(8)
+    values = arrays[name].copy()
+    how = rng.integers(8)
     if name == "header":
         values, what = _other_header(values, rng)
     elif how < 4 and values.size:
@@ -25,26 +26,35 @@ def mutate(arrays, seed):
         flat = values.reshape(-1)
         where = rng.integers(flat.size)
         flat[where] = odd if values.dtype.kind == "f" or abs(odd) < 2**62 else -(2**63)
-        values, what = flat.reshape(values.shape), f"[{where}] = {odd}"
+        values = flat.reshape(values.shape)
+        what = f"[{where}] = {odd}"
     elif how == 4:
-        values, what = np.full_like(values, ODD[rng.integers(3, len(ODD))] if values.dtype.kind == "f" else 7), "filled"
+        values = np.full_like(
+            values,
+            ODD[rng.integers(3, len(ODD))] if values.dtype.kind == "f" else 7,
+        )
+        what = "filled"
     elif how == 5:
-        values, what = values[..., None], "one more dimension"
+        values = values[..., None]
+        what = "one more dimension"
     elif how == 6:
         with np.errstate(all="ignore"):
             values = values.astype(TYPES[rng.integers(len(TYPES))])
         what = str(values.dtype)
     else:
-        values, what = (values[: len(values) // 2] if values.ndim else values * 2), "half"
+        values = values[: len(values) // 2] if values.ndim else values * 2
+        what = "half"
     return arrays | {name: values}, f"{name} {what}"
 
 
 def _other_header(values, rng):
     header = node = json.loads(values.tobytes())
-    parent, key = header, "kind"
+    parent = header
+    key = "kind"
     while isinstance(node, dict | list) and node:
         key = rng.choice(sorted(node)) if isinstance(node, dict) else int(rng.integers(len(node)))
-        parent, node = node, node[key]
+        parent = node
+        node = node[key]
         if rng.random() < 0.1:
             break
     value = VALUES[rng.integers(len(VALUES))]
@@ -55,7 +65,9 @@ def _other_header(values, rng):
 def write(path, arrays, *, forged):
     """Write the arrays, with a digest that fits them if `forged`."""
     if forged:
-        arrays = arrays | {"digest": recording._digest({n: v for n, v in arrays.items() if n != "digest"})}
+        arrays = arrays | {
+            "digest": recording._digest({n: v for n, v in arrays.items() if n != "digest"}),
+        }
     np.savez(path, **arrays)
 
 

@@ -18,13 +18,21 @@ from minidual.gate.stage import StageContext
 from minidual.gate.verdict import Verdict, Waiver, build_manifest
 from minidual.show.report.figures import Figure, TrialRow, benchmark_figures
 from minidual.show.report.tables import Tables
-from minidual.trials.benchmark import BenchmarkCell, compare_all, compare_with_clean, conditions_data
+from minidual.trials.benchmark import (
+    BenchmarkCell,
+    compare_all,
+    compare_with_clean,
+    conditions_data,
+)
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 
 METHODS = ("moveit", "impedance", "act")
 TASK = "rod_carry"
 STAGES = (
-    ("env-check", "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries"),
+    (
+        "env-check",
+        "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries",
+    ),
     ("plan", "Plan collision-free motions for left_arm, right_arm and both_arms"),
     ("carry", "Carry an object with both arms under object impedance control"),
     ("teleop-record", "Teleoperate, record demonstrations, convert and grade the dataset"),
@@ -37,7 +45,14 @@ WAIVER = Waiver("carry", "the gripper is being repaired", {"plan": "fail"}, "202
 _CHECKS: dict[str, list[Check]] = {
     "env-check": [
         Check("joints.count", 14, "==", 14, why="both arms have seven joints"),
-        Check("tracking.step_error_rad", 0.0021, "<", 0.05, "rad", "the controller reaches where it is sent"),
+        Check(
+            "tracking.step_error_rad",
+            0.0021,
+            "<",
+            0.05,
+            "rad",
+            "the controller reaches where it is sent",
+        ),
         Check("control.step_median_us", 171.0, "<", 1000.0, "us", "1 kHz leaves 1000 us a step"),
     ],
     "plan": [
@@ -45,7 +60,13 @@ _CHECKS: dict[str, list[Check]] = {
         Check("both_arms.time_max_s", 0.41, "<", 10.0, "s", "a person waits no longer"),
     ],
     "carry": [
-        Check("success_rate", 1.0, ">", 0.8, why="share of trials that carried the rod to its goal"),
+        Check(
+            "success_rate",
+            1.0,
+            ">",
+            0.8,
+            why="share of trials that carried the rod to its goal",
+        ),
         Check("tilt_max_rad", 0.0436, "<", 0.08727, "rad", "a tilted rod slips or spills"),
         Check("internal_force_min_n", 36.2, ">", 20.0, "N", "below it the rod may slip"),
         Check("torque_ratio_max", 0.79, "<", 1.0, why="at 1 the drive saturates"),
@@ -56,7 +77,13 @@ _CHECKS: dict[str, list[Check]] = {
         Check("samples_per_s", 402.0, unit="1/s", why="training rate"),
     ],
     "deploy": [
-        Check("success_rate", 0.78, ">", 0.5, why="closed-loop success on starts held out from training"),
+        Check(
+            "success_rate",
+            0.78,
+            ">",
+            0.5,
+            why="closed-loop success on starts held out from training",
+        ),
         Check("success_low", 0.65, why="lower end of its 95 % Wilson interval"),
         Check("success_high", 0.87, why="upper end of its 95 % Wilson interval"),
         Check("training_success_rate", 0.95, why="the same on starts it was trained on"),
@@ -64,8 +91,20 @@ _CHECKS: dict[str, list[Check]] = {
 }
 
 
-_DEPLOY = {"trials": 60, "successes_n": 47, "success_low": 0.65, "success_high": 0.87, "failures": {"arrived": 13}}
-_ROOM = {**_DEPLOY, "successes_n": 45, "success_low": 0.63, "failures": {"arrived": 15}, "by_seed": [0.8, 0.65, 0.8]}
+_DEPLOY = {
+    "trials": 60,
+    "successes_n": 47,
+    "success_low": 0.65,
+    "success_high": 0.87,
+    "failures": {"arrived": 13},
+}
+_ROOM = {
+    **_DEPLOY,
+    "successes_n": 45,
+    "success_low": 0.63,
+    "failures": {"arrived": 15},
+    "by_seed": [0.8, 0.65, 0.8],
+}
 
 _DRAWN: dict[str, list[Figure]] = {}
 
@@ -113,7 +152,7 @@ def make_trials(n: int = 20) -> list[TrialMetrics]:
                     internal_force_min_n=36.0,
                     pinch_force_min_n=41.0,
                     goal_error_m=0.004,
-                )
+                ),
             )
     return rows
 
@@ -138,7 +177,10 @@ def methods_data(trials: Sequence[TrialMetrics]) -> dict[str, dict[str, Any]]:
 
 
 CONDITIONS = ("clean", "push +x", "delay 20 ms")
-_WHY_NOT = {("moveit", "delay 20 ms"): "moveit reads no force", ("act", "delay 20 ms"): "act reads no force"}
+_WHY_NOT = {
+    ("moveit", "delay 20 ms"): "moveit reads no force",
+    ("act", "delay 20 ms"): "act reads no force",
+}
 
 
 def disturbed_trials(n: int = 20) -> list[TrialMetrics]:
@@ -160,7 +202,7 @@ def disturbed_trials(n: int = 20) -> list[TrialMetrics]:
                     aborted="it let go" if lost else "",
                     failed_at_s=4.0 if lost else trial.failed_at_s,
                     duration_s=float("nan") if lost else trial.duration_s + 0.5,
-                )
+                ),
             )
     return rows
 
@@ -183,7 +225,13 @@ def benchmark_data(trials: Sequence[TrialMetrics]) -> dict[str, Any]:
     }
 
 
-def make_verdict(stage: str, folder: Path, checks: Sequence[Check], data: Mapping[str, Any], **other: Any) -> Verdict:
+def make_verdict(
+    stage: str,
+    folder: Path,
+    checks: Sequence[Check],
+    data: Mapping[str, Any],
+    **other: Any,
+) -> Verdict:
     """Return a verdict over the files in `folder`."""
     number = [name for name, _ in STAGES].index(stage)
     fingerprint = Fingerprint(
@@ -195,7 +243,13 @@ def make_verdict(stage: str, folder: Path, checks: Sequence[Check], data: Mappin
         profile="standard",
         version="0.1.0",
         commit="0123456789abcdef0123456789abcdef01234567",
-        machine={"system": "Linux", "architecture": "x86_64", "processor": "Some CPU", "cores": 2, "python": "3.12.1"},
+        machine={
+            "system": "Linux",
+            "architecture": "x86_64",
+            "processor": "Some CPU",
+            "cores": 2,
+            "python": "3.12.1",
+        },
         libraries={"numpy": "2.2.6", "mujoco": "4.0.0", "torch": "2.11.0"},
     )
     return replace(
@@ -218,11 +272,13 @@ def make_verdict(stage: str, folder: Path, checks: Sequence[Check], data: Mappin
 def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageContext:
     """Write a run under `root` and return what the report is built from."""
     trials = make_trials() if trials is None else trials
-    verdicts, folders = {}, {}
+    verdicts = {}
+    folders = {}
     for stage, _summary in STAGES:
         folder = root / stage
         folder.mkdir(parents=True)
-        checks, data = _CHECKS.get(stage, []), {**_DEPLOY, "room": _ROOM} if stage == "deploy" else {}
+        checks = _CHECKS.get(stage, [])
+        data = {**_DEPLOY, "room": _ROOM} if stage == "deploy" else {}
         if stage == "benchmark":
             write_csv(folder / "benchmark.csv", [{"task": TASK, **t.to_row()} for t in trials])
             data = {"tasks": {TASK: benchmark_data(trials)}}
@@ -230,14 +286,15 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageC
                 Check(f"{method}.success_rate", row["success_rate"], ">", 0.5, why="it works")
                 for method, row in data["tasks"][TASK]["methods"].items()
             ]
-        verdicts[stage], folders[stage] = make_verdict(stage, folder, checks, data), folder
+        verdicts[stage] = make_verdict(stage, folder, checks, data)
+        folders[stage] = folder
     conditions = list(dict.fromkeys(trial.condition for trial in trials))
     config = Config.model_validate(
         {
             "acceptance": True,
             "report": {"title": "A made-up run"},
             "benchmark": {"methods": METHODS, "conditions": conditions},
-        }
+        },
     )
     return StageContext(
         folder=root,
@@ -252,7 +309,10 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageC
 
 def with_methods(given: StageContext, table: Mapping[str, Any]) -> StageContext:
     """Return the run with another table of methods in the benchmark's verdict."""
-    return with_data(given, {**given.verdicts["benchmark"].data["tasks"][TASK], "methods": dict(table)})
+    return with_data(
+        given,
+        {**given.verdicts["benchmark"].data["tasks"][TASK], "methods": dict(table)},
+    )
 
 
 def with_data(given: StageContext, data: Mapping[str, Any]) -> StageContext:

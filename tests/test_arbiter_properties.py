@@ -34,7 +34,8 @@ class Witness:
     def __init__(self, arbiter: CommandArbiter) -> None:
         self.arbiter = arbiter
         self.now = 0.0
-        self.q, self.v = HOME.copy(), np.zeros(14)
+        self.q = HOME.copy()
+        self.v = np.zeros(14)
         self.sequence = 0
         self.offered: dict[str, list[JointCommand]] = {source: [] for source in SOURCES}
         self.confirmed: str | None = None
@@ -112,14 +113,18 @@ class Witness:
         room = self.v**2 / A_MAX + 1e-12
         held_as_measured = (np.abs(q - self.q) <= room).reshape(2, 7).all(axis=1)  # of each arm
         steps = np.abs(q - last).reshape(2, 7).max(axis=1)
-        assert ((steps <= CONFIG.switch_step_max_rad + 1e-12) | held_as_measured).all(), f"jumped by {steps.max()}"
+        assert ((steps <= CONFIG.switch_step_max_rad + 1e-12) | held_as_measured).all(), (
+            f"jumped by {steps.max()}"
+        )
         if out.switched_to is not None:
             self.confirmed = None if out.switched_to == HOLD else out.switched_to
         assert (out.active_source is not None) == (out.state in DRIVEN)
         if out.active_source is None:
             assert (held_as_measured | (steps == 0.0)).all(), "a held posture moved"
             return
-        assert out.active_source == self.confirmed, "driven by a source whose switch was not confirmed"
+        assert out.active_source == self.confirmed, (
+            "driven by a source whose switch was not confirmed"
+        )
         if out.state == ArbiterState.ACTIVE:
             self._check_provenance(out, last)
 
@@ -128,8 +133,13 @@ class Witness:
         assert out.active_source is not None
         for arm in range(2):
             part = slice(7 * arm, 7 * arm + 7)
-            newest = next((c for c in reversed(self.offered[out.active_source]) if arm in c.arms), None)
-            offered = newest is not None and (newest.q[part] if newest.group == "both_arms" else newest.q)
+            newest = next(
+                (c for c in reversed(self.offered[out.active_source]) if arm in c.arms),
+                None,
+            )
+            offered = newest is not None and (
+                newest.q[part] if newest.group == "both_arms" else newest.q
+            )
             from_source = newest is not None and np.array_equal(out.q_target[part], offered)
             fresh = newest is not None and self.now - newest.stamp_s <= CONFIG.stale_s + 1e-9
             # An arm whose commands have ended goes to where it can stop: never farther from the arm than there, or before.
@@ -148,7 +158,11 @@ proposals = st.tuples(
     st.sampled_from(["", "", "", "", "nan", "zero", "limits", "repeat"]),
 )
 requests = st.tuples(st.just("request"), st.sampled_from((*SOURCES, HOLD)))
-ticks = st.tuples(st.just("tick"), st.sampled_from([0.001, 0.02, 0.02, 0.15, 1.2]), st.sampled_from([0.0, 0.02, 1.0]))
+ticks = st.tuples(
+    st.just("tick"),
+    st.sampled_from([0.001, 0.02, 0.02, 0.15, 1.2]),
+    st.sampled_from([0.0, 0.02, 1.0]),
+)
 offsets = st.sampled_from([0.0, 0.05, -0.09, 0.3])
 bursts = st.tuples(
     st.just("burst"),
@@ -189,7 +203,8 @@ def test_random_histories_reach_every_state() -> None:
 @settings(max_examples=50, deadline=None)
 @given(histories)
 def test_the_same_history_gives_the_same_output(events: list[Event]) -> None:
-    first, second = Witness(CommandArbiter(DUAL_PANDA, CONFIG)), Witness(CommandArbiter(DUAL_PANDA, CONFIG))
+    first = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
+    second = Witness(CommandArbiter(DUAL_PANDA, CONFIG))
     for witness in (first, second):
         witness.play([TICK, *events])
     for a, b in zip(first.outputs, second.outputs, strict=True):
@@ -239,9 +254,12 @@ def test_the_witness_sees_a_mailbox_that_is_not_flushed(monkeypatch: pytest.Monk
 
 def test_the_witness_sees_a_missing_bound() -> None:
     with pytest.raises(AssertionError, match="jumped by"):
-        Witness(CommandArbiter(DUAL_PANDA, ArbiterConfig().model_copy(update={"switch_step_max_rad": 0.5}))).play(
-            HISTORY
-        )
+        Witness(
+            CommandArbiter(
+                DUAL_PANDA,
+                ArbiterConfig().model_copy(update={"switch_step_max_rad": 0.5}),
+            ),
+        ).play(HISTORY)
 
 
 def test_the_witness_sees_two_sources_in_one_tick(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,11 +29,25 @@ class Desk:
         self.sequence = 0
         self.refused: list[tuple[str, str]] = []
 
-    def propose(self, source: str, q: Any, *, gripper: Any = (1.0, 1.0), age: float = 0.0, **fields: Any) -> str:
+    def propose(
+        self,
+        source: str,
+        q: Any,
+        *,
+        gripper: Any = (1.0, 1.0),
+        age: float = 0.0,
+        **fields: Any,
+    ) -> str:
         """Propose a command stamped `age` ago; return the name of its refusal or an empty string."""
         self.sequence += 1
         sequence = fields.pop("sequence", self.sequence)
-        command = JointCommand(np.asarray(q, float), np.asarray(gripper, float), self.now - age, sequence, **fields)
+        command = JointCommand(
+            np.asarray(q, float),
+            np.asarray(gripper, float),
+            self.now - age,
+            sequence,
+            **fields,
+        )
         refusal = self.arbiter.propose(source, command)
         return "" if refusal is None else refusal.name
 
@@ -99,7 +113,9 @@ def test_moving_arms_are_waited_for_and_then_the_switch_is_given_up(desk: Desk) 
     assert states[-1] == ArbiterState.STOPPED
     assert ("policy", "not_still") in desk.refused
     desk.v = STILL
-    assert desk.drive("policy", HOME + 0.01).active_source is None, "a switch given up must be asked for again"
+    assert desk.drive("policy", HOME + 0.01).active_source is None, (
+        "a switch given up must be asked for again"
+    )
     desk.hand_over("policy")
 
 
@@ -166,15 +182,22 @@ def test_hold_takes_the_arms_from_everybody(desk: Desk) -> None:
 def test_a_far_first_command_is_aligned_at_a_bounded_rate_until_caught_up() -> None:
     desk = Desk(align_speed_rad_s=1.0)
     desk.hand_over("teleop")
-    target, last, ticks = HOME + np.linspace(0.1, 0.3, 14), HOME, 0
+    target = HOME + np.linspace(0.1, 0.3, 14)
+    last = HOME
+    ticks = 0
     for _ in range(100):
         out = desk.drive("teleop", target, gripper=(0.0, 0.0))
         assert np.abs(out.q_target - last).max() <= 1.0 * DT + 1e-12
-        last, ticks = out.q_target, ticks + 1
+        last = out.q_target
+        ticks = ticks + 1
         if out.state == ArbiterState.ACTIVE:
             break
         assert out.state == ArbiterState.ALIGNING
-        np.testing.assert_array_equal(out.gripper, [1.0, 1.0], "hands keep what they hold while aligning")
+        np.testing.assert_array_equal(
+            out.gripper,
+            [1.0, 1.0],
+            "hands keep what they hold while aligning",
+        )
     assert ticks == 15  # 0.3 rad at 0.02 rad a tick
     np.testing.assert_array_equal(last, target)
     np.testing.assert_array_equal(out.gripper, [0.0, 0.0])
@@ -240,7 +263,12 @@ def _with(index: int, value: float) -> Any:
         ("out_of_order", HOME, {"sequence": 1}),
     ],
 )
-def test_bad_commands_are_refused_and_named_and_do_not_drive(desk: Desk, name: str, q: Any, fields: Any) -> None:
+def test_bad_commands_are_refused_and_named_and_do_not_drive(
+    desk: Desk,
+    name: str,
+    q: Any,
+    fields: Any,
+) -> None:
     desk.hand_over("policy")
     desk.drive("policy", HOME + 0.05)
     assert desk.propose("policy", q, **fields) == name
@@ -291,7 +319,8 @@ def test_an_arm_whose_commands_end_in_motion_stops_where_it_can(desk: Desk, othe
     for k in range(1, 6):  # targets run ahead of arms that an override slows down
         assert desk.propose("teleop", HOME[:7] + 0.07 * k, group="left_arm") == ""
         desk.drive("teleop", HOME[7:] + 0.01 * k, group="right_arm")
-    desk.q, desk.v = HOME + 0.1, np.where(np.arange(14) < 7, 0.2, 0.0)
+    desk.q = HOME + 0.1
+    desk.v = np.where(np.arange(14) < 7, 0.2, 0.0)
     for _ in range(10):
         if other == "streams":
             assert desk.propose("teleop", HOME[7:] + 0.05, group="right_arm") == ""
@@ -299,7 +328,10 @@ def test_an_arm_whose_commands_end_in_motion_stops_where_it_can(desk: Desk, othe
     # Within the distance in which it comes to rest with half of its acceleration limits.
     assert (out.q_target[:7] >= HOME[:7] + 0.1).all()
     assert (out.q_target[:7] <= HOME[:7] + 0.1 + 0.2**2 / A_MAX[:7] + 1e-12).all()
-    np.testing.assert_array_equal(out.q_target[7:], HOME[7:] + (0.05 if other == "streams" else 0.1))
+    np.testing.assert_array_equal(
+        out.q_target[7:],
+        HOME[7:] + (0.05 if other == "streams" else 0.1),
+    )
     assert out.state == (ArbiterState.ACTIVE if other == "streams" else ArbiterState.STALE)
     assert desk.refused == ([("teleop", "stale")] if other == "streams" else [])
     out = desk.drive("teleop", HOME[:7] + 0.1, group="left_arm")
@@ -327,7 +359,10 @@ def test_an_unusable_measurement_is_named_and_the_target_stays(desk: Desk) -> No
 def test_misuse_is_named(desk: Desk) -> None:
     with pytest.raises(UsageError, match=r"(?s)no mode 'polcy'.*did you mean 'policy'"):
         desk.arbiter.request("polcy")
-    with pytest.raises(UsageError, match="no command source 'leader'; there are moveit, policy, teleop"):
+    with pytest.raises(
+        UsageError,
+        match="no command source 'leader'; there are moveit, policy, teleop",
+    ):
         desk.propose("leader", HOME)
     with pytest.raises(UsageError, match="not 14 finite angles"):
         desk.arbiter.tick(0.0, np.full(14, np.nan), STILL)

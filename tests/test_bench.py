@@ -78,11 +78,19 @@ class TestScenes:
 
 
 class TestStepCost:
-    def test_every_step_is_taken_once_and_bare_physics_leaves_the_world_alone(self, free: BenchScene) -> None:
+    def test_every_step_is_taken_once_and_bare_physics_leaves_the_world_alone(
+        self,
+        free: BenchScene,
+    ) -> None:
         free.restore()
-        began, taken = free.world.time, []
+        began = free.world.time
+        taken = []
         cost = step_cost(
-            free.world, free.world.step, 130, parts={"look": lambda: free.world.q}, before=lambda: taken.append(1)
+            free.world,
+            free.world.step,
+            130,
+            parts={"look": lambda: free.world.q},
+            before=lambda: taken.append(1),
         )
         assert len(taken) == 130
         assert free.world.time - began == pytest.approx(0.130)
@@ -117,7 +125,9 @@ class TestStepCost:
             rest = row.numbers.pop("algebra_us")
             assert all(value > 0.0 for value in row.numbers.values())
             parts = ("bare_us", "read_us", "dynamics_us")
-            assert rest == pytest.approx(row.numbers["step_us"] - sum(row.numbers[name] for name in parts))
+            assert rest == pytest.approx(
+                row.numbers["step_us"] - sum(row.numbers[name] for name in parts),
+            )
             assert set(row.limits) == {"ratio"}
 
     def test_an_imagined_object_has_no_limit_to_keep(self, free: BenchScene) -> None:
@@ -148,7 +158,11 @@ class TestTable:
 
 def toy(inputs: BenchInputs) -> BenchTable:
     inputs.advance("toy")
-    return BenchTable("toy", ("n",), (BenchRow("row", {"n": float(inputs.repeats_n)}, {"n": 10.0}),))
+    return BenchTable(
+        "toy",
+        ("n",),
+        (BenchRow("row", {"n": float(inputs.repeats_n)}, {"n": 10.0}),),
+    )
 
 
 class TestCommand:
@@ -197,7 +211,9 @@ def test_planning_is_measured_with_its_goals_beside(monkeypatch) -> None:
     table = planning.measure(BenchInputs(Config(), 20261, 1))
     rows = {row.name: row for row in table.rows}
     assert len(rows) == 8
-    assert all(np.isfinite(value) and value > 0.0 for row in table.rows for value in row.numbers.values())
+    assert all(
+        np.isfinite(value) and value > 0.0 for row in table.rows for value in row.numbers.values()
+    )
     for group, goal_ms in planning.GOALS_MS.items():
         row = rows[f"{group}: rrtconnect, proven"]
         assert row.limits == {"median_ms": goal_ms}
@@ -214,7 +230,9 @@ def test_a_trial_of_each_task_is_timed_beside_physics(monkeypatch) -> None:
     timed = [f"{task}, {method}" for task in carry.TASKS for method in ("impedance", "moveit")]
     assert [f"{name}: success" for name in timed] == said[-len(timed) :]
     assert [name for name in rows if "held" not in name][2:] == timed
-    assert all(np.isfinite(value) and value > 0.0 for row in table.rows for value in row.numbers.values())
+    assert all(
+        np.isfinite(value) and value > 0.0 for row in table.rows for value in row.numbers.values()
+    )
     for name in timed:
         assert rows[name].limits == {"ratio": carry.STEP_RATIO_MAX}
         assert rows[name].numbers["median_us"] > rows[name].numbers["bare_us"]

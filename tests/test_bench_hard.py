@@ -51,14 +51,22 @@ def planner() -> Planner:
 
 @pytest.fixture(scope="module")
 def queries(planner) -> dict[str, list[PosedQuery]]:
-    return {name: [posed(draw(of, SEED, index), planner) for index in range(12)] for name, of in SETS.items()}
+    return {
+        name: [posed(draw(of, SEED, index), planner) for index in range(12)]
+        for name, of in SETS.items()
+    }
 
 
 def straight(q_start, q_goal, planner) -> Trajectory:
     """Return the timed straight line between two postures, whatever stands there."""
     ends = np.array([q_start, q_goal])
     checker = EdgeChecker(planner.engines(PlanningScene(obstacles=())), 0.0, ends, 0.1)
-    return time_path(blended_path(ends, checker, 0.1, 0.1), GROUP, planner.config, planner.kinematics)[0]
+    return time_path(
+        blended_path(ends, checker, 0.1, 0.1),
+        GROUP,
+        planner.config,
+        planner.kinematics,
+    )[0]
 
 
 class TestDraws:
@@ -66,7 +74,8 @@ class TestDraws:
     def test_a_query_follows_from_seed_and_index_alone(self, name) -> None:
         of = SETS[name]
         first = [draw(of, SEED, index) for index in (5, 3)]
-        again, other = draw(of, SEED, 5), draw(of, SEED + 1, 5)
+        again = draw(of, SEED, 5)
+        other = draw(of, SEED + 1, 5)
         assert again.scene == first[0].scene
         assert again.seed == first[0].seed
         for end in ("start", "goal"):
@@ -83,7 +92,7 @@ class TestDraws:
             rng = stream(SEED, "bench/crossing", index)
             rng.integers(len(of.start))
             assert draw(of, SEED, index).start["left"][:3, 3] == pytest.approx(
-                rng.uniform(of.start[0].low_m, of.start[0].high_m)
+                rng.uniform(of.start[0].low_m, of.start[0].high_m),
             )
 
     def test_every_draw_is_counted_once(self, queries, planner) -> None:
@@ -113,11 +122,18 @@ class TestDraws:
     def test_the_rod_is_held_in_every_draw_of_the_gate(self) -> None:
         drawn = draw(SETS["gate"], SEED, 0)
         assert [held.name for held in drawn.scene.attached] == ["rod"]
-        spans = [np.linalg.norm(end["left"][:3, 3] - end["right"][:3, 3]) for end in (drawn.start, drawn.goal)]
+        spans = [
+            np.linalg.norm(end["left"][:3, 3] - end["right"][:3, 3])
+            for end in (drawn.start, drawn.goal)
+        ]
         assert spans == pytest.approx([0.24, 0.24])
 
     def test_twenty_boxes(self) -> None:
-        boxes = [shape for shape in draw(SETS["clutter"], SEED, 4).scene.obstacles if shape.name != "table"]
+        boxes = [
+            shape
+            for shape in draw(SETS["clutter"], SEED, 4).scene.obstacles
+            if shape.name != "table"
+        ]
         assert len(boxes) == 20
         assert sum(box.position_m[2] == pytest.approx(0.5 * box.size_m[2]) for box in boxes) >= 10
 
@@ -126,19 +142,24 @@ class TestDraws:
         """Oracle: the task's own world, in MuJoCo."""
         task = make_task(Config(task=name))
         for index in range(3):
-            drawn, trial = draw(SETS[name], SEED, index), task.trial(SEED, f"bench/{name}", index)
+            drawn = draw(SETS[name], SEED, index)
+            trial = task.trial(SEED, f"bench/{name}", index)
             world = World(task.scene)
             world.reset(poses=trial.start)
             seen = {}
             for shape in drawn.scene.obstacles:
                 seen.setdefault(shape.name.rpartition(" ")[0], []).append(shape)
             for body in task.objects:
-                assert seen[body][0].position_m == pytest.approx(world.object_pose(body)[:3, 3], abs=1e-9)
+                assert seen[body][0].position_m == pytest.approx(
+                    world.object_pose(body)[:3, 3],
+                    abs=1e-9,
+                )
                 assert len(seen[body]) == len(task.objects[body].body.solids)
 
     def test_hands_go_over_the_grasps_of_a_task(self) -> None:
         task = make_task(Config(task="pot_lift"))
-        drawn, trial = draw(SETS["pot_lift"], SEED, 1), task.trial(SEED, "bench/pot_lift", 1)
+        drawn = draw(SETS["pot_lift"], SEED, 1)
+        trial = task.trial(SEED, "bench/pot_lift", 1)
         pot = task.objects[task.carried]
         for arm in SIDES:
             grasp = pose_of(pot.body, trial.start[task.carried]) @ pot.grasps[arm]
@@ -163,7 +184,11 @@ class TestInfeasible:
         for query in itertools.chain.from_iterable(queries.values()):
             if "inside" not in query.infeasible:
                 continue
-            targets = query.drawn.start if query.infeasible.startswith("at the start") else query.drawn.goal
+            targets = (
+                query.drawn.start
+                if query.infeasible.startswith("at the start")
+                else query.drawn.goal
+            )
             engine = planner.engines(query.drawn.scene).engine("mujoco")
             rng = np.random.default_rng(query.drawn.index)
             for _ in range(20):
@@ -183,7 +208,8 @@ class TestInfeasible:
     def test_hands_of_a_free_posture_are_never_called_infeasible(self, name, planner) -> None:
         """Negative control: where MuJoCo sees a free posture, its poses are feasible."""
         scene = draw(SETS[name], SEED, 1).scene
-        engine, hands = planner.engines(scene).engine("mujoco"), RigidHands(scene)
+        engine = planner.engines(scene).engine("mujoco")
+        hands = RigidHands(scene)
         Q = np.random.default_rng(0).uniform(Q_LOWER, Q_UPPER, (400, DOF))
         free = Q[~engine.collisions(Q)]
         assert len(free) > 20
@@ -218,8 +244,10 @@ class TestInfeasible:
 @pytest.fixture(scope="module")
 def blocked(planner) -> PosedQuery:
     """A query whose straight line runs through a box: the left arm turns past it."""
-    start, goal = HOME.copy(), HOME.copy()
-    start[0], goal[0] = 0.8, -0.8
+    start = HOME.copy()
+    goal = HOME.copy()
+    start[0] = 0.8
+    goal[0] = -0.8
     box = Box("post", (0.34, 0.25, 0.4), size_m=(0.06, 0.06, 0.8))
     ends = [dict(zip(SIDES, planner.kinematics.tcp_poses(q), strict=True)) for q in (start, goal)]
     drawn = DrawnQuery(SETS["crossing"], 0, 1, PlanningScene().with_obstacles(box), *ends)
@@ -272,7 +300,12 @@ def test_a_rod_held_with_a_joint_on_its_limit_is_carried(queries, planner) -> No
     query = queries["gate"][1]
     assert np.minimum(query.q_start - Q_LOWER, Q_UPPER - query.q_start).min() < 1e-9
     numbers = hard.judged([query], hard.plan_minidual([query], planner, 30.0), planner)
-    assert [numbers[what] for what in ("solved", "colliding", "over_jerk", "off_grasp")] == [1, 0, 0, 0]
+    assert [numbers[what] for what in ("solved", "colliding", "over_jerk", "off_grasp")] == [
+        1,
+        0,
+        0,
+        0,
+    ]
 
 
 def test_hands_whose_first_postures_collide_are_planned_to_their_poses(planner) -> None:
@@ -283,8 +316,16 @@ def test_hands_whose_first_postures_collide_are_planned_to_their_poses(planner) 
 
 class TestPeers:
     def test_ompl_solves_what_is_easy_and_says_what_it_takes(self, planner) -> None:
-        ends = [dict(zip(SIDES, planner.kinematics.tcp_poses(q), strict=True)) for q in (HOME, HOME + 0.1)]
-        query = PosedQuery(DrawnQuery(SETS["crossing"], 0, 1, PlanningScene(), *ends), "", HOME, HOME + 0.1)
+        ends = [
+            dict(zip(SIDES, planner.kinematics.tcp_poses(q), strict=True))
+            for q in (HOME, HOME + 0.1)
+        ]
+        query = PosedQuery(
+            DrawnQuery(SETS["crossing"], 0, 1, PlanningScene(), *ends),
+            "",
+            HOME,
+            HOME + 0.1,
+        )
         (run,) = peers.plan_ompl([query], planner, 20.0)
         numbers = hard.judged([query], [run], planner)
         assert (numbers["solved"], numbers["colliding"]) == (1, 0)
@@ -298,7 +339,11 @@ class TestPeers:
 
     def test_the_table_without_roboplan_says_so(self, monkeypatch, tmp_path) -> None:
         monkeypatch.setattr(hard, "SETS", {"crossing": SETS["crossing"]})
-        monkeypatch.setattr(hard, "plan_ompl", lambda queries, planner, budget_s: [Run(None, 0.0, "no")] * len(queries))
+        monkeypatch.setattr(
+            hard,
+            "plan_ompl",
+            lambda queries, planner, budget_s: [Run(None, 0.0, "no")] * len(queries),
+        )
         said: list[str] = []
         table = hard.measure(BenchInputs(Config(), SEED, 1, said.append, True, tmp_path / "python"))
         assert "WITHOUT roboplan" in table.title
@@ -316,7 +361,9 @@ class TestPeers:
         """Return the Python of an environment whose roboplan gives this answer."""
         script = folder / "python"
         line = json.dumps({"contacts": contacts, "cpu_s": 0.5, "reason": "", **answer})
-        script.write_text(f"#!/bin/sh\n[ \"$1\" = -c ] && exit 0\ncat > /dev/null\ncat <<'END'\n{line}\nEND\n")
+        script.write_text(
+            f"#!/bin/sh\n[ \"$1\" = -c ] && exit 0\ncat > /dev/null\ncat <<'END'\n{line}\nEND\n",
+        )
         script.chmod(0o755)
         return Roboplan(script)
 
@@ -346,9 +393,15 @@ class TestPeers:
 
 class TestCommand:
     @pytest.mark.parametrize(
-        ("words", "measured"), [((), {"toy"}), (("--peers",), {"hard"}), (("hard",), {"hard"}), (("toy",), {"toy"})]
+        ("words", "measured"),
+        [((), {"toy"}), (("--peers",), {"hard"}), (("hard",), {"hard"}), (("toy",), {"toy"})],
     )
-    def test_hard_queries_are_measured_where_they_are_asked_for(self, words, measured, monkeypatch) -> None:
+    def test_hard_queries_are_measured_where_they_are_asked_for(
+        self,
+        words,
+        measured,
+        monkeypatch,
+    ) -> None:
         seen = {}
 
         def toy(name):
@@ -358,7 +411,11 @@ class TestCommand:
 
             return measure
 
-        monkeypatch.setattr(bench, "BENCHES", Registry("bench", {name: toy(name) for name in ("toy", "hard")}))
+        monkeypatch.setattr(
+            bench,
+            "BENCHES",
+            Registry("bench", {name: toy(name) for name in ("toy", "hard")}),
+        )
         assert bench.main(list(words)) == 0
         assert set(seen) == measured
         assert all(peers_too == ("--peers" in words) for peers_too in seen.values())

@@ -30,9 +30,15 @@ pytestmark = pytest.mark.torch
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("sound")
-    episode = data_samples.write(folder / "e.hdf5", data_samples.arrays(12, cameras=("high",), size=(32, 48)))
+    episode = data_samples.write(
+        folder / "e.hdf5",
+        data_samples.arrays(12, cameras=("high",), size=(32, 48)),
+    )
     lerobot_adapter.convert([episode], folder / "dataset", DUAL_PANDA)
-    POLICIES["spatial_act"].train(Training(tiny(), TrainConfig(**{**SMALL, "steps": 1}), 0), folder / "checkpoint")
+    POLICIES["spatial_act"].train(
+        Training(tiny(), TrainConfig(**{**SMALL, "steps": 1}), 0),
+        folder / "checkpoint",
+    )
     return {"episode": episode, "dataset": folder / "dataset", "checkpoint": folder / "checkpoint"}
 
 
@@ -48,7 +54,11 @@ READERS: dict[str, Callable[[Path], object]] = {
     "dataset": lambda path: load_demonstrations(path, ()),
     "checkpoint": lambda path: load_policy(path, threads=1),
 }
-BREAKS = {"episode": broken_files.EPISODE, "dataset": broken_files.DATASET, "checkpoint": broken_files.CHECKPOINT}
+BREAKS = {
+    "episode": broken_files.EPISODE,
+    "dataset": broken_files.DATASET,
+    "checkpoint": broken_files.CHECKPOINT,
+}
 
 
 def refused(kind: str, sound: Path, folder: Path, change: Break, seed: Sequence[int]) -> DataError:
@@ -71,7 +81,12 @@ def cases() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("kind", "name"), list(cases()))
-def test_a_broken_file_is_refused(sound: dict[str, Path], tmp_path: Path, kind: str, name: str) -> None:
+def test_a_broken_file_is_refused(
+    sound: dict[str, Path],
+    tmp_path: Path,
+    kind: str,
+    name: str,
+) -> None:
     error = refused(kind, sound[kind], tmp_path, BREAKS[kind][name], (12, len(name)))
     assert sound[kind].name in error.message
     assert error.remedy or kind == "checkpoint"

@@ -37,7 +37,14 @@ def test_what_a_command_may_not_do_is_noted(ran, noted):
 def outcomes(tmp_path, **bodies) -> dict[str, Result]:
     found: dict[str, Result] = {}
     cases = [(i, Case(name, body, limit_s=0.2)) for i, (name, body) in enumerate(bodies.items())]
-    run_cases(cases, tmp_path, 1, "test", 2, lambda index, case, result, seconds: found.update({case.name: result}))
+    run_cases(
+        cases,
+        tmp_path,
+        1,
+        "test",
+        2,
+        lambda index, case, result, seconds: found.update({case.name: result}),
+    )
     return found
 
 
@@ -62,7 +69,8 @@ def test_a_hang_a_death_and_an_error_of_the_program_are_noted_and_the_next_case_
 
 def test_a_case_draws_the_same_numbers_in_every_campaign(tmp_path):
     drawn = [
-        outcomes(tmp_path, draws=lambda place, result: result.saw(str(place.rng.integers(1 << 60)))) for _ in range(2)
+        outcomes(tmp_path, draws=lambda place, result: result.saw(str(place.rng.integers(1 << 60))))
+        for _ in range(2)
     ]
     assert drawn[0] == drawn[1]
 
@@ -87,7 +95,13 @@ def test_the_small_campaign_has_its_size(tmp_path):
     assert small["publish-kills"] >= 25
     assert small["tampering"] >= 60
     assert small["configuration"] * 30 >= 500
-    assert sum(small[name] for name in ("recordings", "scenes", "readers", "broken-files", "caches", "verdicts")) >= 50
+    assert (
+        sum(
+            small[name]
+            for name in ("recordings", "scenes", "readers", "broken-files", "caches", "verdicts")
+        )
+        >= 50
+    )
     assert small["stage-kills"] >= 3
     assert small["full-disks"] >= 1
     fields = [case.name for case in override_cases(tmp_path)]
@@ -95,8 +109,12 @@ def test_the_small_campaign_has_its_size(tmp_path):
 
 
 def test_a_broken_file_that_is_read_is_noted(tmp_path):
-    source, place = tmp_path / "smoke", tmp_path / "place"
-    episode = data_samples.write(source / "teleop-record/episodes/e.hdf5", data_samples.arrays(12, cameras=("high",)))
+    source = tmp_path / "smoke"
+    place = tmp_path / "place"
+    episode = data_samples.write(
+        source / "teleop-record/episodes/e.hdf5",
+        data_samples.arrays(12, cameras=("high",)),
+    )
     place.mkdir()
     name = episode.relative_to(source).as_posix()
     for change, noted in (

@@ -91,7 +91,9 @@ class Ride:
         self.active.append(carry.stack.manager.active)
         self.given.append(carry.stack.output.active_source)
         # Whatever the phase, what the motors were told is what the stack let through.
-        assert np.array_equal(self.told[-1], carry.stack.applied), "a torque that did not come through the stack"
+        assert np.array_equal(self.told[-1], carry.stack.applied), (
+            "a torque that did not come through the stack"
+        )
 
 
 type Carry = Branches[Ride, tuple[str, float]]
@@ -135,7 +137,9 @@ def test_a_carry_is_one_source_with_one_request_and_nothing_is_refused(undisturb
     assert carry.done
 
 
-def test_the_controllers_change_places_within_one_tick_and_without_a_jolt(undisturbed: Ride) -> None:
+def test_the_controllers_change_places_within_one_tick_and_without_a_jolt(
+    undisturbed: Ride,
+) -> None:
     held = {"squeeze", "carry", "unload"}
     for phase, active in zip(undisturbed.phases, undisturbed.active, strict=True):
         assert active == (OBJECT_CONTROLLERS if phase in held else DEFAULT_CONTROLLERS), phase
@@ -165,14 +169,18 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
     while carry.phase != "unload":
-        q, v, before = world.q, world.v, carry.phase
+        q = world.q
+        v = world.v
+        before = carry.phase
         carry.step()
         if before == "close" and carry.phase == "squeeze":
             q_hold.append(q)
         if carry.phase == "carry":
             motion = carry.stack.output.executions[0].command.motion
             state, felt_n = carry.watch.read()
-            given.append((q, v, ObjectState(state.T_world_object.copy(), state.twist.copy()), felt_n))
+            given.append(
+                (q, v, ObjectState(state.T_world_object.copy(), state.twist.copy()), felt_n),
+            )
             told.append(world.data.ctrl[world.joints.ctrl].copy())
     assert carry.fault is None
     law = carry.stack.impedance._law
@@ -194,7 +202,9 @@ def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: R
             sent += 1
             for source in ("teleop", "policy"):
                 command = JointCommand(HOME + 0.2, np.ones(2), world.time, sent)
-                assert seen.carry.stack.propose(source, command) is None  # kept for its turn, which never comes
+                assert (
+                    seen.carry.stack.propose(source, command) is None
+                )  # kept for its turn, which never comes
 
     seen = ride(world, intrude)
     assert sent > 300
@@ -209,7 +219,10 @@ def onset(seen: Ride) -> Ride:
     return seen
 
 
-def test_a_branch_that_nothing_disturbs_is_the_carry_to_the_bit(carry: Carry, undisturbed: Ride) -> None:
+def test_a_branch_that_nothing_disturbs_is_the_carry_to_the_bit(
+    carry: Carry,
+    undisturbed: Ride,
+) -> None:
     carry.run(("carry", 1.4), nothing, [tau.tobytes() for tau in undisturbed.told])
 
 
@@ -240,16 +253,21 @@ def is_whole(seen: Ride) -> None:
 
 
 @pytest.mark.parametrize(
-    "point", [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)]
+    "point",
+    [("approach", 0.6), ("close", 0.05), ("squeeze", 0.2), ("carry", 1.4), ("retreat", 0.2)],
 )
 def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
-    carry: Carry, point: tuple[str, float]
+    carry: Carry,
+    point: tuple[str, float],
 ) -> None:
     carry.run(point, another_mode)
 
 
 def another_mode(seen: Ride) -> None:
-    carry, world, phase, sent = seen.carry, seen.world, seen.carry.phase, 0
+    carry = seen.carry
+    world = seen.world
+    phase = seen.carry.phase
+    sent = 0
 
     def lead(seen: Ride) -> None:  # the leader stands where the arms are, its hands as theirs
         nonlocal sent
@@ -257,7 +275,13 @@ def another_mode(seen: Ride) -> None:
         if stack.source == "teleop" and stack.tick_next:
             sent += 1
             opening = stack.output.gripper.copy()
-            assert stack.propose("teleop", JointCommand(stack.output.q_target, opening, world.time, sent)) is None
+            assert (
+                stack.propose(
+                    "teleop",
+                    JointCommand(stack.output.q_target, opening, world.time, sent),
+                )
+                is None
+            )
 
     onset(seen).carry.stack.request("teleop")
     seen.finish(lead)
@@ -282,7 +306,9 @@ def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(carry: Ca
 
 
 def asked_in_the_lift(seen: Ride) -> None:
-    carry, stack, world = seen.carry, seen.carry.stack, seen.world
+    carry = seen.carry
+    stack = seen.carry.stack
+    world = seen.world
     stack.request("teleop")
     seen.finish()
     assert carry.fault is not None
@@ -300,13 +326,16 @@ def asked_in_the_lift(seen: Ride) -> None:
     assert world.truth().pinch().min() > 20.0
 
 
-def test_a_hold_in_the_air_keeps_the_object_squeezed_for_as_long_as_nobody_asks_for_the_arms(carry: Carry) -> None:
+def test_a_hold_in_the_air_keeps_the_object_squeezed_for_as_long_as_nobody_asks_for_the_arms(
+    carry: Carry,
+) -> None:
     """Also the negative control of the two tests of a lost object: the watch has nothing to find."""
     carry.run(("carry", 1.4), hold)
 
 
 def hold(seen: Ride) -> None:
-    carry, world = seen.carry, seen.world
+    carry = seen.carry
+    world = seen.world
     carry.stack.request("hold")
     seen.finish()
     assert carry.fault is not None
@@ -326,11 +355,15 @@ def test_a_halt_by_somebody_else_is_named_as_one(carry: Carry, phase: str) -> No
 
 
 def halt(seen: Ride) -> None:
-    phase, world = seen.carry.phase, seen.world
+    phase = seen.carry.phase
+    world = seen.world
     onset(seen).carry.stack.halt("teleop")
     seen.finish()
     assert seen.carry.fault is not None
-    assert (seen.carry.fault.name, seen.carry.fault.detail) == ("interrupted", "the arms were halted")
+    assert (seen.carry.fault.name, seen.carry.fault.detail) == (
+        "interrupted",
+        "the arms were halted",
+    )
     assert seen.carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
     assert seen.active[-1] == ("soft_stop",)
     assert np.abs(world.v).max() < 0.05
@@ -368,7 +401,8 @@ def test_an_object_lost_after_a_hold_halts_the_arms(carry: Carry) -> None:
 
 
 def snatch_once_done(seen: Ride) -> None:
-    lost_s, world = np.inf, seen.world
+    lost_s = np.inf
+    world = seen.world
 
     def snatch(seen: Ride) -> None:
         nonlocal lost_s
@@ -383,7 +417,9 @@ def snatch_once_done(seen: Ride) -> None:
     for _ in range(500):
         seen.step()
     assert seen.carry.fault is not None
-    assert seen.carry.fault.detail == "'hold' was asked for", "what ended the trial stays what ended it"
+    assert seen.carry.fault.detail == "'hold' was asked for", (
+        "what ended the trial stays what ended it"
+    )
     assert ("soft_stop",) in seen.active
     assert 0.0 < seen.active.index(("soft_stop",)) * world.dt - lost_s <= 0.05
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
@@ -396,12 +432,17 @@ def falls_silent(seen: Ride) -> None:
 
 
 @pytest.mark.parametrize("point", [("approach", 0.4), ("carry", 1.2)])
-def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(carry: Carry, point: tuple[str, float]) -> None:
+def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(
+    carry: Carry,
+    point: tuple[str, float],
+) -> None:
     carry.run(point, silence)
 
 
 def silence(seen: Ride) -> None:
-    carry, world, phase = seen.carry, seen.world, seen.carry.phase
+    carry = seen.carry
+    world = seen.world
+    phase = seen.carry.phase
     falls_silent(onset(seen))
     seen.finish()
     assert carry.fault is not None
@@ -435,7 +476,8 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(carry: 
 
 
 def late_command(seen: Ride) -> None:
-    propose, world = ImpedanceCarry._propose, seen.world
+    propose = ImpedanceCarry._propose
+    world = seen.world
 
     def late(self: ImpedanceCarry, phase: str, kind: Any, *what: Any) -> None:
         def old(*what: Any) -> Any:
@@ -455,7 +497,9 @@ def late_command(seen: Ride) -> None:
 
 @pytest.mark.parametrize("phase", ["approach", "close"])
 def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step(
-    world: World, phase: str, monkeypatch: pytest.MonkeyPatch
+    world: World,
+    phase: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     propose = ImpedanceCarry._propose
     offered_s: list[float] = []
@@ -484,7 +528,9 @@ def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(carry: Carry, 
 
 
 def emergency_stop(seen: Ride) -> None:
-    carry, world, phase = seen.carry, seen.world, seen.carry.phase
+    carry = seen.carry
+    world = seen.world
+    phase = seen.carry.phase
     pinch_n: list[float] = []
     supervisor = carry.stack.supervisor
     assert supervisor is not None
@@ -499,7 +545,9 @@ def emergency_stop(seen: Ride) -> None:
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     openings = carry.stack.output.gripper
     closed = phase in ("close", "squeeze", "carry", "unload")
-    assert np.array_equal(openings, np.zeros(2) if closed else np.ones(2)), "the hands changed their mind"
+    assert np.array_equal(openings, np.zeros(2) if closed else np.ones(2)), (
+        "the hands changed their mind"
+    )
     if phase == "carry":
         assert not world.on_table()
         assert min(pinch_n) > 55.0, "the object slipped or was torn between the hands"
@@ -510,7 +558,8 @@ def emergency_stop(seen: Ride) -> None:
 
 def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
     rng = np.random.default_rng(3)
-    q0, q1 = HOME, HOME + rng.uniform(-0.3, 0.3, 14)
+    q0 = HOME
+    q1 = HOME + rng.uniform(-0.3, 0.3, 14)
     move = joint_move(q0, q1, DUAL_PANDA, PaceConfig(), 1e-3, 0.8124)
     assert move.q.shape == (814, 14)
     assert np.allclose(move.q[[0, -1]], [q0, q1], rtol=0.0, atol=1e-15)
@@ -524,9 +573,13 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
 
 
 @pytest.mark.parametrize("squeeze_n", [13.0, 40.0, 80.0])
-def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: SceneConfig, squeeze_n: float) -> None:
+def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(
+    scene: SceneConfig,
+    squeeze_n: float,
+) -> None:
     T = level_pose(*scene.task.start_xy_m, scene.object.rest_height_m, 0.0)
-    q, rest_m = grasp_posture(scene, DUAL_PANDA, T, HOME), scene.object.rest_height_m
+    q = grasp_posture(scene, DUAL_PANDA, T, HOME)
+    rest_m = scene.object.rest_height_m
     path = plan_path(scene, DUAL_PANDA, PaceConfig(), (*scene.task.goal_xy_m, 0.0), T, q, rest_m)
     ends = {}
     for name in ("squeeze", "carry", "unload"):
@@ -539,11 +592,16 @@ def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: Sc
         assert values.max() == pytest.approx(most, rel=0.005)
         for t in (0.0, motion.duration_s):  # what the arbiter demands of a path
             assert np.abs(motion.at(t).twist).max() < 1e-12
-    assert ends == {"squeeze": (0.0, squeeze_n), "carry": (squeeze_n, squeeze_n), "unload": (squeeze_n, 0.0)}
+    assert ends == {
+        "squeeze": (0.0, squeeze_n),
+        "carry": (squeeze_n, squeeze_n),
+        "unload": (squeeze_n, 0.0),
+    }
     # Each begins where the one before it ends.
     held = [held_motion(name, path, np.eye(4), squeeze_n)[0] for name in ends]
     for before, after in itertools.pairwise(held):
-        end, start = before.at(before.duration_s).T_world_object, after.at(0.0).T_world_object
+        end = before.at(before.duration_s).T_world_object
+        start = after.at(0.0).T_world_object
         assert np.allclose(end, start, rtol=0.0, atol=1e-15)
 
 
@@ -553,7 +611,10 @@ def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(scene: Sc
 class Screen:
     """A view that is always due, and keeps what it is told."""
 
-    name, url, alive, speed_max = "screen", None, True, 0.0
+    name = "screen"
+    url = None
+    alive = True
+    speed_max = 0.0
 
     def __init__(self) -> None:
         self.shown: list[Overlay] = []
@@ -663,7 +724,11 @@ LYING: dict[str, tuple[str, str, Callable[[], Callable[[Reading], Reading]]]] = 
     "a silent camera": ("approach", "no pose for 5", lambda: lambda r: r._replace(pose=None)),
     "force sensors that are silent": ("approach", "no usable force for 4", silent_force),
     "a camera that repeats its picture": ("carry", "the pose stays the same", frozen_pose),
-    "a force sensor that repeats its value": ("carry", "the left hand's force stays the same", frozen_left_force),
+    "a force sensor that repeats its value": (
+        "carry",
+        "the left hand's force stays the same",
+        frozen_left_force,
+    ),
 }
 
 
@@ -697,7 +762,8 @@ def test_a_force_glitch_of_one_step_does_not_end_a_carry(carry: Carry) -> None:
 
 
 def glitches(seen: Ride) -> None:
-    values, due_s = iter((1e3, -1e3, np.nan)), seen.world.time
+    values = iter((1e3, -1e3, np.nan))
+    due_s = seen.world.time
 
     def glitch(reading: Reading) -> Reading:
         nonlocal due_s
@@ -706,7 +772,9 @@ def glitches(seen: Ride) -> None:
         due_s += 0.15
         value = next(values, None)
         return (
-            reading if value is None else reading._replace(hand_forces=np.full((2, 3), value), pinch=np.full(2, value))
+            reading
+            if value is None
+            else reading._replace(hand_forces=np.full((2, 3), value), pinch=np.full(2, value))
         )
 
     from_now(glitch)
@@ -727,7 +795,8 @@ def program_error(seen: Ride) -> None:
     from_now(breaks)
     with pytest.raises(ZeroDivisionError, match="no driver"):
         seen.finish()
-    carry, world = seen.carry, seen.world
+    carry = seen.carry
+    world = seen.world
     assert carry.fault is not None
     assert "ZeroDivisionError: no driver" in carry.fault.detail
     assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9

@@ -27,7 +27,9 @@ from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor
 
 BODIES = ("rod", "left_panda_hand", "right_panda_hand", "left_panda_link4", "right_panda_link4")
-REST_TICKS, PUSHED_TICKS, GOAL_M = 600, 1000, 0.03
+REST_TICKS = 600
+PUSHED_TICKS = 1000
+GOAL_M = 0.03
 
 
 class DroppingSensors(Sensors):
@@ -37,12 +39,17 @@ class DroppingSensors(Sensors):
     _last: Reading
 
     def sense(self) -> Reading:
-        reading, now_s = super().sense(), self._world.time
+        reading = super().sense()
+        now_s = self._world.time
         if now_s < self.pose_from_s:
             reading = reading._replace(pose=None)
         if now_s < self.forces_from_s:
             last = self._last
-            return reading._replace(hand_forces=last.hand_forces, pinch=last.pinch, stamp_s=last.stamp_s)
+            return reading._replace(
+                hand_forces=last.hand_forces,
+                pinch=last.pinch,
+                stamp_s=last.stamp_s,
+            )
         self._last = reading
         return reading
 
@@ -51,13 +58,19 @@ class Disturbed:
     """One carry and what happens to it, from a seed."""
 
     def __init__(self, world: World, seed: int) -> None:
-        self.world, self.rng = world, np.random.default_rng(seed)
-        rng, rod = self.rng, world.model.body("rod").id
+        self.world = world
+        self.rng = np.random.default_rng(seed)
+        rng = self.rng
+        rod = world.model.body("rod").id
         self.trial = sample_trial(world.scene, seed, "driver", 0)
         world.reset(poses=self.trial.start)
-        noise, delay_ticks = float(rng.uniform(0.0, 2.0)), int(rng.integers(0, 21))
+        noise = float(rng.uniform(0.0, 2.0))
+        delay_ticks = int(rng.integers(0, 21))
         sensing = SensingConfig(
-            pose_noise_m=0.0005 * noise, pose_noise_rad=0.005 * noise, force_noise_n=noise, delay_s=1e-3 * delay_ticks
+            pose_noise_m=0.0005 * noise,
+            pose_noise_rad=0.005 * noise,
+            force_noise_n=noise,
+            delay_s=1e-3 * delay_ticks,
         )
         heavier = rng.uniform(0.5, 3.0)
         world.model.body_mass[rod] *= heavier
@@ -69,10 +82,21 @@ class Disturbed:
         self.supervisor = trial_supervisor(SupervisorConfig(), world.dt, world.robot, shapes=shapes)
         config = CarryConfig(sensing=sensing)
         self.carry = ImpedanceCarry(
-            world, Kinematics(), config, self.trial, sensors=self.sensors, supervisor=self.supervisor
+            world,
+            Kinematics(),
+            config,
+            self.trial,
+            sensors=self.sensors,
+            supervisor=self.supervisor,
         )
         self.push_ends_s = np.inf
-        kinds: tuple[Callable[[], None], ...] = (*[self.push] * 4, *[self.drop] * 2, self.halt, self.hold, self.estop)
+        kinds: tuple[Callable[[], None], ...] = (
+            *[self.push] * 4,
+            *[self.drop] * 2,
+            self.halt,
+            self.hold,
+            self.estop,
+        )
         times = np.sort(rng.uniform(0.3, 7.0, rng.integers(1, 4)))
         self.events = [(float(t), kinds[rng.integers(len(kinds))]) for t in times]
 
@@ -96,8 +120,11 @@ class Disturbed:
 
     def play(self) -> str:
         """Carry to the end, check every tick; return the fault's name or "carried"."""
-        world, carry = self.world, self.carry
-        told, rested, needed = Kinematics().gravity(world.q), 0, REST_TICKS
+        world = self.world
+        carry = self.carry
+        told = Kinematics().gravity(world.q)
+        rested = 0
+        needed = REST_TICKS
         while not carry.done or rested < needed:
             assert world.time < 16.0, "neither done nor stopped"
             while self.events and world.time >= self.events[0][0]:
@@ -109,16 +136,23 @@ class Disturbed:
             assert np.isfinite(tau).all()
             assert np.max(np.abs(tau) / TAU_MAX) <= 1.0 + 1e-9
             assert np.abs(tau - told).max() <= TAU_RATE_MAX * world.dt + 1e-9
-            told, rested = tau, rested + carry.done
-            if carry.done and world.data.xfrc_applied.any():  # stopped arms give way to a push and come back
-                rested, needed = 0, PUSHED_TICKS
+            told = tau
+            rested = rested + carry.done
+            if (
+                carry.done and world.data.xfrc_applied.any()
+            ):  # stopped arms give way to a push and come back
+                rested = 0
+                needed = PUSHED_TICKS
         assert np.abs(world.v).max() < 0.05, "not at rest"
         if carry.fault is not None:
             assert carry.fault.name in (*OPENING, *CLOSED)
             return carry.fault.name
-        T, (x, y, _) = world.object_pose(), self.trial.goal["rod"]
+        T = world.object_pose()
+        (x, y, _) = self.trial.goal["rod"]
         away_m = float(np.hypot(T[0, 3] - x, T[1, 3] - y))
-        assert away_m < GOAL_M, f"the rod lies {1e3 * away_m:.0f} mm from its goal, and nobody says why"
+        assert away_m < GOAL_M, (
+            f"the rod lies {1e3 * away_m:.0f} mm from its goal, and nobody says why"
+        )
         assert abs(T[2, 3] - world.scene.object.rest_height_m) < 0.005
         return "carried"
 
@@ -141,7 +175,10 @@ def test_a_disturbed_carry_ends_at_rest_and_says_what_happened(world: World, see
 
 @pytest.mark.slow
 @pytest.mark.parametrize("block", range(8))
-def test_of_two_hundred_disturbed_carries_none_loses_its_object_in_silence(world: World, block: int) -> None:
+def test_of_two_hundred_disturbed_carries_none_loses_its_object_in_silence(
+    world: World,
+    block: int,
+) -> None:
     ends = Counter(play(world, seed) for seed in range(100 + 25 * block, 125 + 25 * block))
     assert ends["carried"] > 0
     assert len(ends) > 3, f"the disturbances hardly disturb: {ends}"

@@ -58,14 +58,21 @@ class Run:
 
     def __post_init__(self) -> None:
         self.world = self.carry.world
-        command, told = self.world.command, list[float]()
+        command = self.world.command
+        told = list[float]()
 
         def commands(tau: np.ndarray, fingers: np.ndarray) -> None:
             told.append(float(fingers[0]))
-            command(tau, fingers if self.finger is None else np.array([self.finger(told[-1], told), fingers[1]]))
+            command(
+                tau,
+                fingers
+                if self.finger is None
+                else np.array([self.finger(told[-1], told), fingers[1]]),
+            )
 
         self.world.command = commands  # type: ignore[method-assign]
-        self._told, self._run_length = Kinematics().gravity(self.world.q), np.zeros(DOF)
+        self._told = Kinematics().gravity(self.world.q)
+        self._run_length = np.zeros(DOF)
 
     @property
     def latency_s(self) -> float:
@@ -78,12 +85,17 @@ class Run:
         return self.carry.phase == point[0] and self.world.time >= began_s + point[1]
 
     def step(self) -> None:
-        world, carry = self.world, self.carry
+        world = self.world
+        carry = self.carry
         carry.step()
         commanded = world.data.ctrl[world.joints.ctrl].copy()
         self.torque_step_nm = max(self.torque_step_nm, float(np.abs(commanded - self._told).max()))
         self._told = commanded
-        self._run_length = np.where(np.abs(commanded) >= 0.999 * TAU_MAX, self._run_length + world.dt, 0.0)
+        self._run_length = np.where(
+            np.abs(commanded) >= 0.999 * TAU_MAX,
+            self._run_length + world.dt,
+            0.0,
+        )
         self.saturated_s = max(self.saturated_s, float(self._run_length.max()))
         if carry.fault is not None:
             self.speeds.append(world.v.copy())
@@ -110,7 +122,8 @@ def carry(scene: SceneConfig) -> Iterator[Carry]:
     """One carry; each test branches off from it and disturbs its own copy, the compiled model too."""
 
     def start() -> Run:
-        world, trial = World(scene), sample_trial(scene, 5, "faults", 3)
+        world = World(scene)
+        trial = sample_trial(scene, 5, "faults", 3)
         world.reset(poses=trial.start)
         return Run(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5))
 
@@ -139,7 +152,9 @@ def grows_smooth(friction: float) -> Callable[[World], None]:
 def motors_off(arm: str) -> Callable[[World], None]:
     def disturb(world: World) -> None:
         for i in range(world.model.nu):
-            if world.model.actuator(i).name.startswith(arm) and world.model.actuator(i).name.endswith("_motor"):
+            if world.model.actuator(i).name.startswith(arm) and world.model.actuator(
+                i,
+            ).name.endswith("_motor"):
                 world.model.actuator_gainprm[i, 0] = 0.0
 
     return disturb
@@ -152,7 +167,13 @@ def a_hand_has_closed_past(world: World) -> bool:
 SCENARIOS = {
     "kicked before the grasp": ("knocked_away", "descend", 0.1, rod_moves((0.6, 0.0, 0.0)), None),
     "kicked after the release": ("knocked_away", "retreat", 0.1, rod_moves((0.6, 0.0, 0.0)), None),
-    "gone when the hands close": ("missed_grasp", "close", 0.0, rod_vanishes, a_hand_has_closed_past),
+    "gone when the hands close": (
+        "missed_grasp",
+        "close",
+        0.0,
+        rod_vanishes,
+        a_hand_has_closed_past,
+    ),
     "torn from the hands": ("object_lost", "carry", 1.4, rod_vanishes, None),
     "pads grow smooth": ("slip", "carry", 1.4, grows_smooth(0.1), None),
     "pads grow a little too smooth": ("slip", "carry", 0.4, grows_smooth(0.23), None),
@@ -180,7 +201,9 @@ def is_told_in_time(found: Run, scenario: str) -> None:
     alive = slice(0, DOF)
     if name == "lost_arm":
         alive = slice(7, DOF) if fault.detail.startswith("left") else slice(0, 7)
-        assert np.all(found.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0)  # nothing waits for it
+        assert np.all(
+            found.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0,
+        )  # nothing waits for it
     # A dead arm falls, and sooner or later it strikes the other one.
     decelerated = found.deceleration(300 if name == "lost_arm" else 2000)[alive].max()
     assert decelerated < (1.5 if name == "slip" else 0.7)
@@ -239,8 +262,20 @@ def is_not_followed(found: Run) -> None:
 GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
     "does not close": ("gripper_stuck", "close", 0.0, lambda target, told: 0.04, 0.1),
     "answers 0.1 s late": ("gripper_stuck", "close", 0.0, lambda target, told: told[-100], 0.1),
-    "blocked at 60 mm": ("gripper_stuck", "close", 0.0, lambda target, told: max(target, 0.03), 0.3),
-    "jitters": ("gripper_jitter", "carry", 0.2, lambda target, told: target + 0.004 * (len(told) // 25 % 2), 0.3),
+    "blocked at 60 mm": (
+        "gripper_stuck",
+        "close",
+        0.0,
+        lambda target, told: max(target, 0.03),
+        0.3,
+    ),
+    "jitters": (
+        "gripper_jitter",
+        "carry",
+        0.2,
+        lambda target, told: target + 0.004 * (len(told) // 25 % 2),
+        0.3,
+    ),
     "does not open": ("gripper_stuck", "open", 0.0, lambda target, told: -0.004, 0.2),
 }
 
@@ -360,9 +395,14 @@ def _until_told(look: Callable[[], Fault | None], *, calls: int = 50) -> tuple[s
     raise AssertionError("nothing was told")
 
 
-def _hand_tells(monitor: FaultMonitor, told: str, gap_m: Callable[[float], float]) -> Callable[[], Fault | None]:
+def _hand_tells(
+    monitor: FaultMonitor,
+    told: str,
+    gap_m: Callable[[float], float],
+) -> Callable[[], Fault | None]:
     """Return a look every 4 ms at hands of which the right one's gap is `gap_m(t)`."""
-    fine, ticks = (60.0, 60.0), iter(range(1000))
+    fine = (60.0, 60.0)
+    ticks = iter(range(1000))
 
     def look() -> Fault | None:
         t = 0.004 * next(ticks)
@@ -381,7 +421,11 @@ def test_a_hand_that_moves_as_it_is_told_has_no_fault(monitor: FaultMonitor) -> 
         for k in range(200):
             gap = gap_m(0.004 * k)
             fault = monitor.grippers(
-                10.0 + 0.004 * k, told, (gap, gap), (60.0, 60.0), 0.076 if told == "open" else 0.024
+                10.0 + 0.004 * k,
+                told,
+                (gap, gap),
+                (60.0, 60.0),
+                0.076 if told == "open" else 0.024,
             )
             assert fault is None
     nothing = (np.nan, np.nan)
@@ -392,12 +436,17 @@ def test_a_hand_that_moves_as_it_is_told_has_no_fault(monitor: FaultMonitor) -> 
 
 
 @pytest.mark.parametrize("phase", range(5))
-def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(monitor: FaultMonitor, phase: int) -> None:
+def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(
+    monitor: FaultMonitor,
+    phase: int,
+) -> None:
     """+-6.5 N about 60 N at 20 Hz, after rest: the swing of 13 N counts, not the distance from where the hand rested."""
     told_s = None
     for k in range(200):
         t = 4e-3 * k
-        swing = 6.5 * np.sign(np.sin(2.0 * np.pi * 20.0 * (t - 0.2) + 1.2 * phase)) if t >= 0.2 else 0.0
+        swing = (
+            6.5 * np.sign(np.sin(2.0 * np.pi * 20.0 * (t - 0.2) + 1.2 * phase)) if t >= 0.2 else 0.0
+        )
         fault = monitor.grippers(10.0 + t, "", (0.018, 0.018), (60.0 + swing, 60.0), 0.022)
         if fault is not None:
             told_s = t - 0.2
@@ -407,7 +456,9 @@ def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(mon
     assert told_s < 0.17
 
 
-def test_a_pinch_that_had_crept_before_its_hand_opens_counts_from_where_it_is(monitor: FaultMonitor) -> None:
+def test_a_pinch_that_had_crept_before_its_hand_opens_counts_from_where_it_is(
+    monitor: FaultMonitor,
+) -> None:
     """Before, from where it last stepped: 5 of 27 clean carries of the box ended as gripper_stuck."""
 
     def look(k: int, told: str, pinch_n: float) -> Fault | None:
@@ -421,36 +472,59 @@ def test_a_pinch_that_had_crept_before_its_hand_opens_counts_from_where_it_is(mo
 
 @pytest.mark.parametrize("swing_n", [5.5, 11.5])
 def test_a_pinch_that_swings_by_less_than_a_step_or_rises_slowly_does_not_jitter(
-    monitor: FaultMonitor, swing_n: float
+    monitor: FaultMonitor,
+    swing_n: float,
 ) -> None:
     rng = np.random.default_rng(0)
     for k in range(1000):
         t = 4e-3 * k
-        pinch = 40.0 + 5.0 * t + 0.5 * swing_n * np.sign(np.sin(2.0 * np.pi * 20.0 * t)) + rng.normal(0.0, 0.02)
+        pinch = (
+            40.0
+            + 5.0 * t
+            + 0.5 * swing_n * np.sign(np.sin(2.0 * np.pi * 20.0 * t))
+            + rng.normal(0.0, 0.02)
+        )
         assert monitor.grippers(10.0 + t, "", (0.018, 0.018), (pinch, 60.0), 0.022) is None
 
 
 def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
-    fine, gaps = np.full(2, 60.0), np.full(2, 0.02)
+    fine = np.full(2, 60.0)
+    gaps = np.full(2, 0.02)
     holds = {"pinch_n": fine, "gap_m": gaps, "spread_m": 0.24, "tilt_rad": 0.0}
     assert monitor.holding(**holds) is None
     for _ in range(12):  # what the sensor's noise is like
         assert monitor.resting((0.0005, 0.005)) is None
     told = {
-        "missed_grasp": _until_told(lambda: monitor.closing(np.array([0.02, 0.01]), np.zeros(2), 0.1)),
+        "missed_grasp": _until_told(
+            lambda: monitor.closing(np.array([0.02, 0.01]), np.zeros(2), 0.1),
+        ),
         "knocked_away": _until_told(lambda: monitor.resting((0.01, 0.0))),
-        "object_lost": _until_told(lambda: monitor.holding(**{**holds, "pinch_n": np.array([60.0, 3.0])})),
+        "object_lost": _until_told(
+            lambda: monitor.holding(**{**holds, "pinch_n": np.array([60.0, 3.0])}),
+        ),
         "slip": _until_told(lambda: monitor.squeezing(40.0, 10.0)),
         "tilted": _until_told(lambda: monitor.holding(**{**holds, "tilt_rad": 0.5})),
         "sensor_lost": _until_told(lambda: monitor.silent("pose", 0.06, 0.05)),
-        "lost_arm": _until_told(lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)])),
+        "lost_arm": _until_told(
+            lambda: monitor.motors(np.full(DOF, 5.0), np.r_[np.full(7, 5.0), np.zeros(7)]),
+        ),
         "gripper_stuck": _until_told(_hand_tells(monitor, "close", lambda t: 0.08), calls=25),
-        "gripper_jitter": _until_told(_hand_tells(monitor, "", lambda t: 0.02 + 0.002 * np.sin(126.0 * t)), calls=50),
+        "gripper_jitter": _until_told(
+            _hand_tells(monitor, "", lambda t: 0.02 + 0.002 * np.sin(126.0 * t)),
+            calls=50,
+        ),
     }
     for name, (said, calls) in told.items():
         assert said == name
         assert calls <= 5 or name.startswith("gripper")
-    assert set(told) | {"unreachable", "singular", "joint_limit", "off_path", "reflex", "interrupted"} == {
+    assert set(told) | {
+        "unreachable",
+        "singular",
+        "joint_limit",
+        "off_path",
+        "reflex",
+        "interrupted",
+    } == {
         *OPENING,
         *CLOSED,
     }
@@ -460,11 +534,15 @@ def test_every_row_of_the_table_can_be_told(monitor: FaultMonitor) -> None:
     assert monitor.frozen("the pinch", False, 3) is None
     assert _until_told(lambda: monitor.held_pose((0.0, 0.1)))[0] == "slip"
     assert _until_told(lambda: monitor.holding(**{**holds, "spread_m": 0.25}))[0] == "slip"
-    assert monitor.closing(gaps, np.array([60.0, 3.0]), 1.6) is not None  # a finger that stands on the object
+    assert (
+        monitor.closing(gaps, np.array([60.0, 3.0]), 1.6) is not None
+    )  # a finger that stands on the object
 
 
 def test_a_reading_that_is_no_number_is_a_fault_and_no_good_reading(monitor: FaultMonitor) -> None:
-    nan, fine, gaps = float("nan"), np.full(2, 60.0), np.full(2, 0.02)
+    nan = float("nan")
+    fine = np.full(2, 60.0)
+    gaps = np.full(2, 0.02)
     holds = {"pinch_n": fine, "gap_m": gaps, "spread_m": 0.24, "tilt_rad": 0.0}
     assert monitor.holding(**holds) is None
     blind: dict[str, dict[str, object]] = {
@@ -473,15 +551,25 @@ def test_a_reading_that_is_no_number_is_a_fault_and_no_good_reading(monitor: Fau
         "slip": {"spread_m": nan},
     }
     for name, reading in blind.items():
-        assert _until_told(lambda reading=reading: monitor.holding(**{**holds, **reading}))[0] == name
+        assert (
+            _until_told(lambda reading=reading: monitor.holding(**{**holds, **reading}))[0] == name
+        )
         assert monitor.holding(**holds) is None
-    assert _until_told(lambda: monitor.holding(**{**holds, "gap_m": np.array([nan, 0.02])}))[0] == "object_lost"
-    assert _until_told(lambda: monitor.closing(np.array([nan, 0.02]), fine, 0.1))[0] == "missed_grasp"
+    assert (
+        _until_told(lambda: monitor.holding(**{**holds, "gap_m": np.array([nan, 0.02])}))[0]
+        == "object_lost"
+    )
+    assert (
+        _until_told(lambda: monitor.closing(np.array([nan, 0.02]), fine, 0.1))[0] == "missed_grasp"
+    )
     assert _until_told(lambda: monitor.squeezing(40.0, nan))[0] == "slip"
     dead = np.r_[np.zeros(9), nan, np.zeros(4)]
     assert _until_told(lambda: monitor.motors(np.zeros(DOF), dead))[0] == "lost_arm"
     for innovation in ((nan, 0.0), (0.0, nan)):
-        assert _until_told(lambda innovation=innovation: monitor.resting(innovation))[0] == "knocked_away"
+        assert (
+            _until_told(lambda innovation=innovation: monitor.resting(innovation))[0]
+            == "knocked_away"
+        )
         assert _until_told(lambda innovation=innovation: monitor.held_pose(innovation))[0] == "slip"
 
 
@@ -518,7 +606,9 @@ def test_the_torque_rate_is_bounded_and_reaches_what_is_asked() -> None:
 
 
 def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneConfig) -> None:
-    far = scene.model_copy(update={"task": scene.task.model_copy(update={"goal_xy_m": (0.9, -0.6)})})
+    far = scene.model_copy(
+        update={"task": scene.task.model_copy(update={"goal_xy_m": (0.9, -0.6)})},
+    )
     world = World(far)
     trial = sample_trial(far, 5, "faults", 0)
     world.reset(poses=trial.start)
@@ -587,7 +677,9 @@ def test_a_halt_on_the_way_down_stops_above_the_table(carry: Carry) -> None:
 
 
 def blind_on_the_way_down(found: Run) -> None:
-    sensors, kinematics, lowest_m = found.carry.watch._sensors, Kinematics(), np.inf
+    sensors = found.carry.watch._sensors
+    kinematics = Kinematics()
+    lowest_m = np.inf
     sense = sensors.sense
     sensors.sense = lambda: sense()._replace(pose=None)  # type: ignore[method-assign]
     while not found.carry.done:
@@ -619,7 +711,9 @@ def test_an_object_that_falls_behind_its_path_stops_it(carry: Carry, force_n: fl
 
 
 def held_back(found: Run, force_n: float) -> None:
-    world, away_m, until_s = found.world, list[float](), found.world.time + 1.0
+    world = found.world
+    away_m = list[float]()
+    until_s = found.world.time + 1.0
     while not found.carry.done and world.time < 14.0:
         world.data.xfrc_applied[world.truth().body, 1] = (
             -force_n if found.carry.phase == "carry" and world.time < until_s else 0.0
@@ -627,7 +721,9 @@ def held_back(found: Run, force_n: float) -> None:
         found.step()
         desired = found.carry.stack.impedance.desired
         if desired is not None and found.carry.phase == "carry":
-            away_m.append(float(np.linalg.norm(world.object_pose()[:3, 3] - desired.T_world_object[:3, 3])))
+            away_m.append(
+                float(np.linalg.norm(world.object_pose()[:3, 3] - desired.T_world_object[:3, 3])),
+            )
     if force_n < 20.0:  # the spring gives way, as it is meant to
         assert found.carry.fault is None
         assert 0.02 < max(away_m) < 0.04
@@ -641,7 +737,9 @@ def held_back(found: Run, force_n: float) -> None:
     assert np.abs(world.v).max() < 0.05
 
 
-def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(carry: Carry) -> None:
+def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where_it_lies(
+    carry: Carry,
+) -> None:
     carry.run(("close", 0.0), singular_at_the_start)
 
 
@@ -654,7 +752,10 @@ def singular_at_the_start(found: Run) -> None:
     found.finish()
     fault = found.carry.fault
     assert fault is not None
-    assert (fault.name, fault.detail) == ("singular", "the left hand has lost a direction of motion")
+    assert (fault.name, fault.detail) == (
+        "singular",
+        "the left hand has lost a direction of motion",
+    )
     assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(found.speeds[-1]).max() < 0.05
     assert found.carry.stack.manager.active == ("soft_stop",)

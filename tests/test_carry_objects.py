@@ -33,10 +33,16 @@ def trial_of(config: Config, index: int = 0) -> Trial:
     return make_task(config).trial(7, "objects", index)
 
 
-def carried(config: Config, *, until: str | None = None, index: int = 0) -> tuple[Outcome, ImpedanceCarry]:
+def carried(
+    config: Config,
+    *,
+    until: str | None = None,
+    index: int = 0,
+) -> tuple[Outcome, ImpedanceCarry]:
     """Carry to the end, or until the judge has noted a fault of that name."""
     world = World(config.scene)
-    task, trial = make_task(config), trial_of(config, index)
+    task = make_task(config)
+    trial = trial_of(config, index)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
     judge = Judge(task, trial, {"squeezed"})
@@ -65,7 +71,8 @@ RECOMMENDED = {
 @pytest.mark.parametrize("name", OBJECTS)
 def test_an_object_is_carried_as_it_is_recommended_and_the_pads_can_hold_it(name: str) -> None:
     config = configured(object=name)
-    rod, impedance = config.scene.object, config.carry.impedance
+    rod = config.scene.object
+    impedance = config.carry.impedance
     least, most, soft, stiff = RECOMMENDED[name]
     assert least <= impedance.internal_force_n <= most
     assert soft <= impedance.stiffness_n_per_m <= stiff
@@ -77,14 +84,17 @@ def test_an_object_is_carried_as_it_is_recommended_and_the_pads_can_hold_it(name
     assert 2.0 * rod.half_width_m < 2.0 * FINGER_TRAVEL_M - 0.01
     assert config.scene.task.internal_force_min_n == min(20.0, least)
     if rod.break_pinch_n is not None and rod.break_force_n is not None:
-        assert 1.3 * impedance.pinch_n < rod.break_pinch_n, "a firmer pinch does not break it either"
+        assert 1.3 * impedance.pinch_n < rod.break_pinch_n, (
+            "a firmer pinch does not break it either"
+        )
         assert impedance.internal_force_n + impedance.force_correction_max_n < rod.break_force_n
 
 
 @pytest.mark.parametrize("name", OBJECTS)
 def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name: str) -> None:
     world = World(configured(object=name).scene)
-    body, rod = world.model.body(name), world.scene.object
+    body = world.model.body(name)
+    rod = world.scene.object
     assert body.mass[0] == pytest.approx(rod.mass_kg, rel=1e-12)
     # MuJoCo keeps principal axes of its own; the sets of moments must agree.
     assert np.allclose(sorted(body.inertia), sorted(rod.inertia_kg_m2), rtol=1e-9)
@@ -92,7 +102,9 @@ def test_what_the_law_is_told_of_mass_and_inertia_is_what_the_simulator_has(name
     while world.time < 0.2:
         world.step()
     assert world.on_table()
-    assert abs(world.object_pose()[2, 3] - rod.rest_height_m) < 2e-4  # it stands on the table, not in it or above it
+    assert (
+        abs(world.object_pose()[2, 3] - rod.rest_height_m) < 2e-4
+    )  # it stands on the table, not in it or above it
 
 
 def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None:
@@ -101,8 +113,8 @@ def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None
             {
                 "carry": {"object": "board", "impedance": {"internal_force_n": 21.0}},
                 "scene": {"object": {"mass_kg": 1.4}},
-            }
-        )
+            },
+        ),
     )
     assert once.carry.impedance.internal_force_n == 21.0
     assert once.scene.object.mass_kg == 1.4
@@ -110,13 +122,22 @@ def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None
     assert carry_config(once) == once
 
 
-def test_an_object_of_ones_own_gets_the_pinch_that_its_squeeze_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_of_ones_own_gets_the_pinch_that_its_squeeze_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Before, only those of the package did; 40 N at friction 0.3 fell to 25 N."""
-    row = {"carry.impedance.internal_force_n": 40.0, "scene.object.friction": 0.3, "scene.object.mass_kg": 0.2}
+    row = {
+        "carry.impedance.internal_force_n": 40.0,
+        "scene.object.friction": 0.3,
+        "scene.object.mass_kg": 0.2,
+    }
     monkeypatch.setitem(OBJECTS._rows, "bottle", row)
     monkeypatch.setitem(OBJECTS._rows, "safer", {**row, "safety": 1.8})
     monkeypatch.setitem(OBJECTS._rows, "told", {**row, "carry.impedance.pinch_n": 90.0})
-    pinch_n = {name: configured(object=name).carry.impedance.pinch_n for name in ("bottle", "safer", "told")}
+    pinch_n = {
+        name: configured(object=name).carry.impedance.pinch_n
+        for name in ("bottle", "safer", "told")
+    }
     assert pinch_n["bottle"] == pytest.approx(pinch_force(40.0, 0.3, 0.2), abs=0.05)
     assert pinch_n["safer"] == pytest.approx(pinch_force(40.0, 0.3, 0.2, safety=1.8), abs=0.05)
     assert pinch_n["told"] == 90.0
@@ -153,8 +174,14 @@ def test_a_part_that_is_set_is_filled_where_it_is_open() -> None:
     assert preset(TaskConfig(), {"obstacle": table}).obstacle == table
 
 
-@pytest.mark.parametrize(("carry", "message"), [({"object": "glas"}, "'glass'"), ({"motion": "rotat"}, "'rotate'")])
-def test_an_unknown_name_is_refused_with_the_nearest_one(carry: dict[str, str], message: str) -> None:
+@pytest.mark.parametrize(
+    ("carry", "message"),
+    [({"object": "glas"}, "'glass'"), ({"motion": "rotat"}, "'rotate'")],
+)
+def test_an_unknown_name_is_refused_with_the_nearest_one(
+    carry: dict[str, str],
+    message: str,
+) -> None:
     with pytest.raises(UsageError) as caught:
         configured(**carry)
     assert message in str(caught.value)
@@ -187,7 +214,8 @@ def test_the_object_is_turned_by_ninety_degrees() -> None:
     config = configured(motion="rotate")
     outcome, carry = carried(config)
     assert outcome.success, outcome.reason
-    axis, goal_yaw = carry.world.object_pose()[:3, 1], placement(trial_of(config).goal["rod"])[2]
+    axis = carry.world.object_pose()[:3, 1]
+    goal_yaw = placement(trial_of(config).goal["rod"])[2]
     assert goal_yaw == pytest.approx(-np.pi / 2)
     assert abs(axis[0]) > 0.999  # it lay along y, and lies along x
     assert outcome.number("yaw_error_rad") < 0.02
@@ -203,7 +231,11 @@ def test_hands_open_only_when_the_elbows_swing_no_more(index: int) -> None:
 def test_it_is_lifted_over_the_obstacle_and_lower_it_would_strike() -> None:
     outcome, _ = carried(configured(motion="over"))
     assert outcome.success, outcome.reason
-    low = carry_config(Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"lift_height_m": 0.07}}}))
+    low = carry_config(
+        Config.model_validate(
+            {"carry": {"motion": "over"}, "scene": {"task": {"lift_height_m": 0.07}}},
+        ),
+    )
     outcome, _ = carried(low, until="clear")
     assert not outcome.success
     assert "clear" in {fault.name for fault in outcome.failures}
@@ -219,7 +251,8 @@ def test_only_the_way_over_has_an_obstacle() -> None:
 def test_no_start_or_goal_touches_the_obstacle() -> None:
     """Before, boards began on the block and had failed at once."""
     config = configured(object="board", motion="over")
-    world, task = World(config.scene), make_task(config)
+    world = World(config.scene)
+    task = make_task(config)
     for index in range(40):
         trial = task.trial(7, "objects", index)
         for poses in (trial.start, trial.goal):
@@ -229,7 +262,9 @@ def test_no_start_or_goal_touches_the_obstacle() -> None:
 
 def test_an_obstacle_that_leaves_no_room_is_refused() -> None:
     wide = ObstacleConfig(size_m=(0.6, 1.0, 0.1)).model_dump()
-    config = Config.model_validate({"carry": {"motion": "over"}, "scene": {"task": {"obstacle": wide}}})
+    config = Config.model_validate(
+        {"carry": {"motion": "over"}, "scene": {"task": {"obstacle": wide}}},
+    )
     with pytest.raises(UsageError, match="no room beside the obstacle"):
         make_task(config).trial(7, "objects", 0)
 

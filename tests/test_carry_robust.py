@@ -23,9 +23,13 @@ from minidual.trials.runner import Bench
 
 def carry(name: str):
     """Carry under a condition; return the result, the squeezes that were wanted, and the bench."""
-    bench, wanted = Bench("impedance", MethodInputs(Config(), 11), name), []
+    bench = Bench("impedance", MethodInputs(Config(), 11), name)
+    wanted = []
     trial = sample_trial(bench.world.scene, 11, "robust", 0)
-    result, _ = bench.run(trial, on_step=lambda world, method: wanted.append(method.watch.squeeze_n))
+    result, _ = bench.run(
+        trial,
+        on_step=lambda world, method: wanted.append(method.watch.squeeze_n),
+    )
     return result, wanted, bench
 
 
@@ -44,7 +48,10 @@ def test_an_object_as_expected_is_squeezed_as_told():
 
 
 def test_a_grip_that_slips_at_any_squeeze_is_given_up():
-    config = changed(Config(), {"carry.impedance.pinch_n": 30.0})  # 2 * 0.3 * 30 = 18 N, less than the task needs
+    config = changed(
+        Config(),
+        {"carry.impedance.pinch_n": 30.0},
+    )  # 2 * 0.3 * 30 = 18 N, less than the task needs
     weak = Bench("impedance", MethodInputs(config, 11), "friction 0.3")
     result, _ = weak.run(sample_trial(config.scene, 11, "robust", 0))
     assert not result.success
@@ -64,7 +71,8 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up():
 def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
     """Before, a pad lost what it pinched with 60 N for single steps, because contacts were too stiff."""
     config = Config(task=task)
-    bench, pinch = Bench("impedance", MethodInputs(config, config.seed), name), []
+    bench = Bench("impedance", MethodInputs(config, config.seed), name)
+    pinch = []
 
     def watch(world, driven):
         if driven.phase == "carry":
@@ -78,29 +86,48 @@ def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
 
 def test_a_camera_is_trusted_as_far_as_it_scatters():
     rng = np.random.default_rng(0)
-    for sigma_m, moved_m, told in ((0.0005, 0.006, True), (0.0015, 0.006, False), (0.0015, 0.02, True)):
+    for sigma_m, moved_m, told in (
+        (0.0005, 0.006, True),
+        (0.0015, 0.006, False),
+        (0.0015, 0.02, True),
+    ):
         monitor = FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.018, pinch_n=60.0)
         for _ in range(100):
-            assert monitor.resting((float(np.linalg.norm(sigma_m * rng.standard_normal(3))), 0.0)) is None
-        assert (monitor.resting((moved_m, 0.0)) or monitor.resting((moved_m, 0.0)) is not None) is told
+            assert (
+                monitor.resting((float(np.linalg.norm(sigma_m * rng.standard_normal(3))), 0.0))
+                is None
+            )
+        assert (
+            monitor.resting((moved_m, 0.0)) or monitor.resting((moved_m, 0.0)) is not None
+        ) is told
 
 
 def test_worse_sensing_raises_no_false_alarm():
     result, _, bench = carry("pose noise x3")
     for name in ("pose_noise_m", "pose_noise_rad"):
-        assert getattr(bench.task.config.carry.sensing, name) == 3.0 * getattr(Config().carry.sensing, name) > 0.0
+        assert (
+            getattr(bench.task.config.carry.sensing, name)
+            == 3.0 * getattr(Config().carry.sensing, name)
+            > 0.0
+        )
     assert result.success, result.text
     plain, _, _ = carry("clean")
-    assert result.to_row() != {**plain.to_row(), "condition": "pose noise x3"}, "the noise was not sensed"
+    assert result.to_row() != {**plain.to_row(), "condition": "pose noise x3"}, (
+        "the noise was not sensed"
+    )
 
 
 def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
     """All joints dry, and a camera that is off: the spring stops short of the goal, and the path goes on by that."""
-    bench, ends = Bench("impedance", MethodInputs(Config(), 20260), "randomised"), []
+    bench = Bench("impedance", MethodInputs(Config(), 20260), "randomised")
+    ends = []
 
     def watch(world, driven):
         if driven.phase == "unload" and not ends:
-            ends.append(driven.stack.impedance.desired.T_world_object[:3, 3] - driven.watch.T_world_object[:3, 3])
+            ends.append(
+                driven.stack.impedance.desired.T_world_object[:3, 3]
+                - driven.watch.T_world_object[:3, 3],
+            )
             ends.append(float(driven.watch.T_world_object[2, 3]))
 
     assert bench.task.config.carry.sensing.pose_bias_m > 0.0
@@ -113,12 +140,17 @@ def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
 
 def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
     config = changed(Config(), {"carry.sensing.pose_bias_m": 0.006})
-    rest_m, sensed_m, used_m = config.scene.object.rest_height_m, [], []
+    rest_m = config.scene.object.rest_height_m
+    sensed_m = []
+    used_m = []
     reach = impedance_carry.grasp_posture
     monkeypatch.setattr(
-        impedance_carry, "grasp_posture", lambda *a, **k: (used_m.append(a[2][2, 3]), reach(*a, **k))[1]
+        impedance_carry,
+        "grasp_posture",
+        lambda *a, **k: (used_m.append(a[2][2, 3]), reach(*a, **k))[1],
     )
-    world, trial = World(config.scene), sample_trial(config.scene, 11, "robust", 0)
+    world = World(config.scene)
+    trial = sample_trial(config.scene, 11, "robust", 0)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=11)
     while carry.phase in ("approach", "descend") and not carry.done:
@@ -132,7 +164,8 @@ def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
 
 def test_what_the_camera_sees_too_low_is_put_down_all_the_same():
     config = changed(Config(), {"carry.sensing.pose_bias_m": 0.006})
-    world, rest_m = World(config.scene), config.scene.object.rest_height_m
+    world = World(config.scene)
+    rest_m = config.scene.object.rest_height_m
     trial = sample_trial(config.scene, 11, "robust", 2)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=11)
@@ -148,7 +181,9 @@ def test_a_plan_begins_with_objects_at_their_known_height():
     trial = task.trial(11, "robust", 0)
     world = World(task.scene)
     world.reset(poses=trial.start)
-    seen = {"rod": world.object_pose("rod") + np.outer([0.0, 0.0, 0.007, 0.0], [0.0, 0.0, 0.0, 1.0])}
+    seen = {
+        "rod": world.object_pose("rod") + np.outer([0.0, 0.0, 0.007, 0.0], [0.0, 0.0, 0.0, 1.0]),
+    }
     carry = PlannedCarry(ControlStack(world, Kinematics()), Planner(), task, trial, 1, poses=seen)
     assert carry.aborted is None
     height_m = carry.solution.states[0].objects["rod"][2, 3]
@@ -158,7 +193,9 @@ def test_a_plan_begins_with_objects_at_their_known_height():
 
 def test_a_smooth_object_slips_before_it_is_lifted():
     """Friction 0.36: the pads carry 43 N, more than the 40 N of the squeeze and less than the 46 N that are tried."""
-    bench, slid, told_n = Bench("impedance", MethodInputs(Config(), 11)), {}, Config().carry.impedance.internal_force_n
+    bench = Bench("impedance", MethodInputs(Config(), 11))
+    slid = {}
+    told_n = Config().carry.impedance.internal_force_n
 
     def watch(world, driven):
         if driven.watch.squeeze_n < told_n:
@@ -172,7 +209,9 @@ def test_a_smooth_object_slips_before_it_is_lifted():
 
 def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs_in_the_air():
     """Friction 0.23: 60 N of pinch carry 28 N. Before, the hands slipped by 4 mm on the table, and the carry stopped."""
-    bench, told, pinch = Bench("impedance", MethodInputs(Config(), 11)), {}, []
+    bench = Bench("impedance", MethodInputs(Config(), 11))
+    told = {}
+    pinch = []
 
     def watch(world, driven):
         told.setdefault(driven.phase, []).append(driven.watch.squeeze_n)
@@ -182,14 +221,20 @@ def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs
     with smooth(bench.world.model, 0.23):
         result, _ = bench.run(sample_trial(bench.world.scene, 11, "robust", 0), on_step=watch)
     assert result.success, result.text
-    assert min(told["squeeze"]) < 24.0 < min(told["carry"]) == 1.25 * bench.task.scene.task.internal_force_min_n
+    assert (
+        min(told["squeeze"])
+        < 24.0
+        < min(told["carry"])
+        == 1.25 * bench.task.scene.task.internal_force_min_n
+    )
     assert 21.0 < result.internal_force_min_n < 30.0
     assert 64.0 < np.median(pinch) < 68.0
 
 
 def test_slip_on_the_table_does_not_count_in_the_air():
     """Worn pads, dry joints: 2.7 mm on the table, then 1.9 mm more. Before, their sum was the fault `slip`."""
-    bench, spread_m = Bench("impedance", MethodInputs(Config(), 20260), "randomised"), []
+    bench = Bench("impedance", MethodInputs(Config(), 20260), "randomised")
+    spread_m = []
 
     def watch(_, driven):
         if driven.phase in ("squeeze", "carry"):
@@ -204,10 +249,14 @@ def test_slip_on_the_table_does_not_count_in_the_air():
 def test_an_object_that_is_seen_in_the_table_is_lifted():
     """Before, the supervisor stopped the lift: it took the seen height for the clearance over the table."""
     config = changed(Config(), {"carry.sensing.pose_bias_m": 0.010})
-    bench, seen_m = Bench("impedance", MethodInputs(config, 11)), []
+    bench = Bench("impedance", MethodInputs(config, 11))
+    seen_m = []
     index = min(range(20), key=lambda k: stream(11, "sensing/robust", k).standard_normal(6)[2])
     trial = sample_trial(config.scene, 11, "robust", index)
-    result, _ = bench.run(trial, on_step=lambda world, driven: seen_m.append(driven.watch.T_world_object[2, 3]))
+    result, _ = bench.run(
+        trial,
+        on_step=lambda world, driven: seen_m.append(driven.watch.T_world_object[2, 3]),
+    )
     assert seen_m[0] < 0.0 < config.scene.object.rest_height_m, "below the table's top"
     assert not result.aborted
     assert result.success or result.failure == "arrived", result.text

@@ -31,7 +31,9 @@ class Bench:
     dt: float = 0.001
     time: float = 0.0
     T: np.ndarray = field(default_factory=lambda: pose(rot_z(0.3), (0.5, 0.1, 0.01)))
-    felt: np.ndarray = field(default_factory=lambda: np.array([[1.0, -40.0, 2.0], [0.0, 40.0, 2.0]]))
+    felt: np.ndarray = field(
+        default_factory=lambda: np.array([[1.0, -40.0, 2.0], [0.0, 40.0, 2.0]]),
+    )
     pinches: tuple[float, float] = (60.0, 50.0)
 
     def truth(self, name: object = None) -> Bench:
@@ -53,8 +55,12 @@ def test_noise_has_the_stated_deviation_no_bias_and_no_memory() -> None:
     senses = sensors(bench, pose_rate_hz=1000.0)
     readings = [senses.sense() for _ in range(6000)]
     forces = np.array([r.hand_forces for r in readings[100:]]).reshape(-1, 6) - bench.felt.ravel()
-    positions = np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T[:3, 3]
-    turns = np.array([pin.log3(r.pose.T_world_object[:3, :3] @ bench.T[:3, :3].T) for r in readings if r.pose])
+    positions = (
+        np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - bench.T[:3, 3]
+    )
+    turns = np.array(
+        [pin.log3(r.pose.T_world_object[:3, :3] @ bench.T[:3, :3].T) for r in readings if r.pose],
+    )
     for errors, deviation in ((forces, 1.0), (positions, 0.0005), (turns, np.radians(0.3))):
         n = len(errors)
         assert np.allclose(errors.std(axis=0), deviation, rtol=0.04)
@@ -70,7 +76,9 @@ def test_a_bias_stays_for_a_trial_and_differs_between_trials() -> None:
     offsets = []
     for trial in range(200):
         senses = sensors(Bench(), trial, pose_noise_m=0.0, pose_noise_rad=0.0, pose_bias_m=0.001)
-        found = [r.pose.T_world_object[:3, 3] for r in (senses.sense() for _ in range(60)) if r.pose]
+        found = [
+            r.pose.T_world_object[:3, 3] for r in (senses.sense() for _ in range(60)) if r.pose
+        ]
         assert np.ptp(np.array(found), axis=0).max() < 1e-12
         offsets.append(found[0] - Bench().T[:3, 3])
     assert np.allclose(np.std(offsets, axis=0), 0.001, rtol=0.2)
@@ -79,7 +87,13 @@ def test_a_bias_stays_for_a_trial_and_differs_between_trials() -> None:
 @pytest.mark.parametrize("delay_s", [0.0, 0.003, 0.010, 0.025])
 def test_the_delay_is_exact_in_steps(delay_s: float) -> None:
     bench = Bench()
-    senses = sensors(bench, pose_noise_m=0.0, pose_noise_rad=0.0, force_noise_n=0.0, delay_s=delay_s)
+    senses = sensors(
+        bench,
+        pose_noise_m=0.0,
+        pose_noise_rad=0.0,
+        force_noise_n=0.0,
+        delay_s=delay_s,
+    )
     ticks = round(delay_s / bench.dt)
     assert senses.delay_ticks == ticks
     fresh = []
@@ -112,7 +126,9 @@ def test_same_stream_same_noise_and_the_draws_do_not_depend_on_the_amounts() -> 
     def errors(seed: int, noise_m: float) -> np.ndarray:
         senses = Sensors(Bench(), SensingConfig(pose_noise_m=noise_m), stream(seed, "sensing/x", 3))  # type: ignore[arg-type]
         readings = [senses.sense() for _ in range(200)]
-        return np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T[:3, 3]
+        return (
+            np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T[:3, 3]
+        )
 
     assert np.array_equal(errors(1, 0.0005), errors(1, 0.0005))
     assert not np.array_equal(errors(1, 0.0005), errors(2, 0.0005))
@@ -121,7 +137,8 @@ def test_same_stream_same_noise_and_the_draws_do_not_depend_on_the_amounts() -> 
 
 def test_the_mean_of_a_resting_object_falls_with_the_root_of_the_samples() -> None:
     bench = Bench()
-    errors, turns = [], []
+    errors = []
+    turns = []
     for trial in range(40):
         senses = sensors(bench, trial, pose_rate_hz=1000.0, delay_s=0.0)
         first = senses.sense().pose
@@ -138,8 +155,10 @@ def test_the_mean_of_a_resting_object_falls_with_the_root_of_the_samples() -> No
 
 
 def test_a_mean_that_forgets_follows_an_object_that_closing_hands_shift() -> None:
-    before, after = pose(np.eye(3), (0.5, 0.0, 0.1)), pose(rot_x(0.1), (0.5, 0.003, 0.1))
-    steady, forgets = RestingEstimate(before), RestingEstimate(before)
+    before = pose(np.eye(3), (0.5, 0.0, 0.1))
+    after = pose(rot_x(0.1), (0.5, 0.003, 0.1))
+    steady = RestingEstimate(before)
+    forgets = RestingEstimate(before)
     for T, n in ((before, 100), (after, 20)):
         for _ in range(n):
             steady.add(T)
@@ -161,12 +180,16 @@ def _held_pose(kinematics: Kinematics, q: np.ndarray) -> np.ndarray:
     return frame @ pose(rot_x(0.4), (0.002, 0.01, -0.004))
 
 
-def test_the_twist_of_the_estimate_is_that_of_an_object_held_by_both_hands(kinematics: Kinematics) -> None:
+def test_the_twist_of_the_estimate_is_that_of_an_object_held_by_both_hands(
+    kinematics: Kinematics,
+) -> None:
     rng = np.random.default_rng(2)
     q = HOME + 0.1 * rng.standard_normal(14)
-    T, twist = _held_pose(kinematics, q), 0.3 * rng.standard_normal(6)
+    T = _held_pose(kinematics, q)
+    twist = 0.3 * rng.standard_normal(6)
     hands = [
-        np.r_[twist[:3] + np.cross(twist[3:], hand[:3, 3] - T[:3, 3]), twist[3:]] for hand in kinematics.tcp_poses(q)
+        np.r_[twist[:3] + np.cross(twist[3:], hand[:3, 3] - T[:3, 3]), twist[3:]]
+        for hand in kinematics.tcp_poses(q)
     ]
     v = np.linalg.pinv(np.vstack(kinematics.tcp_jacobians(q))) @ np.concatenate(hands)
     estimate = HeldEstimate(kinematics, q, T, delay_ticks=0, least_gain=0.1)
@@ -178,8 +201,11 @@ def test_the_twist_of_the_estimate_is_that_of_an_object_held_by_both_hands(kinem
     assert np.allclose(pin.log3(after[:3, :3] @ before[:3, :3].T) / (2 * h), twist[3:], atol=1e-6)
 
 
-def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_it_back(kinematics: Kinematics) -> None:
-    delay, direction = 10, np.r_[0.3 * np.ones(7), -0.2 * np.ones(7)]
+def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_it_back(
+    kinematics: Kinematics,
+) -> None:
+    delay = 10
+    direction = np.r_[0.3 * np.ones(7), -0.2 * np.ones(7)]
     T_start = _held_pose(kinematics, HOME)
     estimate = HeldEstimate(kinematics, HOME, T_start, delay_ticks=delay, least_gain=0.2)
     truth: list[np.ndarray] = []
@@ -189,7 +215,9 @@ def test_the_estimate_follows_the_hands_at_once_and_an_old_sample_does_not_pull_
         sample = truth[k - delay] if k >= delay and k % 10 == 0 else None
         state = estimate.update(q, direction, sample, delay)
         assert np.allclose(state.T_world_object, truth[k], atol=1e-9)
-    assert np.linalg.norm(truth[-1][:3, 3] - truth[-1 - delay][:3, 3]) > 0.0005  # the raw sample was that far behind
+    assert (
+        np.linalg.norm(truth[-1][:3, 3] - truth[-1 - delay][:3, 3]) > 0.0005
+    )  # the raw sample was that far behind
 
 
 def test_a_slip_in_the_hands_shows_in_the_innovation_and_is_learnt(kinematics: Kinematics) -> None:
@@ -207,7 +235,10 @@ def test_a_slip_in_the_hands_shows_in_the_innovation_and_is_learnt(kinematics: K
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_one_frame_that_is_far_off_moves_no_estimate_and_two_do(kinematics: Kinematics, turned: bool) -> None:
+def test_one_frame_that_is_far_off_moves_no_estimate_and_two_do(
+    kinematics: Kinematics,
+    turned: bool,
+) -> None:
     """Before, a marker that was taken for another moved the estimate by 20 mm, and the next good frame read as slip."""
     T = _held_pose(kinematics, HOME)
     estimate = HeldEstimate(kinematics, HOME, T, delay_ticks=0, least_gain=0.1)
@@ -238,7 +269,8 @@ class Blind:
 
 
 def _errors(world: World, carry: ImpedanceCarry) -> tuple[float, float]:
-    T, estimate = world.object_pose(), carry.watch.estimate.T_world_object
+    T = world.object_pose()
+    estimate = carry.watch.estimate.T_world_object
     return (
         float(np.linalg.norm(T[:3, 3] - estimate[:3, 3])),
         float(np.linalg.norm(pin.log3(T[:3, :3].T @ estimate[:3, :3]))),
@@ -249,7 +281,8 @@ def test_a_first_force_that_is_no_number_is_forgotten(world: World) -> None:
     """Before, the filter kept its NaN, and the hands closed without feeling anything."""
     world.reset()
     senses = Sensors(world, SensingConfig(), stream(1, "sensing/first", 0))
-    listen, blind = senses.sense, iter([True])
+    listen = senses.sense
+    blind = iter([True])
     senses.sense = lambda: (  # type: ignore[method-assign]
         listen()._replace(hand_forces=np.full((2, 3), np.nan)) if next(blind, False) else listen()
     )
@@ -263,7 +296,8 @@ def test_a_first_force_that_is_no_number_is_forgotten(world: World) -> None:
 
 
 def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_reading(
-    world: World, scene: SceneConfig
+    world: World,
+    scene: SceneConfig,
 ) -> None:
     trial = sample_trial(scene, 11, "sensing-test", 0)
     world.reset(poses=trial.start)
@@ -279,7 +313,9 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
     senses.sense = sense  # type: ignore[method-assign]
     nowhere = replace(trial, start=(9.0, 9.0, 9.0))  # not even where the trial began
     carry = ImpedanceCarry(Blind(world), Kinematics(), CarryConfig(), nowhere, sensors=senses)  # type: ignore[arg-type]
-    fused, raw, speeds = [], [], []
+    fused = []
+    raw = []
+    speeds = []
     while not carry.done:
         carry.step()
         if carry.phase == "carry":
@@ -307,7 +343,13 @@ def test_noise_belongs_to_the_trial_and_the_seed(world: World, scene: SceneConfi
     def where(seed: int, index: int) -> bytes:
         trial = sample_trial(scene, 11, "sensing-test", 0)
         world.reset(poses=trial.start)
-        carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), replace(trial, index=index), seed=seed)
+        carry = ImpedanceCarry(
+            world,
+            Kinematics(),
+            CarryConfig(),
+            replace(trial, index=index),
+            seed=seed,
+        )
         for _ in range(300):
             carry.step()
         return carry.watch.estimate.T_world_object.tobytes()

@@ -29,7 +29,10 @@ class CommandLine:
 
     def __call__(self, *words: str) -> tuple[int, str, str]:
         run = [] if "--run" in words else ["--run", "toys"]
-        code = run_command_line([*words, *run, "--runs-dir", str(self.bench.root)], self.bench.table)
+        code = run_command_line(
+            [*words, *run, "--runs-dir", str(self.bench.root)],
+            self.bench.table,
+        )
         return code, *self._capsys.readouterr()
 
     def json(self, *words: str) -> tuple[int, dict]:
@@ -46,7 +49,17 @@ def test_passing_stage_prints_table_paths_and_next_command(cli):
     code, out, err = cli("first")
     assert code == 0
     assert out.strip() == str(cli.bench.store.verdict_path("first"))
-    for word in ("check", "observed", "limit", "margin", "result", "quality", ">= 1 n", "+0 (+0%)", "reported"):
+    for word in (
+        "check",
+        "observed",
+        "limit",
+        "margin",
+        "result",
+        "quality",
+        ">= 1 n",
+        "+0 (+0%)",
+        "reported",
+    ):
         assert word in err
     assert str(cli.bench.store.folder / "first" / "out" / "numbers.txt") in err
     assert f"next: minidual second --run toys --runs-dir {cli.bench.root}" in err
@@ -84,12 +97,19 @@ def test_usage_errors_exit_2(cli, capsys):
     assert not cli.bench.store.folder.exists()
 
 
-@pytest.mark.parametrize("words", [("first", "--queries", "many"), ("first", "--nonsense"), ("frist",), ("config",)])
+@pytest.mark.parametrize(
+    "words",
+    [("first", "--queries", "many"), ("first", "--nonsense"), ("frist",), ("config",)],
+)
 def test_what_cannot_be_parsed_is_a_document_too(cli, words):
     code, document = cli.json(*words)
     assert code == document["exit_code"] == 2
     assert document["error"]["kind"] == "UsageError"
-    remedy = {"first": "minidual first --help", "config": "minidual config --help", "frist": "did you mean 'first'?"}
+    remedy = {
+        "first": "minidual first --help",
+        "config": "minidual config --help",
+        "frist": "did you mean 'first'?",
+    }
     assert document["error"]["remedy"] == remedy[words[0]]
 
 
@@ -107,7 +127,8 @@ def test_a_misspelt_run_is_not_an_empty_one(cli, capsys, command):
 
 
 def test_commands_in_explained_remedies_act_on_this_run(cli):
-    cli.bench.first.observed, cli.bench.first.remedy = 0.5, "minidual first --force"
+    cli.bench.first.observed = 0.5
+    cli.bench.first.remedy = "minidual first --force"
     cli("first")
     mended = "minidual first --force --run toys"
     assert mended in " ".join(cli("explain")[1].split())
@@ -116,13 +137,20 @@ def test_commands_in_explained_remedies_act_on_this_run(cli):
 
 def test_option_before_the_command_is_told_its_place(capsys):
     assert run_command_line(["--profile=smoke", "carry"], STAGES) == 2
-    assert "--profile stands after the command: minidual COMMAND --profile" in capsys.readouterr().err
+    assert (
+        "--profile stands after the command: minidual COMMAND --profile" in capsys.readouterr().err
+    )
 
 
 def test_file_in_place_of_the_runs_folder_exits_2(tmp_path, capsys):
     (tmp_path / "runs").write_text("")
-    assert run_command_line(["first", "--runs-dir", str(tmp_path / "runs")], Bench(tmp_path).table) == 2
-    assert f"{tmp_path / 'runs'} is a file; minidual keeps a folder there" in capsys.readouterr().err
+    assert (
+        run_command_line(["first", "--runs-dir", str(tmp_path / "runs")], Bench(tmp_path).table)
+        == 2
+    )
+    assert (
+        f"{tmp_path / 'runs'} is a file; minidual keeps a folder there" in capsys.readouterr().err
+    )
 
 
 def test_closed_gate_exits_3_with_the_command_in_full(cli):
@@ -179,7 +207,10 @@ def test_interrupt_exits_130_with_one_line(cli):
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("made", [ValueError("Error building a serializer"), DataError("pot.xml is truncated")])
+@pytest.mark.parametrize(
+    "made",
+    [ValueError("Error building a serializer"), DataError("pot.xml is truncated")],
+)
 def test_interrupt_that_a_stage_turns_into_an_error_of_its_own_exits_130(cli, monkeypatch, made):
     """Before, exit 70 and "please report it", or exit 2."""
     monkeypatch.setattr(interrupt, "raised", False)
@@ -193,7 +224,11 @@ def test_interrupt_that_a_stage_turns_into_an_error_of_its_own_exits_130(cli, mo
     cli.bench.first.behaviour = greedy
     code, out, err = cli("first")
     assert (code, out) == (130, "")
-    assert err.strip().splitlines()[-1].startswith("minidual: interrupted; nothing half-written counts")
+    assert (
+        err.strip()
+        .splitlines()[-1]
+        .startswith("minidual: interrupted; nothing half-written counts")
+    )
     assert not list(cli.bench.store.folder.glob("crash-*.txt"))
     state = cli.bench.gate().state("first")
     assert state.state == "incomplete"
@@ -204,12 +239,24 @@ def test_interrupt_that_a_stage_turns_into_an_error_of_its_own_exits_130(cli, mo
     ("remedy", "said"),
     [
         ("minidual second", "minidual second{}"),
-        ("retrain it: minidual second --force; or wait", "retrain it: minidual second --force{}; or wait"),
+        (
+            "retrain it: minidual second --force; or wait",
+            "retrain it: minidual second --force{}; or wait",
+        ),
         ("(minidual first checks collisions)", "(minidual first{} checks collisions)"),
         ("minidual first --set plan.queries_n=...", "minidual first{} --set plan.queries_n=..."),
-        ("minidual run --until second, or minidual status", "minidual run --until second{}, or minidual status{}"),
-        ("minidual first --force, then: minidual second{}", "minidual first --force{}, then: minidual second{}"),
-        ("replay it with the minidual 1.0 that made it", "replay it with the minidual 1.0 that made it"),
+        (
+            "minidual run --until second, or minidual status",
+            "minidual run --until second{}, or minidual status{}",
+        ),
+        (
+            "minidual first --force, then: minidual second{}",
+            "minidual first --force{}, then: minidual second{}",
+        ),
+        (
+            "replay it with the minidual 1.0 that made it",
+            "replay it with the minidual 1.0 that made it",
+        ),
         ("minidual first-aid", "minidual first-aid"),
     ],
 )
@@ -290,7 +337,9 @@ def test_the_next_command_after_an_interruption_has_its_options(cli):
     _, out, _ = cli("status")
     assert "next: minidual first --run toys" in out
     assert out.rstrip().endswith("--queries 3 --mood 'good day'")
-    assert "with --queries 3 --mood 'good day', interrupted" in cli.bench.gate().state("first").why()
+    assert (
+        "with --queries 3 --mood 'good day', interrupted" in cli.bench.gate().state("first").why()
+    )
     cli.bench.first.behaviour = None
     assert cli("first", "--queries", "3", "--mood", "good day")[0] == 0
     assert "--queries" not in cli("status")[1]
@@ -315,7 +364,11 @@ def test_json_of_an_error_is_one_document(cli):
 def test_run_resumes_and_summarises(cli):
     code, _, err = cli("run", "--until", "second")
     assert code == 0
-    assert [len(toy.contexts) for toy in (cli.bench.first, cli.bench.second, cli.bench.third)] == [1, 1, 0]
+    assert [len(toy.contexts) for toy in (cli.bench.first, cli.bench.second, cli.bench.third)] == [
+        1,
+        1,
+        0,
+    ]
     code, out, err = cli("run")
     assert code == 0
     assert "first: pass, fresh" in err
@@ -354,10 +407,21 @@ def test_explain_tells_checks_margins_reasons_and_requirements(cli):
     cli("first")
     code, out, _ = cli("explain", "first")
     assert code == 0
-    for words in ("first is fail", "toys must hold", "hold harder", "-0.5 (-50%)", "requires no other stage"):
+    for words in (
+        "first is fail",
+        "toys must hold",
+        "hold harder",
+        "-0.5 (-50%)",
+        "requires no other stage",
+    ):
         assert words in out
     _, out, _ = cli("explain", "second")
-    for words in ("second is blocked", "requires first: fail", "quality is 0.5 n, limit >= 1 n", "minidual first"):
+    for words in (
+        "second is blocked",
+        "requires first: fail",
+        "quality is 0.5 n, limit >= 1 n",
+        "minidual first",
+    ):
         assert words in out
     assert cli.json("explain", "second")[1]["requires"] == {"first": "fail"}
 
@@ -369,7 +433,9 @@ def test_options_of_a_stage_reach_it_and_are_written_down(cli):
     assert dict(context.options) == {"queries": 3}
     verdict = json.loads(cli.bench.store.verdict_path("first").read_text())
     assert verdict["overrides"] == ["--seed 9", "--workers 5", "--queries 3"]
-    assert cli("first", "--queries", "0")[2].startswith("minidual: --queries 0: plan.queries_n: must be greater")
+    assert cli("first", "--queries", "0")[2].startswith(
+        "minidual: --queries 0: plan.queries_n: must be greater",
+    )
 
 
 def test_smoke_is_labelled(cli):
@@ -383,7 +449,10 @@ def test_default_run_is_the_profile_under_the_runs_variable(tmp_path, capsys, mo
     bench = Bench(tmp_path)
     assert run_command_line(["first", "--profile", "smoke"], bench.table) == 0
     assert (tmp_path / "elsewhere" / "smoke" / "first" / "verdict.json").is_file()
-    assert run_command_line(["first", "--run", "mine", "--runs-dir", str(tmp_path / "x")], bench.table) == 0
+    assert (
+        run_command_line(["first", "--run", "mine", "--runs-dir", str(tmp_path / "x")], bench.table)
+        == 0
+    )
     assert (tmp_path / "x" / "mine" / "first" / "verdict.json").is_file()
     monkeypatch.delenv("MINIDUAL_RUNS")
     monkeypatch.chdir(tmp_path)
@@ -393,7 +462,9 @@ def test_default_run_is_the_profile_under_the_runs_variable(tmp_path, capsys, mo
 
 
 def test_config_show_prints_yaml_or_json(cli, capsys):
-    assert run_command_line(["config", "show", "--profile", "smoke", "--set", "seed=8"], STAGES) == 0
+    assert (
+        run_command_line(["config", "show", "--profile", "smoke", "--set", "seed=8"], STAGES) == 0
+    )
     text = capsys.readouterr().out
     assert "# profile: smoke" in text
     assert "seed: 8" in text
@@ -439,7 +510,10 @@ def test_help_of_a_command_shows_two_examples_that_can_be_typed(entry, capsys, m
     assert len(entry.examples) == 2
     assert run_command_line([entry.name, "--help"], STAGES, TOOLS) == 0
     words = " ".join(capsys.readouterr().out.split())
-    monkeypatch.setattr("minidual.cli.session.Session.end", lambda session, body: 0)  # parse, run nothing
+    monkeypatch.setattr(
+        "minidual.cli.session.Session.end",
+        lambda session, body: 0,
+    )  # parse, run nothing
     for example in entry.examples:
         assert f"minidual {example}" in words
         assert run_command_line(shlex.split(example), STAGES, TOOLS) == 0
@@ -451,7 +525,11 @@ def test_completion_can_be_installed():
     command = [sys.executable, "-m", "minidual.cli", "--show-completion", "bash"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert "_MINIDUAL_COMPLETE=complete_bash" in done.stdout, done.stderr
-    environment |= {"_MINIDUAL_COMPLETE": "complete_bash", "COMP_WORDS": "minidual te", "COMP_CWORD": "1"}
+    environment |= {
+        "_MINIDUAL_COMPLETE": "complete_bash",
+        "COMP_WORDS": "minidual te",
+        "COMP_CWORD": "1",
+    }
     done = subprocess.run(command[:3], env=environment, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["teleop-record"]
 
@@ -470,7 +548,17 @@ def test_completion_can_be_installed():
 def test_commands_have_their_options(capsys, command, option):
     assert run_command_line([command, "--help"], STAGES) == 0
     text = capsys.readouterr().out
-    for name in (option, "--profile", "--set", "--run", "--seed", "--workers", "--force", "--waive-gate", "--json"):
+    for name in (
+        option,
+        "--profile",
+        "--set",
+        "--run",
+        "--seed",
+        "--workers",
+        "--force",
+        "--waive-gate",
+        "--json",
+    ):
         assert name in text
 
 
@@ -490,7 +578,10 @@ HEAVY = (
 )
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["carry", "--help"], ["config", "show"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["--version"], ["carry", "--help"], ["config", "show"]],
+)
 def test_light_commands_import_nothing_heavy(arguments):
     script = (
         "import sys\n"
@@ -501,7 +592,12 @@ def test_light_commands_import_nothing_heavy(arguments):
         "print('HEAVY', heavy, 'click' in sys.modules, file=sys.stderr)\n"
         "sys.exit(code)\n"
     )
-    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "HEAVY [] False" in done.stderr
 
@@ -509,6 +605,12 @@ def test_light_commands_import_nothing_heavy(arguments):
 def test_closed_pipe_is_no_error(tmp_path):
     """`minidual config show | head -1` must not end in a traceback."""
     command = f"{sys.executable} -m minidual.cli config show | head -1"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = subprocess.run(
+        ["bash", "-c", command],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
     assert done.stdout.startswith("# profile: standard")
     assert done.stderr == ""

@@ -39,12 +39,16 @@ class Toys:
     """Three toys behind the real command line, all finished."""
 
     def __init__(self, root, capsys) -> None:
-        self.bench, self._capsys = Bench(root / "runs"), capsys
+        self.bench = Bench(root / "runs")
+        self._capsys = capsys
         self.before = self("run")[2] and contents(self.folder("toys"))
 
     def __call__(self, *words: str) -> tuple[int, str, str]:
         run = [] if "--run" in words else ["--run", "toys"]
-        code = run_command_line([*words, *run, "--runs-dir", str(self.bench.root)], self.bench.table)
+        code = run_command_line(
+            [*words, *run, "--runs-dir", str(self.bench.root)],
+            self.bench.table,
+        )
         return code, *self._capsys.readouterr()
 
     def folder(self, run: str) -> Path:
@@ -81,7 +85,8 @@ def test_a_misspelt_setting_begins_no_run(tmp_path, capsys):
     toys = Toys(tmp_path, capsys)
     first, *others = toys.bench.table.values()
     toys.bench.table = StageTable(
-        (dataclasses.replace(first, check=f"{__name__}:refuses"), *others), libraries=("numpy",)
+        (dataclasses.replace(first, check=f"{__name__}:refuses"), *others),
+        libraries=("numpy",),
     )
     code, _, err = toys("first", "--queries", "3")
     assert code == 2
@@ -129,7 +134,7 @@ def test_stages_that_still_match_come_along(toys):
             if entry.name == "second"
             else dataclasses.replace(entry, reads=())
             for entry in toys.bench.table.values()
-        ]
+        ],
     )
     toys("run", "--force")
     before = contents(toys.folder("toys"))
@@ -139,16 +144,25 @@ def test_stages_that_still_match_come_along(toys):
     assert toys.bench.second.contexts[-1].config.plan.queries_n == 3
     own = toys.folder("toys-queries-3")
     linked = own / "first" / "out" / "numbers.txt"
-    assert linked.stat().st_ino == (toys.folder("toys") / "first" / "out" / "numbers.txt").stat().st_ino
+    assert (
+        linked.stat().st_ino
+        == (toys.folder("toys") / "first" / "out" / "numbers.txt").stat().st_ino
+    )
     assert contents(toys.folder("toys")) == before
     # What the derived run replaces leaves the base's file alone.
     toys("first", "--run", own.name, "--force")
-    assert linked.stat().st_ino != (toys.folder("toys") / "first" / "out" / "numbers.txt").stat().st_ino
+    assert (
+        linked.stat().st_ino
+        != (toys.folder("toys") / "first" / "out" / "numbers.txt").stat().st_ino
+    )
     assert contents(toys.folder("toys")) == before
 
 
 def test_a_variant_of_a_waived_stage_finds_the_failed_one_that_it_works_on(toys):
-    entry = dataclasses.replace(toys.bench.table["second"], options=toys.bench.table["first"].options)
+    entry = dataclasses.replace(
+        toys.bench.table["second"],
+        options=toys.bench.table["first"].options,
+    )
     toys.bench.table = StageTable([toys.bench.table["first"], entry, toys.bench.table["third"]])
     toys.bench.first.observed = 0.0
     toys("first", "--force")
@@ -172,7 +186,10 @@ def test_plain_words_do_not_replace_what_was_made_with_options(toys):
 def test_run_does_not_replace_a_stale_stage_that_was_made_with_options(toys):
     toys("third", "--waive-gate", "x")
     toys.bench.table = StageTable(
-        [dataclasses.replace(e, options=toys.bench.table["first"].options) for e in toys.bench.table.values()]
+        [
+            dataclasses.replace(e, options=toys.bench.table["first"].options)
+            for e in toys.bench.table.values()
+        ],
     )
     toys("second", "--mood", "good", "--yes")
     toys("first", "--force")
@@ -246,7 +263,9 @@ def test_a_replacement_cut_short_keeps_both_results(toys):
     folder = toys.folder("toys")
     (folder / "first").rename(folder / ".first.old")
     (folder / "first").mkdir()
-    (folder / "first" / "verdict.json").write_bytes((folder / ".first.old" / "verdict.json").read_bytes())
+    (folder / "first" / "verdict.json").write_bytes(
+        (folder / ".first.old" / "verdict.json").read_bytes(),
+    )
     toys("first")
     (kept,) = (folder / "set-aside").iterdir()
     assert (kept / "out" / "numbers.txt").is_file()
@@ -272,7 +291,10 @@ def finished(tmp_path_factory):
     """A fabricated finished run of the standard profile: toys under the real names, options and parameters."""
     root = tmp_path_factory.mktemp("finished")
     table = StageTable(
-        [dataclasses.replace(e, target=Toy(e.name), resolve=None, check=None, closing=False) for e in STAGES.values()]
+        [
+            dataclasses.replace(e, target=Toy(e.name), resolve=None, check=None, closing=False)
+            for e in STAGES.values()
+        ],
     )
     for _ in Runner(table, RunStore(root, "standard"), load_config("standard")).run_until():
         pass
@@ -293,7 +315,10 @@ COMMANDS = [
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_documented_command_replaces_finished_work(finished, command, capsys, monkeypatch):
     root, table = finished
-    monkeypatch.setattr("minidual.cli.commands.run_tool", lambda *_: 0)  # an aside: it has no verdict to replace
+    monkeypatch.setattr(
+        "minidual.cli.commands.run_tool",
+        lambda *_: 0,
+    )  # an aside: it has no verdict to replace
     before = contents(root / "standard")
     words = [word for word in shlex.split(command) if word not in ("--view", "web")]
     if "--view-port" in words:
@@ -310,9 +335,19 @@ def test_there_are_documented_commands():
 
 def test_glass_has_its_own_run_with_what_stands_before_it(finished, capsys):
     root, table = finished
-    assert run_command_line([*shlex.split("carry --object glass --motion over --runs-dir"), str(root)], table) == 0
+    assert (
+        run_command_line(
+            [*shlex.split("carry --object glass --motion over --runs-dir"), str(root)],
+            table,
+        )
+        == 0
+    )
     own = RunStore(root, "standard-glass-over")
-    assert {path.name for path in own.folder.iterdir() if path.is_dir()} == {"env-check", "plan", "carry"}
+    assert {path.name for path in own.folder.iterdir() if path.is_dir()} == {
+        "env-check",
+        "plan",
+        "carry",
+    }
     verdict, _ = own.verdict("carry") or pytest.fail("no verdict")
     assert verdict.options == {"object": "glass", "motion": "over"}
     assert "next: minidual teleop-record --run standard-glass-over" in capsys.readouterr().err

@@ -36,15 +36,26 @@ class Pipeline:
     """Toys under the names of the real stages, on the real graph, behind the real command line."""
 
     def __init__(self, root, capsys) -> None:
-        self.root, self._capsys = root, capsys
+        self.root = root
+        self._capsys = capsys
         self.observed = {(stage, check): 1.0 for stage, names in CHECKS.items() for check in names}
         self.toys = {name: self._toy(name) for name in CHECKS}
-        self.table = StageTable([StageEntry(t.name, t, t.requires, f"Toy {t.name}") for t in self.toys.values()])
+        self.table = StageTable(
+            [StageEntry(t.name, t, t.requires, f"Toy {t.name}") for t in self.toys.values()],
+        )
 
     def _toy(self, name):
         toy = Toy(name, STAGES[name].requires)
         toy.behaviour = lambda _context: [
-            Check(check, self.observed[name, check], ">=", 1.0, "", f"{check} protects us", f"mend {check}")
+            Check(
+                check,
+                self.observed[name, check],
+                ">=",
+                1.0,
+                "",
+                f"{check} protects us",
+                f"mend {check}",
+            )
             for check in CHECKS[name]
         ]
         return toy
@@ -55,7 +66,10 @@ class Pipeline:
             pass
 
     def explain(self, *words):
-        code = run_command_line(["explain", *words, "--run", "r", "--runs-dir", str(self.root)], self.table)
+        code = run_command_line(
+            ["explain", *words, "--run", "r", "--runs-dir", str(self.root)],
+            self.table,
+        )
         out = self._capsys.readouterr().out
         assert code == 0
         return out

@@ -34,18 +34,31 @@ def heed_signals() -> None:
 
 def start(body: str, *words: str, **options: object) -> subprocess.Popen[str]:
     """Start `main` on `body` in place of the command line; return once signals are handled."""
-    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    pipes = {
+        "stdin": subprocess.DEVNULL,
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        **options,
+    }
     process: subprocess.Popen[str] = subprocess.Popen(  # type: ignore[call-overload]
-        [sys.executable, "-c", MAIN.format(body=body), *words], text=True, preexec_fn=heed_signals, **pipes
+        [sys.executable, "-c", MAIN.format(body=body), *words],
+        text=True,
+        preexec_fn=heed_signals,
+        **pipes,
     )
     if process.stderr is not None:
         assert process.stderr.readline() == "begun\n"
     return process
 
 
-@pytest.mark.parametrize(("handler", "code"), [(signal.SIG_DFL, -signal.SIGINT), (signal.SIG_IGN, 0)])
+@pytest.mark.parametrize(
+    ("handler", "code"),
+    [(signal.SIG_DFL, -signal.SIGINT), (signal.SIG_IGN, 0)],
+)
 def test_an_interrupt_before_the_handlers_stand_ends_the_process_without_a_traceback(
-    handler: signal.Handlers, code: int, tmp_path: Path
+    handler: signal.Handlers,
+    code: int,
+    tmp_path: Path,
 ) -> None:
     """Before, Python's own handler raised in the middle of the first imports; a background job goes on."""
     (tmp_path / "sitecustomize.py").write_text(
@@ -54,7 +67,7 @@ def test_an_interrupt_before_the_handlers_stand_ends_the_process_without_a_trace
         "    def find_spec(self, name, *_):\n"
         "        if name == 'minidual.cli.process':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Finder())\n"
+        "sys.meta_path.insert(0, Finder())\n",
     )
     ran = subprocess.run(
         [sys.executable, "-m", "minidual.cli", "--version"],
@@ -68,14 +81,18 @@ def test_an_interrupt_before_the_handlers_stand_ends_the_process_without_a_trace
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_an_import_that_swallows_errors_does_not_swallow_a_signal(number: int, tmp_path: Path) -> None:
+def test_an_import_that_swallows_errors_does_not_swallow_a_signal(
+    number: int,
+    tmp_path: Path,
+) -> None:
     (tmp_path / "greedy.py").write_text(
         f"import os, time\ntry:\n    os.kill(os.getpid(), {int(number)})\n    time.sleep(0.05)\n"
         "except BaseException as error:\n    raise ImportError('multiarray failed to import') from error\n"
-        "print('imported whole', flush=True)\n"
+        "print('imported whole', flush=True)\n",
     )
     process = start(
-        "__import__('greedy') and __import__('time').sleep(60)", env={**os.environ, "PYTHONPATH": path(tmp_path)}
+        "__import__('greedy') and __import__('time').sleep(60)",
+        env={**os.environ, "PYTHONPATH": path(tmp_path)},
     )
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err) == (130, "imported whole\n", "minidual: interrupted\n")
@@ -103,7 +120,9 @@ def test_an_interrupt_that_a_library_turns_into_its_own_error_is_an_interrupt() 
         "        raise ValueError('Error building a serializer') from error\n"
         "run = lambda: Session(types.SimpleNamespace(json=False, debug=False), None).end(greedy)\n"
     )
-    made = f"exec({turning!r}, (m := __import__('types').ModuleType('turning')).__dict__) or m.run()"
+    made = (
+        f"exec({turning!r}, (m := __import__('types').ModuleType('turning')).__dict__) or m.run()"
+    )
     process = start(made)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130, err
@@ -111,7 +130,9 @@ def test_an_interrupt_that_a_library_turns_into_its_own_error_is_an_interrupt() 
 
 
 def test_an_import_without_end_is_interrupted(tmp_path: Path) -> None:
-    (tmp_path / "endless.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)\n")
+    (tmp_path / "endless.py").write_text(
+        "import time\nprint('importing', flush=True)\ntime.sleep(60)\n",
+    )
     process = start("__import__('endless')", env={**os.environ, "PYTHONPATH": path(tmp_path)})
     assert process.stdout is not None
     assert process.stdout.readline() == "importing\n"
@@ -124,8 +145,14 @@ def test_an_import_without_end_is_interrupted(tmp_path: Path) -> None:
 
 def test_an_interrupted_import_is_a_document_too(tmp_path: Path) -> None:
     """Before, nothing was printed."""
-    (tmp_path / "endless.py").write_text("import sys, time\nprint('importing', file=sys.stderr)\ntime.sleep(60)\n")
-    process = start("__import__('endless')", "--json", env={**os.environ, "PYTHONPATH": path(tmp_path)})
+    (tmp_path / "endless.py").write_text(
+        "import sys, time\nprint('importing', file=sys.stderr)\ntime.sleep(60)\n",
+    )
+    process = start(
+        "__import__('endless')",
+        "--json",
+        env={**os.environ, "PYTHONPATH": path(tmp_path)},
+    )
     assert process.stderr is not None
     assert process.stderr.readline() == "importing\n"
     process.send_signal(signal.SIGINT)
@@ -139,8 +166,15 @@ def path(folder: Path) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("words", [("--help",), ("status",), ("config", "show"), ("plan", "--to", "ready")])
-def test_commands_are_interrupted_at_any_time(words: tuple[str, ...], number: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [("--help",), ("status",), ("config", "show"), ("plan", "--to", "ready")],
+)
+def test_commands_are_interrupted_at_any_time(
+    words: tuple[str, ...],
+    number: int,
+    tmp_path: Path,
+) -> None:
     for delay_s in (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5):
         process = start("run()", *words, cwd=tmp_path)
         time.sleep(delay_s)
@@ -180,8 +214,18 @@ PRINTS = "print('x' * 100_000) or print('more', file=sys.stderr) or {code}"
 @pytest.mark.parametrize(
     ("redirection", "code", "ends", "says"),
     [
-        (">/dev/full", 0, 4, "begun\nmore\nminidual: cannot write the output: No space left on device\n"),
-        (">/dev/full", 1, 1, "begun\nmore\nminidual: cannot write the output: No space left on device\n"),
+        (
+            ">/dev/full",
+            0,
+            4,
+            "begun\nmore\nminidual: cannot write the output: No space left on device\n",
+        ),
+        (
+            ">/dev/full",
+            1,
+            1,
+            "begun\nmore\nminidual: cannot write the output: No space left on device\n",
+        ),
         (">&-", 0, 0, "begun\nmore\n"),
         ("| true", 1, 1, "begun\nmore\n"),
         (">/dev/null 2>/dev/full", 0, 0, ""),
@@ -189,14 +233,22 @@ PRINTS = "print('x' * 100_000) or print('more', file=sys.stderr) or {code}"
     ],
 )
 def test_output_that_cannot_be_written_is_quiet_and_keeps_the_exit_code(
-    redirection: str, code: int, ends: int, says: str
+    redirection: str,
+    code: int,
+    ends: int,
+    says: str,
 ) -> None:
     command = f'"$0" -c "$1" {redirection}; exit ${{PIPESTATUS[0]}}'
     program = MAIN.format(body=PRINTS.format(code=code)).replace(
-        'os.write(2, b"begun\\n")', 'print("begun", file=sys.stderr)'
+        'os.write(2, b"begun\\n")',
+        'print("begun", file=sys.stderr)',
     )
     done = subprocess.run(
-        ["bash", "-c", command, sys.executable, program], capture_output=True, text=True, check=False, timeout=60
+        ["bash", "-c", command, sys.executable, program],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     assert (done.returncode, done.stdout, done.stderr) == (ends, "", says)
 
@@ -207,7 +259,12 @@ def test_help_without_disk_and_a_deleted_folder_are_named(tmp_path: Path) -> Non
         f'mkdir {gone}; cd {gone}; rmdir {gone}; "$0" -m minidual.cli --help >/dev/full; echo $?;'
         'env -u HOME -u TERM LC_ALL=C "$0" -m minidual.cli config show; echo $?'
     )
-    done = subprocess.run(["bash", "-c", command, sys.executable], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["bash", "-c", command, sys.executable],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stdout == "4\n4\n"
     assert done.stderr == (
         "minidual: cannot write the output: No space left on device\n"

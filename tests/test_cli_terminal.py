@@ -19,12 +19,16 @@ from minidual.gate.stage import StageResult
 from minidual.gate.table import StageEntry, StageTable
 
 HOSTILE = "a\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\r\u202egnp.exe\u2066\u200bz"
-UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
+UNSEEN = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]",
+)
 
 
 def test_the_text_keeps_what_people_read_and_shows_the_rest() -> None:
     assert UNSEEN.search(HOSTILE)
-    assert printable(HOSTILE).startswith("a\\u001b[2J\\u001b]0;owned\\u0007\\u009b31m\\u007f\\u000d\\u202egnp")
+    assert printable(HOSTILE).startswith(
+        "a\\u001b[2J\\u001b]0;owned\\u0007\\u009b31m\\u007f\\u000d\\u202egnp",
+    )
     assert not UNSEEN.search(printable(HOSTILE))
     assert printable("caf\udce9") == "caf\\udce9"  # a file name that is no UTF-8
     plain = "über 5 °C → ±0.1 m\n\tzwei \N{GRINNING FACE} 日本"
@@ -35,7 +39,9 @@ def test_the_text_keeps_what_people_read_and_shows_the_rest() -> None:
 
 @pytest.mark.parametrize(("columns", "width"), [(None, 160), ("60", 60)])
 def test_tables_off_a_terminal_are_as_wide_as_it_is_said(
-    monkeypatch: pytest.MonkeyPatch, columns: str | None, width: int
+    monkeypatch: pytest.MonkeyPatch,
+    columns: str | None,
+    width: int,
 ) -> None:
     """Before, COLUMNS was ignored: `status | less` was unreadable in a window of 80 columns."""
     if columns is not None:
@@ -59,8 +65,15 @@ def test_a_console_shows_its_own_colours_and_bars_and_no_others() -> None:
     assert "\x1b[?25l" in out.getvalue()  # it hides the cursor as before
 
 
-@pytest.mark.parametrize("words", [["alpha"], ["status"], ["explain", "alpha"], ["status", "--json"]])
-def test_no_verdict_steers_the_terminal(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [["alpha"], ["status"], ["explain", "alpha"], ["status", "--json"]],
+)
+def test_no_verdict_steers_the_terminal(
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     class Loud(Toy):
         def run(self, context: Any) -> StageResult:
             context.progress.note(HOSTILE)

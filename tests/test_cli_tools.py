@@ -45,14 +45,26 @@ OTHER = ToolEntry("number-other", f"{__name__}:measure", options=(Option("other"
 def run(tmp_path, capsys):
     stage = Toy("first")
     options = (QUERIES, Option("mood", "No configuration."))
-    table = StageTable([StageEntry(stage.name, stage, stage.requires, "Toy", options=options, asides=(ASIDE, OTHER))])
+    table = StageTable(
+        [
+            StageEntry(
+                stage.name,
+                stage,
+                stage.requires,
+                "Toy",
+                options=options,
+                asides=(ASIDE, OTHER),
+            ),
+        ],
+    )
 
     def call(*words):
         code = run_command_line([*words, "--runs-dir", str(tmp_path), "--run", "r"], table, TOOLS)
         out = capsys.readouterr()
         return code, out.out, out.err
 
-    call.folder, call.table = tmp_path / "r", table
+    call.folder = tmp_path / "r"
+    call.table = table
     call.stage = stage.name
     return call
 

@@ -10,7 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from minidual.config.document import parse_document, parse_value
-from minidual.config.loader import SHIPPED_FOLDER, Override, load_config, parse_override, shipped_profiles
+from minidual.config.loader import (
+    SHIPPED_FOLDER,
+    Override,
+    load_config,
+    parse_override,
+    shipped_profiles,
+)
 from minidual.config.root import Config
 from minidual.errors import ConfigError, UsageError
 from minidual.stages.registry import STAGES
@@ -44,19 +50,30 @@ def test_there_are_three_profiles_inside_the_package():
 
 
 def test_unknown_profile_names_those_there_are():
-    with pytest.raises(UsageError, match="no profile 'smok'; there are gpu, smoke, standard") as caught:
+    with pytest.raises(
+        UsageError,
+        match="no profile 'smok'; there are gpu, smoke, standard",
+    ) as caught:
         load_config("smok")
     assert caught.value.remedy == "did you mean 'smoke'?"
 
 
 def test_extends_merges_deeply_and_keeps_the_rest(profile):
-    base = profile("extends: smoke\nscene:\n  object:\n    mass_kg: 0.3\n    friction: 0.6\n", "base.yaml")
+    base = profile(
+        "extends: smoke\nscene:\n  object:\n    mass_kg: 0.3\n    friction: 0.6\n",
+        "base.yaml",
+    )
     top = profile("extends: base.yaml\nscene:\n  object:\n    friction: 0.7\n", "top.yaml")
     loaded = load_config(top)
     assert loaded.config.scene.object.mass_kg == 0.3
     assert loaded.config.scene.object.friction == 0.7
     assert loaded.config.plan == load_config("smoke").config.plan
-    assert [path.name for path in loaded.sources] == ["standard.yaml", "smoke.yaml", "base.yaml", "top.yaml"]
+    assert [path.name for path in loaded.sources] == [
+        "standard.yaml",
+        "smoke.yaml",
+        "base.yaml",
+        "top.yaml",
+    ]
     assert loaded.profile == "top"
     assert base
 
@@ -66,19 +83,28 @@ def test_mapping_that_is_one_value_is_replaced_by_a_profile_and_edited_by_set(pr
     assert len(default) > 1
     over = load_config(profile("benchmark:\n  success_rate_min: {act: 0.4}\n"))
     assert over.config.benchmark.success_rate_min == {"act": 0.4}
-    top = load_config(profile("extends: mine.yaml\nbenchmark:\n  success_rate_min: {moveit: 0.3}\n", "top.yaml"))
+    top = load_config(
+        profile("extends: mine.yaml\nbenchmark:\n  success_rate_min: {moveit: 0.3}\n", "top.yaml"),
+    )
     assert top.config.benchmark.success_rate_min == {"moveit": 0.3}
     edited = load_config("standard", ["benchmark.success_rate_min.act=0.25"])
     assert edited.config.benchmark.success_rate_min == {**default, "act": 0.25}
 
 
 def test_a_power_of_ten_is_a_number_as_in_yaml_1_2(profile):
-    assert load_config(profile("scene:\n  physics:\n    timestep_s: 1e-3\n")).config.scene.physics.timestep_s == 1e-3
+    assert (
+        load_config(
+            profile("scene:\n  physics:\n    timestep_s: 1e-3\n"),
+        ).config.scene.physics.timestep_s
+        == 1e-3
+    )
 
 
 def test_circle_of_profiles_is_refused(profile):
     profile("extends: b.yaml\n", "a.yaml")
-    assert "circle: a.yaml -> b.yaml -> a.yaml" in refusal(profile("extends: a.yaml\n", "b.yaml").replace("b.y", "a.y"))
+    assert "circle: a.yaml -> b.yaml -> a.yaml" in refusal(
+        profile("extends: a.yaml\n", "b.yaml").replace("b.y", "a.y"),
+    )
 
 
 @pytest.mark.parametrize(
@@ -86,11 +112,20 @@ def test_circle_of_profiles_is_refused(profile):
     [
         ("seed: 1\nplan:\n  querys_n: 3\n", "mine.yaml:3: plan.querys_n: no such key; plan has"),
         ("seed: 1\nplaning: {}\n", "mine.yaml:2: planing: no such key; the root has acceptance"),
-        ("plan:\n  queries_n: 3\n  queries_n: 4\n", "mine.yaml:3: plan.queries_n: stands twice (first at mine.yaml:2)"),
-        ("plan:\n  queries_n: 0\n", "mine.yaml:2: plan.queries_n: must be greater than or equal to 1, is 0"),
+        (
+            "plan:\n  queries_n: 3\n  queries_n: 4\n",
+            "mine.yaml:3: plan.queries_n: stands twice (first at mine.yaml:2)",
+        ),
+        (
+            "plan:\n  queries_n: 0\n",
+            "mine.yaml:2: plan.queries_n: must be greater than or equal to 1, is 0",
+        ),
         ("plan:\n  queries_n: .nan\n", "mine.yaml:2: plan.queries_n: .nan is not a finite number"),
         ("plan:\n  queries_n: nan\n", "mine.yaml:2: plan.queries_n: nan is not a finite number"),
-        ("scene:\n  object:\n    mass_kg: .inf\n", "mine.yaml:3: scene.object.mass_kg: .inf is not a finite number"),
+        (
+            "scene:\n  object:\n    mass_kg: .inf\n",
+            "mine.yaml:3: scene.object.mass_kg: .inf is not a finite number",
+        ),
         (
             "scene:\n  object:\n    mass_kg: 1.0e+999\n",
             "mine.yaml:3: scene.object.mass_kg: 1.0e+999 is not a finite number",
@@ -110,7 +145,10 @@ def test_circle_of_profiles_is_refused(profile):
         ("seed: !!python/name:os.system x\n", "mine.yaml:1: seed: tags such as"),
         ("? [a]\n: 1\n", "mine.yaml:1: the file: a key must be a word"),
         ("plan: &a\n  b: *a\n", "mine.yaml:2: aliases are not read here"),
-        ("seed: 1\nplan: " + "[" * 2000 + "]" * 2000, "mine.yaml:2: nested more than 32 levels deep"),
+        (
+            "seed: 1\nplan: " + "[" * 2000 + "]" * 2000,
+            "mine.yaml:2: nested more than 32 levels deep",
+        ),
         ("seed: 1\nplan: [" + "1," * 21_000 + "]", "mine.yaml:2: more than 20000 values"),
         ("report:\n  title: " + "x" * 300_000, "holds 300,017 bytes; at most 262,144 are read"),
         ('report:\n  title: "\\ud800"', "mine.yaml:2: half of a surrogate pair is no character"),
@@ -118,9 +156,18 @@ def test_circle_of_profiles_is_refused(profile):
         ("seed: 1__0\n", "mine.yaml:1: seed: must be a valid integer, is the text '1__0'"),
         ("seed: 1_\n", "mine.yaml:1: seed: must be a valid integer, is the text '1_'"),
         ("seed: 1" + "0" * 5000, "mine.yaml:1: seed: 1000"),
-        ("train:\n  steps: 1" + "0" * 300, "is out of range; a number is 0, or from 1e-15 to 9.22e+18"),
-        ("scene:\n  physics:\n    timestep_s: 1e-300\n", "mine.yaml:3: scene.physics.timestep_s: 1e-300 is out of"),
-        ("scene:\n  physics:\n    timestep_s: 1e-9\n", "must be greater than or equal to 0.00001, is 1e-09"),
+        (
+            "train:\n  steps: 1" + "0" * 300,
+            "is out of range; a number is 0, or from 1e-15 to 9.22e+18",
+        ),
+        (
+            "scene:\n  physics:\n    timestep_s: 1e-300\n",
+            "mine.yaml:3: scene.physics.timestep_s: 1e-300 is out of",
+        ),
+        (
+            "scene:\n  physics:\n    timestep_s: 1e-9\n",
+            "must be greater than or equal to 0.00001, is 1e-09",
+        ),
         (
             "carry:\n  sensing: {pose_rate_hz: 1e-6}\n",
             "mine.yaml:2: carry.sensing.pose_rate_hz: must be greater than or equal to 1",
@@ -132,7 +179,10 @@ def test_circle_of_profiles_is_refused(profile):
         ("extends: nope\n", "mine.yaml:1: extends: no profile 'nope'"),
         ("extends: nope.yaml\n", "mine.yaml:1: extends: no profile file"),
         ("extends: [smoke, gpu]\n", "mine.yaml:1: extends: must be one profile's name or file"),
-        ("scene:\n  object:\n    grasp_offset_m: 0.24\n", "mine.yaml:2: scene.object: grasp_offset_m 0.24 lies beyond"),
+        (
+            "scene:\n  object:\n    grasp_offset_m: 0.24\n",
+            "mine.yaml:2: scene.object: grasp_offset_m 0.24 lies beyond",
+        ),
     ],
 )
 def test_refusals_name_file_line_and_path(profile, text, message):
@@ -147,7 +197,9 @@ def test_all_problems_come_in_one_message(profile):
 
 def test_remedies_say_what_to_write(profile):
     assert "did you mean 'queries_n'?" in refusal(profile("plan:\n  querys_n: 3\n"))
-    assert "write a number without quotes" in refusal(profile("scene:\n  physics:\n    timestep_s: '0.001'\n"))
+    assert "write a number without quotes" in refusal(
+        profile("scene:\n  physics:\n    timestep_s: '0.001'\n"),
+    )
     assert "write true or false" in refusal(profile("acceptance: yes\n"))
 
 
@@ -163,7 +215,9 @@ def test_smoke_cannot_be_made_acceptance(profile):
 
 
 def test_a_file_may_not_take_a_shipped_name(profile):
-    assert "bears the name of the shipped profile 'standard'" in refusal(profile("seed: 1\n", "standard.yaml"))
+    assert "bears the name of the shipped profile 'standard'" in refusal(
+        profile("seed: 1\n", "standard.yaml"),
+    )
 
 
 def test_missing_and_unreadable_files(tmp_path, profile):
@@ -176,11 +230,16 @@ def test_missing_and_unreadable_files(tmp_path, profile):
     assert "no profile file" in refusal(str(tmp_path / "zero.yaml"))
     with (tmp_path / "large.yaml").open("wb") as file:
         file.truncate(3 * 1024**3)
-    assert "large.yaml holds 3,221,225,472 bytes; at most 262,144 are read" in refusal(str(tmp_path / "large.yaml"))
+    assert "large.yaml holds 3,221,225,472 bytes; at most 262,144 are read" in refusal(
+        str(tmp_path / "large.yaml"),
+    )
 
 
 def test_overrides_apply_in_order_and_are_remembered():
-    loaded = load_config("standard", ["plan.queries_n=3", "plan.queries_n=4", "scene.physics.timestep_s=1e-3"])
+    loaded = load_config(
+        "standard",
+        ["plan.queries_n=3", "plan.queries_n=4", "scene.physics.timestep_s=1e-3"],
+    )
     assert loaded.config.plan.queries_n == 4
     assert loaded.config.scene.physics.timestep_s == 1e-3
     assert [item.text for item in loaded.overrides][1] == "--set plan.queries_n=4"
@@ -193,7 +252,10 @@ def test_overrides_apply_in_order_and_are_remembered():
         ("plan..x=1", "not of the form"),
         ("=1", "not of the form"),
         ("report.titl\udcff=1", "not of the form"),
-        ("plan.queries_n=0", "--set plan.queries_n=0: plan.queries_n: must be greater than or equal to 1, is 0"),
+        (
+            "plan.queries_n=0",
+            "--set plan.queries_n=0: plan.queries_n: must be greater than or equal to 1, is 0",
+        ),
         ("plan.queries_n=many", "must be a valid integer, is the text 'many'"),
         ("plan.querys_n=3", "--set plan.querys_n=3: plan.querys_n: no such key"),
         ("scene.object.mass_kg=nan", "nan is not a finite number"),
@@ -240,7 +302,9 @@ def test_numbers_survive_the_command_line(value):
 
 
 scalars = st.none() | st.booleans() | st.integers(-(2**63), 2**63) | quantities
-words = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True).filter(lambda w: w not in ("true", "false", "null", "nan"))
+words = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True).filter(
+    lambda w: w not in ("true", "false", "null", "nan"),
+)
 
 
 @settings(deadline=None, max_examples=60)
@@ -279,5 +343,10 @@ def test_every_option_of_every_stage_overrides_a_value_that_exists():
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_an_option_that_is_no_finite_number_is_refused_by_name(value):
     """Before, `--speed nan` was an internal error."""
-    with pytest.raises(ConfigError, match=f"--speed {value}: arbiter.speed_override: must be a finite number"):
-        load_config().with_overrides([Override("arbiter.speed_override", value, f"--speed {value}")])
+    with pytest.raises(
+        ConfigError,
+        match=f"--speed {value}: arbiter.speed_override: must be a finite number",
+    ):
+        load_config().with_overrides(
+            [Override("arbiter.speed_override", value, f"--speed {value}")],
+        )

@@ -18,13 +18,63 @@ from minidual.config.root import Config
 from minidual.errors import MinidualError
 from minidual.stages.registry import STAGES, TOOLS
 
-SEED, CASES_N, COMMANDS_N = 20261122, 2000, 60
+SEED = 20261122
+CASES_N = 2000
+COMMANDS_N = 60
 LIMIT_S = 1.0  # of CPU time: the machine may be busy
 HOSTILE = [
-    *("-1", "0", "-0.0", "1e-300", "1e-9", "1e300", "1" + "0" * 400, "1" + "0" * 5000, "9223372036854775808", "0.5"),
-    *(".nan", "nan", "inf", "-.inf", "1__0", "1_", "1e", "0x10", "1:30", "true", "null", "''", "' '", "text"),
-    *("[]", "{}", "[1, 2, 3]", "[[[]]]", "{a: {b: 1}}", "*a", "&a 1", "!!python/name:os.system x", "\x00"),
-    *("ü→𝔘", "../../etc/passwd", "a" * 10_000, "[" * 500, "[" * 40 + "]" * 40, "%", "@", "`", "? x", "- - -", "\t"),
+    *(
+        "-1",
+        "0",
+        "-0.0",
+        "1e-300",
+        "1e-9",
+        "1e300",
+        "1" + "0" * 400,
+        "1" + "0" * 5000,
+        "9223372036854775808",
+        "0.5",
+    ),
+    *(
+        ".nan",
+        "nan",
+        "inf",
+        "-.inf",
+        "1__0",
+        "1_",
+        "1e",
+        "0x10",
+        "1:30",
+        "true",
+        "null",
+        "''",
+        "' '",
+        "text",
+    ),
+    *(
+        "[]",
+        "{}",
+        "[1, 2, 3]",
+        "[[[]]]",
+        "{a: {b: 1}}",
+        "*a",
+        "&a 1",
+        "!!python/name:os.system x",
+        "\x00",
+    ),
+    *(
+        "ü→𝔘",
+        "../../etc/passwd",
+        "a" * 10_000,
+        "[" * 500,
+        "[" * 40 + "]" * 40,
+        "%",
+        "@",
+        "`",
+        "? x",
+        "- - -",
+        "\t",
+    ),
 ]
 
 
@@ -68,24 +118,32 @@ def test_mutated_configurations_are_read_or_refused_by_name_in_time() -> None:
 
 @pytest.mark.parametrize("command", [("config", "show"), ("status",), ("status", "--json")])
 def test_commands_survive_mutated_configurations(command: tuple[str, ...], tmp_path: Path) -> None:
-    app, runner = build_app(STAGES, TOOLS), CliRunner()
+    app = build_app(STAGES, TOOLS)
+    runner = CliRunner()
     for case in random.Random(SEED).sample(cases(), COMMANDS_N // 3):
         began = time.process_time()
-        result = runner.invoke(app, [*command, "--profile", "smoke", "--runs-dir", str(tmp_path), "--set", case])
+        result = runner.invoke(
+            app,
+            [*command, "--profile", "smoke", "--runs-dir", str(tmp_path), "--set", case],
+        )
         assert result.exit_code in (0, 2), (case[:80], result.output[-2000:])
         assert time.process_time() - began < LIMIT_S, case[:80]
 
 
 def test_every_number_has_two_bounds() -> None:
     """Only then does every loop, array and wait that a value drives end."""
-    numbers, open_ends = 0, list[str]()
+    numbers = 0
+    open_ends = list[str]()
 
     def look(node: Any, path: str) -> None:
         nonlocal numbers
         if isinstance(node, dict):
             if node.get("type") in ("number", "integer"):
                 numbers += 1
-                if not ({"minimum", "exclusiveMinimum"} & set(node) and {"maximum", "exclusiveMaximum"} & set(node)):
+                if not (
+                    {"minimum", "exclusiveMinimum"} & set(node)
+                    and {"maximum", "exclusiveMaximum"} & set(node)
+                ):
                     open_ends.append(path)
             for name, inner in node.items():
                 look(inner, f"{path}.{name}")

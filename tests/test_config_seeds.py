@@ -37,8 +37,15 @@ def bypasses(text: str) -> list[str]:
                 found.append(node)
         elif (
             _last(node) in MAKERS
-            or (isinstance(node, ast.Attribute) and _of_numpy(node.value) and node.attr != "Generator")
-            or (isinstance(node, ast.BinOp) and any(_last(n).endswith("seed") for n in (node.left, node.right)))
+            or (
+                isinstance(node, ast.Attribute)
+                and _of_numpy(node.value)
+                and node.attr != "Generator"
+            )
+            or (
+                isinstance(node, ast.BinOp)
+                and any(_last(n).endswith("seed") for n in (node.left, node.right))
+            )
         ):
             found.append(node)
     return [ast.unparse(node) for node in found]
@@ -49,15 +56,29 @@ def _of_numpy(node: ast.AST) -> bool:
 
 
 def _last(node: ast.AST) -> str:
-    return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+    return (
+        node.attr
+        if isinstance(node, ast.Attribute)
+        else node.id
+        if isinstance(node, ast.Name)
+        else ""
+    )
 
 
 @pytest.mark.parametrize("folder", ["src", "scripts"])
 def test_no_module_makes_a_generator_or_counts_with_seeds(folder: str) -> None:
-    found = {p.relative_to(ROOT): bypasses(p.read_text()) for p in (ROOT / folder).rglob("*.py") if p != SEEDS}
+    found = {
+        p.relative_to(ROOT): bypasses(p.read_text())
+        for p in (ROOT / folder).rglob("*.py")
+        if p != SEEDS
+    }
     assert {path: lines for path, lines in found.items() if lines} == {}
-    users = [p for p in (ROOT / folder).rglob("*.py") if p != SEEDS and "stored_stream" in p.read_text()]
-    assert users == ([QUERIES] if folder == "src" else []), "nameless keys are for the stored query sets alone"
+    users = [
+        p for p in (ROOT / folder).rglob("*.py") if p != SEEDS and "stored_stream" in p.read_text()
+    ]
+    assert users == ([QUERIES] if folder == "src" else []), (
+        "nameless keys are for the stored query sets alone"
+    )
     assert stored_stream(1, 2).random() != stored_stream(1, 3).random()
 
 
@@ -79,4 +100,9 @@ def test_the_search_finds_a_bypass(source: str, found: str) -> None:
 
 
 def test_the_search_lets_types_and_names_pass() -> None:
-    assert bypasses('def draw(rng: np.random.Generator, seed: int) -> str: return f"{seed}" + "--seed"') == []
+    assert (
+        bypasses(
+            'def draw(rng: np.random.Generator, seed: int) -> str: return f"{seed}" + "--seed"',
+        )
+        == []
+    )

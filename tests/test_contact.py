@@ -34,7 +34,8 @@ class FaultyWorld(World):
     """A world whose encoders, left hand and joints can fail."""
 
     def __init__(self, scene: SceneConfig, model: mujoco.MjModel) -> None:
-        self.bias, self.left_hand = np.zeros(DOF), "held"
+        self.bias = np.zeros(DOF)
+        self.left_hand = "held"
         super().__init__(scene, model=copy.copy(model))
 
     @property
@@ -53,8 +54,10 @@ def faulty(scene: SceneConfig, compiled_model: mujoco.MjModel) -> FaultyWorld:
 
 def _table_force_n(world: World) -> float:
     """Return the normal force between hands and table."""
-    table, rod = world.model.body("table").id, world.truth().body
-    force, total = np.zeros(6), 0.0
+    table = world.model.body("table").id
+    rod = world.truth().body
+    force = np.zeros(6)
+    total = 0.0
     for i, contact in enumerate(world.data.contact[: world.data.ncon]):
         bodies = set(world.model.geom_bodyid[contact.geom].tolist())
         if table in bodies and rod not in bodies:
@@ -68,7 +71,8 @@ def test_a_target_under_the_table_does_not_press_for_ever(world: World, supervis
     """5 mm under: 76 N for ever before; now the arm stops 3 ms after the touch and keeps off."""
     kinematics = Kinematics()
     left, right = kinematics.tcp_poses(HOME)
-    q, heights = HOME, []
+    q = HOME
+    heights = []
     left[:2, 3] += 0.1, 0.0
     for height in np.r_[np.linspace(left[2, 3], 0.02, 20), np.linspace(0.02, -0.005, 16)]:
         left[2, 3] = height
@@ -78,7 +82,9 @@ def test_a_target_under_the_table_does_not_press_for_ever(world: World, supervis
     supervisor = Supervisor(dt_s=world.dt) if supervised else None
     stack = ControlStack(world, kinematics, supervisor=supervisor)
     stack.request("teleop")
-    touched_s, error, forces = np.inf, None, []
+    touched_s = np.inf
+    error = None
+    forces = []
     for k in range(1200):
         target = heights[min(len(heights) - 1, 19 + max(0, k - 300) // 20)]
         if stack.tick_next and error is None:
@@ -153,25 +159,40 @@ def _left_hand(how: str) -> Change:
 
 
 FAULTS: dict[str, tuple[Change, tuple[str, ...], float]] = {
-    **{f"joint {j + 1} sticks": (_sticks(j), ("joint_stuck", "joint_contact"), 0.01) for j in (1, 3, 5, 8)},
-    **{f"pushed along {'xyz'[a]}": (_pushed(a), ("joint_contact", "cartesian_contact"), 0.02) for a in range(3)},
-    **{f"encoder {j + 1} jumps": (_jumps(j), ("implausible_measurement",), 0.001) for j in (0, 1, 3, 5)},
+    **{
+        f"joint {j + 1} sticks": (_sticks(j), ("joint_stuck", "joint_contact"), 0.01)
+        for j in (1, 3, 5, 8)
+    },
+    **{
+        f"pushed along {'xyz'[a]}": (_pushed(a), ("joint_contact", "cartesian_contact"), 0.02)
+        for a in range(3)
+    },
+    **{
+        f"encoder {j + 1} jumps": (_jumps(j), ("implausible_measurement",), 0.001)
+        for j in (0, 1, 3, 5)
+    },
     "a hand opens": (_left_hand("opens"), ("gripper_opened",), 0.01),
     "a hand dies": (_left_hand("dead"), ("gripper_opened",), 0.01),
 }
 
 
-def _carried(world: FaultyWorld, change: Change | None, after_s: float = 0.4) -> tuple[ImpedanceCarry, float]:
+def _carried(
+    world: FaultyWorld,
+    change: Change | None,
+    after_s: float = 0.4,
+) -> tuple[ImpedanceCarry, float]:
     trial = sample_trial(world.scene, 5, "arbiter", 0)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
-    began_s, onset_s = np.inf, np.inf
+    began_s = np.inf
+    onset_s = np.inf
     while not carry.done and world.time < 12.0:
         if carry.phase == "carry":
             began_s = min(began_s, world.time)
         if change is not None and world.time > began_s + after_s:
             change(world)
-            onset_s, change = world.time, None
+            onset_s = world.time
+            change = None
         carry.step()
     return carry, onset_s
 
@@ -192,7 +213,9 @@ def test_a_fault_in_a_carry_is_named_as_what_it_is(faulty: FaultyWorld, what: st
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "after_s"), [(1, 0.1), (3, 0.4), (3, 1.2), (8, 0.1)])
 def test_a_joint_that_sticks_at_01_to_03_rad_per_s_is_named_in_4_ms(
-    faulty: FaultyWorld, joint: int, after_s: float
+    faulty: FaultyWorld,
+    joint: int,
+    after_s: float,
 ) -> None:
     """Before: `slip` or `gripper_opened`, 16 to 32 ms after the arms had torn at the object."""
     carry, onset_s = _carried(faulty, _sticks(joint), after_s)
@@ -205,7 +228,9 @@ def test_a_joint_that_sticks_at_01_to_03_rad_per_s_is_named_in_4_ms(
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "after_s"), [(1, 0.8), (3, 0.1), (3, 0.8)])
 def test_a_joint_that_sticks_while_it_hardly_moves_stops_the_path(
-    faulty: FaultyWorld, joint: int, after_s: float
+    faulty: FaultyWorld,
+    joint: int,
+    after_s: float,
 ) -> None:
     """Below 0.08 rad/s its torque is what the law expects; before, nobody noticed until `far_start`, 72 mm away."""
     carry, _ = _carried(faulty, _sticks(joint), after_s)
@@ -223,7 +248,8 @@ def test_a_joint_that_stops_dead_is_named_before_the_observer_has_settled() -> N
     dry = DUAL_PANDA.arm.friction
 
     def stops(v_after: float) -> float:
-        sense, applied = ContactSense(kinematics, SupervisorConfig(), 1e-3), np.tile(bias, (64, 1))
+        sense = ContactSense(kinematics, SupervisorConfig(), 1e-3)
+        applied = np.tile(bias, (64, 1))
         sense.update(0.0, HOME, v, applied, 0, Expected())
         after = np.zeros(DOF)
         after[1] = v_after
@@ -268,7 +294,10 @@ def test_hands_that_open_may_press_until_they_are_open(world: World) -> None:
     stopped: ReflexError | None = None
     for k in range(1600):
         if stack.tick_next and stopped is None:
-            stack.propose("teleop", JointCommand(HOME, np.full(2, float(k >= 800)), world.time, k + 1))
+            stack.propose(
+                "teleop",
+                JointCommand(HOME, np.full(2, float(k >= 800)), world.time, k + 1),
+            )
         if k == 810:
             world.data.qfrc_applied[world.joints.qvel] = pushed
         try:

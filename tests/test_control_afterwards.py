@@ -55,7 +55,9 @@ def after_one_lie(plant: Arms, stack: ControlStack, **lies: Any) -> tuple[float,
 @pytest.mark.parametrize("dv", [0.5, 1.0, 2.0, 2.4])
 @pytest.mark.parametrize("dq", [0.05, 1.0])
 def test_a_velocity_that_is_wrong_by_little_with_its_position_moves_no_resting_arm(
-    scene: SceneConfig, dq: float, dv: float
+    scene: SceneConfig,
+    dq: float,
+    dv: float,
 ) -> None:
     """Before, the stop drove the joint by up to 0.37 rad at 1.6 rad/s: from 2.5 rad/s on it was not believed."""
     plant = Arms(scene)
@@ -67,7 +69,10 @@ def test_a_velocity_that_is_wrong_by_little_with_its_position_moves_no_resting_a
 
 
 @pytest.mark.parametrize("dv", [5.5, 8.0, 20.0])
-def test_a_velocity_that_was_wrong_in_the_last_packet_starts_no_stop_in_motion(scene: SceneConfig, dv: float) -> None:
+def test_a_velocity_that_was_wrong_in_the_last_packet_starts_no_stop_in_motion(
+    scene: SceneConfig,
+    dv: float,
+) -> None:
     """Before, 0.33 rad/s: it is named in the next packet, and the stop began with a part of it."""
     plant = Arms(scene)
     stack = supervised(plant)
@@ -85,10 +90,13 @@ def test_a_velocity_that_was_wrong_in_the_last_packet_starts_no_stop_in_motion(s
 
 
 @pytest.mark.parametrize(
-    ("kind", "dq"), [(At100Hz, 0.006), (At100Hz, 0.01), (At100Hz, 0.03), (At50Hz, 0.03), (At50Hz, 0.08)]
+    ("kind", "dq"),
+    [(At100Hz, 0.006), (At100Hz, 0.01), (At100Hz, 0.03), (At50Hz, 0.03), (At50Hz, 0.08)],
 )
 def test_a_position_that_is_wrong_by_little_moves_no_resting_arm_of_a_slow_plant(
-    scene: SceneConfig, kind: type[Arms], dq: float
+    scene: SceneConfig,
+    kind: type[Arms],
+    dq: float,
 ) -> None:
     """Before, its velocity was given up, and the stop began with the slope of the jump: 1.6 to 2.2 rad/s, 0.3 rad."""
     plant = kind(scene)
@@ -154,7 +162,8 @@ def test_a_source_that_does_not_drive_holds_nobody_up(scene: SceneConfig) -> Non
 
 
 def test_an_error_between_two_segments_is_a_reflex_in_the_same_tick(
-    scene: SceneConfig, monkeypatch: pytest.MonkeyPatch
+    scene: SceneConfig,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Before, `step` raised, and the tick had no torque."""
     plant = Arms(scene)
@@ -210,21 +219,31 @@ def test_hands_whose_grip_is_not_measured_begin_nothing(world: World) -> None:
 
 @pytest.mark.parametrize(
     ("config", "values"),
-    [(SupervisorConfig, {"stop_deceleration_scale": 0.1}), (ArbiterConfig, {"switch_step_max_rad": 0.5})],
+    [
+        (SupervisorConfig, {"stop_deceleration_scale": 0.1}),
+        (ArbiterConfig, {"switch_step_max_rad": 0.5}),
+    ],
 )
-def test_a_configuration_that_defeats_a_stop_is_refused(config: Any, values: dict[str, float]) -> None:
+def test_a_configuration_that_defeats_a_stop_is_refused(
+    config: Any,
+    values: dict[str, float],
+) -> None:
     """Before: an emergency stop went on by 1.03 rad; a start faded with 1.9 times the acceleration limit."""
     with pytest.raises(ValidationError, match=next(iter(values))):
         config(**values)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
-def test_a_start_beside_the_reference_fades_no_faster_than_the_override(scene: SceneConfig, share: float) -> None:
+def test_a_start_beside_the_reference_fades_no_faster_than_the_override(
+    scene: SceneConfig,
+    share: float,
+) -> None:
     """Before, 0.099 rad at a tenth of full speed moved joints at 0.37 rad/s."""
     plant = Arms(scene)
     stack = stack_on(plant, config=ArbiterConfig(speed_override=share))
     hand_over(stack, "moveit")
-    start, references = HOME + 0.099, [HOME.copy()]
+    start = HOME + 0.099
+    references = [HOME.copy()]
     assert stack.propose("moveit", trajectory(stack, move(start, start, 1.0))) is None
     while stack.executing:
         run(stack, 1)
@@ -234,19 +253,28 @@ def test_a_start_beside_the_reference_fades_no_faster_than_the_override(scene: S
     np.testing.assert_allclose(references[-1], start, atol=1e-6)
 
 
-def test_an_arm_that_nobody_drives_does_not_sink_where_the_others_source_falls_silent(scene: SceneConfig) -> None:
+def test_an_arm_that_nobody_drives_does_not_sink_where_the_others_source_falls_silent(
+    scene: SceneConfig,
+) -> None:
     """Before, by the sag of its load at each silence."""
     plant = Arms(scene)
     stack = supervised(plant)
     hand_over(stack, "teleop")
     plant.pushed[8] = 1.0
     run(stack, 300)
-    target, sequence = HOME[:7].copy(), 0
+    target = HOME[:7].copy()
+    sequence = 0
     for k in range(600):
         if stack.tick_next and k < 400:
             target[0] += 0.08
             sequence += 1
-            assert stack.propose("teleop", JointCommand(target, OPEN, plant.time, sequence, "left_arm")) is None
+            assert (
+                stack.propose(
+                    "teleop",
+                    JointCommand(target, OPEN, plant.time, sequence, "left_arm"),
+                )
+                is None
+            )
         run(stack, 1)
     assert stack.state is not ArbiterState.ACTIVE
     np.testing.assert_allclose(stack.output.q_target[7:], HOME[7:], atol=1e-12)
@@ -254,7 +282,10 @@ def test_an_arm_that_nobody_drives_does_not_sink_where_the_others_source_falls_s
 
 
 @pytest.mark.parametrize("dv", [6.0, 8.0, 9.5])
-def test_a_joint_that_comes_back_starts_no_stop_of_the_others_anew(scene: SceneConfig, dv: float) -> None:
+def test_a_joint_that_comes_back_starts_no_stop_of_the_others_anew(
+    scene: SceneConfig,
+    dv: float,
+) -> None:
     """Before, 1.6 rad/s and 0.36 rad: one packet lied of a joint's both values, and of another one's velocity."""
     plant = Arms(scene)
     stack = supervised(plant)
@@ -270,7 +301,11 @@ def test_a_joint_that_comes_back_starts_no_stop_of_the_others_anew(scene: SceneC
 
 @pytest.mark.parametrize("dq", [0.0, 0.3])
 @pytest.mark.parametrize("dv", [0.5, 1.0, 2.0])
-def test_the_first_packet_after_an_outage_is_not_believed_alone(scene: SceneConfig, dq: float, dv: float) -> None:
+def test_the_first_packet_after_an_outage_is_not_believed_alone(
+    scene: SceneConfig,
+    dq: float,
+    dv: float,
+) -> None:
     """Before, it began the stop anew: 1.5 rad/s and 0.33 rad at rest."""
     plant = Arms(scene)
     stack = supervised(plant)
@@ -287,11 +322,23 @@ def test_the_first_packet_after_an_outage_is_not_believed_alone(scene: SceneConf
     assert np.abs(plant.q - HOME).max() < 0.01
 
 
-@pytest.mark.parametrize(("share", "then", "after"), [(0.1, "silence", 120), (0.1, "hold", 500), (1.0, "hold", 200)])
-def test_what_brakes_beside_its_path_stays_there(scene: SceneConfig, share: float, then: str, after: int) -> None:
+@pytest.mark.parametrize(
+    ("share", "then", "after"),
+    [(0.1, "silence", 120), (0.1, "hold", 500), (1.0, "hold", 200)],
+)
+def test_what_brakes_beside_its_path_stays_there(
+    scene: SceneConfig,
+    share: float,
+    then: str,
+    after: int,
+) -> None:
     """Before, the arms came to rest and then travelled the rest of the offset, up to 0.099 rad, with nobody driving."""
     plant = Arms(scene)
-    stack = stack_on(plant, config=ArbiterConfig(speed_override=share), supervisor=Supervisor(dt_s=plant.dt))
+    stack = stack_on(
+        plant,
+        config=ArbiterConfig(speed_override=share),
+        supervisor=Supervisor(dt_s=plant.dt),
+    )
     hand_over(stack, "moveit")
     start = HOME + 0.099
     assert stack.propose("moveit", trajectory(stack, move(start, start, 1.0))) is None

@@ -43,9 +43,15 @@ def in_motion(plant: Arms) -> ControlStack:
     return stack
 
 
-def way(plant: Arms, stack: ControlStack, each: Callable[[int], None], joints: slice = slice(None)) -> float:
+def way(
+    plant: Arms,
+    stack: ControlStack,
+    each: Callable[[int], None],
+    joints: slice = slice(None),
+) -> float:
     """Run 1.5 s; return the largest way [rad] of `joints`, which are at rest in the end."""
-    began, most = plant.__dict__["q"].copy(), 0.0
+    began = plant.__dict__["q"].copy()
+    most = 0.0
     for k in range(1500):
         each(k)
         run(stack, 1)
@@ -60,7 +66,10 @@ def unmeasured(joint: int) -> Lies:
 
 
 @pytest.mark.parametrize("period", [2, 3, 5, 10, 20, 50])
-def test_an_emergency_stop_brakes_while_a_joint_is_measured_now_and_then(scene: SceneConfig, period: int) -> None:
+def test_an_emergency_stop_brakes_while_a_joint_is_measured_now_and_then(
+    scene: SceneConfig,
+    period: int,
+) -> None:
     """Before, each packet that came back began the stop anew, for all joints: 0.17 to 2.0 rad, at 0.65 rad/s after 2.5 s."""
     plant = Arms(scene)
     stack = in_motion(plant)
@@ -74,10 +83,16 @@ def test_an_emergency_stop_brakes_while_a_joint_is_measured_now_and_then(scene: 
     assert way(plant, stack, flaky) < 0.12
 
 
-@pytest.mark.parametrize(("how", "most_rad"), [("stop", 0.12), ("halt", 0.14), ("unguarded halt", 0.14)])
+@pytest.mark.parametrize(
+    ("how", "most_rad"),
+    [("stop", 0.12), ("halt", 0.14), ("unguarded halt", 0.14)],
+)
 @pytest.mark.parametrize("period", [5, 10, 40])
 def test_a_stop_brakes_one_arm_while_power_of_the_other_flickers(
-    scene: SceneConfig, period: int, how: str, most_rad: float
+    scene: SceneConfig,
+    period: int,
+    how: str,
+    most_rad: float,
 ) -> None:
     """Before, 0.22 to 0.67 rad in an emergency stop, 0.29 to 0.81 rad in a halt."""
     plant = Arms(scene)
@@ -97,10 +112,16 @@ def test_a_stop_brakes_one_arm_while_power_of_the_other_flickers(
     assert way(plant, stack, flicker, slice(7)) < most_rad
 
 
-@pytest.mark.parametrize(("how", "beyond_rad"), [("halt", 0.03), ("guarded halt", 0.02), ("stop", 0.003)])
+@pytest.mark.parametrize(
+    ("how", "beyond_rad"),
+    [("halt", 0.03), ("guarded halt", 0.02), ("stop", 0.003)],
+)
 @pytest.mark.parametrize("joint", [0, 2, 4, 6])
 def test_a_stop_that_begins_while_a_plan_brakes_before_a_limit_hardly_passes_it(
-    scene: SceneConfig, joint: int, how: str, beyond_rad: float
+    scene: SceneConfig,
+    joint: int,
+    how: str,
+    beyond_rad: float,
 ) -> None:
     """Before, up to 107 (halt), 75 (halt that a reflex took over) and 36 mrad (emergency stop)."""
     goal = HOME.copy()
@@ -110,7 +131,10 @@ def test_a_stop_that_begins_while_a_plan_brakes_before_a_limit_hardly_passes_it(
     for share in (0.5, 0.65, 0.8):
         plant = Arms(scene)
         plant.reset(start)
-        stack = stack_on(plant, supervisor=None if how == "halt" else Supervisor(WIDE, dt_s=plant.dt))
+        stack = stack_on(
+            plant,
+            supervisor=None if how == "halt" else Supervisor(WIDE, dt_s=plant.dt),
+        )
         hand_over(stack, "moveit")
         assert stack.propose("moveit", trajectory(stack, move(start, goal, span_s))) is None
         run(stack, round(share * span_s / plant.dt))
@@ -143,13 +167,18 @@ class Braked(Arms):
 
 
 @pytest.mark.parametrize("locked_ticks", [300, 1000])
-def test_arms_that_the_plants_own_brakes_held_stay_when_these_open(scene: SceneConfig, locked_ticks: int) -> None:
+def test_arms_that_the_plants_own_brakes_held_stay_when_these_open(
+    scene: SceneConfig,
+    locked_ticks: int,
+) -> None:
     """Before, the stop's reference had gone on: 0.084 rad at 0.31 rad/s, after seconds at rest."""
     plant = Braked(scene)
     stack = in_motion(plant)
-    plant.locked, plant.health = True, "robot reflex"
+    plant.locked = True
+    plant.health = "robot reflex"
     assert run(stack, locked_ticks) == ["controller_failed"]
-    plant.locked, plant.health = False, ""
+    plant.locked = False
+    plant.health = ""
     assert way(plant, stack, lambda k: None) < 0.002
 
 
@@ -163,7 +192,8 @@ def test_arms_that_a_plant_only_calls_ill_hold_what_they_bear(scene: SceneConfig
         run(stack, 200)
         stack.supervisor.estop()
         run(stack, 100)
-        push, began_m = pressed(plant, 6.0), height_m(plant)
+        push = pressed(plant, 6.0)
+        began_m = height_m(plant)
         for k in range(3000):
             plant.health = health if k < 2000 else ""
             push(k)
@@ -175,10 +205,12 @@ def test_arms_that_a_plant_only_calls_ill_hold_what_they_bear(scene: SceneConfig
 
 @pytest.mark.parametrize("answer", [None, ("a", None), ("a", 1.0, 2.0)])
 def test_a_monitor_with_a_wrong_answer_is_a_named_stop_with_a_torque_in_every_tick(
-    scene: SceneConfig, answer: Any
+    scene: SceneConfig,
+    answer: Any,
 ) -> None:
     """Before, 48 of 500 ticks had no torque, and the arms went on to the motion's end."""
-    plant, told = Arms(scene), [("a with b", 1.0)]
+    plant = Arms(scene)
+    told = [("a with b", 1.0)]
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt, self_distance=lambda q: told[0]))
     hand_over(stack, "moveit")
     stack.propose("moveit", trajectory(stack, move(HOME, HOME + APART, 1.0)))
@@ -193,7 +225,11 @@ def test_a_monitor_with_a_wrong_answer_is_a_named_stop_with_a_torque_in_every_ti
 
 @pytest.mark.parametrize("error", [SwitchError("refused"), ValueError("a planner broke")])
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_demonstration_of_modes_ends_with_arms_at_rest(scene: SceneConfig, error: Exception, blind: bool) -> None:
+def test_a_demonstration_of_modes_ends_with_arms_at_rest(
+    scene: SceneConfig,
+    error: Exception,
+    blind: bool,
+) -> None:
     """Before, a reflex in the halt, or an error of another kind, left them at 0.94 rad/s without ticks."""
     plant: Any = Arms(scene)
     stack = ControlStack(plant, Kinematics(), supervisor=Supervisor(dt_s=plant.dt))
@@ -207,7 +243,11 @@ def test_a_demonstration_of_modes_ends_with_arms_at_rest(scene: SceneConfig, err
         raise error
 
     demo = ModesDemo(stack, [Turn("moveit", "", drive)])
-    with nullcontext() if isinstance(error, SwitchError) else pytest.raises(ValueError, match="a planner broke"):
+    with (
+        nullcontext()
+        if isinstance(error, SwitchError)
+        else pytest.raises(ValueError, match="a planner broke")
+    ):
         for _ in demo.steps():
             pass
     assert demo.ended == str(error)
@@ -218,9 +258,16 @@ def test_a_demonstration_of_modes_ends_with_arms_at_rest(scene: SceneConfig, err
 @pytest.mark.parametrize("when", [45, 60])
 def test_a_halt_in_a_teleoperated_episode_ends_it_as_stopped(scene: SceneConfig, when: int) -> None:
     """Before, `stale_command` was raised 0.1 s later, in place of the result."""
-    config, world = TeleopConfig(), World(scene)
-    stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz, supervisor=Supervisor(dt_s=world.dt))
-    trial, fastest = sample_trial(scene, 7, "demonstrations", 0, widen=1.3), list[float]()
+    config = TeleopConfig()
+    world = World(scene)
+    stack = ControlStack(
+        world,
+        Kinematics(),
+        rate_hz=config.rate_hz,
+        supervisor=Supervisor(dt_s=world.dt),
+    )
+    trial = sample_trial(scene, 7, "demonstrations", 0, widen=1.3)
+    fastest = list[float]()
 
     def on_tick(_: Tick) -> None:
         fastest.append(float(np.abs(world.v).max()))
@@ -262,12 +309,20 @@ def test_a_dead_source_is_noticed_on_a_clock_below_zero(scene: SceneConfig) -> N
 
 
 @pytest.mark.parametrize("sets", [(), (("left_arm", "right_arm"),)])
-def test_the_speed_override_holds_from_the_first_target_on(scene: SceneConfig, sets: tuple[Any, ...]) -> None:
+def test_the_speed_override_holds_from_the_first_target_on(
+    scene: SceneConfig,
+    sets: tuple[Any, ...],
+) -> None:
     """Before, joints reached 0.41 of full speed at an override of 0.1."""
     plant = Arms(scene)
-    stack = stack_on(plant, config=ArbiterConfig(speed_override=0.1), supervisor=Supervisor(dt_s=plant.dt))
+    stack = stack_on(
+        plant,
+        config=ArbiterConfig(speed_override=0.1),
+        supervisor=Supervisor(dt_s=plant.dt),
+    )
     hand_over(stack, "teleop", *sets)
-    fastest, number = 0.0, 0
+    fastest = 0.0
+    number = 0
     for _ in range(600):
         if stack.tick_next:
             number += 1
@@ -292,14 +347,18 @@ def height_m(plant: Arms) -> float:
 
 
 @pytest.mark.parametrize("force_n", [4.0, 6.0])
-def test_a_request_after_a_halt_throws_no_pressed_arm_back(scene: SceneConfig, force_n: float) -> None:
+def test_a_request_after_a_halt_throws_no_pressed_arm_back(
+    scene: SceneConfig,
+    force_n: float,
+) -> None:
     """Before, the hand rose by 11 and 17 mm, joints at up to 0.37 rad/s, and nobody had commanded anything."""
     plant = Arms(scene)
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "teleop")
     stack.halt("teleop")
     run(stack, 300)
-    push, fastest = pressed(plant, force_n), 0.0
+    push = pressed(plant, force_n)
+    fastest = 0.0
     for k in range(1500):
         push(k)
         run(stack, 1)
@@ -318,7 +377,8 @@ def test_a_loaded_arm_stays_while_the_other_one_changes_its_controller(scene: Sc
     plant = Arms(scene)
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "moveit", ("left_arm", "right_arm"))
-    push, began_m = pressed(plant, 10.0), height_m(plant)
+    push = pressed(plant, 10.0)
+    began_m = height_m(plant)
     heights_m = []
     for change in range(9):
         if change:

@@ -32,11 +32,13 @@ class FailingPlant(ArmsPlant):
         super().__init__(scene)
 
     def __getattribute__(self, name: str) -> Any:
-        value, lies = super().__getattribute__(name), super().__getattribute__("lies")
+        value = super().__getattribute__(name)
+        lies = super().__getattribute__("lies")
         return lies[name](value) if name in lies else value
 
     def step(self) -> None:
-        kept, self.lies = self.lies, {}  # physics does not read the sensors
+        kept = self.lies  # physics does not read the sensors
+        self.lies = {}
         super().step()
         self.lies = kept
 
@@ -57,7 +59,10 @@ def under_way(plant: FailingPlant) -> ControlStack:
     supervisor.distance = distance  # type: ignore[attr-defined]
     stack = stack_on(plant, supervisor=supervisor)
     hand_over(stack, "moveit")
-    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=CLOSED)) is None
+    assert (
+        stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=CLOSED))
+        is None
+    )
     for _ in range(400):
         stack.step()
     assert np.abs(plant.v).max() > 0.5
@@ -67,7 +72,8 @@ def under_way(plant: FailingPlant) -> ControlStack:
 def stopped(plant: FailingPlant, stack: ControlStack, steps: int = 1500) -> ReflexError:
     """Step on; return the only reflex. Every tick must have its torque, near the last one."""
     caught: list[ReflexError] = []
-    told, fastest = len(plant.torques), np.abs(plant.v).max()
+    told = len(plant.torques)
+    fastest = np.abs(plant.v).max()
     for _ in range(steps):
         try:
             stack.affirm("moveit")
@@ -135,7 +141,8 @@ FAILURES: dict[str, Callable[[FailingPlant, ControlStack], None]] = {
 
 @pytest.mark.parametrize("what", FAILURES)
 def test_an_exception_in_the_loop_is_a_soft_stop_and_leaves_no_tick_without_torque(
-    plant: FailingPlant, what: str
+    plant: FailingPlant,
+    what: str,
 ) -> None:
     """Before, each of these left `step` by its exception, before the plant was commanded."""
     stack = under_way(plant)
@@ -211,7 +218,9 @@ def test_a_velocity_that_lies_does_not_drive_the_arm(plant: FailingPlant, bias: 
     for _ in range(100):
         stack.step()
     plant.lies["v"] = lambda v: v + bias * np.eye(14)[1]
-    fastest, way, names = 0.0, 0.0, []
+    fastest = 0.0
+    way = 0.0
+    names = []
     for _ in range(1500):
         try:
             stack.step()
@@ -225,12 +234,17 @@ def test_a_velocity_that_lies_does_not_drive_the_arm(plant: FailingPlant, bias: 
 
 
 @pytest.mark.parametrize("joint", [2, 9])
-def test_a_push_on_frozen_positions_does_not_cost_the_velocity(plant: FailingPlant, joint: int) -> None:
+def test_a_push_on_frozen_positions_does_not_cost_the_velocity(
+    plant: FailingPlant,
+    joint: int,
+) -> None:
     """Before, the push counted as a lying velocity and the stop was blind: 63 rad/s; now below 1.3."""
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     for _ in range(50):
         stack.step()
-    frozen, names, fastest = plant.q, [], 0.0
+    frozen = plant.q
+    names = []
+    fastest = 0.0
     plant.lies["q"] = lambda q: frozen
     for tick in range(1500):
         plant.v = plant.v + (0.04 if tick < 30 else 0.0) * np.eye(14)[joint]
@@ -247,14 +261,26 @@ def test_a_push_on_frozen_positions_does_not_cost_the_velocity(plant: FailingPla
 @pytest.mark.parametrize(("period", "phase"), [(1, 0), (2, 1), (4, 3), (20, 2)])
 def test_contact_is_felt_whatever_the_phase_of_the_measurements(period: int, phase: int) -> None:
     """Before, states of every second tick or rarer were never compared unless they came in the right one."""
-    supervisor, rng, name, stamp_s = Supervisor(), np.random.default_rng(0), "", 0.0
+    supervisor = Supervisor()
+    rng = np.random.default_rng(0)
+    name = ""
+    stamp_s = 0.0
     gravity = np.array(supervisor._kinematics.gravity(HOME))
-    q, v = HOME, np.zeros(14)
+    q = HOME
+    v = np.zeros(14)
     for tick in range(1, 400):
         if tick == 1 or tick % period == phase:
-            stamp_s, (q, v) = 1e-3 * tick, (HOME, np.zeros(14)) + 1e-6 * rng.standard_normal((2, 14))
+            stamp_s = 1e-3 * tick
+            (q, v) = (HOME, np.zeros(14)) + 1e-6 * rng.standard_normal((2, 14))
         try:
-            supervisor.guard(1e-3 * tick, q, v, gravity + min(40.0, 0.5 * tick) * np.eye(14)[1], None, stamp_s)
+            supervisor.guard(
+                1e-3 * tick,
+                q,
+                v,
+                gravity + min(40.0, 0.5 * tick) * np.eye(14)[1],
+                None,
+                stamp_s,
+            )
         except ReflexError as error:
             name = error.reflex.name
             break
@@ -266,7 +292,10 @@ class Path:
 
     def __init__(self, here: Array) -> None:
         x, y, z = (float(value) for value in here[:3, 3])
-        self._path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + 0.1), 0.0, 0.8)])
+        self._path = ObjectPath(
+            Waypoint((x, y, z), 0.0, 0.0),
+            [Waypoint((x, y, z + 0.1), 0.0, 0.8)],
+        )
         self.duration_s = self._path.duration_s
         self.lie: Callable[[ObjectState, float], ObjectState] = lambda state, t: state
 
@@ -288,12 +317,19 @@ def carrying(plant: FailingPlant) -> tuple[ControlStack, Path]:
     return stack, Path(here.pose())
 
 
-@pytest.mark.parametrize(("lie", "named"), [(breaks, "ZeroDivisionError: the bus is gone"), (jumps, "path jumps")])
+@pytest.mark.parametrize(
+    ("lie", "named"),
+    [(breaks, "ZeroDivisionError: the bus is gone"), (jumps, "path jumps")],
+)
 def test_an_object_path_that_changes_after_it_was_accepted_is_a_soft_stop(
-    plant: FailingPlant, lie: Any, named: str
+    plant: FailingPlant,
+    lie: Any,
+    named: str,
 ) -> None:
     stack, path = carrying(plant)
-    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    assert (
+        stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    )
     for _ in range(300):
         stack.affirm("moveit")
         stack.step()
@@ -313,13 +349,17 @@ def test_an_object_path_that_jumps_is_refused(plant: FailingPlant) -> None:
     assert refusal.detail.startswith("50 mm")
 
 
-def test_what_a_source_does_to_its_arrays_after_the_proposal_changes_nothing(plant: FailingPlant) -> None:
+def test_what_a_source_does_to_its_arrays_after_the_proposal_changes_nothing(
+    plant: FailingPlant,
+) -> None:
     """Before, the target moved to NaN or past the limits without a check."""
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "teleop")
-    q, gripper = HOME + 0.01, np.zeros(2)
+    q = HOME + 0.01
+    gripper = np.zeros(2)
     assert stack.propose("teleop", JointCommand(q, gripper, plant.time, 1)) is None
-    q[:], gripper[:] = np.nan, 5.0
+    q[:] = np.nan
+    gripper[:] = 5.0
     for _ in range(20):
         stack.step()
     assert np.array_equal(stack.output.q_target, HOME + 0.01)
@@ -362,7 +402,8 @@ def test_without_a_supervisor_the_error_is_the_callers(plant: FailingPlant) -> N
 
 @pytest.mark.parametrize("names", [("left_hand", "right_hand"), ("left_arm", "right_arm")])
 def test_arms_that_are_not_measured_may_not_switch_their_controllers(
-    plant: FailingPlant, names: tuple[str, ...]
+    plant: FailingPlant,
+    names: tuple[str, ...],
 ) -> None:
     """The law of a hand raised numpy's "Eigenvalues did not converge"; a joint controller started at NaN."""
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))

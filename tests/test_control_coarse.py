@@ -34,7 +34,8 @@ COARSE = [(20, 1e-3), (16, 2e-3)]
 class CoarseWorld(World):
     """Its encoders have this many bits a turn, and this step of velocity."""
 
-    bits, step_rad_s = 20, 1e-3
+    bits = 20
+    step_rad_s = 1e-3
 
     @property
     def q(self) -> np.ndarray:
@@ -48,12 +49,18 @@ class CoarseWorld(World):
 
 def coarse(scene: SceneConfig, bits: int, step_rad_s: float) -> CoarseWorld:
     world = CoarseWorld(scene)
-    world.bits, world.step_rad_s = bits, step_rad_s
+    world.bits = bits
+    world.step_rad_s = step_rad_s
     return world
 
 
 @pytest.mark.parametrize(("bits", "step_rad_s"), COARSE)
-def test_coarse_encoders_carry(scene: SceneConfig, kinematics: Kinematics, bits: int, step_rad_s: float) -> None:
+def test_coarse_encoders_carry(
+    scene: SceneConfig,
+    kinematics: Kinematics,
+    bits: int,
+    step_rad_s: float,
+) -> None:
     """Before, each of 10 such carries ended in `implausible_measurement`: a joint that stands looked frozen."""
     world = coarse(scene, bits, step_rad_s)
     trial = sample_trial(scene, 0, "driver", 0)
@@ -68,12 +75,16 @@ def test_coarse_encoders_carry(scene: SceneConfig, kinematics: Kinematics, bits:
 
 
 @pytest.mark.parametrize("joint", [1, 3])
-def test_a_leader_that_moves_one_joint_goes_on_with_coarse_encoders(scene: SceneConfig, joint: int) -> None:
+def test_a_leader_that_moves_one_joint_goes_on_with_coarse_encoders(
+    scene: SceneConfig,
+    joint: int,
+) -> None:
     """Before, the joints that stand were taken for frozen in 8 of 8 runs."""
     world = coarse(scene, 17, 1e-3)
     stack = supervised(world)  # type: ignore[arg-type]
     stack.request("teleop")
-    q, sent = world.q, 0
+    q = world.q
+    sent = 0
     for _ in range(3000):
         if stack.tick_next and stack.source == "teleop":
             sent += 1
@@ -85,7 +96,10 @@ def test_a_leader_that_moves_one_joint_goes_on_with_coarse_encoders(scene: Scene
 
 
 @pytest.mark.parametrize("joint", [0, 1, 3, 5])
-def test_one_joint_that_freezes_alone_at_rest_is_still_named(scene: SceneConfig, joint: int) -> None:
+def test_one_joint_that_freezes_alone_at_rest_is_still_named(
+    scene: SceneConfig,
+    joint: int,
+) -> None:
     """The negative control of the two above."""
     plant = Arms(scene)
     stack = supervised(plant)
@@ -108,7 +122,11 @@ class SlowAndStill(Slow):
 
 
 @pytest.mark.parametrize("kind", [Arms, SlowAndStill])
-def test_arms_that_stand_under_a_load_are_no_frozen_ones(scene: SceneConfig, kinematics: Kinematics, kind: Any) -> None:
+def test_arms_that_stand_under_a_load_are_no_frozen_ones(
+    scene: SceneConfig,
+    kinematics: Kinematics,
+    kind: Any,
+) -> None:
     """Neither at the start, nor while they are stopped: nothing but the model would hold a joint taken for frozen."""
     plant = kind(scene)
     plant.lies |= {"q": lambda q: np.round(q, 3), "v": lambda v: np.round(v, 2)}
@@ -128,10 +146,13 @@ def test_arms_that_stand_under_a_load_are_no_frozen_ones(scene: SceneConfig, kin
 class Holding:
     """Hands that hold something 25 mm wide."""
 
-    robot, grip_max_n, dt = DUAL_PANDA, 70.0, 1e-3
+    robot = DUAL_PANDA
+    grip_max_n = 70.0
+    dt = 1e-3
 
     def __init__(self) -> None:
-        self.fingers, self.grip = np.full(2, 0.0125), np.full(2, 60.0)
+        self.fingers = np.full(2, 0.0125)
+        self.grip = np.full(2, 60.0)
 
 
 @pytest.mark.parametrize("wrong_m", [0.03, 0.04, 1.0, np.inf, np.nan])
@@ -153,8 +174,10 @@ def test_one_wrong_reading_of_the_fingers_opens_no_hand(wrong_m: float) -> None:
 def test_a_pinch_at_50_hz_settles_although_the_grip_is_a_period_old() -> None:
     """Before, it swung between 52 and 68 N for ever."""
     plant: Any = Holding()
-    plant.dt, plant.grip = 0.02, np.full(2, 40.0)
-    grippers, felt = Grippers(plant), [plant.grip] * 2
+    plant.dt = 0.02
+    plant.grip = np.full(2, 40.0)
+    grippers = Grippers(plant)
+    felt = [plant.grip] * 2
     for _ in range(200):
         felt.append(5000.0 * (0.0125 - grippers.step(CLOSED)))
         plant.grip = felt[-2]
@@ -162,7 +185,10 @@ def test_a_pinch_at_50_hz_settles_although_the_grip_is_a_period_old() -> None:
 
 
 @pytest.mark.parametrize("wrong_m", [0.0, 0.04])
-def test_a_stop_believes_no_reading_far_from_what_the_fingers_were_told(scene: SceneConfig, wrong_m: float) -> None:
+def test_a_stop_believes_no_reading_far_from_what_the_fingers_were_told(
+    scene: SceneConfig,
+    wrong_m: float,
+) -> None:
     """Before, the packet that tripped sent closing fingers to where it said, without a speed limit."""
     plant = Arms(scene)
     stack = supervised(plant)
@@ -182,7 +208,9 @@ def test_a_stop_believes_no_reading_far_from_what_the_fingers_were_told(scene: S
 def test_a_reset_that_an_emergency_stop_refuses_leaves_the_hands(scene: SceneConfig) -> None:
     """Before, closing hands were told to open in the next tick."""
     plant = Arms(scene)
-    plant.grip, plant.fingers, plant.limp = np.full(2, 4.0), np.full(2, 0.0144), True
+    plant.grip = np.full(2, 4.0)
+    plant.fingers = np.full(2, 0.0144)
+    plant.limp = True
     stack = supervised(plant)
     run(stack, 10)
     stack.grippers.close(np.full(2, 0.0144))
@@ -198,7 +226,9 @@ def test_a_reset_that_an_emergency_stop_refuses_leaves_the_hands(scene: SceneCon
 def test_a_torque_that_is_not_measured_at_reset_reaches_no_motor(scene: SceneConfig) -> None:
     """Before, each torque of that joint was NaN from then on."""
     plant = Arms(scene)
-    plant.grip, plant.fingers, plant.limp = np.full(2, 20.0), np.full(2, 0.012), True
+    plant.grip = np.full(2, 20.0)
+    plant.fingers = np.full(2, 0.012)
+    plant.limp = True
     stack = supervised(plant)
     run(stack, 5)
     plant.tau = np.where(np.arange(14) == 3, np.nan, plant.tau)
@@ -238,7 +268,9 @@ def test_arms_that_move_may_not_recover_after_their_clock_began_anew(scene: Scen
         stack.recover()
 
 
-def test_an_arm_whose_power_returned_before_the_clock_began_anew_is_watched(scene: SceneConfig) -> None:
+def test_an_arm_whose_power_returned_before_the_clock_began_anew_is_watched(
+    scene: SceneConfig,
+) -> None:
     """Before, for as long as the old clock was ahead: 60 Nm were `joint_velocity` after 34 ms."""
     plant = Arms(scene)
     plant.steps = 3_600_000
@@ -265,10 +297,17 @@ def course(times: list[float], q: list[float], v: list[float], joint: int) -> Tr
 
 @pytest.mark.parametrize(
     ("name", "q", "v", "joint"),
-    [("too_fast", [0.0, 2.1], [0.0, 0.0], 0), ("out_of_limits", [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 6)],
+    [
+        ("too_fast", [0.0, 2.1], [0.0, 0.0], 0),
+        ("out_of_limits", [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 6),
+    ],
 )
 def test_what_lies_between_coarse_samples_is_bounded_too(
-    scene: SceneConfig, name: str, q: list[float], v: list[float], joint: int
+    scene: SceneConfig,
+    name: str,
+    q: list[float],
+    v: list[float],
+    joint: int,
 ) -> None:
     """Before, such rows passed: 1.4 times the speed limit, and 45 mrad beyond a position limit."""
     plant = Arms(scene)
@@ -290,7 +329,10 @@ def test_an_object_that_no_hands_bear_is_refused(scene: SceneConfig, mass_kg: fl
         stack.impedance.configure(held)
 
 
-@pytest.mark.parametrize(("name", "value"), [("stop_frequency_rad_s", 1.0), ("measurement_age_max_s", 0.1)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("stop_frequency_rad_s", 1.0), ("measurement_age_max_s", 0.1)],
+)
 def test_settings_with_which_no_stop_rests_are_refused(name: str, value: float) -> None:
     """With 0.1 rad/s an untold load of 0.6 kg fell at 14 rad/s; readings 95 ms late diverged beyond 60 rad/s."""
     with pytest.raises(ValueError, match=name):

@@ -14,7 +14,13 @@ from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.impedance import HeldObject, ObjectPath, ObjectState, SingularPostureError, Waypoint
+from minidual.control.impedance import (
+    HeldObject,
+    ObjectPath,
+    ObjectState,
+    SingularPostureError,
+    Waypoint,
+)
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
 from minidual.control.reflexes import Reflex, ReflexError
@@ -67,7 +73,12 @@ def hand_over(stack: ControlStack, mode: str, controllers: Any = None) -> None:
     raise AssertionError(f"{mode} was not handed over: {stack.state}, {stack.refusals}")
 
 
-def trajectory(stack: ControlStack, motion: Any, sequence: int = 1, **fields: Any) -> TrajectoryCommand:
+def trajectory(
+    stack: ControlStack,
+    motion: Any,
+    sequence: int = 1,
+    **fields: Any,
+) -> TrajectoryCommand:
     fields = {"gripper": OPEN, "stamp_s": stack.plant.time, "sequence": sequence, **fields}
     return TrajectoryCommand(motion, **fields)
 
@@ -80,7 +91,10 @@ def plant(scene: SceneConfig) -> ArmsPlant:
 # A ----------------------------------------------------------------------------------------------------------
 
 
-def test_streamed_targets_give_the_torques_of_the_joint_loop_to_the_bit(scene: SceneConfig, world: World) -> None:
+def test_streamed_targets_give_the_torques_of_the_joint_loop_to_the_bit(
+    scene: SceneConfig,
+    world: World,
+) -> None:
     def target(k: int) -> Array:
         return HOME + 0.3 * np.sin(0.02 * k) * np.linspace(-1.0, 1.0, 14)
 
@@ -115,7 +129,9 @@ def test_a_trajectory_is_forwarded_as_it_is(plant: ArmsPlant) -> None:
     np.testing.assert_allclose(references, motion.q, atol=1e-12)
     assert np.abs(plant.q - HOME - 0.3).max() < 2e-3
     stack.step()
-    assert stack.state == ArbiterState.WAITING, "the source keeps its turn when a trajectory has ended"
+    assert stack.state == ArbiterState.WAITING, (
+        "the source keeps its turn when a trajectory has ended"
+    )
     for _ in range(1100):
         stack.step()
     assert stack.state == ArbiterState.STOPPED
@@ -126,7 +142,8 @@ def test_what_is_left_between_reference_and_start_fades_without_a_jump(plant: Ar
     stack = stack_on(plant)
     hand_over(stack, "moveit")
     stack.propose("moveit", trajectory(stack, move(HOME + 0.09, HOME + 0.3, 1.0)))
-    last, largest = stack.manager.reference, 0.0
+    last = stack.manager.reference
+    largest = 0.0
     for _ in range(1000):
         stack.step()
         largest = max(largest, float(np.abs(stack.manager.reference - last).max()))
@@ -172,33 +189,46 @@ def test_a_source_that_falls_silent_in_motion_is_held_and_brought_to_rest(plant:
             stack.step()
     assert np.abs(stack.manager.reference - HOME).min() > 0.4
     assert plant.v.min() > 0.8
-    states, references, targets = [], [stack.manager.reference], set()
+    states = []
+    references = [stack.manager.reference]
+    targets = set()
     for _ in range(1300):
         stack.step()
         states.append(stack.state)
         references.append(stack.manager.reference)
         if stack.state == ArbiterState.STALE:
             targets.add(stack.output.q_target.tobytes())
-    assert list(dict.fromkeys(states)) == [ArbiterState.ACTIVE, ArbiterState.STALE, ArbiterState.STOPPED]
+    assert list(dict.fromkeys(states)) == [
+        ArbiterState.ACTIVE,
+        ArbiterState.STALE,
+        ArbiterState.STOPPED,
+    ]
     assert states.index(ArbiterState.STALE) <= 121, "0.1 s, and a tick"
     assert len(targets) == 1, "the held target moved"
     path = np.array(references)
     v = np.diff(path, axis=0) / plant.dt
-    assert (np.abs(np.diff(v, axis=0) / plant.dt) <= 0.81 * A_MAX).all(), "the stop is not a controlled one"
+    assert (np.abs(np.diff(v, axis=0) / plant.dt) <= 0.81 * A_MAX).all(), (
+        "the stop is not a controlled one"
+    )
     assert path.max(axis=0).max() - path[-1].max() < 1e-3, "it overshot"
     np.testing.assert_allclose(plant.q, HOME + 0.6, atol=1e-3)
 
 
 @pytest.mark.parametrize("dies_at", [0, 1, 137, 300])
-def test_a_trajectory_stops_on_its_path_when_its_source_dies(plant: ArmsPlant, dies_at: int) -> None:
+def test_a_trajectory_stops_on_its_path_when_its_source_dies(
+    plant: ArmsPlant,
+    dies_at: int,
+) -> None:
     stack = stack_on(plant)
     hand_over(stack, "moveit")
     goal = HOME + np.linspace(-0.65, 0.75, 14)
     stack.propose("moveit", trajectory(stack, move(HOME, goal, 0.9)))
     for _ in range(dies_at):
         stack.step()
-    died, stack.dead = plant.time, True
-    states, references = [], [stack.manager.reference]
+    died = plant.time
+    stack.dead = True
+    states = []
+    references = [stack.manager.reference]
     while stack.executing:
         stack.step()
         states.append(stack.state)
@@ -276,10 +306,18 @@ def test_two_single_arm_controllers_do_what_the_double_one_does(scene: SceneConf
 
 
 @pytest.mark.parametrize("controllers", [("both_arms",), PAIR])
-def test_seven_joints_move_and_the_other_arm_is_held(plant: ArmsPlant, controllers: tuple[str, ...]) -> None:
+def test_seven_joints_move_and_the_other_arm_is_held(
+    plant: ArmsPlant,
+    controllers: tuple[str, ...],
+) -> None:
     stack = stack_on(plant)
     hand_over(stack, "moveit", controllers)
-    whole = move(HOME, HOME + 0.3, 0.5, "right_arm")  # a planner gives 14 columns; the left ones are not used
+    whole = move(
+        HOME,
+        HOME + 0.3,
+        0.5,
+        "right_arm",
+    )  # a planner gives 14 columns; the left ones are not used
     stack.propose("moveit", trajectory(stack, whole, group="right_arm"))
     stack.step()
     while stack.executing:
@@ -300,14 +338,24 @@ def _grasped(world: World, kinematics: Kinematics) -> HeldObject:
 
 
 def test_object_impedance_lifts_the_rod_and_hands_it_back(
-    scene: SceneConfig, world: World, kinematics: Kinematics
+    scene: SceneConfig,
+    world: World,
+    kinematics: Kinematics,
 ) -> None:
     pinch_rod(JointLoop(world, kinematics), scene, kinematics)
     stack = stack_on(world, sensor=TrueObject(world))
-    stack.grippers.close(world.data.ctrl[world.finger_joints.ctrl[::2]])  # the stack must not open the hands
+    stack.grippers.close(
+        world.data.ctrl[world.finger_joints.ctrl[::2]],
+    )  # the stack must not open the hands
     hand_over(stack, "moveit")
     q = world.q
-    still = Trajectory(np.array([0.0, 0.9]), np.array([q, q]), np.zeros((2, 14)), np.zeros((2, 14)), "both_arms")
+    still = Trajectory(
+        np.array([0.0, 0.9]),
+        np.array([q, q]),
+        np.zeros((2, 14)),
+        np.zeros((2, 14)),
+        "both_arms",
+    )
     stack.propose("moveit", trajectory(stack, still, gripper=np.zeros(2)))
     while stack.executing:
         stack.step()
@@ -336,9 +384,17 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
             T[:3, :3] = roll
             return type(state)(T, state.twist, state.acceleration)
 
-    command = ObjectCommand(Rolled(), lambda t: 40.0 * min(1.0, t / 0.4), np.zeros(2), world.time, 2)
+    command = ObjectCommand(
+        Rolled(),
+        lambda t: 40.0 * min(1.0, t / 0.4),
+        np.zeros(2),
+        world.time,
+        2,
+    )
     assert stack.propose("moveit", command) is None
-    forces, jumps, last = [], [], stack.manager.tau
+    forces = []
+    jumps = []
+    last = stack.manager.tau
     while stack.executing:
         stack.step()
         jumps.append(float(np.abs(stack.manager.tau - last).max()))
@@ -359,7 +415,8 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     assert {r.name for r in stack.refusals} == {"wrong_controller", "far_start"}
 
     # Another mode gets the arms with the rod in them: the joint controller takes over without a jolt.
-    last, largest = stack.manager.tau, 0.0
+    last = stack.manager.tau
+    largest = 0.0
     stack.request("teleop")
     for _ in range(300):
         stack.step()
@@ -373,14 +430,19 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
 # The manager ------------------------------------------------------------------------------------------------
 
 
-def test_a_set_that_does_not_claim_every_joint_once_is_refused_and_nothing_changes(plant: ArmsPlant) -> None:
+def test_a_set_that_does_not_claim_every_joint_once_is_refused_and_nothing_changes(
+    plant: ArmsPlant,
+) -> None:
     stack = stack_on(plant)
     stack.step()
     for names, reason in (
         (("left_arm",), "unclaimed: the right arm"),
         ((), "unclaimed: the left arm"),
         (("both_arms", "right_arm"), "doubly_claimed: the right arm.*both_arms and right_arm"),
-        (("object_impedance",), "not_ready: controller object_impedance: it has not been told what is held"),
+        (
+            ("object_impedance",),
+            "not_ready: controller object_impedance: it has not been told what is held",
+        ),
     ):
         with pytest.raises(ControllerSwitchError, match=reason):
             stack.switch_controllers(names)
@@ -408,7 +470,8 @@ def test_no_switch_of_controllers_under_a_running_trajectory(plant: ArmsPlant) -
 
 
 def test_a_controller_that_raises_as_it_takes_over_changes_nothing(
-    plant: ArmsPlant, monkeypatch: pytest.MonkeyPatch
+    plant: ArmsPlant,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def torques(raising: bool) -> list[Array]:
         plant.reset()
@@ -435,7 +498,9 @@ def test_a_controller_that_raises_as_it_takes_over_changes_nothing(
 def test_a_switch_of_controllers_in_motion_does_not_jolt(plant: ArmsPlant) -> None:
     stack = stack_on(plant)
     hand_over(stack, "teleop")
-    steps, sequence, switched_at = [], 0, None
+    steps = []
+    sequence = 0
+    switched_at = None
     for k in range(600):
         if stack.tick_next:
             sequence += 1
@@ -461,7 +526,9 @@ def _bad(motion: Trajectory, **changes: Any) -> Any:
     """A trajectory with values that Trajectory itself would not let through."""
     import types
 
-    fields = {n: getattr(motion, n) for n in ("times", "q", "v", "a", "dt_s", "duration_s", "sample_many")}
+    fields = {
+        n: getattr(motion, n) for n in ("times", "q", "v", "a", "dt_s", "duration_s", "sample_many")
+    }
     return types.SimpleNamespace(**{**fields, **changes})
 
 
@@ -487,7 +554,11 @@ def _edited(values: Array, row: int, column: int, value: float) -> Array:
         ("unknown_group", "no group 'arms'"),
     ],
 )
-def test_a_bad_trajectory_is_refused_when_it_is_proposed(plant: ArmsPlant, name: str, detail: str) -> None:
+def test_a_bad_trajectory_is_refused_when_it_is_proposed(
+    plant: ArmsPlant,
+    name: str,
+    detail: str,
+) -> None:
     good = move(HOME, HOME + 0.2, 0.5)
     bad: dict[str, Any] = {
         "left_panda_joint3 = nan in sample 5": {"q": _edited(good.q, 5, 2, np.nan)},
@@ -507,7 +578,10 @@ def test_a_bad_trajectory_is_refused_when_it_is_proposed(plant: ArmsPlant, name:
         fields["gripper"] = np.array([0.0, 1.2])
     if name == "unknown_group":
         fields["group"] = "arms"
-    refusal = stack.propose("moveit", trajectory(stack, _bad(good, **bad.get(detail, {})), **fields))
+    refusal = stack.propose(
+        "moveit",
+        trajectory(stack, _bad(good, **bad.get(detail, {})), **fields),
+    )
     assert refusal is not None
     assert refusal.name == name
     import re
@@ -546,7 +620,10 @@ def test_a_trajectory_is_refused_for_where_and_when_it_starts(plant: ArmsPlant) 
     assert refusal is not None
     assert refusal.name == "before_switch"
     stack.request("moveit")
-    stack.propose("moveit", trajectory(stack, move(plant.q, HOME, 0.5), 10, stamp_s=plant.time + 5.0))
+    stack.propose(
+        "moveit",
+        trajectory(stack, move(plant.q, HOME, 0.5), 10, stamp_s=plant.time + 5.0),
+    )
     while stack.source != "moveit":
         stack.step()
     assert stack.refusals[-1].name in ("from_future", "before_switch")
@@ -558,33 +635,58 @@ def test_an_object_command_is_held_to_its_bounds(plant: ArmsPlant) -> None:
     hand_over(stack, "moveit")
     x, y, z = here.pose()[:3, 3]
 
-    def command(dz: float, seconds: float, squeeze: float, sequence: int, **lies: Array) -> ObjectCommand:
+    def command(
+        dz: float,
+        seconds: float,
+        squeeze: float,
+        sequence: int,
+        **lies: Array,
+    ) -> ObjectCommand:
         path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
         honest = path.at
         path.at = lambda t, *T: honest(t, *T)._replace(**lies)  # type: ignore[method-assign]
         return ObjectCommand(path, lambda t: squeeze, OPEN, plant.time, sequence)
 
-    still, falls = np.zeros(6), np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
+    still = np.zeros(6)
+    falls = np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
     commands = (
         *(command(0.1, 1.0, 90.0, 1), command(0.1, 1.0, np.nan, 2), command(0.9, 1.5, 40.0, 3)),
         *(command(0.4, 0.3, 40.0, 4), command(0.0, 1.0, 40.0, 5, acceleration=falls)),
-        command(0.5, 0.6, 40.0, 6, twist=still, acceleration=still),  # before, only what it says of itself was checked
+        command(
+            0.5,
+            0.6,
+            40.0,
+            6,
+            twist=still,
+            acceleration=still,
+        ),  # before, only what it says of itself was checked
     )
     names = [getattr(stack.propose("moveit", c), "name", "") for c in commands]
-    assert names == ["squeeze_out_of_range", "not_finite", "too_fast", "too_sharp", "too_sharp", "too_fast"]
+    assert names == [
+        "squeeze_out_of_range",
+        "not_finite",
+        "too_fast",
+        "too_sharp",
+        "too_sharp",
+        "too_fast",
+    ]
     assert stack.propose("moveit", command(0.05, 1.0, 0.0, 4)) is None
     stack.step()
     assert stack.refusals[-1].name == "wrong_controller", "a joint controller takes no object path"
 
 
 @pytest.mark.parametrize("names", [("both_arms",), PAIR, ("left_hand", "right_hand")])
-def test_after_an_object_path_the_arms_stay_where_it_has_brought_them(plant: ArmsPlant, names: tuple[str, ...]) -> None:
+def test_after_an_object_path_the_arms_stay_where_it_has_brought_them(
+    plant: ArmsPlant,
+    names: tuple[str, ...],
+) -> None:
     """Before, joint controllers went back to the joint target of before the path, at up to 2.8 rad/s."""
     here = HandsObject(plant)
     stack = stack_on(plant, sensor=here, supervisor=Supervisor(dt_s=plant.dt))
     stack.impedance.configure(here.held())
     hand_over(stack, "moveit", OBJECT_CONTROLLERS)
-    (x, y, z), began = (float(value) for value in here.pose()[:3, 3]), plant.q
+    (x, y, z) = (float(value) for value in here.pose()[:3, 3])
+    began = plant.q
     path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y + 0.1, z + 0.05), 0.0, 1.5)])
     assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, OPEN, plant.time, 1)) is None
     stack.step()
@@ -601,7 +703,10 @@ def test_after_an_object_path_the_arms_stay_where_it_has_brought_them(plant: Arm
 
 def test_a_supervisor_of_another_period_is_refused(plant: ArmsPlant) -> None:
     """At 500 Hz an emergency stop took 0.39 s instead of 0.14 s, and the arm went back."""
-    with pytest.raises(UsageError, match=r"the supervisor's period is 0.002 s, the plant's 0.001 s"):
+    with pytest.raises(
+        UsageError,
+        match=r"the supervisor's period is 0.002 s, the plant's 0.001 s",
+    ):
         stack_on(plant, supervisor=Supervisor(dt_s=0.002))
 
 
@@ -633,11 +738,14 @@ def _break(stack: ControlStack) -> None:
     stack.manager["left_arm"].update = update  # type: ignore[method-assign]
 
 
-def test_without_a_supervisor_the_joint_controllers_take_over_from_one_that_fails(plant: ArmsPlant) -> None:
+def test_without_a_supervisor_the_joint_controllers_take_over_from_one_that_fails(
+    plant: ArmsPlant,
+) -> None:
     stack = stack_on(plant)
     hand_over(stack, "moveit", PAIR)
     _break(stack)
-    n, q = len(plant.torques), plant.q
+    n = len(plant.torques)
+    q = plant.q
     with pytest.raises(SingularPostureError):
         stack.step()
     assert len(plant.torques) == n + 1, "the tick of the failure moves the plant too"
@@ -676,7 +784,8 @@ class _Deaf:
     grip_limit_n = float("inf")
 
     def __init__(self, world: World) -> None:
-        self.force_n, self._T = 40.0, world.object_pose()
+        self.force_n = 40.0
+        self._T = world.object_pose()
 
     def read(self) -> tuple[ObjectState, float]:
         return ObjectState(self._T), self.force_n
@@ -684,7 +793,10 @@ class _Deaf:
 
 @pytest.mark.parametrize("when", ["before", "after"])
 def test_a_squeeze_that_is_no_number_is_a_reflex(
-    scene: SceneConfig, world: World, kinematics: Kinematics, when: str
+    scene: SceneConfig,
+    world: World,
+    kinematics: Kinematics,
+    when: str,
 ) -> None:
     from minidual.control.reflexes import ReflexError
 
@@ -699,7 +811,10 @@ def test_a_squeeze_that_is_no_number_is_a_reflex(
     if when == "after":
         stack.step()
         sensor.force_n = float("nan")
-    with pytest.raises(ReflexError, match=r"controller_failed.*: the object's internal force is not finite"):
+    with pytest.raises(
+        ReflexError,
+        match=r"controller_failed.*: the object's internal force is not finite",
+    ):
         stack.step()
 
 
@@ -711,7 +826,10 @@ class _Guard:
 
     def __init__(self) -> None:
         self.seen: list[tuple[float, Array, Array, Array]] = []
-        self.trip, self.dt_s, self.time_s, self.config = False, 1e-3, -np.inf, SupervisorConfig()
+        self.trip = False
+        self.dt_s = 1e-3
+        self.time_s = -np.inf
+        self.config = SupervisorConfig()
         self.steady = np.zeros(14)
 
     def reset(self, tau: Array | None = None) -> None: ...
@@ -724,12 +842,21 @@ class _Guard:
         self.told = error
 
     def guard(
-        self, time_s: float, q: Array, v: Array, tau: Array, a_ref: Array | None = None, stamp_s: float | None = None
+        self,
+        time_s: float,
+        q: Array,
+        v: Array,
+        tau: Array,
+        a_ref: Array | None = None,
+        stamp_s: float | None = None,
     ) -> Array:
         self.seen.append((time_s, q, v, tau))
         if self.trip:
             self.trip = False
-            raise ReflexError(Reflex("emergency_stop", time_s, "pressed", 1.0, None), np.full(14, 0.25))
+            raise ReflexError(
+                Reflex("emergency_stop", time_s, "pressed", 1.0, None),
+                np.full(14, 0.25),
+            )
         return tau
 
 
@@ -753,7 +880,10 @@ def test_the_supervisor_has_the_last_word_in_every_tick(plant: ArmsPlant) -> Non
     hand_over(stack, "teleop")
 
 
-def test_the_real_supervisor_stops_the_arms_and_lets_them_go_on(scene: SceneConfig, world: World) -> None:
+def test_the_real_supervisor_stops_the_arms_and_lets_them_go_on(
+    scene: SceneConfig,
+    world: World,
+) -> None:
     from minidual.control.reflexes import ReflexError
 
     supervisor = Supervisor(dt_s=world.dt)
@@ -782,11 +912,17 @@ def _run_out(stack: ControlStack) -> None:
         stack.step()
 
 
-def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(scene: SceneConfig, world: World) -> None:
+def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(
+    scene: SceneConfig,
+    world: World,
+) -> None:
     from minidual.control.reflexes import ReflexError
 
     world.reset()
-    stack = stack_on(world, supervisor=Supervisor(SupervisorConfig(acceleration_scale=0.5), dt_s=world.dt))
+    stack = stack_on(
+        world,
+        supervisor=Supervisor(SupervisorConfig(acceleration_scale=0.5), dt_s=world.dt),
+    )
     hand_over(stack, "moveit")
     legal = move(HOME, HOME + 0.3, 0.9)
     stack.propose("moveit", trajectory(stack, legal))

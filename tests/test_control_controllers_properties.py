@@ -22,7 +22,14 @@ from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import controllers as controllers_module
 from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import HOLD, SOURCES, ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.commands import (
+    HOLD,
+    SOURCES,
+    ArbiterState,
+    JointCommand,
+    ObjectCommand,
+    TrajectoryCommand,
+)
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.execution import Underway
 from minidual.control.impedance import ObjectPath, Waypoint
@@ -35,7 +42,9 @@ from minidual.robot.pair import Array
 Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()
 SCENE = SceneConfig()
-A, B, C = ("both_arms",), ("left_arm", "right_arm"), ("object_impedance",)
+A = ("both_arms",)
+B = ("left_arm", "right_arm")
+C = ("object_impedance",)
 HAND = ("left_arm", "right_hand")
 STOPPING = ("soft_stop",)
 BAD_SETS = (("left_arm",), ("both_arms", "left_arm"), ())
@@ -94,7 +103,8 @@ class Witness:
     # Events ---------------------------------------------------------------------------------------------
 
     def request(self, mode: str, controllers: Any) -> None:
-        before, busy = self.stack.manager.active, self.stack.executing
+        before = self.stack.manager.active
+        busy = self.stack.executing
         try:
             self.stack.request(mode, controllers)
         except ControllerSwitchError as error:
@@ -103,7 +113,8 @@ class Witness:
             assert self.stack.manager.active == before
 
     def controllers(self, names: tuple[str, ...]) -> None:
-        before, busy = self.stack.manager.active, self.stack.executing or self.stack.stopping
+        before = self.stack.manager.active
+        busy = self.stack.executing or self.stack.stopping
         try:
             self.stack.switch_controllers(names)
         except ControllerSwitchError as error:
@@ -117,7 +128,15 @@ class Witness:
             self.taken[command.sequence] = source
             self._kept.append(command)  # so that no other command gets its id
 
-    def stream(self, source: str, group: str, offset: float, age: float, fault: str, ticks: int) -> None:
+    def stream(
+        self,
+        source: str,
+        group: str,
+        offset: float,
+        age: float,
+        fault: str,
+        ticks: int,
+    ) -> None:
         """A source that sends joint targets for a while."""
         corner = 0.15 * (SOURCES.index(source) - 1) + offset
         for _ in range(ticks):
@@ -133,7 +152,15 @@ class Witness:
             self._offer(source, JointCommand(q, np.ones(2), stamp, self.sequence, group))
             self.run(20)
 
-    def trajectory(self, source: str, group: str, away: float, goal: float, seconds: float, age: float) -> None:
+    def trajectory(
+        self,
+        source: str,
+        group: str,
+        away: float,
+        goal: float,
+        seconds: float,
+        age: float,
+    ) -> None:
         self.sequence += 1
         start = self.plant.q + away
         motion = move(start, HOME + goal, seconds, group)
@@ -144,7 +171,10 @@ class Witness:
         self.sequence += 1
         x, y, z = (float(value) for value in self._here.pose()[:3, 3])
         path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
-        self._offer(source, ObjectCommand(path, lambda t: 0.0, np.ones(2), self.plant.time, self.sequence))
+        self._offer(
+            source,
+            ObjectCommand(path, lambda t: 0.0, np.ones(2), self.plant.time, self.sequence),
+        )
 
     def halt(self, source: str, opens: bool) -> None:
         self.stack.halt(source, np.ones(2) if opens else None)
@@ -162,14 +192,17 @@ class Witness:
             self._updates.clear()
             try:
                 self.stack.step()
-            except DataError as error:  # nothing holds the hands together, and the object is imagined between them
+            except (
+                DataError
+            ) as error:  # nothing holds the hands together, and the object is imagined between them
                 self.errors.append(error.message)
             self._check(n)
 
     # Checks ---------------------------------------------------------------------------------------------
 
     def _check(self, torques_before: int) -> None:
-        stack, out = self.stack, self.stack.output
+        stack = self.stack
+        out = self.stack.output
         assert len(self.plant.torques) == torques_before + 1, "silence"
         assert np.isfinite(self.plant.torques[-1]).all()
         assert self._updates == {0: 1, 1: 1}, f"joints claimed {dict(self._updates)} times"
@@ -184,7 +217,9 @@ class Witness:
             assert execution.braking or source == self.turn, "a command of another turn runs"
             # The last sign is heard at the next tick, and the silence noticed at one.
             silent_s = self.plant.time - max(self._alive_s, self._offered_s)
-            assert execution.braking or silent_s <= CONFIG.stale_s + 0.045, "it runs on without its source"
+            assert execution.braking or silent_s <= CONFIG.stale_s + 0.045, (
+                "it runs on without its source"
+            )
             self.seen["braked"] += execution.braking and stack.state == ArbiterState.STALE
             self.seen[type(execution.command)] += 1
         assert out.active_source in (None, self.turn), "driven by a source whose turn it is not"
@@ -193,14 +228,17 @@ class Witness:
         self.seen.update({r.name for r in out.refusals})
 
     def _check_reference(self) -> None:
-        reference, active = np.array(self.stack.manager.reference), self.stack.manager.active
+        reference = np.array(self.stack.manager.reference)
+        active = self.stack.manager.active
         if self._last is not None and active != C:
             step = np.abs(reference - self._last)
             if active == self._active and not self._taken_over:
                 assert (step <= REFERENCE_STEP).all(), f"the reference jumped by {step.max()}"
             else:  # the new controllers start at what is measured, which the old reference may be ahead of
                 assert step.max() <= CONFIG.switch_step_max_rad, f"a switch jumped by {step.max()}"
-        self._last, self._active, self._taken_over = reference, active, False
+        self._last = reference
+        self._active = active
+        self._taken_over = False
 
 
 source = st.sampled_from(SOURCES)
@@ -248,8 +286,17 @@ scripts = st.sampled_from(
             ("trajectory", "moveit", "right_arm", 0.0, -0.1, 0.3, 0.0),
             ("run", 90),
         ],
-        [*turn("moveit", HAND), ("trajectory", "moveit", "both_arms", 0.0, 0.1, 0.3, 0.0), ("run", 90)],
-        [*turn("moveit"), ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0), ("silence", 160), ("run", 30)],
+        [
+            *turn("moveit", HAND),
+            ("trajectory", "moveit", "both_arms", 0.0, 0.1, 0.3, 0.0),
+            ("run", 90),
+        ],
+        [
+            *turn("moveit"),
+            ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0),
+            ("silence", 160),
+            ("run", 30),
+        ],
         [*turn("moveit", C), ("object", "moveit", 0.05, 0.4), ("run", 90)],
         [*turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 4)],
         [*turn("teleop"), ("stream", "teleop", "left_arm", 0.0, 0.0, "", 2), ("run", 1150)],
@@ -263,10 +310,10 @@ scripts = st.sampled_from(
             ("halt", "moveit", False),
             ("run", 90),
         ],
-    ]
+    ],
 )
 histories = st.lists(st.one_of(events.map(lambda e: [e]), scripts), max_size=10).map(
-    lambda parts: [("run", 1), *(event for part in parts for event in part), ("run", 30)]
+    lambda parts: [("run", 1), *(event for part in parts for event in part), ("run", 30)],
 )
 
 
@@ -336,7 +383,8 @@ def test_hands_that_leave_an_imagined_object_stop_once_by_its_name() -> None:
 @settings(max_examples=15, deadline=None)
 @given(histories)
 def test_the_same_history_gives_the_same_torques(history: list[Event]) -> None:
-    first, second = Witness(), Witness()
+    first = Witness()
+    second = Witness()
     for witness in (first, second):
         witness.play(history)
     np.testing.assert_array_equal(first.plant.torques, second.plant.torques)
@@ -369,7 +417,11 @@ def test_the_crafted_history_passes_a_whole_stack() -> None:
 
 
 def test_the_witness_sees_an_arm_with_two_controllers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ControllerManager, "check", lambda self, names: tuple(self[n] for n in names))
+    monkeypatch.setattr(
+        ControllerManager,
+        "check",
+        lambda self, names: tuple(self[n] for n in names),
+    )
     witness = Witness()
     witness.play(DRIVE)
     with pytest.raises(AssertionError, match="claimed"):
@@ -378,12 +430,19 @@ def test_the_witness_sees_an_arm_with_two_controllers(monkeypatch: pytest.Monkey
         witness.play([("request", "policy", ("both_arms", "left_arm")), ("run", 700)])
 
 
-def test_the_witness_sees_a_trajectory_that_starts_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_witness_sees_a_trajectory_that_starts_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(Underway, "_far_start", lambda *_: None)
     monkeypatch.setattr(controllers_module, "_BLEND_S", 1e-3)
     with pytest.raises(AssertionError, match="the reference jumped"):
         Witness().play(
-            [("run", 1), *turn("moveit"), ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0), ("run", 30)]
+            [
+                ("run", 1),
+                *turn("moveit"),
+                ("trajectory", "moveit", "both_arms", 0.5, 0.2, 0.6, 0.0),
+                ("run", 30),
+            ],
         )
 
 
@@ -396,7 +455,7 @@ def test_the_witness_sees_an_old_trajectory_after_a_switch(monkeypatch: pytest.M
                 ("trajectory", "moveit", "both_arms", 0.0, 0.2, 0.6, 0.0),
                 ("request", "moveit", None),
                 ("run", 60),
-            ]
+            ],
         )
 
 
@@ -416,7 +475,9 @@ def test_the_witness_sees_a_trajectory_without_its_source(monkeypatch: pytest.Mo
 def test_the_witness_sees_silence(monkeypatch: pytest.MonkeyPatch) -> None:
     advance = ControlStack.advance
     monkeypatch.setattr(
-        ControlStack, "advance", lambda self: None if self.state == ArbiterState.STALE else advance(self)
+        ControlStack,
+        "advance",
+        lambda self: None if self.state == ArbiterState.STALE else advance(self),
     )
     with pytest.raises(AssertionError, match="silence"):
         Witness().play(DRIVE)
@@ -436,4 +497,6 @@ def test_the_witness_sees_a_reference_without_its_filter(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(controllers_module, "ReferenceFilter", Jumping)
     with pytest.raises(AssertionError, match="the reference jumped"):
-        Witness().play([("run", 1), *turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)])
+        Witness().play(
+            [("run", 1), *turn("teleop"), ("stream", "teleop", "both_arms", 0.05, 0.0, "", 2)],
+        )

@@ -44,7 +44,11 @@ from minidual.robot.pair import DUAL_PANDA, Array, pose
 from minidual.skills.supervised import SceneClearance
 
 CONFIG = ArbiterConfig()
-EVENTS, TICKS, REST_TICKS, STILL_TICKS, EXCUSED_S = 40, 20, 800, 100, 0.2
+EVENTS = 40
+TICKS = 20
+REST_TICKS = 800
+STILL_TICKS = 100
+EXCUSED_S = 0.2
 HANDS = ("left_hand", "right_hand")
 SETS = (
     *(("both_arms",), ("left_arm", "right_arm"), OBJECT_CONTROLLERS, OBJECT_CONTROLLERS),
@@ -59,16 +63,23 @@ class Arms(FailingPlant):
 
     def __init__(self, scene: SceneConfig) -> None:
         super().__init__(scene)
-        model = self._kinematics.model = self._kinematics.model.copy()  # all workspaces share the original
+        model = self._kinematics.model = (
+            self._kinematics.model.copy()
+        )  # all workspaces share the original
         model.armature = model.armature + self.dt * JOINT_DAMPING
-        self.pushed, self.stuck, self.limp = np.zeros(DOF), np.zeros(DOF, dtype=bool), False
+        self.pushed = np.zeros(DOF)
+        self.stuck = np.zeros(DOF, dtype=bool)
+        self.limp = False
 
     def step(self) -> None:
-        told, q = self.tau, self.__dict__["q"]
+        told = self.tau
+        q = self.__dict__["q"]
         self.tau = told + self.pushed
         super().step()
         self.tau = told
-        crawl = 1e-6 * (-1.0) ** self.steps  # readings that stay the same to the bit are frozen, not stuck
+        crawl = (
+            1e-6 * (-1.0) ** self.steps
+        )  # readings that stay the same to the bit are frozen, not stuck
         self.v = np.where(self.stuck, crawl, self.__dict__["v"])
         self.q = np.where(self.stuck, q + self.dt * crawl, self.__dict__["q"])
 
@@ -76,7 +87,8 @@ class Arms(FailingPlant):
         super().command(tau, self.fingers if self.limp else fingers)
 
     def touch_nothing(self) -> None:
-        self.pushed, self.stuck = np.zeros(DOF), np.zeros(DOF, dtype=bool)
+        self.pushed = np.zeros(DOF)
+        self.stuck = np.zeros(DOF, dtype=bool)
 
 
 class Driver:
@@ -86,11 +98,19 @@ class Driver:
         self.plant = Arms(scene)
         self.clearance = SceneClearance(DUAL_PANDA)
         self.supervisor = Supervisor(
-            dt_s=self.plant.dt, self_distance=lambda q: self.distance(q), clearance=self.clearance
+            dt_s=self.plant.dt,
+            self_distance=lambda q: self.distance(q),
+            clearance=self.clearance,
         )
         self.distance: Callable[[Array], tuple[str, float]] = lambda q: ("a with b", 1.0)
         self.held = HandsObject(self.plant)
-        self.stack = ControlStack(self.plant, Kinematics(), CONFIG, supervisor=self.supervisor, sensor=self.held)
+        self.stack = ControlStack(
+            self.plant,
+            Kinematics(),
+            CONFIG,
+            supervisor=self.supervisor,
+            sensor=self.held,
+        )
         self.seen: Counter[str] = Counter()
         self.did: Counter[str] = Counter()
         self.rare = RARE
@@ -102,14 +122,18 @@ class Driver:
             self._play(seed)
 
     def _play(self, seed: int) -> None:
-        self.rng, self.sequence, self.offered = np.random.default_rng(seed), 0, []
+        self.rng = np.random.default_rng(seed)
+        self.sequence = 0
+        self.offered = []
         self.plant.lies.clear()
         self.plant.grip = np.zeros(2)
         self.plant.reset()
-        self.distance, self.broken_listener = (lambda q: ("a with b", 1.0)), False
+        self.distance = lambda q: ("a with b", 1.0)
+        self.broken_listener = False
         self.stack.reset()
         self.stack.speed_override = 1.0
-        self.told, self.target = self.supervisor._before_control(self.plant.q), HOME
+        self.told = self.supervisor._before_control(self.plant.q)
+        self.target = HOME
         self.allowed: str | None = None
         self.excused_s = np.zeros(2)
         names = list(self.rare)
@@ -126,36 +150,49 @@ class Driver:
             self.rest()
 
     def flushed(self, mode: str) -> None:
-        fails, self.broken_listener = self.broken_listener, False
+        fails = self.broken_listener
+        self.broken_listener = False
         if fails:
             breaks()
 
     def tick(self) -> None:
-        plant, stack, count = self.plant, self.stack, len(self.plant.torques)
+        plant = self.plant
+        stack = self.stack
+        count = len(self.plant.torques)
         try:
             stack.step()
         except ReflexError as error:
             self.seen[error.reflex.name] += 1
         assert len(plant.torques) == count + 1, "a tick without torque"
-        tau, out = plant.torques[-1], stack.output
+        tau = plant.torques[-1]
+        out = stack.output
         assert np.isfinite(tau).all()
         assert np.max(np.abs(tau) / TAU_MAX) <= 1.0 + 1e-9
         step = float(np.abs(tau - self.told).max())
         assert step <= TAU_RATE_MAX * plant.dt + 1e-9, f"the torque steps by {step:.2f} Nm"
         fastest = np.abs(self.v / V_MAX).reshape(2, -1).max(axis=1)
-        most = np.where(self.excused_s < plant.steps * plant.dt, 1.1, np.where(self.on, 2.0, np.inf))
+        most = np.where(
+            self.excused_s < plant.steps * plant.dt,
+            1.1,
+            np.where(self.on, 2.0, np.inf),
+        )
         assert (fastest <= most).all(), f"faster than its limit: {fastest}"
         assert np.isfinite(out.q_target).all()
         assert ((out.q_target >= Q_LOWER) & (out.q_target <= Q_UPPER)).all()
         self.seen["object"] += any(isinstance(e, ObjectExecution) for e in out.executions)
-        self.seen["hand"] += bool(out.active_source) and any(name in HANDS for name in stack.manager.active)
+        self.seen["hand"] += bool(out.active_source) and any(
+            name in HANDS for name in stack.manager.active
+        )
         if out.active_source is not None:
             self.seen[out.active_source] += 1
             assert out.active_source == stack.source
         if out.state is ArbiterState.ACTIVE and not out.executions:
             moved = float(np.abs(out.q_target - self.target).max())
-            assert moved <= CONFIG.switch_step_max_rad + 1e-9, f"the target steps by {moved:.2f} rad"
-        self.told, self.target = tau, out.q_target
+            assert moved <= CONFIG.switch_step_max_rad + 1e-9, (
+                f"the target steps by {moved:.2f} rad"
+            )
+        self.told = tau
+        self.target = out.q_target
 
     @property
     def v(self) -> Array:
@@ -169,7 +206,9 @@ class Driver:
 
     def excuse(self, *arms: int, until_s: float | None = None) -> None:
         """Let arms pass their speed limits for a while."""
-        self.excused_s[list(arms)] = self.plant.steps * self.plant.dt + EXCUSED_S if until_s is None else until_s
+        self.excused_s[list(arms)] = (
+            self.plant.steps * self.plant.dt + EXCUSED_S if until_s is None else until_s
+        )
 
     def rest(self) -> None:
         """Go on until a latched stop has been at rest for a while, which it must be in time."""
@@ -187,11 +226,13 @@ class Driver:
 
     def speak(self) -> None:
         """The driving source, or any, says something sensible or not; afterwards it changes its arrays."""
-        stack, rng = self.stack, self.rng
+        stack = self.stack
+        rng = self.rng
         source = stack.source or SOURCES[rng.integers(3)]
         self.sequence += 1
         stack.affirm(source)
-        q, gripper = stack.output.q_target + rng.uniform(-0.08, 0.08, DOF), rng.integers(0, 2, 2).astype(float)
+        q = stack.output.q_target + rng.uniform(-0.08, 0.08, DOF)
+        gripper = rng.integers(0, 2, 2).astype(float)
         q = np.clip(q, Q_LOWER, Q_UPPER)
         kind = rng.random()
         if kind < 0.05:
@@ -200,7 +241,8 @@ class Driver:
             q += 4.0
         elif kind < 0.15:
             q = np.clip(q + 0.5, Q_LOWER, Q_UPPER)
-        said, group = (gripper, self.plant.time, self.sequence), GROUPS[rng.integers(len(GROUPS))]
+        said = (gripper, self.plant.time, self.sequence)
+        group = GROUPS[rng.integers(len(GROUPS))]
         joints = self.plant.robot.groups[group]
         if stack.manager.active == OBJECT_CONTROLLERS and kind > 0.2:
             path = self.object_path()
@@ -217,7 +259,8 @@ class Driver:
             command = JointCommand(q, *said, group)
         self._try(lambda: stack.propose(source, command))
         if rng.random() < 0.3:
-            q[:], gripper[:] = np.nan, np.nan
+            q[:] = np.nan
+            gripper[:] = np.nan
 
     def object_path(self) -> ObjectMotion | None:
         """Return a short straight path from the object, or a broken one; None if the object cannot be seen."""
@@ -249,7 +292,8 @@ class Driver:
         """The motors of an arm die; power may return within the limits of the joints, or change sides."""
         if self.plant.steps == 0:
             return
-        arms, then = {int(self.rng.integers(2)), *np.flatnonzero(~self.on).tolist()}, self.rng.integers(4)
+        arms = {int(self.rng.integers(2)), *np.flatnonzero(~self.on).tolist()}
+        then = self.rng.integers(4)
         self.excuse(*arms, until_s=np.inf)
         self.stack.switch_off(tuple(arms))
         self.seen["switched off"] += 1
@@ -300,7 +344,8 @@ class Driver:
         self.seen["recovered"] += not refused
 
     def blind(self) -> None:
-        joints, row = self.rng.integers(0, DOF, 3), "qv"[self.rng.integers(2)]
+        joints = self.rng.integers(0, DOF, 3)
+        row = "qv"[self.rng.integers(2)]
         if self.plant.lies:
             return
         self.plant.lies[row] = lambda x: np.where(np.isin(np.arange(DOF), joints), np.nan, x)
@@ -309,7 +354,9 @@ class Driver:
         """Something pushes one joint for 30 ms, or blocks it."""
         joint = int(self.rng.integers(DOF))
         if self.rng.random() < 0.5:
-            self.plant.pushed[joint] = (0.3 if joint % 7 < 4 else 0.5) * TAU_MAX[joint] * self.rng.choice([-1.0, 1.0])
+            self.plant.pushed[joint] = (
+                (0.3 if joint % 7 < 4 else 0.5) * TAU_MAX[joint] * self.rng.choice([-1.0, 1.0])
+            )
         else:
             self.plant.stuck[joint] = True
         for _ in range(30):
@@ -323,14 +370,18 @@ class Driver:
 
     def dive(self) -> None:
         """The source drives the arms fast at the table or at one another; they never get there."""
-        stack, ways = self.stack, (np.eye(DOF)[1] + np.eye(DOF)[8], np.eye(DOF)[7] - np.eye(DOF)[0])
+        stack = self.stack
+        ways = (np.eye(DOF)[1] + np.eye(DOF)[8], np.eye(DOF)[7] - np.eye(DOF)[0])
         if stack.source is None or stack.reflex is not None or self.plant.lies or not self.on.all():
             return
         self._try(lambda: stack.switch_controllers(SETS[self.rng.integers(2)]))
         here = np.clip(stack.output.q_target, Q_LOWER, Q_UPPER)
         motion = move(here, np.clip(here + 1.5 * ways[self.rng.integers(2)], Q_LOWER, Q_UPPER), 1.4)
         self.sequence += 1
-        stack.propose(stack.source, TrajectoryCommand(motion, np.ones(2), self.plant.time, self.sequence))
+        stack.propose(
+            stack.source,
+            TrajectoryCommand(motion, np.ones(2), self.plant.time, self.sequence),
+        )
         for k in range(1000):
             if not stack.executing or stack.source is None:
                 break
@@ -343,7 +394,10 @@ class Driver:
     def grip(self) -> None:
         """Both hands feel something between their fingers; then it is gone, or their drives fail."""
         plant = self.plant
-        for plant.grip, plant.limp in ((np.full(2, 60.0), False), (np.zeros(2), self.rng.random() < 0.7)):
+        for plant.grip, plant.limp in (
+            (np.full(2, 60.0), False),
+            (np.zeros(2), self.rng.random() < 0.7),
+        ):
             for _ in range(30):
                 self.tick()
         plant.limp = False
@@ -356,16 +410,30 @@ class Driver:
 
     def glitch(self) -> None:
         """One packet is wrong by little or much, in one joint's position, velocity or both: no stop makes arms faster."""
-        rng, stack = self.rng, self.stack
-        if self.plant.lies or self.plant.steps == 0 or stack.reflex is not None or not self.on.all():
+        rng = self.rng
+        stack = self.stack
+        if (
+            self.plant.lies
+            or self.plant.steps == 0
+            or stack.reflex is not None
+            or not self.on.all()
+        ):
             return
         for _ in range(int(rng.integers(1, 300))):  # often until they rest
             self.tick()
         if stack.reflex is not None or stack.stopping:
             return
-        joint, which, before = np.eye(DOF)[rng.integers(DOF)], rng.integers(1, 4), np.abs(self.v)
-        off = rng.choice([-1.0, 1.0], 2) * 10.0 ** rng.uniform([-3.0, -1.5], [0.0, 1.5])  # rad, rad/s
-        lies: dict[str, Any] = {"q": lambda x: x + off[0] * joint, "v": lambda x: x + off[1] * joint}
+        joint = np.eye(DOF)[rng.integers(DOF)]
+        which = rng.integers(1, 4)
+        before = np.abs(self.v)
+        off = rng.choice([-1.0, 1.0], 2) * 10.0 ** rng.uniform(
+            [-3.0, -1.5],
+            [0.0, 1.5],
+        )  # rad, rad/s
+        lies: dict[str, Any] = {
+            "q": lambda x: x + off[0] * joint,
+            "v": lambda x: x + off[1] * joint,
+        }
         self.plant.lies.update({name: lies[name] for k, name in enumerate("qv") if which & 1 << k})
         self.tick()
         self.plant.lies.clear()
@@ -375,18 +443,28 @@ class Driver:
         for _ in range(300):
             self.tick()
             faster = float((np.abs(self.v) - before.max()).max())
-            assert faster < 0.15, f"{off} of joint {joint.argmax()} ({which}) makes a stop {faster:.2f} rad/s faster"
+            assert faster < 0.15, (
+                f"{off} of joint {joint.argmax()} ({which}) makes a stop {faster:.2f} rad/s faster"
+            )
 
     def flaky(self) -> None:
         """In a stop, some joints are measured now and then: the arms brake all the same."""
-        rng, stack = self.rng, self.stack
-        if self.plant.lies or self.plant.steps == 0 or stack.reflex is not None or not self.on.all():
+        rng = self.rng
+        stack = self.stack
+        if (
+            self.plant.lies
+            or self.plant.steps == 0
+            or stack.reflex is not None
+            or not self.on.all()
+        ):
             return
         for _ in range(int(rng.integers(1, 300))):
             self.tick()
         if stack.reflex is not None or stack.stopping:
             return
-        joints, share, began = rng.integers(0, DOF, rng.integers(1, 4)), rng.uniform(0.02, 0.6), np.abs(self.v).max()
+        joints = rng.integers(0, DOF, rng.integers(1, 4))
+        share = rng.uniform(0.02, 0.6)
+        began = np.abs(self.v).max()
         nothing = lambda x: np.where(np.isin(np.arange(DOF), joints), np.nan, x)  # noqa: E731
         self.supervisor.estop()
         for _ in range(400):
@@ -407,9 +485,12 @@ class Driver:
             self.plant.lies[row] = lambda x: kept
 
     def clock(self) -> None:
-        if self.plant.lies or self.stack.reflex is not None:  # stamps that stand during a stop blind both arms
+        if (
+            self.plant.lies or self.stack.reflex is not None
+        ):  # stamps that stand during a stop blind both arms
             return
-        now, way = self.plant.time, self.rng.integers(3)
+        now = self.plant.time
+        way = self.rng.integers(3)
         self.plant.lies["time"] = lambda t: (now, now - 0.1, np.nan)[way]
 
     def fail(self) -> None:
@@ -425,14 +506,21 @@ class Driver:
         """Return whether it was refused."""
         try:
             call()
-        except (UsageError, ControllerSwitchError, ZeroDivisionError):  # the last: a reading that fails, to its caller
+        except (
+            UsageError,
+            ControllerSwitchError,
+            ZeroDivisionError,
+        ):  # the last: a reading that fails, to its caller
             return True
         return False
 
 
 RARE: dict[str, Any] = {
     **{name: getattr(Driver, name) for name in ("request", "switch", "halt", "estop", "recover")},
-    **{name: getattr(Driver, name) for name in ("blind", "freeze", "clock", "fail", "silence", "listener")},
+    **{
+        name: getattr(Driver, name)
+        for name in ("blind", "freeze", "clock", "fail", "silence", "listener")
+    },
     **{name: getattr(Driver, name) for name in ("push", "grip", "bias")},
     **{name: getattr(Driver, name) for name in ("override", "dive", "switch_off")},
     "dive again": Driver.dive,
@@ -441,11 +529,17 @@ RARE: dict[str, Any] = {
     "ask again": Driver.request,
     "recover again": Driver.recover,
 }
-FAST: dict[str, Any] = {name: getattr(Driver, name) for name in ("dive", "override", "request", "halt", "recover")}
+FAST: dict[str, Any] = {
+    name: getattr(Driver, name) for name in ("dive", "override", "request", "halt", "recover")
+}
 
-WRONG: dict[str, Any] = {name: getattr(Driver, name) for name in ("glitch", "request", "recover", "override", "halt")}
+WRONG: dict[str, Any] = {
+    name: getattr(Driver, name) for name in ("glitch", "request", "recover", "override", "halt")
+}
 WRONG |= {"glitch again": Driver.glitch, "glitch anew": Driver.glitch}
-FLAKY: dict[str, Any] = {name: getattr(Driver, name) for name in ("flaky", "request", "recover", "override", "halt")}
+FLAKY: dict[str, Any] = {
+    name: getattr(Driver, name) for name in ("flaky", "request", "recover", "override", "halt")
+}
 FLAKY |= {"flaky again": Driver.flaky, "flaky anew": Driver.flaky}
 
 
@@ -471,7 +565,10 @@ def test_arms_driven_at_the_table_and_at_one_another_never_get_there(driver: Dri
             driver.play(seed)
 
 
-def test_a_packet_that_is_wrong_makes_no_stop_faster(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_packet_that_is_wrong_makes_no_stop_faster(
+    driver: Driver,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     driver.rare = WRONG
     driver.play(*range(8))
     assert driver.seen["glitch"] > 5
@@ -482,14 +579,21 @@ def test_a_packet_that_is_wrong_makes_no_stop_faster(driver: Driver, monkeypatch
 
 
 def test_joints_that_are_measured_now_and_then_draw_out_no_stop(
-    driver: Driver, monkeypatch: pytest.MonkeyPatch
+    driver: Driver,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     driver.rare = FLAKY
     driver.play(*range(20_000, 20_024))
     assert driver.seen["flaky"] > 3
 
-    begin = SupervisedStop.begin  # negative control: each packet that comes back begins the stop anew
-    monkeypatch.setattr(SupervisedStop, "begin", lambda self, q, v, tau, anew=None: begin(self, q, v, tau))
+    begin = (
+        SupervisedStop.begin
+    )  # negative control: each packet that comes back begins the stop anew
+    monkeypatch.setattr(
+        SupervisedStop,
+        "begin",
+        lambda self, q, v, tau, anew=None: begin(self, q, v, tau),
+    )
     with pytest.raises(AssertionError, match="unmeasured in"):
         driver.play(*range(20_000, 20_024))
 
@@ -512,14 +616,23 @@ def test_a_thousand_episodes_of_wrong_packets_keep_every_rule(driver: Driver) ->
 @pytest.mark.parametrize("block", range(10))
 def test_five_thousand_random_episodes_keep_every_rule(driver: Driver, block: int) -> None:
     driver.play(*range(1000 + 500 * block, 1500 + 500 * block))
-    reflexes = {"controller_failed", "emergency_stop", "clock", "not_finite", "implausible_measurement"}
+    reflexes = {
+        "controller_failed",
+        "emergency_stop",
+        "clock",
+        "not_finite",
+        "implausible_measurement",
+    }
     reflexes |= {"joint_contact", "joint_stuck", "gripper_opened", "stopping_distance"}
     assert {*reflexes, *SOURCES, "recovered", "object", "hand", "switched off"} <= {
         name for name, count in driver.seen.items() if count
     }
 
 
-def test_the_driver_sees_a_torque_that_jumps(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_sees_a_torque_that_jumps(
+    driver: Driver,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(TorqueRate, "limit", lambda self, tau: setattr(self, "tau", tau) or tau)
     with pytest.raises(AssertionError, match="torque steps"):
         driver.play(*range(6, 10))

@@ -13,7 +13,13 @@ from panda import HOME, JOINT_DAMPING
 from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import impedance
-from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance import (
+    HeldObject,
+    ObjectImpedance,
+    ObjectPath,
+    ObjectState,
+    Waypoint,
+)
 from minidual.control.kernels import minimum_jerk
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -73,22 +79,37 @@ def test_the_spring_pushes_back_towards_the_wanted_pose() -> None:
     shifted[0, 3] += 0.01
     kinematics = Kinematics()
     J = np.vstack(kinematics.tcp_jacobians(q)).T
-    tau = law.torque(q, np.zeros(14), ObjectState(centre), ObjectState(shifted), wanted_n=0.0, felt_n=0.0)
+    tau = law.torque(
+        q,
+        np.zeros(14),
+        ObjectState(centre),
+        ObjectState(shifted),
+        wanted_n=0.0,
+        felt_n=0.0,
+    )
     f, *_ = np.linalg.lstsq(J, tau - kinematics.gravity(q), rcond=None)
     assert np.isclose(f[0] + f[6], 500.0 * 0.01, atol=1e-6)
 
 
-def test_motion_feedforward_asks_for_the_acceleration_of_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motion_feedforward_asks_for_the_acceleration_of_the_object(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Without feedback errors the torques must be those of inverse dynamics for the wanted hand acceleration."""
     monkeypatch.setattr(impedance, "POSTURE_STIFFNESS_PER_S2", 0.0)
     law, centre, q = _law()
     acceleration = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.4])
     tau = law.torque(
-        q, np.zeros(14), ObjectState(centre), ObjectState(centre, np.zeros(6), acceleration), wanted_n=0.0, felt_n=0.0
+        q,
+        np.zeros(14),
+        ObjectState(centre),
+        ObjectState(centre, np.zeros(6), acceleration),
+        wanted_n=0.0,
+        felt_n=0.0,
     )
     kinematics = Kinematics()
     J_left, J_right = kinematics.tcp_jacobians(q)
-    M, J = kinematics.mass_matrix(q), np.vstack([J_left, J_right])
+    M = kinematics.mass_matrix(q)
+    J = np.vstack([J_left, J_right])
     # What the object needs from the hands acts back on the arms as an external load.
     inertia = centre[:3, :3] @ law.held.inertia_kg_m2 @ centre[:3, :3].T
     w = np.concatenate([0.2 * (acceleration[:3] - oracle.GRAVITY), inertia @ acceleration[3:]])
@@ -98,14 +119,17 @@ def test_motion_feedforward_asks_for_the_acceleration_of_the_object(monkeypatch:
     qdd = np.linalg.solve(M, tau - kinematics.bias(q, np.zeros(14)) - load)
     for J_hand, T in ((J_left, left), (J_right, right)):
         r = T[:3, 3] - p
-        expected = np.concatenate([acceleration[:3] + np.cross(acceleration[3:], r), acceleration[3:]])
+        expected = np.concatenate(
+            [acceleration[:3] + np.cross(acceleration[3:], r), acceleration[3:]],
+        )
         assert np.allclose(J_hand @ qdd, expected, atol=1e-6)
     assert JOINT_DAMPING > 0.0
 
 
 def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -> None:
     """Grasp, squeeze, then hold: kinetic energy dies out and stays out."""
-    world, kinematics = World(scene), Kinematics()
+    world = World(scene)
+    kinematics = Kinematics()
     config = CarryConfig(sensing=PERFECT_SENSING)
     trial = rod_trial("test", 0, (*scene.task.start_xy_m, 0.0), (*scene.task.start_xy_m, 0.0))
     world.reset(poses=trial.start)
@@ -118,7 +142,9 @@ def test_energy_does_not_grow_when_a_held_rod_is_let_swing(scene: SceneConfig) -
         v = world.v
         energy.append(0.5 * float(v @ kinematics.mass_matrix(world.q) @ v))
     assert max(energy[:600]) > 1e-2  # it did move
-    assert max(energy[-100:]) < 0.02 * max(energy)  # what is left is the elbows settling in the null space
+    assert max(energy[-100:]) < 0.02 * max(
+        energy,
+    )  # what is left is the elbows settling in the null space
     assert np.all(np.diff(energy[-100:]) < 1e-7)  # and it only ever falls
     assert world.truth().internal_force() > 35.0
 
@@ -128,7 +154,11 @@ def test_minimum_jerk_derivatives_match_finite_differences(s: float) -> None:
     h = 1e-6
     blend, rate, curvature = minimum_jerk(s)
     assert np.isclose((minimum_jerk(s + h)[0] - minimum_jerk(s - h)[0]) / (2 * h), rate, atol=1e-5)
-    assert np.isclose((minimum_jerk(s + h)[1] - minimum_jerk(s - h)[1]) / (2 * h), curvature, atol=1e-4)
+    assert np.isclose(
+        (minimum_jerk(s + h)[1] - minimum_jerk(s - h)[1]) / (2 * h),
+        curvature,
+        atol=1e-4,
+    )
     assert 0.0 <= blend <= 1.0
 
 
@@ -142,7 +172,9 @@ def test_object_path_rests_at_its_waypoints_and_its_twist_is_its_derivative() ->
         assert np.abs(path.at(t).twist).max() < 1e-12
     h = 1e-5
     for t in (0.3, 1.7, 2.6):
-        before, here, after = path.at(t - h), path.at(t), path.at(t + h)
+        before = path.at(t - h)
+        here = path.at(t)
+        after = path.at(t + h)
         velocity = (after.T_world_object[:3, 3] - before.T_world_object[:3, 3]) / (2 * h)
         assert np.allclose(velocity, here.twist[:3], atol=1e-7)
         assert np.allclose((after.twist - before.twist) / (2 * h), here.acceleration, atol=1e-5)

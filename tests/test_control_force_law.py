@@ -20,7 +20,12 @@ from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import kernels
 from minidual.control.gripper import pinch_force
-from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState, SingularPostureError
+from minidual.control.impedance import (
+    HeldObject,
+    ObjectImpedance,
+    ObjectState,
+    SingularPostureError,
+)
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import inverse, pose, rot_z
@@ -32,7 +37,8 @@ triples = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
 
 def rotation(vector: np.ndarray) -> np.ndarray:
     """Return exp of a rotation vector."""
-    quat, matrix = np.empty(4), np.empty(9)
+    quat = np.empty(4)
+    matrix = np.empty(9)
     angle = float(np.linalg.norm(vector))
     mujoco.mju_axisAngle2Quat(quat, vector / angle if angle > 0.0 else np.array([1.0, 0, 0]), angle)
     mujoco.mju_quat2Mat(matrix, quat)
@@ -61,8 +67,14 @@ def draw(rng: np.random.Generator, kinematics: Kinematics, *, turning: bool = Tr
     grasps = (inverse(T) @ left, inverse(T) @ right)
     axis = grasps[0][:3, 3] - grasps[1][:3, 3]
     root = rng.normal(size=(3, 3))
-    held = HeldObject(rng.uniform(0.1, 1.5), 1e-3 * root @ root.T, grasps, axis / np.linalg.norm(axis))
-    twist, acceleration = 0.3 * rng.normal(size=6), 0.5 * rng.normal(size=6)
+    held = HeldObject(
+        rng.uniform(0.1, 1.5),
+        1e-3 * root @ root.T,
+        grasps,
+        axis / np.linalg.norm(axis),
+    )
+    twist = 0.3 * rng.normal(size=6)
+    acceleration = 0.5 * rng.normal(size=6)
     if not turning:
         twist[3:] = acceleration[3:] = 0.0
     T_d = pose(rotation(0.1 * rng.normal(size=3)) @ T[:3, :3], centre + 0.02 * rng.normal(size=3))
@@ -81,15 +93,25 @@ def draw(rng: np.random.Generator, kinematics: Kinematics, *, turning: bool = Tr
 class TestOracle:
     @pytest.mark.parametrize("turning", [True, False])
     def test_the_fast_law_is_the_law(self, kinematics: Kinematics, turning: bool) -> None:
-        rng, unclipped = np.random.default_rng(7), 0
-        gains = ImpedanceConfig(stiffness_n_per_m=450.0, stiffness_nm_per_rad=18.0, damping_ratio=0.8)
+        rng = np.random.default_rng(7)
+        unclipped = 0
+        gains = ImpedanceConfig(
+            stiffness_n_per_m=450.0,
+            stiffness_nm_per_rad=18.0,
+            damping_ratio=0.8,
+        )
         for _ in range(40):
             case = draw(rng, kinematics, turning=turning)
             law = ObjectImpedance(kinematics, case.held, gains)
             law.engage(case.q_engaged)
             for _ in range(2):  # buffers are reused: the second call must not see the first
                 tau = law.torque(
-                    case.q, case.v, case.measured, case.desired, wanted_n=case.wanted_n, felt_n=case.felt_n
+                    case.q,
+                    case.v,
+                    case.measured,
+                    case.desired,
+                    wanted_n=case.wanted_n,
+                    felt_n=case.felt_n,
                 )
             plain = oracle.torque(
                 kinematics,
@@ -107,7 +129,10 @@ class TestOracle:
             assert np.abs(tau - plain).max() < 5e-9  # the oracle's drift is a finite difference
         assert unclipped > 25
 
-    def test_a_squeeze_in_world_axes_keeps_its_first_direction(self, kinematics: Kinematics) -> None:
+    def test_a_squeeze_in_world_axes_keeps_its_first_direction(
+        self,
+        kinematics: Kinematics,
+    ) -> None:
         """It equals a law whose axis, in object axes, turns against the object."""
         case = draw(np.random.default_rng(5), kinematics)
         elsewhere = case.q_engaged + 0.2
@@ -118,7 +143,14 @@ class TestOracle:
         def torque(held: HeldObject, gains: ImpedanceConfig) -> np.ndarray:
             law = ObjectImpedance(kinematics, held, gains)
             law.engage(elsewhere)
-            return law.torque(case.q, case.v, case.measured, case.desired, wanted_n=case.wanted_n, felt_n=case.felt_n)
+            return law.torque(
+                case.q,
+                case.v,
+                case.measured,
+                case.desired,
+                wanted_n=case.wanted_n,
+                felt_n=case.felt_n,
+            )
 
         world = torque(case.held, ImpedanceConfig(squeeze_axes="world"))
         assert world == pytest.approx(torque(turned, ImpedanceConfig()), abs=1e-12)
@@ -132,7 +164,14 @@ class TestOracle:
         def torque(case: Case, gains: ImpedanceConfig | None = None) -> np.ndarray:
             law = ObjectImpedance(kinematics, case.held, gains or ImpedanceConfig())
             law.engage(case.q_engaged)
-            return law.torque(case.q, case.v, case.measured, case.desired, wanted_n=case.wanted_n, felt_n=case.felt_n)
+            return law.torque(
+                case.q,
+                case.v,
+                case.measured,
+                case.desired,
+                wanted_n=case.wanted_n,
+                felt_n=case.felt_n,
+            )
 
         before = torque(case)
         assert (np.abs(before) < TAU_MAX).all()
@@ -151,8 +190,17 @@ class TestOracle:
             assert np.abs(changed - before).max() > 1e-3
 
     @pytest.mark.parametrize(("wanted", "felt"), [(np.nan, 40.0), (40.0, np.nan)])
-    def test_a_squeeze_that_is_no_number_is_named(self, kinematics: Kinematics, wanted: float, felt: float) -> None:
-        law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceConfig())
+    def test_a_squeeze_that_is_no_number_is_named(
+        self,
+        kinematics: Kinematics,
+        wanted: float,
+        felt: float,
+    ) -> None:
+        law = ObjectImpedance(
+            kinematics,
+            draw(np.random.default_rng(1), kinematics).held,
+            ImpedanceConfig(),
+        )
         law.engage(HOME)
         T_left, T_right = kinematics.tcp_poses(HOME)
         state = ObjectState(pose(np.eye(3), 0.5 * (T_left[:3, 3] + T_right[:3, 3])))
@@ -165,7 +213,11 @@ class TestOracle:
             torque(wanted, felt)
 
     def test_a_lost_direction_is_named(self, kinematics: Kinematics) -> None:
-        law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceConfig())
+        law = ObjectImpedance(
+            kinematics,
+            draw(np.random.default_rng(1), kinematics).held,
+            ImpedanceConfig(),
+        )
         law.engage(HOME)
         law._hands.update = lambda *_: law._hands.J.fill(0.0)  # type: ignore[method-assign]
         state = ObjectState(np.eye(4))
@@ -175,9 +227,16 @@ class TestOracle:
 
     @pytest.mark.parametrize("hand", [0, 1])
     def test_a_direction_that_is_lost_already_when_it_takes_over_is_named_too(
-        self, kinematics: Kinematics, monkeypatch: pytest.MonkeyPatch, hand: int
+        self,
+        kinematics: Kinematics,
+        monkeypatch: pytest.MonkeyPatch,
+        hand: int,
     ) -> None:
-        law = ObjectImpedance(kinematics, draw(np.random.default_rng(1), kinematics).held, ImpedanceConfig())
+        law = ObjectImpedance(
+            kinematics,
+            draw(np.random.default_rng(1), kinematics).held,
+            ImpedanceConfig(),
+        )
         jacobians = [J.copy() for J in kinematics.tcp_jacobians(HOME)]
         jacobians[hand][2] = 0.0  # no joint lifts this hand
         monkeypatch.setattr(kinematics, "tcp_jacobians", lambda q: tuple(jacobians))
@@ -190,22 +249,40 @@ class TestGrasp:
     @given(triples, triples, triples, triples, triples)
     @settings(deadline=None, max_examples=50)
     def test_the_closed_form_is_the_distribution(
-        self, r_l: np.ndarray, r_r: np.ndarray, force: np.ndarray, moment: np.ndarray, squeeze: np.ndarray
+        self,
+        r_l: np.ndarray,
+        r_r: np.ndarray,
+        force: np.ndarray,
+        moment: np.ndarray,
+        squeeze: np.ndarray,
     ) -> None:
         w = np.concatenate([force, moment])
         f_int = np.concatenate([-squeeze, np.zeros(3), squeeze, np.zeros(3)])
         G = oracle.grasp_matrix(r_l, r_r)
         plain = np.linalg.pinv(G) @ w + oracle.split(G, f_int)[1]
-        f = np.ravel(kernels.hand_wrenches(tuple(force), tuple(moment), tuple(r_l), tuple(r_r), tuple(squeeze)))
+        f = np.ravel(
+            kernels.hand_wrenches(
+                tuple(force),
+                tuple(moment),
+                tuple(r_l),
+                tuple(r_r),
+                tuple(squeeze),
+            ),
+        )
         assert np.allclose(f, plain, atol=1e-9)
         assert np.allclose(G @ f, w, atol=1e-9)
 
     @given(triples, triples, triples)
     @settings(deadline=None, max_examples=50)
     def test_a_squeeze_does_no_work_on_any_rigid_motion(
-        self, r_l: np.ndarray, r_r: np.ndarray, squeeze: np.ndarray
+        self,
+        r_l: np.ndarray,
+        r_r: np.ndarray,
+        squeeze: np.ndarray,
     ) -> None:
-        f = np.ravel(kernels.hand_wrenches((0.0,) * 3, (0.0,) * 3, tuple(r_l), tuple(r_r), tuple(squeeze)))
+        f = np.ravel(
+            kernels.hand_wrenches((0.0,) * 3, (0.0,) * 3, tuple(r_l), tuple(r_r), tuple(squeeze)),
+        )
         assert np.abs(oracle.grasp_matrix(r_l, r_r) @ f).max() < 1e-9
 
     @pytest.mark.parametrize("yaw", [np.pi / 2, -2.0])
@@ -217,7 +294,9 @@ class TestGrasp:
 
     @pytest.mark.parametrize("yaw", [0.0, np.pi / 2])
     def test_a_rod_turned_by_90_degrees_keeps_its_squeeze_along_itself(
-        self, kinematics: Kinematics, yaw: float
+        self,
+        kinematics: Kinematics,
+        yaw: float,
     ) -> None:
         """Arms really reach round the turned rod; what their torques put on it is measured by statics."""
         T = pose(rot_z(yaw), (0.45, 0.0, 0.35))
@@ -237,7 +316,9 @@ class TestGrasp:
         assert f[6:9] == pytest.approx(30.0 * axis + carried, abs=1e-6)
         assert f[3:6] == pytest.approx(np.zeros(3), abs=1e-6)
         internal = oracle.squeeze_reference(axis, 30.0)
-        rigid = oracle.grasp_matrix(0.12 * axis, -0.12 * axis).T @ np.array([0.3, -0.2, 0.1, 0.5, 1.0, -2.0])
+        rigid = oracle.grasp_matrix(0.12 * axis, -0.12 * axis).T @ np.array(
+            [0.3, -0.2, 0.1, 0.5, 1.0, -2.0],
+        )
         assert internal @ rigid == pytest.approx(0.0, abs=1e-9)  # no work on any motion of the rod
 
 
@@ -249,10 +330,18 @@ def held() -> BenchScene:
 class TestHeld:
     @staticmethod
     def _run(held: BenchScene, desired: ObjectState, steps: int, squeeze_n: float):
-        world, grippers = held.world, held.grippers()
+        world = held.world
+        grippers = held.grippers()
         for _ in range(steps):
             measured, felt = held.sense()
-            tau = held.law.torque(world.q, world.v, measured, desired, wanted_n=squeeze_n, felt_n=felt)
+            tau = held.law.torque(
+                world.q,
+                world.v,
+                measured,
+                desired,
+                wanted_n=squeeze_n,
+                felt_n=felt,
+            )
             world.command(tau, grippers.step(held.gripper))
             world.step()
             yield measured, felt
@@ -262,11 +351,15 @@ class TestHeld:
         held.restore()
         T = held.rest.copy()
         T[:3, 3] += (0.0, 0.015, 0.015)
-        stiffness, energy = oracle.stiffness(held.law.gains), []
+        stiffness = oracle.stiffness(held.law.gains)
+        energy = []
         for measured, _ in self._run(held, ObjectState(T), 1200, 40.0):
-            M, v = held.kinematics.mass_matrix(held.world.q), held.world.v
+            M = held.kinematics.mass_matrix(held.world.q)
+            v = held.world.v
             R = measured.T_world_object[:3, :3]
-            e = np.concatenate([T[:3, 3] - measured.T_world_object[:3, 3], pin.log3(T[:3, :3] @ R.T)])
+            e = np.concatenate(
+                [T[:3, 3] - measured.T_world_object[:3, 3], pin.log3(T[:3, :3] @ R.T)],
+            )
             energy.append(0.5 * v @ M @ v + 0.5 * e @ (stiffness * e))
         assert energy[0] > 0.1
         rises = np.maximum(np.diff(energy), 0.0).sum()
@@ -276,10 +369,16 @@ class TestHeld:
     @pytest.mark.parametrize("axis", ["x", "y", "z"])
     @pytest.mark.parametrize("stiffness", [20.0, 40.0])
     def test_a_moment_turns_the_held_object_by_what_the_stiffness_says(
-        self, held: BenchScene, axis: str, stiffness: float, monkeypatch: pytest.MonkeyPatch
+        self,
+        held: BenchScene,
+        axis: str,
+        stiffness: float,
+        monkeypatch: pytest.MonkeyPatch,
     ) -> None:
         """Apply 0.4 Nm about one axis of the world, slowly: angle = moment / K within 10 %."""
-        moment, world, k = 0.4, held.world, "xyz".index(axis)
+        moment = 0.4
+        world = held.world
+        k = "xyz".index(axis)
         held.restore()
         gains = ImpedanceConfig(stiffness_nm_per_rad=stiffness)
         law = ObjectImpedance(held.kinematics, held.law.held, gains)
@@ -306,7 +405,11 @@ class TestHeld:
         assert 0 < slipped < 50
         assert 0.95 * limit < np.max(felt[:slipped]) < 1.05 * limit
         held.restore()
-        asked = brentq(lambda squeeze: pinch_force(squeeze, 0.5, 0.2, safety=1.25) - 60.0, 0.0, 80.0)
+        asked = brentq(
+            lambda squeeze: pinch_force(squeeze, 0.5, 0.2, safety=1.25) - 60.0,
+            0.0,
+            80.0,
+        )
         felt = [felt for _, felt in self._run(held, ObjectState(held.rest), 400, asked)]
         assert felt[-1] == pytest.approx(asked, abs=0.5)
         held.restore()
@@ -315,7 +418,9 @@ class TestHeld:
 class TestPinch:
     def test_a_light_object_needs_half_the_squeeze_over_mu(self) -> None:
         assert pinch_force(40.0, 0.5, safety=1.0) == pytest.approx(40.0)
-        assert pinch_force(40.0, 0.5) == pytest.approx(60.0)  # what the joint-space modes pinch with
+        assert pinch_force(40.0, 0.5) == pytest.approx(
+            60.0,
+        )  # what the joint-space modes pinch with
         assert pinch_force(0.0, 0.5, 2.0, safety=1.0) == pytest.approx(2.0 * 9.81 / 2.0)
 
     def test_weight_asks_for_more(self) -> None:
@@ -330,7 +435,11 @@ class TestPinch:
             ((math.nan, 0.5, 0.2), "squeeze nan"),
         ],
     )
-    def test_nonsense_is_refused_by_name(self, values: tuple[float, float, float], message: str) -> None:
+    def test_nonsense_is_refused_by_name(
+        self,
+        values: tuple[float, float, float],
+        message: str,
+    ) -> None:
         with pytest.raises(UsageError, match=message):
             pinch_force(*values)
         with pytest.raises(UsageError, match=r"safety factor 0\.9"):
@@ -339,16 +448,19 @@ class TestPinch:
 
 class TestHands:
     def test_poses_and_jacobian(self, kinematics: Kinematics) -> None:
-        rng, hands = np.random.default_rng(4), Hands(kinematics)
+        rng = np.random.default_rng(4)
+        hands = Hands(kinematics)
         for _ in range(10):
             q = HOME + 0.3 * rng.normal(size=DOF)
-            jacobians, poses = kinematics.tcp_jacobians(q), kinematics.tcp_poses(q)
+            jacobians = kinematics.tcp_jacobians(q)
+            poses = kinematics.tcp_poses(q)
             hands.update(q)  # `tcp_poses` works in the same memory
             for i, T in enumerate(poses):
                 arm = slice(7 * i, 7 * i + 7)
                 assert np.allclose(hands.R[i], T[:3, :3], atol=1e-12)
                 assert np.allclose(hands.p[i], T[:3, 3], atol=1e-12)
-                linear, angular = hands.J[:3, arm], hands.J[3:, arm]
+                linear = hands.J[:3, arm]
+                angular = hands.J[3:, arm]
                 at_hand = np.vstack([linear + np.cross(angular, hands.p[i], axis=0), angular])
                 assert np.allclose(at_hand, jacobians[i][:, arm], atol=1e-12)
 
@@ -356,7 +468,8 @@ class TestHands:
 class TestVectors:
     @given(triples, triples, st.floats(-2, 2))
     def test_they_are_what_numpy_says(self, a: np.ndarray, b: np.ndarray, s: float) -> None:
-        x, y = a.tolist(), b.tolist()
+        x = a.tolist()
+        y = b.tolist()
         for mine, numpys in (
             (cross(x, y), np.cross(a, b)),
             (plus(x, y), a + b),

@@ -57,7 +57,11 @@ GAPS: dict[str, tuple[int, Callable[[Gap], None]]] = {
 
 @pytest.mark.parametrize("moving", [False, True], ids=["at rest", "in a carry"])
 @pytest.mark.parametrize("kind", GAPS)
-def test_a_stop_looks_again_when_measurements_come_back(world: World, kind: str, moving: bool) -> None:
+def test_a_stop_looks_again_when_measurements_come_back(
+    world: World,
+    kind: str,
+    moving: bool,
+) -> None:
     """Before, one packet of NaN let the stopped arms reach 10 rad/s and drop the rod; 25 ms without packets, 18 rad/s."""
     gap = Gap(world)
     carried = Carried(gap)  # type: ignore[arg-type]
@@ -74,8 +78,14 @@ def test_a_stop_looks_again_when_measurements_come_back(world: World, kind: str,
         assert carried.names == []  # nothing moved that could have changed
     else:
         assert len(carried.names) == 1
-        assert carried.names[0] in ("not_finite", "stale_measurement", "controller_failed", "implausible_measurement")
-    fastest, height_m = 0.0, carried.height_m
+        assert carried.names[0] in (
+            "not_finite",
+            "stale_measurement",
+            "controller_failed",
+            "implausible_measurement",
+        )
+    fastest = 0.0
+    height_m = carried.height_m
     for _ in range(2000):
         carried.run(1)
         fastest = max(fastest, float(np.abs(world.v).max()))
@@ -128,9 +138,15 @@ class Slow(Arms):
         self.dt = 0.02
 
 
-@pytest.mark.parametrize(("joint", "push_nm", "peak_rad_s"), [(0, 40.0, 2.4), (1, 60.0, 1.6), (3, 25.0, 1.0)])
+@pytest.mark.parametrize(
+    ("joint", "push_nm", "peak_rad_s"),
+    [(0, 40.0, 2.4), (1, 60.0, 1.6), (3, 25.0, 1.0)],
+)
 def test_a_latched_arm_that_is_pushed_away_does_not_spring_back(
-    scene: SceneConfig, joint: int, push_nm: float, peak_rad_s: float
+    scene: SceneConfig,
+    joint: int,
+    push_nm: float,
+    peak_rad_s: float,
 ) -> None:
     """Let go half a radian away, it came back all the way, at 3.3, 1.8 and 1.7 rad/s; now by 0.11 rad."""
     plant = Arms(scene)
@@ -162,7 +178,9 @@ def test_a_plant_of_50_hz_is_checked_too(scene: SceneConfig, lie: str) -> None:
     assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 2.0))) is None
     assert run(stack, 40) == []
     frozen = plant.q.copy()
-    plant.lies["q"] = (lambda q: q + 0.3 * JOINT_2) if lie == "jump" else lambda q: np.where(JOINT_2, frozen, q)
+    plant.lies["q"] = (
+        (lambda q: q + 0.3 * JOINT_2) if lie == "jump" else lambda q: np.where(JOINT_2, frozen, q)
+    )
     assert run(stack, 2) == ["implausible_measurement"]
     run(stack, 150)
     assert np.abs(plant.__dict__["v"]).max() < 0.2
@@ -256,4 +274,8 @@ def test_a_long_trajectory_does_not_hold_up_the_tick_in_which_it_starts(scene: S
         asked.append(stack.manager.reference.copy())
     assert max(sampled) <= 500
     first = next(k for k, q in enumerate(asked) if not np.array_equal(q, HOME)) - 1
-    np.testing.assert_allclose(asked[first:], whole(np.arange(len(asked) - first) * plant.dt)[0], atol=1e-12)
+    np.testing.assert_allclose(
+        asked[first:],
+        whole(np.arange(len(asked) - first) * plant.dt)[0],
+        atol=1e-12,
+    )

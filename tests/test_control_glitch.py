@@ -42,9 +42,15 @@ def share_of_limit(plant: Arms, stack: ControlStack) -> float:
 
 
 @pytest.mark.parametrize("joint", [1, 3, 5])
-@pytest.mark.parametrize(("dq", "dv"), [(0.05, 3.0), (3.0, 3.0), (-3.0, 3.0), (0.3, 1e3), (1e3, 1e3)])
+@pytest.mark.parametrize(
+    ("dq", "dv"),
+    [(0.05, 3.0), (3.0, 3.0), (-3.0, 3.0), (0.3, 1e3), (1e3, 1e3)],
+)
 def test_one_packet_with_position_and_velocity_wrong_moves_no_resting_arm(
-    scene: SceneConfig, joint: int, dq: float, dv: float
+    scene: SceneConfig,
+    joint: int,
+    dq: float,
+    dv: float,
 ) -> None:
     """Before, the velocity alone was not believed; the stop drove the joint by 0.4 rad and more, at up to 1.6 v_max."""
     plant = Arms(scene)
@@ -84,7 +90,11 @@ FIRST = {
 
 @pytest.mark.parametrize("begins", ["recover", "reset"])
 @pytest.mark.parametrize("what", FIRST)
-def test_a_first_tick_that_is_not_measured_does_not_begin_from_home(scene: SceneConfig, what: str, begins: str) -> None:
+def test_a_first_tick_that_is_not_measured_does_not_begin_from_home(
+    scene: SceneConfig,
+    what: str,
+    begins: str,
+) -> None:
     """Before, positions that were never seen were those of home: the arms moved by up to 0.42 rad at 1.2 v_max."""
     plant = Arms(scene)
     plant.q = AWAY.copy()
@@ -107,10 +117,14 @@ def test_a_first_tick_that_is_not_measured_does_not_begin_from_home(scene: Scene
 
 
 @pytest.mark.parametrize(
-    ("lost", "then", "value"), [("v", "q", 0.3), ("v", "q", 3.0), ("v", "q", 1e3), ("q", "v", 3.0), ("q", "v", 1e3)]
+    ("lost", "then", "value"),
+    [("v", "q", 0.3), ("v", "q", 3.0), ("v", "q", 1e3), ("q", "v", 3.0), ("q", "v", 1e3)],
 )
 def test_a_joint_that_has_lost_one_value_follows_no_glitch_of_the_other(
-    scene: SceneConfig, lost: str, then: str, value: float
+    scene: SceneConfig,
+    lost: str,
+    then: str,
+    value: float,
 ) -> None:
     """Before, one sample moved it at up to 4.3 rad/s, or by 0.36 rad for good."""
     plant = Arms(scene)
@@ -131,7 +145,11 @@ def test_a_joint_that_has_lost_one_value_follows_no_glitch_of_the_other(
 
 
 @pytest.mark.parametrize("name", ["q", "v"])
-@pytest.mark.parametrize("lie", [lambda x: np.where(np.arange(14) == 3, np.nan, x), breaks], ids=["NaN", "an error"])
+@pytest.mark.parametrize(
+    "lie",
+    [lambda x: np.where(np.arange(14) == 3, np.nan, x), breaks],
+    ids=["NaN", "an error"],
+)
 def test_without_a_supervisor_no_torque_is_nan(scene: SceneConfig, name: str, lie: Any) -> None:
     """Before, one reading of NaN went on to the motors."""
     plant = FailingPlant(scene)
@@ -161,7 +179,8 @@ def test_an_error_of_what_tells_the_supervisor_is_a_reflex_too(scene: SceneConfi
 
 @pytest.mark.parametrize("off_ms", [150, 250])
 def test_power_that_returns_brakes_an_arm_where_it_is_also_without_a_supervisor(
-    scene: SceneConfig, off_ms: int
+    scene: SceneConfig,
+    off_ms: int,
 ) -> None:
     """Before, the reference stayed where the arm had been: it went back at 6.3 and 11.1 rad/s."""
     plant = Arms(scene)
@@ -171,7 +190,8 @@ def test_power_that_returns_brakes_an_arm_where_it_is_also_without_a_supervisor(
     run(stack, off_ms)
     fell = np.abs(plant.q - HOME)[7:].max()
     assert fell > 0.2
-    falling, back = np.sign(plant.v[7:]), 0.0
+    falling = np.sign(plant.v[7:])
+    back = 0.0
     stack.switch_off(())
     for _ in range(2500):
         run(stack, 1)
@@ -181,17 +201,25 @@ def test_power_that_returns_brakes_an_arm_where_it_is_also_without_a_supervisor(
     assert np.abs(np.diff(plant.torques, axis=0)[-2500:]).max() <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize(("share", "dip_ms", "fastest"), [(0.8, 6, 0.3), (0.8, 30, 0.8), (0.0, 6, 0.3)])
+@pytest.mark.parametrize(
+    ("share", "dip_ms", "fastest"),
+    [(0.8, 6, 0.3), (0.8, 30, 0.8), (0.0, 6, 0.3)],
+)
 def test_motors_that_dip_are_braked_and_not_switched_off_for_good(
-    monkeypatch: pytest.MonkeyPatch, share: float, dip_ms: int, fastest: float
+    monkeypatch: pytest.MonkeyPatch,
+    share: float,
+    dip_ms: int,
+    fastest: float,
 ) -> None:
     """Before, 6 ms at 80 % let both arms fall at 8.75 rad/s."""
     config = Config()
-    world, task = World(config.scene), make_task(config)
+    world = World(config.scene)
+    task = make_task(config)
     trial = task.trial(31, "dip", 0)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), config.carry, trial, seed=7)
-    gives, command = [1.0], world.command
+    gives = [1.0]
+    command = world.command
     told: list[Array] = []
 
     def commanded(tau: Array, fingers_m: Array) -> None:
@@ -199,7 +227,8 @@ def test_motors_that_dip_are_braked_and_not_switched_off_for_good(
         command(gives[0] * np.array(tau), fingers_m)
 
     monkeypatch.setattr(world, "command", commanded)
-    began_s, moved = np.inf, 0.0
+    began_s = np.inf
+    moved = 0.0
     while world.time < min(began_s + 1.5, 12.0):
         carry.step()
         if carry.phase == "carry" and began_s == np.inf:

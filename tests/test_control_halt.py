@@ -52,7 +52,8 @@ def under_way(plant: Any, *, gripper: Array = CLOSED, **options: Any) -> Control
 
 def test_a_halt_acts_in_the_next_step_and_brings_the_arms_to_rest(plant: ArmsPlant) -> None:
     stack = under_way(plant)
-    v, told = plant.v.copy(), [plant.torques[-1]]
+    v = plant.v.copy()
+    told = [plant.torques[-1]]
     stack.halt("moveit")
     stack.step()
     assert stack.output.halted
@@ -73,7 +74,11 @@ def test_a_halt_acts_in_the_next_step_and_brings_the_arms_to_rest(plant: ArmsPla
 
 
 @pytest.mark.parametrize(("who", "opens"), [("moveit", True), ("teleop", False)])
-def test_everybody_may_halt_and_only_who_drives_may_open_the_hands(plant: ArmsPlant, who: str, opens: bool) -> None:
+def test_everybody_may_halt_and_only_who_drives_may_open_the_hands(
+    plant: ArmsPlant,
+    who: str,
+    opens: bool,
+) -> None:
     stack = under_way(plant)
     stack.halt(who, np.ones(2))
     stack.step()
@@ -82,7 +87,9 @@ def test_everybody_may_halt_and_only_who_drives_may_open_the_hands(plant: ArmsPl
     assert [(r.source, r.name) for r in stack.refusals] == ([] if opens else [(who, "not_driving")])
 
 
-def test_openings_that_are_none_are_refused_and_the_arms_stop_all_the_same(plant: ArmsPlant) -> None:
+def test_openings_that_are_none_are_refused_and_the_arms_stop_all_the_same(
+    plant: ArmsPlant,
+) -> None:
     stack = under_way(plant)
     stack.halt("moveit", np.array([0.5, np.nan]))
     stack.step()
@@ -96,11 +103,15 @@ def test_openings_that_are_none_are_refused_and_the_arms_stop_all_the_same(plant
 def test_a_halted_object_path_pushes_the_hands_no_more(plant: ArmsPlant) -> None:
     here = HandsObject(plant)
     stack = stack_on(plant, sensor=here)
-    stack.impedance.configure(dataclasses.replace(here.held(), mass_kg=1e-6))  # nothing weighs on this plant's hands
+    stack.impedance.configure(
+        dataclasses.replace(here.held(), mass_kg=1e-6),
+    )  # nothing weighs on this plant's hands
     hand_over(stack, "moveit", OBJECT_CONTROLLERS)
     x, y, z = (float(value) for value in here.pose()[:3, 3])
     path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + 0.1), 0.0, 0.8)])
-    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    assert (
+        stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    )
     for _ in range(300):
         stack.step()
     assert np.abs(plant.v).max() > 0.1
@@ -120,7 +131,10 @@ def test_what_is_held_may_not_change_in_the_hands_that_hold_it(plant: ArmsPlant)
     hand_over(stack, "moveit", OBJECT_CONTROLLERS)
     for _ in range(50):
         stack.step()
-    stack.impedance.configure(here.held(), ImpedanceConfig(stiffness_n_per_m=3000.0, stiffness_nm_per_rad=200.0))
+    stack.impedance.configure(
+        here.held(),
+        ImpedanceConfig(stiffness_n_per_m=3000.0, stiffness_nm_per_rad=200.0),
+    )
     last = plant.torques[-1]
     stack.step()
     assert np.abs(plant.torques[-1] - last).max() < 0.1, "the law that drives has changed"
@@ -147,7 +161,10 @@ def test_after_a_reset_it_must_be_told_what_is_held_again(plant: ArmsPlant) -> N
 
 
 @pytest.mark.parametrize("settling", [False, True])
-def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(plant: ArmsPlant, settling: bool) -> None:
+def test_a_switch_that_waits_is_refused_by_a_halt_and_may_be_asked_for_again(
+    plant: ArmsPlant,
+    settling: bool,
+) -> None:
     stack = under_way(plant)
     stack.request("teleop")
     if settling:  # else both are asked for in one tick
@@ -186,12 +203,17 @@ def test_a_hold_that_was_asked_for_with_a_halt_leaves_the_stop_in_charge(plant: 
 
 
 @pytest.mark.parametrize("first", ["hold", "switch"])
-def test_a_hold_keeps_the_set_that_is_active_when_it_is_confirmed(plant: ArmsPlant, first: str) -> None:
+def test_a_hold_keeps_the_set_that_is_active_when_it_is_confirmed(
+    plant: ArmsPlant,
+    first: str,
+) -> None:
     stack = stack_on(plant)
     hand_over(stack, "moveit", PAIR)
     if first == "hold":
         stack.request("hold")
-        stack.switch_controllers(("both_arms",))  # of who drives, in the same step: it has let go of what it held
+        stack.switch_controllers(
+            ("both_arms",),
+        )  # of who drives, in the same step: it has let go of what it held
     else:
         stack.switch_controllers(("both_arms",))
         stack.request("hold")
@@ -258,7 +280,10 @@ def test_what_is_off_falls_at_the_rate_of_the_drives() -> None:
 
 
 @pytest.mark.parametrize("supervised", [True, False])
-def test_arms_that_take_turns_at_being_off_make_no_step_of_torque(plant: ArmsPlant, supervised: bool) -> None:
+def test_arms_that_take_turns_at_being_off_make_no_step_of_torque(
+    plant: ArmsPlant,
+    supervised: bool,
+) -> None:
     """A second call gave the first arm its whole torque back in one tick: 17 Nm here, 82 Nm at worst; now 1 Nm."""
     stack = under_way(plant, supervisor=Supervisor(dt_s=1e-3) if supervised else None)
     stack.halt("moveit")
@@ -272,7 +297,9 @@ def test_arms_that_take_turns_at_being_off_make_no_step_of_torque(plant: ArmsPla
 
 @pytest.mark.parametrize("anew", [True, False])
 def test_an_arm_that_fell_is_braked_where_its_power_returns(
-    plant: ArmsPlant, monkeypatch: pytest.MonkeyPatch, anew: bool
+    plant: ArmsPlant,
+    monkeypatch: pytest.MonkeyPatch,
+    anew: bool,
 ) -> None:
     """After 150 ms without power the latched stop pulled it back to where it had stood, at 1.96 rad/s; now 0.36, or 1.72 where the stop is not told."""
     supervisor = Supervisor(dt_s=1e-3)
@@ -287,7 +314,8 @@ def test_an_arm_that_fell_is_braked_where_its_power_returns(
     stack.switch_off((1,))
     for _ in range(150):
         stack.step()
-    falling, back = np.sign(plant.v[7:]), []
+    falling = np.sign(plant.v[7:])
+    back = []
     stack.switch_off(())
     for _ in range(1000):
         stack.step()
@@ -302,7 +330,10 @@ def test_an_arm_that_fell_is_braked_where_its_power_returns(
 
 
 @pytest.mark.parametrize("after_s", [0.1, 0.4])
-def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(world: World, after_s: float) -> None:
+def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(
+    world: World,
+    after_s: float,
+) -> None:
     """They went back 0.24 rad at 1.2 rad/s with no source, and the torque stepped by 9.4 Nm; now 1e-5 rad and 0.17 Nm."""
     supervisor = Supervisor(dt_s=world.dt)
     stack = stack_on(world, supervisor=supervisor)
@@ -315,7 +346,10 @@ def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(world:
         stack.step()
     fast = float(np.abs(world.v).max())
     assert fast > 1.0
-    with pytest.raises(UsageError, match=f"may not recover while they move \\({fast:.3f} rad/s; at rest is below"):
+    with pytest.raises(
+        UsageError,
+        match=f"may not recover while they move \\({fast:.3f} rad/s; at rest is below",
+    ):
         stack.recover()
     with pytest.raises(UsageError, match="may not drive: the supervisor stopped the arms"):
         stack.request("moveit")
@@ -323,7 +357,8 @@ def test_arms_recover_at_rest_where_they_are_and_without_a_step_of_torque(world:
         stack.step()
     for _ in range(round(after_s / world.dt)):
         stack.step()
-    rest, told = world.q, [stack.applied]
+    rest = world.q
+    told = [stack.applied]
     stack.recover()
     for _ in range(500):
         stack.step()
@@ -362,7 +397,8 @@ def test_a_hold_learns_the_load_of_a_hand_and_an_opening_hand_lets_go_of_it(worl
     posture = world.q
     height = world.data.body("left_panda_hand_tcp").xpos[2:].copy()
     hand = world.model.body("left_panda_hand").id
-    told, sag_mm = [], {}
+    told = []
+    sag_mm = {}
 
     def wait(seconds: float, name: str) -> None:
         for _ in range(round(seconds / world.dt)):
@@ -371,7 +407,9 @@ def test_a_hold_learns_the_load_of_a_hand_and_an_opening_hand_lets_go_of_it(worl
         sag_mm[name] = 1e3 * float(height[0] - world.data.body("left_panda_hand_tcp").xpos[2])
 
     world.data.xfrc_applied[hand, 2] = -2.0 * 9.81
-    stack.grippers.holds = lambda arm: arm == 0  # the load hangs on the hand, not between its fingers
+    stack.grippers.holds = lambda arm: (
+        arm == 0
+    )  # the load hangs on the hand, not between its fingers
     stack.propose("teleop", JointCommand(posture, np.array([0.0, 1.0]), world.time, 1))
     wait(0.3, "driven")
     stack.request("hold")
@@ -391,12 +429,16 @@ def test_a_load_that_is_told_is_borne_while_the_hand_is_driven(world: World) -> 
     """2 kg lower a driven hand by 10 mm if nobody tells; told, they lower it by less than 1 mm. No torque jumps."""
     stack = stack_on(world)
     hand_over(stack, "teleop")
-    posture, told = world.q, []
+    posture = world.q
+    told = []
     height = float(world.data.body("left_panda_hand_tcp").xpos[2])
     hand = world.model.body("left_panda_hand").id
 
     def sag_mm(openings: tuple[float, float]) -> float:
-        stack.propose("teleop", JointCommand(posture, np.array(openings), world.time, len(told) + 1))
+        stack.propose(
+            "teleop",
+            JointCommand(posture, np.array(openings), world.time, len(told) + 1),
+        )
         for step in range(800):
             if step % stack.every == 0:
                 stack.affirm("teleop")
@@ -418,7 +460,8 @@ def test_a_load_that_is_told_is_borne_while_the_hand_is_driven(world: World) -> 
 
 def test_a_load_that_is_told_lifts_the_hand_until_it_opens() -> None:
     kinematics = Kinematics()
-    payload, q = Payload(kinematics, 1e-3), HOME + 0.1
+    payload = Payload(kinematics, 1e-3)
+    q = HOME + 0.1
     payload.bear(1, 0.5)
     told = [payload.torque(q, q, (0, 1), learn=False) for _ in range(150)]
     assert payload.force_n == [0.0, pytest.approx(0.5 * 9.81)]
@@ -431,7 +474,10 @@ def test_a_load_that_is_told_lifts_the_hand_until_it_opens() -> None:
     assert payload.torque(q, q, (0, 1), learn=False) is None
 
 
-@pytest.mark.parametrize(("arm", "mass_kg"), [(0, 100.0), (0, -1.0), (0, np.nan), (0, np.inf), (-1, 0.5), (2, 0.5)])
+@pytest.mark.parametrize(
+    ("arm", "mass_kg"),
+    [(0, 100.0), (0, -1.0), (0, np.nan), (0, np.inf), (-1, 0.5), (2, 0.5)],
+)
 def test_a_load_that_no_hand_bears_is_refused(arm: int, mass_kg: float) -> None:
     """Before, NaN and negative masses took a load away, and -1 was the right arm."""
     payload = Payload(Kinematics(), 1e-3)
@@ -492,7 +538,10 @@ def test_a_hand_that_opens_in_a_stop_lets_go_of_its_load(world: World, how: str)
     assert abs(height_mm() - before) < 3.0
 
 
-def test_a_stop_bears_what_the_law_of_both_hands_bore(plant: ArmsPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_bears_what_the_law_of_both_hands_bore(
+    plant: ArmsPlant,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Before, an emergency stop let a board of 3 kg sink by 22 mm and a halt by 34 mm."""
     for how in ("halt", "estop"):
         plant.reset()
@@ -510,7 +559,9 @@ def test_a_stop_bears_what_the_law_of_both_hands_bore(plant: ArmsPlant, monkeypa
         assert stack.supervisor._stop.bears_n == stack.payload.force_n
         monkeypatch.setattr(stack.grippers, "lost", lambda arm: arm == 1)
         steps(stack, 200)
-        assert stack.payload.force_n == [pytest.approx(1.5 * 9.81), 0.0], "what has slid out weighs no more"
+        assert stack.payload.force_n == [pytest.approx(1.5 * 9.81), 0.0], (
+            "what has slid out weighs no more"
+        )
 
 
 def test_what_a_stopped_arm_misses_is_no_load(world: World) -> None:
@@ -526,10 +577,14 @@ def test_what_a_stopped_arm_misses_is_no_load(world: World) -> None:
     stack.supervisor.estop("pressed")
     steps(stack, 2000)
     assert max(stack.payload.force_n) < 0.5
-    before = [1e3 * float(world.data.body(f"{side}_panda_hand_tcp").xpos[2]) for side in ("left", "right")]
+    before = [
+        1e3 * float(world.data.body(f"{side}_panda_hand_tcp").xpos[2]) for side in ("left", "right")
+    ]
     stack.recover()
     steps(stack, 1000)
-    after = [1e3 * float(world.data.body(f"{side}_panda_hand_tcp").xpos[2]) for side in ("left", "right")]
+    after = [
+        1e3 * float(world.data.body(f"{side}_panda_hand_tcp").xpos[2]) for side in ("left", "right")
+    ]
     np.testing.assert_allclose(after, before, atol=1.0)
 
 
@@ -560,7 +615,11 @@ def test_a_paced_path_is_the_same_path_driven_smoothly() -> None:
     ],
 )
 def test_a_path_out_of_reach_slows_down_and_stops_by_name(
-    plant: ArmsPlant, way_m: float, duration_s: float, name: str, detail: str
+    plant: ArmsPlant,
+    way_m: float,
+    duration_s: float,
+    name: str,
+    detail: str,
 ) -> None:
     """Before, the stretched arms ended in the reflex joint_velocity at condition number 599, fast ones until later."""
     here = HandsObject(plant)
@@ -570,8 +629,17 @@ def test_a_path_out_of_reach_slows_down_and_stops_by_name(
 
     def drive(way_m: float, duration_s: float) -> None:
         x, y, z = (float(value) for value in here.pose()[:3, 3])
-        path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x + way_m, y, z), 0.0, duration_s)])
-        assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, plant.steps)) is None
+        path = ObjectPath(
+            Waypoint((x, y, z), 0.0, 0.0),
+            [Waypoint((x + way_m, y, z), 0.0, duration_s)],
+        )
+        assert (
+            stack.propose(
+                "moveit",
+                ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, plant.steps),
+            )
+            is None
+        )
         stack.step()
         while stack.executing:
             stack.affirm("moveit")

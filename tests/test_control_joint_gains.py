@@ -31,7 +31,8 @@ def inertia(kinematics):
 
 def table(kinematics):
     """One arm at home, in Markdown; `alone` is what a joint moves while the others are free."""
-    M, alone = inertia(kinematics), 1.0 / np.diag(np.linalg.inv(kinematics.mass_matrix(HOME)))
+    M = inertia(kinematics)
+    alone = 1.0 / np.diag(np.linalg.inv(kinematics.mass_matrix(HOME)))
     return [
         f"| {j + 1} | {M[j]:.3f} | {JOINT_ARMATURE / M[j]:.0%} | {alone[j]:.3f} "
         f"| {WN**2 * M[j]:.1f} | {2.0 * WN * M[j]:.2f} | {A_MAX[j] / WN**2:.3f} |"
@@ -48,7 +49,9 @@ def test_the_inertia_is_what_mujoco_sees(world, kinematics):
 
 def test_the_controller_has_these_gains(kinematics):
     """Columns of its answer to errors of one joint at a time, far from the motors' limits."""
-    controller, M, h = ComputedTorque(kinematics), inertia(kinematics), 1e-4
+    controller = ComputedTorque(kinematics)
+    M = inertia(kinematics)
+    h = 1e-4
     rest = controller.torque(HOME, ZERO, HOME, ZERO, ZERO)
     for j in range(DOF):
         e = h * np.eye(DOF)[j]
@@ -109,7 +112,8 @@ class TestFriction:
         assert DUAL_PANDA.arm.damping == JOINT_DAMPING
 
     def test_it_is_odd_bounded_and_gentle_at_rest(self):
-        with_friction, without = Kinematics(self._knowing(0.5)), Kinematics()
+        with_friction = Kinematics(self._knowing(0.5))
+        without = Kinematics()
 
         def friction(v):
             return motor_torque(with_friction, HOME, v, ZERO) - motor_torque(without, HOME, v, ZERO)

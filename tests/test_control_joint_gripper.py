@@ -20,10 +20,18 @@ KP_N_PER_M = 5000.0
 class Hands:
     """Two hands without mass: a servo of 5000 N/m, and between the fingers something rigid of a half width each."""
 
-    robot, dt, grip_max_n = DUAL_PANDA, DT, 70.0
+    robot = DUAL_PANDA
+    dt = DT
+    grip_max_n = 70.0
 
-    def __init__(self, left_m: float = 0.009, right_m: float = 0.009, motor_n: float = 70.0) -> None:
-        self.half_m, self.motor_n = np.array([left_m, right_m]), motor_n
+    def __init__(
+        self,
+        left_m: float = 0.009,
+        right_m: float = 0.009,
+        motor_n: float = 70.0,
+    ) -> None:
+        self.half_m = np.array([left_m, right_m])
+        self.motor_n = motor_n
         self.targets = np.full(2, TRAVEL_M)
 
     @property
@@ -53,7 +61,10 @@ def grippers(hands):
     return Grippers(hands, pinch_force_n=50.0, speed_m_per_s=0.08)
 
 
-@pytest.mark.parametrize(("usual_n", "firm_n"), [(24.0, 31.2), (50.0, 65.0), (60.0, 66.5), (70.0, 70.0)])
+@pytest.mark.parametrize(
+    ("usual_n", "firm_n"),
+    [(24.0, 31.2), (50.0, 65.0), (60.0, 66.5), (70.0, 70.0)],
+)
 def test_a_firmer_pinch_stays_within_what_the_motors_give_and_opens_in_time(hands, usual_n, firm_n):
     """Beyond the motors' limit the targets would run ahead of the fingers, and the hands open late."""
     grippers = Grippers(hands, pinch_force_n=usual_n)
@@ -80,7 +91,9 @@ def test_a_hand_whose_object_slides_out_holds_nothing_though_its_fingers_press(h
     assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]
     assert [grippers.lost(hand) for hand in (0, 1)] == [True, True]
     run(hands, grippers, [1.0, 1.0])
-    assert [grippers.lost(hand) for hand in (0, 1)] == [False, False], "an open hand has lost nothing"
+    assert [grippers.lost(hand) for hand in (0, 1)] == [False, False], (
+        "an open hand has lost nothing"
+    )
 
 
 def test_a_reset_forgets_the_firmer_pinch(hands, grippers):
@@ -92,8 +105,12 @@ def test_a_reset_forgets_the_firmer_pinch(hands, grippers):
 
 def test_fingers_move_as_fast_as_they_are_told(hands):
     grippers = Grippers(hands, pinch_force_n=50.0, speed_m_per_s=0.03)
-    assert np.diff(run(hands, grippers, [0.0, 0.0], steps=300), axis=0).min() == pytest.approx(-0.03 * DT)
-    assert np.diff(run(hands, grippers, [1.0, 1.0], steps=50), axis=0).max() == pytest.approx(0.03 * DT)
+    assert np.diff(run(hands, grippers, [0.0, 0.0], steps=300), axis=0).min() == pytest.approx(
+        -0.03 * DT,
+    )
+    assert np.diff(run(hands, grippers, [1.0, 1.0], steps=50), axis=0).max() == pytest.approx(
+        0.03 * DT,
+    )
 
 
 def test_a_grip_that_is_no_number_moves_no_finger_and_is_a_fault(hands, grippers):
@@ -109,7 +126,12 @@ def test_a_grip_that_is_no_number_moves_no_finger_and_is_a_fault(hands, grippers
 
 
 @pytest.mark.parametrize("since", ["before it closes", "while it holds"])
-def test_fingers_that_are_no_number_are_a_fault_of_a_closed_hand(hands, grippers, monkeypatch, since):
+def test_fingers_that_are_no_number_are_a_fault_of_a_closed_hand(
+    hands,
+    grippers,
+    monkeypatch,
+    since,
+):
     """Before, such a hand could lose what it held, and no fault said so."""
     if since == "while it holds":
         run(hands, grippers, [0.0, 0.0])
@@ -198,7 +220,8 @@ def test_a_reset_opens_at_once(hands, grippers):
 def test_hands_that_hold_something_at_the_start_go_on_holding_it(hands, grippers):
     """Before, a program that began anew told them 40 mm at once."""
     run(hands, grippers, [0.0, 0.0])
-    again, least_n = Grippers(hands, pinch_force_n=50.0), np.inf
+    again = Grippers(hands, pinch_force_n=50.0)
+    least_n = np.inf
     assert again.closed.tolist() == [True, True]
     for _ in range(500):
         hands.targets = again.step(np.zeros(2))
@@ -212,7 +235,8 @@ def test_hands_that_hold_something_at_the_start_go_on_holding_it(hands, grippers
 def test_fingers_that_meet_nothing_press_on_each_other_without_a_slam(scene, compiled_model):
     """In the simulator, motors and inertia included; the force never passes what was asked for by much."""
     world = World(scene, model=compiled_model)
-    grippers, forces = Grippers(world, pinch_force_n=40.0), []
+    grippers = Grippers(world, pinch_force_n=40.0)
+    forces = []
     for _ in range(1500):
         world.command(np.zeros(14), grippers.step(np.zeros(2)))
         world.step()
@@ -221,9 +245,17 @@ def test_fingers_that_meet_nothing_press_on_each_other_without_a_slam(scene, com
     assert np.max(forces) < 48.0
 
 
-@pytest.mark.parametrize(("grip_n", "moved_m", "lost"), [(20.0, 0.0, True), (20.0, -0.002, False), (30.0, 0.0, False)])
+@pytest.mark.parametrize(
+    ("grip_n", "moved_m", "lost"),
+    [(20.0, 0.0, True), (20.0, -0.002, False), (30.0, 0.0, False)],
+)
 def test_a_grip_is_lost_when_its_force_falls_and_the_object_is_still_there(
-    hands, grippers, monkeypatch, grip_n, moved_m, lost
+    hands,
+    grippers,
+    monkeypatch,
+    grip_n,
+    moved_m,
+    lost,
 ):
     run(hands, grippers, [0.0, 0.0])
     assert grippers.fault == ""
@@ -252,7 +284,9 @@ def test_a_hand_holds_what_it_has_closed_on_and_feels(hands, grippers):
     hands.half_m[:] = 0.009, 0.0
     assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]
     run(hands, grippers, [0.0, 0.0])
-    assert hands.grip == pytest.approx([50.0, 50.0], abs=1.0), "nothing between the fingers presses back as well"
+    assert hands.grip == pytest.approx([50.0, 50.0], abs=1.0), (
+        "nothing between the fingers presses back as well"
+    )
     assert [grippers.holds(hand) for hand in (0, 1)] == [True, False]
     for nothing in (np.nan, 10.0):
         hands.motor_n = nothing

@@ -18,7 +18,9 @@ def play(targets, start=HOME, **options):
     """Return q, v, a, each (T, 14), for targets (T, 14)."""
     reference = ReferenceFilter(DT, DUAL_PANDA, **options)
     reference.reset(start)
-    return tuple(np.array(x) for x in zip(*(reference.step(target) for target in targets), strict=True))
+    return tuple(
+        np.array(x) for x in zip(*(reference.step(target) for target in targets), strict=True)
+    )
 
 
 @given(seed=st.integers(0, 10_000), hold=st.sampled_from([1, 5, 20, 100]))
@@ -59,13 +61,18 @@ def test_near_the_target_it_is_the_critically_damped_filter_after_a_ramp():
 def test_a_target_at_50_hz_does_not_step():
     ramp = 0.5 * DT * np.arange(20, 2001, 20)
     _, _, a = play(np.repeat(HOME + ramp[:, None] * np.ones(DOF), 20, axis=0))
-    assert np.abs(np.diff(a[500:], axis=0)).max() < 1e-3  # [rad/s^2] in a millisecond; without the ramp 9
+    assert (
+        np.abs(np.diff(a[500:], axis=0)).max() < 1e-3
+    )  # [rad/s^2] in a millisecond; without the ramp 9
 
 
 def test_a_moving_target_is_followed_with_a_lag_of_two_over_w_and_the_ramp():
     ramp = 0.1 * DT * np.arange(20, 3001, 20)
     q, _, _ = play(np.repeat(HOME + ramp[:, None] * np.ones(DOF), 20, axis=0), bandwidth_rad_s=30.0)
-    assert HOME + ramp[-1] - q[-1] == pytest.approx(np.full(DOF, 0.1 * 2 / 30.0), rel=0.03)  # at the ramp's end
+    assert HOME + ramp[-1] - q[-1] == pytest.approx(
+        np.full(DOF, 0.1 * 2 / 30.0),
+        rel=0.03,
+    )  # at the ramp's end
 
 
 def test_q_v_and_a_are_derivatives_of_each_other():

@@ -17,8 +17,11 @@ ZERO = np.zeros(DOF)
 
 def test_the_torque_is_the_law(kinematics):
     controller = ComputedTorque(kinematics, natural_frequency_rad_s=15.0)
-    q, v = HOME + 0.05 * RNG.normal(size=DOF), 0.1 * RNG.normal(size=DOF)
-    q_ref, v_ref, a_ref = HOME, 0.1 * RNG.normal(size=DOF), RNG.normal(size=DOF)
+    q = HOME + 0.05 * RNG.normal(size=DOF)
+    v = 0.1 * RNG.normal(size=DOF)
+    q_ref = HOME
+    v_ref = 0.1 * RNG.normal(size=DOF)
+    a_ref = RNG.normal(size=DOF)
     a = a_ref + 2 * 15.0 * (v_ref - v) + 15.0**2 * (q_ref - q)
     law = kinematics.mass_matrix(q) @ a + kinematics.bias(q, v) + JOINT_DAMPING * v
     assert (np.abs(law) < TAU_MAX).all()
@@ -30,10 +33,12 @@ def test_mujoco_accelerates_exactly_as_asked(scene, kinematics):
     spec = build_spec(scene, visuals=False)
     for name in FINGER_JOINT_NAMES:
         spec.joint(name).armature = 1e12
-    world, controller = World(scene, model=spec.compile()), ComputedTorque(kinematics)
+    world = World(scene, model=spec.compile())
+    controller = ComputedTorque(kinematics)
     for _ in range(5):
         q = np.clip(HOME + 0.3 * RNG.normal(size=DOF), Q_LOWER, Q_UPPER)
-        v, a = 0.2 * RNG.uniform(-V_MAX, V_MAX), RNG.uniform(-2.0, 2.0, DOF)
+        v = 0.2 * RNG.uniform(-V_MAX, V_MAX)
+        a = RNG.uniform(-2.0, 2.0, DOF)
         world.reset(q)
         world.data.qvel[world.joints.qvel] = v
         tau = controller.torque(q, v, q, v, a)

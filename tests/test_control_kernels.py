@@ -10,7 +10,21 @@ from minidual.control.joint_control import motor_torque
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, pose
 
-HARD = [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-5, np.pi - 1e-8, np.pi]
+HARD = [
+    0.0,
+    1e-12,
+    1e-9,
+    1e-7,
+    1e-6,
+    1e-5,
+    1e-3,
+    1.0,
+    3.0,
+    np.pi - 1e-3,
+    np.pi - 1e-5,
+    np.pi - 1e-8,
+    np.pi,
+]
 
 
 @pytest.mark.parametrize("angle", HARD)
@@ -36,10 +50,15 @@ def drawn(rng: np.random.Generator, angle: float) -> Array:
 def test_poses_are_compared_and_approached_as_with_rotation_vectors(angle):
     rng = np.random.default_rng(4)
     for share in (0.0, 0.2, 1.0):
-        T, way, moved = drawn(rng, 2.0), np.empty(6), np.empty((4, 4))
+        T = drawn(rng, 2.0)
+        way = np.empty(6)
+        moved = np.empty((4, 4))
         goal = T @ drawn(rng, angle)
         turned = pin.log3(goal[:3, :3] @ T[:3, :3].T)
-        assert kernels.apart(goal, T, way) == pytest.approx((np.linalg.norm(goal[:3, 3] - T[:3, 3]), angle), abs=1e-9)
+        assert kernels.apart(goal, T, way) == pytest.approx(
+            (np.linalg.norm(goal[:3, 3] - T[:3, 3]), angle),
+            abs=1e-9,
+        )
         np.testing.assert_allclose(way, np.r_[goal[:3, 3] - T[:3, 3], turned], atol=1e-9)
         assert kernels.approach(T, goal, share, moved) == kernels.apart(goal, T, way)
         wanted = pose(pin.exp3(share * turned) @ T[:3, :3], T[:3, 3] + share * (goal - T)[:3, 3])
@@ -57,7 +76,8 @@ def test_bounds_hold_and_nan_stays(low_high):
 
 def test_a_nan_reaches_the_torque():
     """A guard downstream can only refuse what it is shown."""
-    kinematics, a = Kinematics(), np.zeros(14)
+    kinematics = Kinematics()
+    a = np.zeros(14)
     a[3] = np.nan
     tau = motor_torque(kinematics, kinematics.robot.home, np.zeros(14), a)
     assert np.isnan(tau[3])

@@ -30,7 +30,9 @@ class Net:
     """Delivers what a plant measured `late(tick)` ticks ago, with its true stamp."""
 
     def __init__(self, plant: Arms, late: Callable[[int], int] = lambda tick: 0) -> None:
-        self.plant, self.late, self._tick = plant, late, 0
+        self.plant = plant
+        self.late = late
+        self._tick = 0
         self._sent = deque([(plant.q.copy(), plant.v.copy(), plant.time)], maxlen=60)
 
     def step(self) -> None:
@@ -65,7 +67,11 @@ def reordered(share: float, most: int, seed: int = 0) -> Callable[[int], int]:
 
 
 @pytest.mark.parametrize(("share", "most"), [(0.05, 15), (0.5, 8)])
-def test_a_stop_rests_when_packets_overtake_one_another(scene: SceneConfig, share: float, most: int) -> None:
+def test_a_stop_rests_when_packets_overtake_one_another(
+    scene: SceneConfig,
+    share: float,
+    most: int,
+) -> None:
     """Before, all readings were judged lost, and the latched stop flailed at 13 to 42 rad/s."""
     net = Net(Arms(scene))
     stack = supervised(net)
@@ -87,7 +93,10 @@ def test_a_stop_rests_when_packets_overtake_one_another(scene: SceneConfig, shar
 
 
 @pytest.mark.parametrize("late_s", [0.004, 0.012, 0.0197])
-def test_a_stop_rests_when_its_stamps_jump_back_and_stay_there(scene: SceneConfig, late_s: float) -> None:
+def test_a_stop_rests_when_its_stamps_jump_back_and_stay_there(
+    scene: SceneConfig,
+    late_s: float,
+) -> None:
     """Where each was taken for an overtaken packet, the stop sped up to 2.4 rad/s (the random driver's seed 4690)."""
     plant = FailingPlant(scene)
     stack = supervised(plant)
@@ -104,8 +113,14 @@ def test_a_stop_rests_when_its_stamps_jump_back_and_stay_there(scene: SceneConfi
     assert np.abs(plant.__dict__["v"]).max() < 0.05
 
 
-@pytest.mark.parametrize("late", [lambda tick: tick % 2, reordered(0.5, 8), lambda tick: 5 if tick % 20 == 0 else 0])
-def test_sound_motion_goes_on_when_packets_overtake_one_another(scene: SceneConfig, late: Callable[[int], int]) -> None:
+@pytest.mark.parametrize(
+    "late",
+    [lambda tick: tick % 2, reordered(0.5, 8), lambda tick: 5 if tick % 20 == 0 else 0],
+)
+def test_sound_motion_goes_on_when_packets_overtake_one_another(
+    scene: SceneConfig,
+    late: Callable[[int], int],
+) -> None:
     """Before, `implausible_measurement` blamed the encoders."""
     net = Net(Arms(scene))
     stack = supervised(net)
@@ -152,7 +167,10 @@ def test_measurements_that_are_always_late_are_named_by_their_age(scene: SceneCo
 
 
 @pytest.mark.parametrize("late", [14, 19])
-def test_a_fresh_start_and_a_recovery_on_late_measurements_feel_no_contact(scene: SceneConfig, late: int) -> None:
+def test_a_fresh_start_and_a_recovery_on_late_measurements_feel_no_contact(
+    scene: SceneConfig,
+    late: int,
+) -> None:
     """Before, `joint_stuck` or `cartesian_contact` in 20 ms: torques before the start counted as zero."""
     net = Net(Arms(scene), lambda tick: late)
     stack = supervised(net)
@@ -164,13 +182,18 @@ def test_a_fresh_start_and_a_recovery_on_late_measurements_feel_no_contact(scene
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_an_open_hand_that_is_leant_on_learns_no_load(scene: SceneConfig, kinematics: Kinematics, closed: bool) -> None:
+def test_an_open_hand_that_is_leant_on_learns_no_load(
+    scene: SceneConfig,
+    kinematics: Kinematics,
+    closed: bool,
+) -> None:
     """Before, it bore 16 N, and a later stop lifted it by 41 mm, a halt by 92 mm."""
     plant = Arms(scene)
     stack = supervised(plant)
     rise = kinematics.tcp_jacobians(HOME)[0][2]
     if closed:
-        plant.grip, plant.fingers = np.array([60.0, 60.0]), np.array([0.01, 0.01])
+        plant.grip = np.array([60.0, 60.0])
+        plant.fingers = np.array([0.01, 0.01])
         plant.limp = True
         stack.reset()
     for tick in range(2500):
@@ -181,10 +204,17 @@ def test_an_open_hand_that_is_leant_on_learns_no_load(scene: SceneConfig, kinema
 
 
 @pytest.mark.parametrize("how", ["halt", "estop", "silence"])
-def test_a_stop_bears_what_a_driven_hand_lifts(scene: SceneConfig, kinematics: Kinematics, how: str) -> None:
+def test_a_stop_bears_what_a_driven_hand_lifts(
+    scene: SceneConfig,
+    kinematics: Kinematics,
+    how: str,
+) -> None:
     """2 kg in a teleoperated hand, of which nobody told: before, they sank by 39 mm, and by 90 in a halt."""
-    plant, quiet = Arms(scene), 0
-    plant.grip, plant.fingers, plant.limp = np.array([60.0, 0.0]), np.array([0.01, 0.04]), True
+    plant = Arms(scene)
+    quiet = 0
+    plant.grip = np.array([60.0, 0.0])
+    plant.fingers = np.array([0.01, 0.04])
+    plant.limp = True
     stack = supervised(plant)
     hand_over(stack, "teleop")
 
@@ -192,7 +222,10 @@ def test_a_stop_bears_what_a_driven_hand_lifts(scene: SceneConfig, kinematics: K
         nonlocal quiet
         plant.pushed = -20.0 * np.r_[kinematics.tcp_jacobians(plant.q)[0][2, :7], np.zeros(7)]
         if stack.tick_next and not quiet:
-            stack.propose("teleop", JointCommand(HOME, np.array([0.0, 1.0]), plant.time, round(1e3 * plant.time)))
+            stack.propose(
+                "teleop",
+                JointCommand(HOME, np.array([0.0, 1.0]), plant.time, round(1e3 * plant.time)),
+            )
         return run(stack, 1)
 
     def height_mm() -> float:
@@ -201,7 +234,8 @@ def test_a_stop_bears_what_a_driven_hand_lifts(scene: SceneConfig, kinematics: K
     for _ in range(1500):
         assert step() == []
     assert stack.payload.force_n == [0.0, 0.0], "a driven hand learns none"
-    before, quiet = height_mm(), 1
+    before = height_mm()
+    quiet = 1
     if how == "halt":
         stack.halt("teleop")
     elif how == "estop":
@@ -218,10 +252,13 @@ def test_a_stop_bears_what_a_driven_hand_lifts(scene: SceneConfig, kinematics: K
 @pytest.mark.parametrize("mass_kg", [0.2, 3.0])
 @pytest.mark.parametrize("new", [False, True])
 def test_a_program_that_begins_with_full_hands_goes_on_from_the_torques_that_hold(
-    scene: SceneConfig, mass_kg: float, new: bool
+    scene: SceneConfig,
+    mass_kg: float,
+    new: bool,
 ) -> None:
     """Before, a step of 21 to 23 Nm in the first tick."""
-    world, told = World(scene), list[Array]()
+    world = World(scene)
+    told = list[Array]()
     command = world.command
 
     def noted(tau: Array, fingers_m: Array) -> None:
@@ -231,7 +268,8 @@ def test_a_program_that_begins_with_full_hands_goes_on_from_the_torques_that_hol
     world.command = noted
     carried = Carried(world, mass_kg)
     carried.run(800)
-    n, height_m = len(told), carried.height_m
+    n = len(told)
+    height_m = carried.height_m
     if new:
         stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
     else:
@@ -247,18 +285,26 @@ def test_a_program_that_begins_with_full_hands_goes_on_from_the_torques_that_hol
 def test_no_distance_at_all_leaves_no_tick_without_torque(scene: SceneConfig) -> None:
     """Before, an infinite one raised OverflowError out of `step`."""
     plant = FailingPlant(scene)
-    stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt, self_distance=lambda q: ("none", math.inf)))
+    stack = stack_on(
+        plant,
+        supervisor=Supervisor(dt_s=plant.dt, self_distance=lambda q: ("none", math.inf)),
+    )
     before = len(plant.torques)
     assert run(stack, 30) == []
     assert len(plant.torques) == before + 30
 
 
 @pytest.mark.parametrize("squeeze_n", [math.nan, -50.0, 1000.0])
-def test_the_squeeze_of_an_object_path_is_checked_under_way(scene: SceneConfig, squeeze_n: float) -> None:
+def test_the_squeeze_of_an_object_path_is_checked_under_way(
+    scene: SceneConfig,
+    squeeze_n: float,
+) -> None:
     """Before, -50 N had no name, and 1000 N was `torque_saturation` of a joint."""
     carried = Carried(World(scene))
-    stack, world = carried.stack, carried.world
-    T, live = world.object_pose(), [40.0]
+    stack = carried.stack
+    world = carried.world
+    T = world.object_pose()
+    live = [40.0]
     x, y, z = T[:3, 3].tolist()
     yaw = float(np.arctan2(T[1, 0], T[0, 0]))
     path = ObjectPath(Waypoint((x, y, z), yaw, 0.0), [Waypoint((x + 0.05, y, z), yaw, 2.0)])
@@ -267,7 +313,8 @@ def test_the_squeeze_of_an_object_path_is_checked_under_way(scene: SceneConfig, 
     for _ in range(600):
         stack.affirm("moveit")
         stack.step()
-    live[0], height_m = squeeze_n, carried.height_m
+    live[0] = squeeze_n
+    height_m = carried.height_m
     assert run(stack, 900) == ["controller_failed"]
     assert "the path's squeeze is" in str(stack.reflex)
     assert abs(carried.height_m - height_m) < 0.005
@@ -278,7 +325,8 @@ class Slow(Arms):
 
     def __init__(self, scene: SceneConfig) -> None:
         super().__init__(scene)
-        self.dt, self._ticks = 0.01, 0
+        self.dt = 0.01
+        self._ticks = 0
 
     @property
     def time(self) -> float:
@@ -298,7 +346,9 @@ class Slow(Arms):
 def test_one_sample_without_grip_at_100_hz_loses_nothing(scene: SceneConfig) -> None:
     """Before, `gripper_opened`."""
     plant = Slow(scene)
-    plant.grip, plant.fingers, plant.limp = np.array([60.0, 60.0]), np.array([0.01, 0.01]), True
+    plant.grip = np.array([60.0, 60.0])
+    plant.fingers = np.array([0.01, 0.01])
+    plant.limp = True
     stack = supervised(plant)
     assert run(stack, 30) == []
     plant.grip = np.array([0.0, 60.0])

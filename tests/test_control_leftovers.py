@@ -29,7 +29,9 @@ WAY = np.array([0.9, 0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
 def halted(stack: ControlStack) -> None:
     """Halt a trajectory at 1.9 rad/s, and wait for rest."""
     hand_over(stack, "moveit")
-    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + np.tile(WAY, 2), 0.9))) is None
+    assert (
+        stack.propose("moveit", trajectory(stack, move(HOME, HOME + np.tile(WAY, 2), 0.9))) is None
+    )
     for _ in range(450):
         stack.affirm("moveit")
         stack.step()
@@ -41,7 +43,8 @@ def halted(stack: ControlStack) -> None:
 
 def strayed(stack: ControlStack, ticks: int = 1500) -> float:
     """Return how far the arms move [rad]."""
-    rest, far = stack.plant.q.copy(), 0.0
+    rest = stack.plant.q.copy()
+    far = 0.0
     for _ in range(ticks):
         stack.step()
         far = max(far, float(np.abs(stack.plant.q - rest).max()))
@@ -68,14 +71,19 @@ def test_after_a_halt_one_lost_packet_moves_nothing(scene: SceneConfig) -> None:
     assert strayed(stack) < 1e-3
 
 
-def test_after_an_error_without_a_supervisor_nothing_of_the_old_trajectory_comes_back(scene: SceneConfig) -> None:
+def test_after_an_error_without_a_supervisor_nothing_of_the_old_trajectory_comes_back(
+    scene: SceneConfig,
+) -> None:
     """Before, at the end of the next trajectory the reference jumped by 0.53 rad and the torque by 90 Nm."""
     plant = Arms(scene)
     stack = stack_on(plant)
     hand_over(stack, "moveit")
     way = np.array([0.9, 0.5, 0.0, 0.6, 0.0, 0.0, 0.0])
     assert (
-        stack.propose("moveit", trajectory(stack, move(HOME[:7], HOME[:7] + way, 0.9, "left_arm"), group="left_arm"))
+        stack.propose(
+            "moveit",
+            trajectory(stack, move(HOME[:7], HOME[:7] + way, 0.9, "left_arm"), group="left_arm"),
+        )
         is None
     )
     run(stack, 450)
@@ -87,10 +95,14 @@ def test_after_an_error_without_a_supervisor_nothing_of_the_old_trajectory_comes
     hand_over(stack, "moveit")
     q = plant.q.copy()
     assert (
-        stack.propose("moveit", trajectory(stack, move(q[:7], q[:7] - 0.8 * way, 0.9, "left_arm"), 2, group="left_arm"))
+        stack.propose(
+            "moveit",
+            trajectory(stack, move(q[:7], q[:7] - 0.8 * way, 0.9, "left_arm"), 2, group="left_arm"),
+        )
         is None
     )
-    references, first = [], len(plant.torques)
+    references = []
+    first = len(plant.torques)
     for _ in range(1500):
         stack.affirm("moveit")
         stack.step()
@@ -101,10 +113,14 @@ def test_after_an_error_without_a_supervisor_nothing_of_the_old_trajectory_comes
 
 
 @pytest.mark.parametrize("step_rad", [0.02, 0.04])
-def test_a_trajectory_does_not_begin_on_an_arm_that_moves(scene: SceneConfig, step_rad: float) -> None:
+def test_a_trajectory_does_not_begin_on_an_arm_that_moves(
+    scene: SceneConfig,
+    step_rad: float,
+) -> None:
     """Before, the reference stopped at once: 86 Nm in 1 ms without a supervisor, `torque_saturation` with one."""
     plant = Arms(scene)
-    stack, q = supervised(plant), HOME.copy()
+    stack = supervised(plant)
+    q = HOME.copy()
     hand_over(stack, "moveit")
     sequence = 0
     for _ in range(461):
@@ -114,7 +130,10 @@ def test_a_trajectory_does_not_begin_on_an_arm_that_moves(scene: SceneConfig, st
             stack.propose("moveit", JointCommand(q, OPEN, plant.time, sequence))
         stack.step()
     assert np.abs(plant.v).max() > 0.7
-    stack.propose("moveit", trajectory(stack, move(plant.q, plant.q + 0.1 * np.eye(14)[6], 1.0), sequence + 1))
+    stack.propose(
+        "moveit",
+        trajectory(stack, move(plant.q, plant.q + 0.1 * np.eye(14)[6], 1.0), sequence + 1),
+    )
     assert run(stack, 20) == []
     assert "not_still" in [refusal.name for refusal in stack.refusals]
     assert run(stack, 1000) == []
@@ -139,7 +158,8 @@ def test_control_that_begins_anew_lets_no_object_fall(world: World, anew: str) -
 def test_a_velocity_that_reads_zero_once_confirms_no_switch(scene: SceneConfig, mode: str) -> None:
     """Before, a policy was let in at 1.97 rad/s."""
     plant = FailingPlant(scene)
-    stack, q = supervised(plant), HOME.copy()
+    stack = supervised(plant)
+    q = HOME.copy()
     hand_over(stack, "teleop")
     for sequence in range(23):
         q = q + 0.04 * np.eye(14)[0]
@@ -173,7 +193,9 @@ class Motion:
     duration_s = 2.0
 
     def __init__(self, T: Array, *, reuses: bool = False) -> None:
-        self._T, self._kept, self._reuses = T.copy(), T.copy(), reuses
+        self._T = T.copy()
+        self._kept = T.copy()
+        self._reuses = reuses
         self.lie: Callable[[ObjectState, float], ObjectState] = lambda state, t: state
 
     def at(self, t_s: float) -> ObjectState:
@@ -187,7 +209,10 @@ class Motion:
 def offer(carried: Carried, motion: Any) -> str | None:
     carried.sequence += 1
     stamp_s = carried.world.time
-    refusal = carried.stack.propose("moveit", ObjectCommand(motion, lambda _: 40.0, CLOSED, stamp_s, carried.sequence))
+    refusal = carried.stack.propose(
+        "moveit",
+        ObjectCommand(motion, lambda _: 40.0, CLOSED, stamp_s, carried.sequence),
+    )
     return None if refusal is None else refusal.name
 
 
@@ -222,14 +247,16 @@ def test_a_path_that_reuses_its_array_is_checked_like_any_other(world: World, re
     ],
 )
 def test_the_motion_of_a_path_is_checked_under_way_too(
-    world: World, lie: Callable[[ObjectState, float], ObjectState]
+    world: World,
+    lie: Callable[[ObjectState, float], ObjectState],
 ) -> None:
     """Before, an acceleration of 20 m/s^2 moved the object by 97 mm, joints at 1.19 times their limit."""
     carried = Carried(world)
     motion = Motion(world.object_pose())
     assert offer(carried, motion) is None
     carried.run(100)
-    motion.lie, before = lie, world.object_pose()[:3, 3].copy()
+    motion.lie = lie
+    before = world.object_pose()[:3, 3].copy()
     carried.run(1000)
     assert carried.names == ["controller_failed"]
     assert np.linalg.norm(world.object_pose()[:3, 3] - before) < 0.01
@@ -238,7 +265,8 @@ def test_the_motion_of_a_path_is_checked_under_way_too(
 def test_a_turn_that_no_arm_can_follow_is_refused(world: World) -> None:
     carried = Carried(world)
     T = world.object_pose()
-    yaw, p = float(np.arctan2(T[1, 0], T[0, 0])), tuple(T[:3, 3].tolist())
+    yaw = float(np.arctan2(T[1, 0], T[0, 0]))
+    p = tuple(T[:3, 3].tolist())
     start = Waypoint(p, yaw, 0.0)
     assert offer(carried, ObjectPath(start, [Waypoint(p, yaw + 1.5, 0.8)])) == "too_fast"
     assert offer(carried, ObjectPath(start, [Waypoint(p, yaw + 0.6, 0.45)])) == "too_sharp"
@@ -247,21 +275,30 @@ def test_a_turn_that_no_arm_can_follow_is_refused(world: World) -> None:
 
 @pytest.mark.parametrize(("by_m", "duration_s"), [((0.2, 0.0, 0.0), 0.6), ((0.0, 0.0, 0.25), 0.8)])
 def test_a_path_that_left_its_object_behind_presses_no_longer(
-    world: World, by_m: tuple[float, float, float], duration_s: float
+    world: World,
+    by_m: tuple[float, float, float],
+    duration_s: float,
 ) -> None:
     """An object is held back with 40 N and then let go. Before, it leapt by 97 and 75 mm at 0.15 m/s."""
-    carried, body = Carried(world), world.model.body("rod").id
+    carried = Carried(world)
+    body = world.model.body("rod").id
     carried.carry(by_m, duration_s)
-    start, along, pressed_n = world.object_pose()[:3, 3].copy(), np.array(by_m) / np.linalg.norm(by_m), 0.0
+    start = world.object_pose()[:3, 3].copy()
+    along = np.array(by_m) / np.linalg.norm(by_m)
+    pressed_n = 0.0
     for _ in range(3500):
-        p, v = world.object_pose()[:3, 3], world.truth().twist()[:3]
-        pressed_n = float(np.clip(3000.0 * (along @ (start - p)) - 100.0 * (along @ v), -40.0, 40.0))
+        p = world.object_pose()[:3, 3]
+        v = world.truth().twist()[:3]
+        pressed_n = float(
+            np.clip(3000.0 * (along @ (start - p)) - 100.0 * (along @ v), -40.0, 40.0),
+        )
         world.data.xfrc_applied[body, :3] = pressed_n * along
         carried.run(1)
     world.data.xfrc_applied[body] = 0.0
     assert "off_path" in [refusal.name for refusal in carried.stack.refusals]
     assert abs(pressed_n) < 10.0
-    held, far = world.object_pose()[:3, 3].copy(), 0.0
+    held = world.object_pose()[:3, 3].copy()
+    far = 0.0
     for _ in range(1000):
         carried.run(1)
         far = max(far, float(np.linalg.norm(world.object_pose()[:3, 3] - held)))
@@ -273,7 +310,8 @@ class Rarely(FailingPlant):
     """Exact measurements that arrive every `period` ticks, with true stamps."""
 
     def __init__(self, scene: SceneConfig, period: int) -> None:
-        self.period, self.kept = period, dict[str, Any]()
+        self.period = period
+        self.kept = dict[str, Any]()
         super().__init__(scene)
         for name in ("q", "v", "stamp_s"):
             self.lies[name] = lambda value, name=name: self.kept.get(name, value)
@@ -281,7 +319,8 @@ class Rarely(FailingPlant):
     def step(self) -> None:
         super().step()
         if self.steps % self.period == 0:
-            kept, self.lies = self.lies, {}
+            kept = self.lies
+            self.lies = {}
             self.kept = {"q": self.q.copy(), "v": self.v.copy(), "stamp_s": self.time}
             self.lies = kept
 
@@ -303,12 +342,19 @@ def test_exact_readings_that_come_rarely_are_plausible(scene: SceneConfig, perio
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 10.0])
-def test_a_halt_from_a_flush_listener_acts_in_the_next_step(scene: SceneConfig, rate_hz: float) -> None:
+def test_a_halt_from_a_flush_listener_acts_in_the_next_step(
+    scene: SceneConfig,
+    rate_hz: float,
+) -> None:
     """Before, it waited for the arbiter's next regular tick: 70 ms at 10 Hz."""
     plant = Arms(scene)
-    stack, asked = supervised(plant, rate_hz=rate_hz), list[int]()
+    stack = supervised(plant, rate_hz=rate_hz)
+    asked = list[int]()
     hand_over(stack, "moveit")
-    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.8 * np.eye(14)[0], 0.9))) is None
+    assert (
+        stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.8 * np.eye(14)[0], 0.9)))
+        is None
+    )
     run(stack, 430)
 
     def listener(mode: str) -> None:

@@ -23,7 +23,8 @@ from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 
-OPEN, CLOSED = np.ones(2), np.zeros(2)
+OPEN = np.ones(2)
+CLOSED = np.zeros(2)
 
 
 def supervised(plant: ArmsPlant, **options: Any) -> ControlStack:
@@ -44,7 +45,9 @@ def run(stack: ControlStack, ticks: int) -> list[str]:
 @pytest.mark.parametrize("glitch_rad_per_s", [1.0, 2.0])
 @pytest.mark.parametrize("tick", [580, 600, 620, 640])
 def test_one_velocity_sample_moves_no_resting_arm_when_its_source_falls_silent(
-    scene: SceneConfig, tick: int, glitch_rad_per_s: float
+    scene: SceneConfig,
+    tick: int,
+    glitch_rad_per_s: float,
 ) -> None:
     """Before, 2 rad/s for 1 ms moved joint 2 by 0.53 rad, and no fault said so."""
     plant = FailingPlant(scene)
@@ -63,12 +66,20 @@ def test_one_velocity_sample_moves_no_resting_arm_when_its_source_falls_silent(
 
 @pytest.mark.parametrize("then", ["silence", "one arm's silence", "hold"])
 @pytest.mark.parametrize("away_rad", [0.5, 0.45, 0.35, 0.25])
-def test_arms_that_brake_onto_a_target_stop_there(scene: SceneConfig, away_rad: float, then: str) -> None:
+def test_arms_that_brake_onto_a_target_stop_there(
+    scene: SceneConfig,
+    away_rad: float,
+    then: str,
+) -> None:
     """Before, they passed the last target by up to 0.18 rad."""
-    plant, goal, q, spoken = Arms(scene), HOME[1] + 0.8, HOME.copy(), True
+    plant = Arms(scene)
+    goal = HOME[1] + 0.8
+    q = HOME.copy()
+    spoken = True
     stack = supervised(plant)
     hand_over(stack, "teleop")
-    farthest, sequence = 0.0, 0
+    farthest = 0.0
+    sequence = 0
     for _ in range(2500):
         if stack.tick_next:
             spoken = spoken and not (plant.v[1] > 0.5 and goal - plant.q[1] < away_rad)
@@ -76,11 +87,17 @@ def test_arms_that_brake_onto_a_target_stop_there(scene: SceneConfig, away_rad: 
             if spoken:
                 q[1] = min(goal, q[1] + 0.08)
                 group = ("left_arm", q[:7]) if then == "one arm's silence" else ("both_arms", q)
-                stack.propose("teleop", JointCommand(group[1], OPEN, plant.time, sequence, group[0]))
+                stack.propose(
+                    "teleop",
+                    JointCommand(group[1], OPEN, plant.time, sequence, group[0]),
+                )
             elif then == "hold" and stack.source is not None:
                 stack.request("hold")
             if then == "one arm's silence":
-                stack.propose("teleop", JointCommand(HOME[7:], OPEN, plant.time, sequence + 1, "right_arm"))
+                stack.propose(
+                    "teleop",
+                    JointCommand(HOME[7:], OPEN, plant.time, sequence + 1, "right_arm"),
+                )
         stack.step()
         farthest = max(farthest, plant.q[1])
     assert not spoken
@@ -89,9 +106,14 @@ def test_arms_that_brake_onto_a_target_stop_there(scene: SceneConfig, away_rad: 
 
 
 @pytest.mark.parametrize(("rate_m_per_s", "most_m"), [(0.1, 0.06), (0.5, 0.06), (2.0, 0.06)])
-def test_a_pose_that_drifts_in_a_hold_is_named(world: World, rate_m_per_s: float, most_m: float) -> None:
+def test_a_pose_that_drifts_in_a_hold_is_named(
+    world: World,
+    rate_m_per_s: float,
+    most_m: float,
+) -> None:
     """Before, both hands followed it by 300 mm; a jump of less than 40 mm a tick had no name either."""
-    carried, ticks = Carried(world), [0]
+    carried = Carried(world)
+    ticks = [0]
     before = [T[:3, 3].copy() for T in KINEMATICS.tcp_poses(world.q)]
 
     def drift() -> None:
@@ -103,10 +125,15 @@ def test_a_pose_that_drifts_in_a_hold_is_named(world: World, rate_m_per_s: float
     assert carried.stack.reflex is not None
     assert "away from where the left hand holds it" in carried.stack.reflex.message
     after = KINEMATICS.tcp_poses(world.q)
-    assert max(float(np.linalg.norm(T[:3, 3] - p)) for T, p in zip(after, before, strict=True)) < most_m
+    assert (
+        max(float(np.linalg.norm(T[:3, 3] - p)) for T, p in zip(after, before, strict=True))
+        < most_m
+    )
 
 
-def test_an_object_that_slides_in_the_hands_by_less_than_the_bound_is_carried_on(world: World) -> None:
+def test_an_object_that_slides_in_the_hands_by_less_than_the_bound_is_carried_on(
+    world: World,
+) -> None:
     carried = Carried(world)
     carried.sensor.off_m = (0.0, 0.02, 0.0)
     carried.run(1000)
@@ -114,7 +141,8 @@ def test_an_object_that_slides_in_the_hands_by_less_than_the_bound_is_carried_on
 
 
 @pytest.mark.parametrize(
-    ("off", "named"), [(0.1 * np.eye(6)[1], True), (2.0 * np.eye(6)[3], True), (0.025 * np.eye(6)[0], False)]
+    ("off", "named"),
+    [(0.1 * np.eye(6)[1], True), (2.0 * np.eye(6)[3], True), (0.025 * np.eye(6)[0], False)],
 )
 def test_a_twist_that_the_hands_do_not_have_is_named(world: World, off: Array, named: bool) -> None:
     """Before, a constant 0.1 m/s moved both hands by 23 mm without a name."""
@@ -126,27 +154,36 @@ def test_a_twist_that_the_hands_do_not_have_is_named(world: World, off: Array, n
     if named:
         assert "off the motion of its pose" in carried.stack.reflex.message  # type: ignore[union-attr]
     after = KINEMATICS.tcp_poses(world.q)
-    assert max(float(np.linalg.norm(T[:3, 3] - p)) for T, p in zip(after, before, strict=True)) < 0.03
+    assert (
+        max(float(np.linalg.norm(T[:3, 3] - p)) for T, p in zip(after, before, strict=True)) < 0.03
+    )
 
 
 def test_a_noisy_twist_is_no_fault(world: World) -> None:
     """0.02 m/s and 0.2 rad/s of white noise along each axis in every step."""
-    carried, rng = Carried(world), np.random.default_rng(0)
+    carried = Carried(world)
+    rng = np.random.default_rng(0)
 
     def noise() -> None:
-        carried.sensor.twist_off = tuple((rng.standard_normal(6) * np.repeat([0.02, 0.2], 3)).tolist())
+        carried.sensor.twist_off = tuple(
+            (rng.standard_normal(6) * np.repeat([0.02, 0.2], 3)).tolist(),
+        )
 
     carried.run(2000, noise)
     assert carried.names == []
 
 
 @pytest.mark.parametrize("mass_kg", [2.0, 3.0])
-def test_a_latched_stop_lifts_no_hands_whose_object_is_gone_and_unseen(scene: SceneConfig, mass_kg: float) -> None:
+def test_a_latched_stop_lifts_no_hands_whose_object_is_gone_and_unseen(
+    scene: SceneConfig,
+    mass_kg: float,
+) -> None:
     world = World(scene)  # its own model: the mass changes
     carried = Carried(world, mass_kg)
     carried.stop()
     heights = np.array([T[2, 3] for T in KINEMATICS.tcp_poses(world.q)])
-    command, read = world.command, carried.sensor.read
+    command = world.command
+    read = carried.sensor.read
     world.command = lambda tau, fingers: command(tau, np.array([0.04, 0.04]))  # type: ignore[method-assign]
 
     def blind() -> tuple[ObjectState, float]:
@@ -157,7 +194,10 @@ def test_a_latched_stop_lifts_no_hands_whose_object_is_gone_and_unseen(scene: Sc
     rise = 0.0
     for _ in range(200):
         carried.run(5)
-        rise = max(rise, float((np.array([T[2, 3] for T in KINEMATICS.tcp_poses(world.q)]) - heights).max()))
+        rise = max(
+            rise,
+            float((np.array([T[2, 3] for T in KINEMATICS.tcp_poses(world.q)]) - heights).max()),
+        )
     assert rise < 0.005
     np.testing.assert_array_equal(carried.stack.payload.force_n, [0.0, 0.0])
 
@@ -165,7 +205,8 @@ def test_a_latched_stop_lifts_no_hands_whose_object_is_gone_and_unseen(scene: Sc
 class Path:
     """A pose that stays, until it raises."""
 
-    duration_s, bad = 2.0, False
+    duration_s = 2.0
+    bad = False
 
     def __init__(self, T: Array) -> None:
         self._T = T
@@ -175,7 +216,10 @@ class Path:
 
 
 @pytest.mark.parametrize("what", ["sensor", "path", "controller"])
-def test_without_a_supervisor_every_tick_has_its_torque_and_the_error_comes_once(scene: SceneConfig, what: str) -> None:
+def test_without_a_supervisor_every_tick_has_its_torque_and_the_error_comes_once(
+    scene: SceneConfig,
+    what: str,
+) -> None:
     """Before, nothing was commanded from the first error on: real motors keep their last torque."""
     plant = Arms(scene)
     here = HandsObject(plant)
@@ -184,7 +228,9 @@ def test_without_a_supervisor_every_tick_has_its_torque_and_the_error_comes_once
     stack.impedance.configure(here.held())
     stack.switch_controllers(OBJECT_CONTROLLERS)
     path = Path(here.pose())
-    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    assert (
+        stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, CLOSED, plant.time, 1)) is None
+    )
     run(stack, 100)
     if what == "sensor":
         here.read = breaks  # type: ignore[method-assign]
@@ -192,7 +238,8 @@ def test_without_a_supervisor_every_tick_has_its_torque_and_the_error_comes_once
         path.bad = True
     else:
         stack.impedance.update = breaks  # type: ignore[method-assign]
-    told, errors = len(plant.torques), 0
+    told = len(plant.torques)
+    errors = 0
     for _ in range(500):
         try:
             stack.step()
@@ -209,7 +256,8 @@ def test_without_a_supervisor_a_listener_that_fails_loses_no_halt(scene: SceneCo
     stack = stack_on(plant)
     hand_over(stack, "teleop")
     stack.on_flush(breaks)
-    q, errors = HOME.copy(), 0
+    q = HOME.copy()
+    errors = 0
     for n in range(1000):
         if n == 300:
             at = plant.q.copy()
@@ -227,7 +275,10 @@ def test_without_a_supervisor_a_listener_that_fails_loses_no_halt(scene: SceneCo
 
 
 @pytest.mark.parametrize("every", [1, 20, 100])
-def test_arms_whose_velocities_read_zero_may_not_recover_in_motion(scene: SceneConfig, every: int) -> None:
+def test_arms_whose_velocities_read_zero_may_not_recover_in_motion(
+    scene: SceneConfig,
+    every: int,
+) -> None:
     """Before, an eager program was let go on at 1.67 rad/s, again and again."""
     plant = FailingPlant(scene)
     stack = supervised(plant)
@@ -241,8 +292,10 @@ def test_arms_whose_velocities_read_zero_may_not_recover_in_motion(scene: SceneC
     for n in range(600):
         run(stack, 1)
         if stack.reflex is not None and n % every == 0:
-            lies, plant.lies = plant.lies, {}
-            speed, plant.lies = float(np.abs(plant.v).max()), lies
+            lies = plant.lies
+            plant.lies = {}
+            speed = float(np.abs(plant.v).max())
+            plant.lies = lies
             try:
                 stack.recover()
                 accepted.append(speed)
@@ -252,7 +305,9 @@ def test_arms_whose_velocities_read_zero_may_not_recover_in_motion(scene: SceneC
     assert max(accepted, default=0.0) < 0.25
 
 
-def test_a_hand_whose_fingers_are_not_measured_can_be_recovered_and_opened(scene: SceneConfig) -> None:
+def test_a_hand_whose_fingers_are_not_measured_can_be_recovered_and_opened(
+    scene: SceneConfig,
+) -> None:
     """Before, it was stopped again 8 ticks after each recovery, and only a reset, which opens both, led out of it."""
     plant = FailingPlant(scene)
     stack = supervised(plant)
@@ -281,9 +336,14 @@ def test_a_hand_whose_fingers_are_not_measured_can_be_recovered_and_opened(scene
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 20.0, 12.5, 10.0])
-@pytest.mark.parametrize("by_m", [(0.25, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.25)])
+@pytest.mark.parametrize(
+    "by_m",
+    [(0.25, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.25)],
+)
 def test_an_object_path_is_followed_at_every_rate_of_the_arbiter(
-    scene: SceneConfig, by_m: tuple[float, float, float], rate_hz: float
+    scene: SceneConfig,
+    by_m: tuple[float, float, float],
+    rate_hz: float,
 ) -> None:
     """Before, one of four was stopped at 20 Hz, and three at 10 Hz."""
     plant = Arms(scene)
@@ -349,7 +409,8 @@ def test_a_reset_forgets_what_a_hand_was_told_to_hold(scene: SceneConfig) -> Non
     """Before, told to stay, the hand moved by the 20 mm between that object and its plan."""
     plant = ArmsPlant(scene)
     stack = supervised(plant)
-    T, T_planned = np.eye(4), np.eye(4)
+    T = np.eye(4)
+    T_planned = np.eye(4)
     T_planned[0, 3] = 0.02
     stack.hands[0].law.held = stack.hands[1].law.other = InHand("peg", T, T_planned)
     affirm = stack.affirm
@@ -378,7 +439,9 @@ def test_a_reset_forgets_what_a_hand_was_told_to_hold(scene: SceneConfig) -> Non
     ],
 )
 def test_a_reading_of_a_wrong_kind_is_one_reflex_and_every_tick_has_its_torque(
-    scene: SceneConfig, name: str, lie: Any
+    scene: SceneConfig,
+    name: str,
+    lie: Any,
 ) -> None:
     """Before, the first four raised in every tick, without a torque, and the fifth read beyond its array."""
     plant = FailingPlant(scene)

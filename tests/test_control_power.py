@@ -37,7 +37,8 @@ class Linked(Arms):
 
     def __init__(self, scene: SceneConfig) -> None:
         self.fails: dict[str, tuple[int, Exception]] = {}
-        self.powered, self.friction_nm = np.ones(14, dtype=bool), 0.0
+        self.powered = np.ones(14, dtype=bool)
+        self.friction_nm = 0.0
         super().__init__(scene)
 
     def _may_fail(self, call: str) -> None:
@@ -52,7 +53,9 @@ class Linked(Arms):
 
     def step(self) -> None:
         told = self.tau
-        self.tau = np.where(self.powered, told, 0.0) - self.friction_nm * np.tanh(self.__dict__["v"] / 0.01)
+        self.tau = np.where(self.powered, told, 0.0) - self.friction_nm * np.tanh(
+            self.__dict__["v"] / 0.01,
+        )
         super().step()
         self.tau = told
         self._may_fail("step")
@@ -70,7 +73,11 @@ DOWN = OSError("the link is down")
 
 @pytest.mark.parametrize("call", ["command", "step"])
 @pytest.mark.parametrize("times", [1, 5])
-def test_a_call_of_the_plant_that_fails_stops_the_arms_by_its_name(scene: SceneConfig, call: str, times: int) -> None:
+def test_a_call_of_the_plant_that_fails_stops_the_arms_by_its_name(
+    scene: SceneConfig,
+    call: str,
+    times: int,
+) -> None:
     """Before, the error left the stack, the motion ran on to its end, and five failed commands were `clock`."""
     plant = Linked(scene)
     stack = in_motion(plant)
@@ -84,7 +91,10 @@ def test_a_call_of_the_plant_that_fails_stops_the_arms_by_its_name(scene: SceneC
 
 
 @pytest.mark.parametrize("after_ms", [0, 30])
-def test_torques_go_on_from_the_last_ones_given_when_the_link_returns(scene: SceneConfig, after_ms: int) -> None:
+def test_torques_go_on_from_the_last_ones_given_when_the_link_returns(
+    scene: SceneConfig,
+    after_ms: int,
+) -> None:
     """Before, they stepped by 1 Nm for each command that had failed: here by up to 15 Nm."""
     plant = Linked(scene)
     stack = in_motion(plant)
@@ -123,7 +133,9 @@ def test_the_error_of_a_plant_that_has_ended_is_raised(scene: SceneConfig, guard
 @pytest.mark.parametrize("guarded", [True, False])
 @pytest.mark.parametrize("off_ms", [20, 120])
 def test_power_that_returns_to_one_arm_draws_the_other_one_nowhere(
-    scene: SceneConfig, guarded: bool, off_ms: int
+    scene: SceneConfig,
+    guarded: bool,
+    off_ms: int,
 ) -> None:
     """Before, the left arm went on by 0.12 rad at 1.7 rad/s and came back by as much."""
     plant = Linked(scene)
@@ -155,7 +167,9 @@ def test_power_that_returns_to_an_arm_on_its_brakes_is_no_contact(scene: SceneCo
     assert run(stack, 60) == []
     plant.stuck[:] = False
     assert run(stack, 300) == []
-    plant.pushed[8] = 40.0  # the negative control: after a tenth of a second the arm is watched again
+    plant.pushed[8] = (
+        40.0  # the negative control: after a tenth of a second the arm is watched again
+    )
     assert set(run(stack, 200)) & {"joint_contact", "cartesian_contact"}
 
 
@@ -211,8 +225,14 @@ class Hasty(ScriptedLeader):
 
 def test_an_episode_that_its_leader_ends_in_motion_ends_at_rest(world: World) -> None:
     """Before, the session returned at 0.95 rad/s."""
-    scene, config = world.scene, TeleopConfig()
-    stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz, supervisor=Supervisor(dt_s=world.dt))
+    scene = world.scene
+    config = TeleopConfig()
+    stack = ControlStack(
+        world,
+        Kinematics(),
+        rate_hz=config.rate_hz,
+        supervisor=Supervisor(dt_s=world.dt),
+    )
     trial = sample_trial(scene, 7, "test", 0)
     leader = Hasty(ScriptedOperator(scene).plan(trial, seed=7))
     leader.world = world
@@ -225,7 +245,8 @@ def test_an_episode_that_its_leader_ends_in_motion_ends_at_rest(world: World) ->
 @pytest.mark.parametrize("dt_s", [1e-3, 1e-2, 2e-2])
 def test_a_told_load_is_borne_as_slowly_on_a_slow_plant(dt_s: float) -> None:
     """Before, 2 kg came in steps of 5.2 Nm at 100 Hz, of 10.2 Nm at 50 Hz."""
-    payload, torques = Payload(Kinematics(), dt_s), [np.zeros(14)]
+    payload = Payload(Kinematics(), dt_s)
+    torques = [np.zeros(14)]
     payload.bear(0, 2.0)
     for _ in range(round(0.5 / dt_s / payload.every)):
         torques.append(payload.torque(HOME, HOME, (0, 1), learn=False))  # type: ignore[arg-type]
@@ -236,14 +257,22 @@ def test_a_told_load_is_borne_as_slowly_on_a_slow_plant(dt_s: float) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])
-def test_soft_hands_follow_despite_the_friction_of_real_joints(scene: SceneConfig, seed: int) -> None:
+def test_soft_hands_follow_despite_the_friction_of_real_joints(
+    scene: SceneConfig,
+    seed: int,
+) -> None:
     """0.5 Nm in each joint; before, an elbow stayed 0.1 rad behind: a false `tracking_error` in 5 of 6 episodes."""
-    rng, plant = np.random.default_rng(seed), Linked(scene)
+    rng = np.random.default_rng(seed)
+    plant = Linked(scene)
     plant.friction_nm = 0.5
     stack = stack_on(plant, supervisor=Supervisor(WIDE, dt_s=plant.dt))
     hand_over(stack, "teleop", ("left_hand", "right_hand"))
-    low, high = np.maximum(Q_LOWER + 0.3, HOME - 0.6), np.minimum(Q_UPPER - 0.3, HOME + 0.6)
-    target, v, goal, farthest = HOME.copy(), np.zeros(14), HOME, 0.0
+    low = np.maximum(Q_LOWER + 0.3, HOME - 0.6)
+    high = np.minimum(Q_UPPER - 0.3, HOME + 0.6)
+    target = HOME.copy()
+    v = np.zeros(14)
+    goal = HOME
+    farthest = 0.0
     for k in range(6000):
         if k % 800 == 0:
             goal = rng.uniform(low, high)
@@ -290,7 +319,8 @@ def test_hands_that_give_way_to_joints_in_motion_are_drawn_nowhere(scene: SceneC
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1000.0])
 def test_a_velocity_that_is_none_sends_nobody_anywhere_at_a_change_of_controllers(
-    scene: SceneConfig, wrong: float
+    scene: SceneConfig,
+    wrong: float,
 ) -> None:
     plant = Linked(scene)
     stack = stack_on(plant, supervisor=Supervisor(WIDE, dt_s=plant.dt))

@@ -24,14 +24,17 @@ from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import Array, inverse
 from minidual.tasks.task import level_pose
 
-CLOSED, BOTH = np.zeros(2), ("both_arms",)
+CLOSED = np.zeros(2)
+BOTH = ("both_arms",)
 KINEMATICS = Kinematics()
 
 
 class Sensor(TrueObject):
     """The object's true state, unless it fails."""
 
-    failing, off_m, twist_off = False, (0.0, 0.0, 0.0), (0.0,) * 6
+    failing = False
+    off_m = (0.0, 0.0, 0.0)
+    twist_off = (0.0,) * 6
 
     def read(self) -> tuple[ObjectState, float]:
         if self.failing:
@@ -45,24 +48,39 @@ class Carried:
     """Both hands have lifted the rod by object impedance and hold it."""
 
     def __init__(self, world: World, mass_kg: float | None = None) -> None:
-        self.world, scene, body = world, world.scene, world.model.body("rod")
+        self.world = world
+        scene = world.scene
+        body = world.model.body("rod")
         self.names: list[str] = []
-        self.fastest, self.sequence = 0.0, 0
+        self.fastest = 0.0
+        self.sequence = 0
         if mass_kg is not None:
             world.model.body_inertia[body.id] *= mass_kg / world.model.body_mass[body.id]
             world.model.body_mass[body.id] = mass_kg
             mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
-        q = grasp_posture(scene, KINEMATICS, level_pose(*scene.task.start_xy_m, scene.object.radius_m, 0.0))
+        q = grasp_posture(
+            scene,
+            KINEMATICS,
+            level_pose(*scene.task.start_xy_m, scene.object.radius_m, 0.0),
+        )
         world.reset(q)
         self.sensor = Sensor(world)
-        stack = self.stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt), sensor=self.sensor)
+        stack = self.stack = stack_on(
+            world,
+            supervisor=Supervisor(dt_s=world.dt),
+            sensor=self.sensor,
+        )
         hand_over(stack, "moveit")
         self.hold(900)
-        lying, tips = world.object_pose(), KINEMATICS.tcp_poses(world.q)
+        lying = world.object_pose()
+        tips = KINEMATICS.tcp_poses(world.q)
         axis = lying[:3, :3].T @ (tips[0] - tips[1])[:3, 3]
         grasps = inverse(lying) @ tips[0], inverse(lying) @ tips[1]
-        inertia, mass = world.model.body_inertia[body.id], float(world.model.body_mass[body.id])
-        stack.impedance.configure(HeldObject(mass, np.diag(inertia), grasps, axis / np.linalg.norm(axis)))
+        inertia = world.model.body_inertia[body.id]
+        mass = float(world.model.body_mass[body.id])
+        stack.impedance.configure(
+            HeldObject(mass, np.diag(inertia), grasps, axis / np.linalg.norm(axis)),
+        )
         stack.switch_controllers(OBJECT_CONTROLLERS)
         self.carry((0.0, 0.0, 0.15), 2.0)
         self.run(2500)
@@ -79,12 +97,20 @@ class Carried:
         yaw = float(np.arctan2(T[1, 0], T[0, 0]))
         start = Waypoint(tuple(T[:3, 3].tolist()), yaw, 0.0)
         path = ObjectPath(
-            start, [Waypoint(start.xyz_m, yaw, 0.4), Waypoint(tuple((T[:3, 3] + by_m).tolist()), yaw, duration_s)]
+            start,
+            [
+                Waypoint(start.xyz_m, yaw, 0.4),
+                Waypoint(tuple((T[:3, 3] + by_m).tolist()), yaw, duration_s),
+            ],
         )
         self.sequence += 1
         squeeze = lambda t: 40.0 * min(1.0, t / 0.3)  # noqa: E731
         assert (
-            self.stack.propose("moveit", ObjectCommand(path, squeeze, CLOSED, self.world.time, self.sequence)) is None
+            self.stack.propose(
+                "moveit",
+                ObjectCommand(path, squeeze, CLOSED, self.world.time, self.sequence),
+            )
+            is None
         )
 
     def run(self, ticks: int, each: Callable[[], None] = lambda: None) -> None:
@@ -99,7 +125,8 @@ class Carried:
 
     def hold(self, ticks: int) -> None:
         """Stream the posture of now, hands closed."""
-        q, stack = self.world.q, self.stack
+        q = self.world.q
+        stack = self.stack
 
         def stream() -> None:
             if stack.tick_next:
@@ -132,7 +159,10 @@ def carried(world: World) -> Carried:
 
 
 @pytest.mark.parametrize("change", ["switch", "halt"])
-def test_a_recovery_does_not_go_on_with_torques_that_were_never_applied(carried: Carried, change: str) -> None:
+def test_a_recovery_does_not_go_on_with_torques_that_were_never_applied(
+    carried: Carried,
+    change: str,
+) -> None:
     """Before, 4.1 rad/s and 93 mm: the fade of the switch began from what the law asked for in the stop."""
     carried.lose()
     carried.run(1000)
@@ -141,7 +171,8 @@ def test_a_recovery_does_not_go_on_with_torques_that_were_never_applied(carried:
         carried.stack.switch_controllers(BOTH)
     else:
         carried.stack.halt("moveit")
-    carried.fastest, tips = 0.0, KINEMATICS.tcp_poses(carried.world.q)
+    carried.fastest = 0.0
+    tips = KINEMATICS.tcp_poses(carried.world.q)
     carried.stack.recover()
     carried.run(600)
     now = KINEMATICS.tcp_poses(carried.world.q)
@@ -157,7 +188,8 @@ def test_a_recovery_that_fails_leaves_the_stop_latched(carried: Carried) -> None
     carried.sensor.failing = True
     with pytest.raises(OSError, match="camera is gone"):
         carried.stack.recover()
-    carried.sensor.failing, before = False, carried.world.object_pose()
+    carried.sensor.failing = False
+    before = carried.world.object_pose()
     assert carried.stack.reflex is not None
     carried.run(600)
     assert np.linalg.norm((carried.world.object_pose() - before)[:3, 3]) < 1e-3
@@ -171,7 +203,10 @@ def test_nan_in_a_halt_does_not_prevent_a_recovery(plant: FailingPlant, latched:
     """Before, each recovery ended in `not_finite`, with all sensors sound."""
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "moveit")
-    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.6), gripper=CLOSED)) is None
+    assert (
+        stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.6), gripper=CLOSED))
+        is None
+    )
     names: list[str] = []
 
     def run(ticks: int) -> None:
@@ -199,9 +234,13 @@ def test_nan_in_a_halt_does_not_prevent_a_recovery(plant: FailingPlant, latched:
 
 
 @pytest.mark.parametrize("off_m", [(0.05, 0.0, 0.0), (0.0, 0.0, -0.06), (np.nan, 0.0, 0.0)])
-def test_a_pose_that_jumps_in_a_hold_stops_the_arms_by_its_name(carried: Carried, off_m: tuple[float, ...]) -> None:
+def test_a_pose_that_jumps_in_a_hold_stops_the_arms_by_its_name(
+    carried: Carried,
+    off_m: tuple[float, ...],
+) -> None:
     """Before, a jump of 50 mm drove joints by 0.12 rad to where the object was not, and no fault said so."""
-    stack, q = carried.stack, carried.world.q.copy()
+    stack = carried.stack
+    q = carried.world.q.copy()
     carried.sensor.off_m = off_m
     carried.run(600)
     assert len(carried.names) == 1
@@ -224,13 +263,18 @@ def test_an_object_that_is_torn_out_is_named_under_joint_control(carried: Carrie
 
 
 def test_a_grip_that_reads_too_high_does_not_open_the_hand_unnamed(
-    carried: Carried, monkeypatch: pytest.MonkeyPatch
+    carried: Carried,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Before, it opened from 9 to 40 mm; now it is named after 2 mm, and the drive stays where it is."""
     carried.stack.switch_controllers(BOTH)
     carried.hold(300)
     true = World.grip.fget
-    monkeypatch.setattr(World, "grip", property(lambda world: true(world) * [0.0, 1.0] + [80.0, 0.0]))
+    monkeypatch.setattr(
+        World,
+        "grip",
+        property(lambda world: true(world) * [0.0, 1.0] + [80.0, 0.0]),
+    )
     held_m = float(carried.world.fingers[0])
     carried.hold(1500)
     assert carried.names == ["gripper_opened"]
@@ -260,7 +304,8 @@ def test_after_a_lost_grip_the_object_law_does_not_recover(scene: SceneConfig) -
     world.command = lambda tau, fingers: command(tau, np.array([0.04, fingers[1]]))  # type: ignore[method-assign]
     carried.run(1000)
     assert carried.names == ["gripper_opened"]
-    carried.fastest, tips = 0.0, KINEMATICS.tcp_poses(world.q)
+    carried.fastest = 0.0
+    tips = KINEMATICS.tcp_poses(world.q)
     carried.stack.recover()
     carried.run(1000)
     assert carried.stack.manager.active == BOTH
@@ -269,10 +314,14 @@ def test_after_a_lost_grip_the_object_law_does_not_recover(scene: SceneConfig) -
 
 
 @pytest.mark.parametrize("then_stopped", [False, True])
-def test_joint_control_bears_what_the_object_law_bore(scene: SceneConfig, then_stopped: bool) -> None:
+def test_joint_control_bears_what_the_object_law_bore(
+    scene: SceneConfig,
+    then_stopped: bool,
+) -> None:
     """Before, 2 kg sank by 4.2 mm, and by 20 mm in an emergency stop after it."""
     carried = Carried(World(scene), 2.0)  # its own model: the mass changes
-    began_m, lowest_m = carried.height_m, carried.height_m
+    began_m = carried.height_m
+    lowest_m = carried.height_m
     carried.stack.switch_controllers(BOTH)
     carried.run(400)
     if then_stopped:
@@ -284,7 +333,10 @@ def test_joint_control_bears_what_the_object_law_bore(scene: SceneConfig, then_s
 
 
 @pytest.mark.parametrize("every", [1, 50])
-def test_velocities_that_do_not_belong_to_their_positions_are_refused(plant: FailingPlant, every: int) -> None:
+def test_velocities_that_do_not_belong_to_their_positions_are_refused(
+    plant: FailingPlant,
+    every: int,
+) -> None:
     """Waypoints with zero velocities: before, the reference had up to 41 times the acceleration limit."""
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "moveit")
@@ -300,11 +352,18 @@ def test_velocities_that_do_not_belong_to_their_positions_are_refused(plant: Fai
 
 @pytest.mark.parametrize(
     ("reading", "lie"),
-    [("q", lambda q: q[:13]), ("v", lambda v: v[:7]), ("q", lambda _: "x"), ("time", lambda _: None)],
+    [
+        ("q", lambda q: q[:13]),
+        ("v", lambda v: v[:7]),
+        ("q", lambda _: "x"),
+        ("time", lambda _: None),
+    ],
     ids=["13 positions", "7 velocities", "a text", "no time"],
 )
 def test_a_malformed_reading_is_named_and_stops_the_arms(
-    plant: FailingPlant, reading: str, lie: Callable[[Array], object]
+    plant: FailingPlant,
+    reading: str,
+    lie: Callable[[Array], object],
 ) -> None:
     """Before, `step` raised ValueError or TypeError in each tick, and no torque was commanded."""
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
@@ -313,7 +372,8 @@ def test_a_malformed_reading_is_named_and_stops_the_arms(
     for _ in range(400):
         stack.step()
     plant.lies[reading] = lie
-    before, names = len(plant.torques), list[str]()
+    before = len(plant.torques)
+    names = list[str]()
     for _ in range(600):
         try:
             stack.step()
@@ -332,7 +392,8 @@ def test_a_stack_that_is_reset_bears_the_arms_before_its_first_step(world: World
     world.reset()
     stack.reset()
     stack.recover()
-    began, lowest = [T[2, 3] for T in KINEMATICS.tcp_poses(world.q)], np.full(2, np.inf)
+    began = [T[2, 3] for T in KINEMATICS.tcp_poses(world.q)]
+    lowest = np.full(2, np.inf)
     for _ in range(300):
         stack.step()
         lowest = np.minimum(lowest, [T[2, 3] for T in KINEMATICS.tcp_poses(world.q)])

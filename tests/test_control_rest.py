@@ -21,7 +21,9 @@ from minidual.robot.pair import Array
 
 def test_the_first_torque_of_a_stop_does_not_wait_for_the_callback(scene: SceneConfig) -> None:
     """Before, the callback ran first: a dump on a slow disk left the motors without a stop for as long."""
-    plant, sent, seen = Arms(scene), [], []
+    plant = Arms(scene)
+    sent = []
+    seen = []
     stack = supervised(plant)
     stack.supervisor = Supervisor(dt_s=plant.dt, on_reflex=lambda reflex: seen.append(len(sent)))
     hand_over(stack, "moveit")
@@ -60,18 +62,22 @@ def test_an_emergency_stop_stops_opening_fingers(world: World, after_ms: int) ->
 
 @pytest.mark.parametrize("gripper", [OPEN, CLOSED], ids=["open", "closed"])
 def test_a_halt_brakes_each_arm_in_its_own_time_unless_both_hands_are_closed(
-    scene: SceneConfig, gripper: Array
+    scene: SceneConfig,
+    gripper: Array,
 ) -> None:
     """Before, it carried the slower arm up to 0.16 rad past a goal that it had almost reached."""
     plant = Arms(scene)
     stack = supervised(plant)
     hand_over(stack, "teleop")
-    target, sequence = HOME.copy(), 0
+    target = HOME.copy()
+    sequence = 0
     for _ in range(400):
         if stack.tick_next:
             target[[0, 7]] += 0.03, 0.008
             sequence += 1
-            assert stack.propose("teleop", JointCommand(target, gripper, plant.time, sequence)) is None
+            assert (
+                stack.propose("teleop", JointCommand(target, gripper, plant.time, sequence)) is None
+            )
         assert run(stack, 1) == []
     fast, slow = np.abs(plant.v)[[0, 7]].tolist()
     assert fast > 1.2
@@ -97,7 +103,9 @@ def test_a_halt_brakes_each_arm_in_its_own_time_unless_both_hands_are_closed(
     ],
 )
 def test_an_object_that_is_not_measured_is_named_in_the_same_tick(
-    world: World, what: str, spoilt: dict[str, object]
+    world: World,
+    what: str,
+    spoilt: dict[str, object],
 ) -> None:
     """Before, it was `not_finite`, "torque of left_panda_joint1"."""
     carried = Carried(world)
@@ -118,10 +126,17 @@ def test_an_object_that_is_not_measured_is_named_in_the_same_tick(
 def test_an_object_path_that_opens_the_hands_is_refused(world: World) -> None:
     """Before, it was followed, and the rod fell, until `joint_contact`."""
     carried = Carried(world)
-    T, stack = world.object_pose(), carried.stack
+    T = world.object_pose()
+    stack = carried.stack
     start = Waypoint(tuple(T[:3, 3].tolist()), float(np.arctan2(T[1, 0], T[0, 0])), 0.0)
     path = ObjectPath(start, [Waypoint(start.xyz_m, start.yaw_rad, 1.0)])
-    command = ObjectCommand(path, lambda t: 40.0, np.array([0.0, 1.0]), world.time, carried.sequence + 1)
+    command = ObjectCommand(
+        path,
+        lambda t: 40.0,
+        np.array([0.0, 1.0]),
+        world.time,
+        carried.sequence + 1,
+    )
     assert stack.propose("moveit", command) is None
     carried.run(1500)
     assert carried.names == []
@@ -144,7 +159,10 @@ def test_a_loop_that_stalled_is_told_from_a_silent_arbiter(scene: SceneConfig, b
     assert run(stack, 100) == [], "0.07 s are no reflex"
     for _ in range(150):
         plant.step()
-    with pytest.raises(ReflexError, match=r"stale_command at .*: no control step \(0.15 s, bound 0.1 s\)"):
+    with pytest.raises(
+        ReflexError,
+        match=r"stale_command at .*: no control step \(0.15 s, bound 0.1 s\)",
+    ):
         stack.step()
     assert run(stack, 500) == []
     assert np.abs(plant.v).max() < 0.01

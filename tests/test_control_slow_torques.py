@@ -23,7 +23,8 @@ class Behind(Arms):
     def __init__(self, scene: SceneConfig) -> None:
         self._acts: np.ndarray | None = None
         super().__init__(scene)
-        self.dt, self._ticks = 0.02, 0
+        self.dt = 0.02
+        self._ticks = 0
 
     @property
     def time(self) -> float:
@@ -34,17 +35,23 @@ class Behind(Arms):
 
     def step(self) -> None:
         told = self.tau
-        self.tau, self.dt = told if self._acts is None else self._acts, 1e-3
+        self.tau = told if self._acts is None else self._acts
+        self.dt = 1e-3
         for _ in range(20):
             super().step()
-        self.tau, self._acts, self.dt = told, told, 0.02
+        self.tau = told
+        self._acts = told
+        self.dt = 0.02
         self._ticks += 1
 
 
 def swing(scene: SceneConfig, told_s: float, push: np.ndarray | None = None) -> list[str]:
     """Move both arms there and back at 50 Hz, pushed on the way back; return the reflexes."""
     plant = Behind(scene)
-    stack = stack_on(plant, supervisor=Supervisor(SupervisorConfig(torque_delay_s=told_s), dt_s=plant.dt))
+    stack = stack_on(
+        plant,
+        supervisor=Supervisor(SupervisorConfig(torque_delay_s=told_s), dt_s=plant.dt),
+    )
     hand_over(stack, "moveit")
     found = list[str]()
     for sequence, ends in enumerate(((HOME, HOME + WAY), (HOME + WAY, HOME)), start=1):

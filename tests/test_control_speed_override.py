@@ -33,22 +33,34 @@ def test_a_trajectory_keeps_its_path_and_takes_longer(plant: ArmsPlant, share: f
     hand_over(stack, "moveit")
     motion = move(plant.q, plant.q + STEP, 0.2)
     stack.propose("moveit", trajectory(stack, motion))
-    began, references = plant.time, []
+    began = plant.time
+    references = []
     while stack.executing:
         stack.step()
         references.append(stack.manager.reference)
     assert plant.time - began == pytest.approx(0.2 / share, abs=0.005)
     gone = (np.array(references) - motion.q[0]) / STEP
-    np.testing.assert_allclose(gone, np.tile(gone[:, :1], 14), atol=1e-9)  # all joints at one place of the path
+    np.testing.assert_allclose(
+        gone,
+        np.tile(gone[:, :1], 14),
+        atol=1e-9,
+    )  # all joints at one place of the path
     assert references[-1] == pytest.approx(motion.q[-1], abs=1e-9)
     fastest = np.abs(np.diff(references, axis=0)).max(axis=0) / plant.dt
     np.testing.assert_allclose(fastest, share * np.abs(motion.v).max(axis=0), rtol=0.01)
 
 
 @pytest.mark.parametrize("supervised", [True, False])
-def test_controllers_that_last_drove_slowly_take_over_at_full_speed(plant: ArmsPlant, supervised: bool) -> None:
+def test_controllers_that_last_drove_slowly_take_over_at_full_speed(
+    plant: ArmsPlant,
+    supervised: bool,
+) -> None:
     """Before, their reference lost 1.3 rad/s in one tick: 1261 rad/s^2, and 61 Nm in 1 ms without a supervisor."""
-    stack = stack_on(plant, config=SLOW, supervisor=Supervisor(dt_s=plant.dt) if supervised else None)
+    stack = stack_on(
+        plant,
+        config=SLOW,
+        supervisor=Supervisor(dt_s=plant.dt) if supervised else None,
+    )
     pair = ("left_arm", "right_arm")
     hand_over(stack, "teleop", pair)
     for _ in range(600):
@@ -57,7 +69,8 @@ def test_controllers_that_last_drove_slowly_take_over_at_full_speed(plant: ArmsP
     stack.speed_override = 1.0
     for _ in range(200):
         stack.step()
-    target, told = HOME.copy(), []
+    target = HOME.copy()
+    told = []
     for k in range(600):
         if stack.tick_next:
             target[0] += 0.03
@@ -74,7 +87,11 @@ def test_controllers_that_last_drove_slowly_take_over_at_full_speed(plant: ArmsP
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
 def test_arms_whose_leader_falls_silent_stop_where_they_are(plant: ArmsPlant, share: float) -> None:
     """Before, they went on to its last target: by 1.57, 0.79 and 0.09 rad, the first for 7.6 s."""
-    stack = stack_on(plant, config=ArbiterConfig(speed_override=share), supervisor=Supervisor(dt_s=plant.dt))
+    stack = stack_on(
+        plant,
+        config=ArbiterConfig(speed_override=share),
+        supervisor=Supervisor(dt_s=plant.dt),
+    )
     hand_over(stack, "teleop")
     target = HOME.copy()
     for k in range(1500):
@@ -96,7 +113,8 @@ def test_it_changes_in_motion_and_the_reference_stays_smooth(plant: ArmsPlant) -
     hand_over(stack, "moveit")
     far = np.where(np.arange(14) % 7 == 0, 2.0, 0.0)
     stack.propose("moveit", trajectory(stack, move(plant.q, plant.q + far, 1.9)))
-    q, k = [plant.q], 0
+    q = [plant.q]
+    k = 0
     while stack.executing:
         if k in (300, 1500):
             stack.speed_override = 0.1 if k == 300 else 1.0
@@ -113,7 +131,8 @@ def test_it_changes_in_motion_and_the_reference_stays_smooth(plant: ArmsPlant) -
 def test_streamed_targets_are_followed_no_faster(plant: ArmsPlant) -> None:
     stack = stack_on(plant, supervisor=Supervisor(dt_s=plant.dt))
     hand_over(stack, "teleop")
-    target, speeds = plant.q, []
+    target = plant.q
+    speeds = []
     for k in range(2000):
         if k == 500:
             stack.speed_override = 0.2
@@ -144,20 +163,28 @@ def test_an_object_path_is_scaled_with_its_twist_and_squeeze() -> None:
     command = ObjectCommand(path, lambda t: 40.0 * min(t, 1.0), OPEN, 0.0, 1)
     execution = ObjectExecution(command, 1e-3)
     execution.limit_speed(0.25)
-    places, squeezes = [], []
+    places = []
+    squeezes = []
     while not execution.finished:
         execution.step()
         places.append(execution.desired.T_world_object[0, 3])
         squeezes.append(execution.squeeze_n)
         if len(places) == 2001:
-            assert execution.desired.twist[0] == pytest.approx(0.25 * path.at(0.5).twist[0], rel=1e-3)
+            assert execution.desired.twist[0] == pytest.approx(
+                0.25 * path.at(0.5).twist[0],
+                rel=1e-3,
+            )
     assert len(places) == pytest.approx(4000, abs=2)
     assert places[-1] == pytest.approx(0.3)
     assert squeezes[2000] == pytest.approx(20.0, rel=1e-3)
 
 
 def test_a_slowed_trajectory_brakes_on_its_path(plant: ArmsPlant) -> None:
-    execution = TrajectoryExecution(trajectory(stack_on(plant), move(HOME, HOME + STEP, 0.2)), 1e-3, DUAL_PANDA)
+    execution = TrajectoryExecution(
+        trajectory(stack_on(plant), move(HOME, HOME + STEP, 0.2)),
+        1e-3,
+        DUAL_PANDA,
+    )
     execution.limit_speed(0.5)
     for _ in range(150):
         execution.step()

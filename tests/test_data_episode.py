@@ -30,7 +30,15 @@ def test_everything_written_is_read_back_exactly(tmp_path: Path) -> None:
     path = tmp_path / "new" / "episode_000000.hdf5"
     data_samples.write(path, data, seed=7, extra={"failure": "none", "start_m": [0.5, 0.25]})
     episode = read_episode(path)
-    for key in ("qpos", "qvel", "gripper", "action", "action_gripper", "timestamps", "image_timestamps"):
+    for key in (
+        "qpos",
+        "qvel",
+        "gripper",
+        "action",
+        "action_gripper",
+        "timestamps",
+        "image_timestamps",
+    ):
         np.testing.assert_array_equal(getattr(episode, key), data[key], err_msg=key)
     assert list(episode.images) == list(data_samples.CAMERAS)
     for camera, frames in data["images"].items():
@@ -89,7 +97,11 @@ def test_optional_fields_may_be_absent_and_no_camera_is_allowed(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("qpos", np.zeros(13), r"observations/qpos at tick 1 has shape \(13,\); it must be \(14,\)"),
+        (
+            "qpos",
+            np.zeros(13),
+            r"observations/qpos at tick 1 has shape \(13,\); it must be \(14,\)",
+        ),
         ("action", np.full(14, np.nan), "action at tick 1 is NaN"),
         ("gripper", np.array([np.inf, 0]), "observations/gripper at tick 1"),
         ("action_gripper", None, "action_gripper is missing at tick 1"),
@@ -99,7 +111,12 @@ def test_optional_fields_may_be_absent_and_no_camera_is_allowed(tmp_path: Path) 
         ("qpos", "left", "not numeric"),
     ],
 )
-def test_a_bad_tick_is_refused_where_it_happens(tmp_path: Path, field: str, value: object, words: str) -> None:
+def test_a_bad_tick_is_refused_where_it_happens(
+    tmp_path: Path,
+    field: str,
+    value: object,
+    words: str,
+) -> None:
     data = data_samples.arrays(4)
     path = tmp_path / "e.hdf5"
     with EpisodeWriter(path, META) as writer:
@@ -122,7 +139,11 @@ def test_bad_pictures_are_refused(tmp_path: Path, kind: str) -> None:
         if kind == "missing camera":
             del bad["images"]["left"]
         else:
-            bad["images"]["left"] = {"float": image / 255.0, "grey": image[..., 0], "other size": image[:10]}[kind]
+            bad["images"]["left"] = {
+                "float": image / 255.0,
+                "grey": image[..., 0],
+                "other size": image[:10],
+            }[kind]
         with pytest.raises(DataError, match="left"):
             writer.append(**bad)
 
@@ -169,7 +190,10 @@ def test_an_existing_file_is_kept(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_a_disk_that_refuses_leaves_a_clear_error_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_refuses_leaves_a_clear_error_and_no_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def refuse(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
@@ -277,7 +301,12 @@ def test_a_reused_process_id_does_not_protect_a_dead_writers_file(tmp_path: Path
 
 
 def test_episode_facts_that_could_not_be_stored_are_refused() -> None:
-    for bad in ({"fps": 0.0}, {"fps": float("nan")}, {"cameras": ("a", "a")}, {"cameras": ("a/b",)}):
+    for bad in (
+        {"fps": 0.0},
+        {"fps": float("nan")},
+        {"cameras": ("a", "a")},
+        {"cameras": ("a/b",)},
+    ):
         with pytest.raises(DataError):
             EpisodeMeta(**{"fps": 50.0, "task": "t", "seed": 0, "cameras": ("high",), **bad})
     for extra in ({"x": float("nan")}, {"x": np.float32(1)}, {"x": Path()}):
@@ -291,14 +320,20 @@ def test_episode_facts_that_could_not_be_stored_are_refused() -> None:
 
 def test_finished_episodes_of_a_folder_come_in_order(tmp_path: Path) -> None:
     for index in (3, 0, 11):
-        data_samples.write(tmp_path / f"episode_{index:06d}.hdf5", data_samples.arrays(3), extra={"trial": index})
+        data_samples.write(
+            tmp_path / f"episode_{index:06d}.hdf5",
+            data_samples.arrays(3),
+            extra={"trial": index},
+        )
     (tmp_path / ".episode_000001.hdf5.99.partial").touch()
     (tmp_path / "notes.txt").touch()
     assert [read_meta(path).trial for path in episode_paths(tmp_path)] == [0, 3, 11]
 
 
 def test_the_same_episode_gives_the_same_bytes(tmp_path: Path) -> None:
-    first, second = (data_samples.write(tmp_path / name, data_samples.arrays()) for name in ("a.hdf5", "b.hdf5"))
+    first, second = (
+        data_samples.write(tmp_path / name, data_samples.arrays()) for name in ("a.hdf5", "b.hdf5")
+    )
     assert first.read_bytes() == second.read_bytes()
 
 
@@ -316,7 +351,12 @@ try:
 except EnvironmentMissingError as error:
     print(error)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert done.returncode == 0, done.stderr
     assert "no space left on the disk" in done.stdout
     assert "File too large" in done.stdout

@@ -74,7 +74,9 @@ def test_the_tables_count_rows_and_name_what_is_inside(made: tuple) -> None:
     assert [path.name for path in root.parent.iterdir() if path.name.startswith(".")] == []
 
 
-def test_statistics_of_sampled_pictures_are_those_of_all_pixels_and_lerobot_is_left_as_it_was(made: tuple) -> None:
+def test_statistics_of_sampled_pictures_are_those_of_all_pixels_and_lerobot_is_left_as_it_was(
+    made: tuple,
+) -> None:
     root, sources, _ = made
     table = pq.read_table(next((root / "meta" / "episodes").glob("*/*.parquet"))).to_pydict()
     for stored, source in zip(table[f"stats/{HIGH}/mean"], sources, strict=True):
@@ -103,7 +105,10 @@ def test_memory_holds_what_was_recorded(made: tuple) -> None:
         np.testing.assert_array_equal(data.state[rows, :14], episode.qpos.astype(np.float32))
         np.testing.assert_array_equal(data.state[rows, 14:], episode.gripper.astype(np.float32))
         np.testing.assert_array_equal(data.action[rows, :14], episode.action.astype(np.float32))
-        np.testing.assert_array_equal(data.action[rows, 14:], episode.action_gripper.astype(np.float32))
+        np.testing.assert_array_equal(
+            data.action[rows, 14:],
+            episode.action_gripper.astype(np.float32),
+        )
         np.testing.assert_array_equal(data.frame_index[rows], np.arange(TICKS[index]))
         assert set(data.episode_index[rows]) == {index}
         # The right picture at the right tick: each frame is nearest to its own recording's frame.
@@ -115,7 +120,9 @@ def test_memory_holds_what_was_recorded(made: tuple) -> None:
 
 
 def test_images_for_which_memory_is_short_are_mapped_from_a_file_without_a_name(
-    made: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made: tuple,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     data = read_dataset(made[0])
     kept = data.images("high", folder=tmp_path)
@@ -192,7 +199,12 @@ def test_a_changed_state_is_noticed(copy: tuple[Path, list[Path]]) -> None:
     import pyarrow as pa
 
     pq.write_table(
-        table.set_column(column, "observation.state", pa.array(states, type=table.schema.field(column).type)), path
+        table.set_column(
+            column,
+            "observation.state",
+            pa.array(states, type=table.schema.field(column).type),
+        ),
+        path,
     )
     with pytest.raises(DataError, match=r"episode 0 .*observation\.state differs"):
         adapter.verify_dataset(root, sources, DUAL_PANDA)
@@ -213,7 +225,8 @@ def test_swapped_cameras_and_other_recordings_are_noticed(copy: tuple[Path, list
 
 
 @pytest.mark.parametrize(
-    "victim", ["data/**/*.parquet", "meta/episodes/**/*.parquet", "videos/**/*.mp4", "meta/info.json"]
+    "victim",
+    ["data/**/*.parquet", "meta/episodes/**/*.parquet", "videos/**/*.mp4", "meta/info.json"],
 )
 def test_a_truncated_dataset_file_is_named(copy: tuple[Path, list[Path]], victim: str) -> None:
     root, _ = copy
@@ -250,11 +263,16 @@ def test_what_cannot_be_converted_is_refused_and_leaves_nothing(tmp_path: Path) 
     ):
         with pytest.raises(kind, match=words):
             adapter.convert(paths, tmp_path / "out", DUAL_PANDA)
-        assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.hdf5" for name in "abcde"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == [
+            f"{name}.hdf5" for name in "abcde"
+        ]
 
 
 def test_an_existing_dataset_is_kept(tmp_path: Path) -> None:
-    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32), cameras=["high"]))
+    source = data_samples.write(
+        tmp_path / "a.hdf5",
+        data_samples.arrays(6, size=(32, 32), cameras=["high"]),
+    )
     out = tmp_path / "sets" / "out"
     adapter.convert([source], out, DUAL_PANDA)
     with pytest.raises(UsageError, match="exists already"):
@@ -263,20 +281,31 @@ def test_an_existing_dataset_is_kept(tmp_path: Path) -> None:
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
-def test_the_next_episode_begins_another_file_when_one_is_full(made: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_next_episode_begins_another_file_when_one_is_full(
+    made: tuple,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     root, sources, _ = made
     monkeypatch.setattr("minidual.demos.lerobot_adapter._VIDEO_FILE_MB", 0.001)
-    tables = adapter.convert(sources, root.parent / "one_each", DUAL_PANDA)  # compares every picture
+    tables = adapter.convert(
+        sources,
+        root.parent / "one_each",
+        DUAL_PANDA,
+    )  # compares every picture
     files = sorted((root.parent / "one_each").glob("videos/*high*/*/*.mp4"))
     assert len(files) == len(sources) > len(list(root.glob("videos/*high*/*/*.mp4"))) == 1
     np.testing.assert_array_equal(tables.images("high"), read_dataset(root).images("high"))
 
 
 def test_what_a_killed_conversion_left_is_cleared_and_anothers_work_is_not(tmp_path: Path) -> None:
-    own, other = tmp_path / ".out.999999999.partial", tmp_path / ".other.999999999.partial"
+    own = tmp_path / ".out.999999999.partial"
+    other = tmp_path / ".other.999999999.partial"
     for folder in (own, other):
         (folder / "data").mkdir(parents=True)
-    source = data_samples.write(tmp_path / "a.hdf5", data_samples.arrays(6, size=(32, 32), cameras=["high"]))
+    source = data_samples.write(
+        tmp_path / "a.hdf5",
+        data_samples.arrays(6, size=(32, 32), cameras=["high"]),
+    )
     adapter.convert([source], tmp_path / "out", DUAL_PANDA)
     assert not own.exists()
     assert other.exists()
@@ -288,11 +317,15 @@ def test_the_same_recordings_give_the_same_bytes(made: tuple, tmp_path: Path) ->
     adapter.convert(sources, again, DUAL_PANDA)
     names = sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
-    assert [name for name in names if (root / name).read_bytes() != (again / name).read_bytes()] == []
+    assert [
+        name for name in names if (root / name).read_bytes() != (again / name).read_bytes()
+    ] == []
 
 
 def test_a_video_that_lerobot_cannot_write_ends_the_conversion_with_one_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     def full(file: str, mode: str = "r", **options: object) -> Any:
         if mode == "w":
@@ -321,12 +354,15 @@ def test_an_error_of_whoever_records_is_no_error_of_the_disk(made: tuple, tmp_pa
 
 
 def test_a_video_that_lerobot_does_not_end_in_time_ends_the_conversion(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     from lerobot.datasets.video_utils import StreamingVideoEncoder, _CameraEncoderThread
 
     source = data_samples.write(tmp_path / "e.hdf5", data_samples.arrays(6))
-    finish, alive = StreamingVideoEncoder.finish_episode, _CameraEncoderThread.is_alive
+    finish = StreamingVideoEncoder.finish_episode
+    alive = _CameraEncoderThread.is_alive
 
     def late_finish(self: StreamingVideoEncoder) -> dict[str, Any]:
         monkeypatch.setattr(_CameraEncoderThread, "is_alive", lambda thread: True)
@@ -336,7 +372,10 @@ def test_a_video_that_lerobot_does_not_end_in_time_ends_the_conversion(
             monkeypatch.setattr(_CameraEncoderThread, "is_alive", alive)
 
     monkeypatch.setattr(StreamingVideoEncoder, "finish_episode", late_finish)
-    with pytest.raises(DataError, match=r"out could not be written: Encoder thread for .* did not finish in time"):
+    with pytest.raises(
+        DataError,
+        match=r"out could not be written: Encoder thread for .* did not finish in time",
+    ):
         adapter.convert([source], tmp_path / "out", DUAL_PANDA)
     assert caplog.records == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]

@@ -52,19 +52,28 @@ def test_tool_centres_of_the_home_posture_mirror_each_other() -> None:
     positions = quality.tcp_positions(np.tile(DUAL_PANDA.home, (3, 1)), Kinematics())
     assert positions.shape == (3, 2, 3)
     np.testing.assert_allclose(positions[0, 0] * [1, -1, 1], positions[0, 1], atol=1e-9)
-    np.testing.assert_allclose(positions[0, 0, :2], [0.3068, 0.25], atol=0.01)  # the Panda's ready posture
+    np.testing.assert_allclose(
+        positions[0, 0, :2],
+        [0.3068, 0.25],
+        atol=0.01,
+    )  # the Panda's ready posture
 
 
 def test_the_measures_of_an_episode(tmp_path: Path) -> None:
     smooth = data_samples.arrays(100)
     rough = data_samples.arrays(100, seed=1)
     rough["qpos"] = rough["qpos"] + 0.02 * np.sin(2 * np.pi * 8 * rough["timestamps"])[:, None]
-    paths = [data_samples.write(tmp_path / f"{i}.hdf5", data) for i, data in enumerate((smooth, rough))]
+    paths = [
+        data_samples.write(tmp_path / f"{i}.hdf5", data) for i, data in enumerate((smooth, rough))
+    ]
     records = [quality.episode_quality(read_episode(path), Kinematics()) for path in paths]
     assert records[0].ticks == 100
     assert records[0].duration_s == pytest.approx(1.98)
     # Fourteen joints, 0.3 rad at 0.5 Hz; the record spans one period, so the mean of cos^2 is near a half.
-    assert records[0].rms_jerk_rad_s3 == pytest.approx(np.sqrt(14) * 0.3 * np.pi**3 / np.sqrt(2), rel=0.1)
+    assert records[0].rms_jerk_rad_s3 == pytest.approx(
+        np.sqrt(14) * 0.3 * np.pi**3 / np.sqrt(2),
+        rel=0.1,
+    )
     assert records[0].path_length_m > 0.1
     assert 0.0 < records[0].path_efficiency < 1.0
     assert records[0].cells_n > 1

@@ -16,11 +16,17 @@ def sinusoid(frequency_hz: float, rate_hz: float, duration_s: float = 8.0) -> np
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 250.0, 1000.0])
 @pytest.mark.parametrize("frequency_hz", [0.5, 1.0, 3.0, 5.0])
-def test_a_sinusoid_gives_its_analytic_jerk_at_every_rate(frequency_hz: float, rate_hz: float) -> None:
+def test_a_sinusoid_gives_its_analytic_jerk_at_every_rate(
+    frequency_hz: float,
+    rate_hz: float,
+) -> None:
     expected = np.sqrt(14) * 0.3 * (2 * np.pi * frequency_hz) ** 3 / np.sqrt(2)
     # Forward and backward, the amplitude response is |H|^2 = 1 / (1 + (f / fc)^8).
     expected /= 1 + (frequency_hz / quality.CUTOFF_HZ) ** 8
-    assert quality.rms_jerk(sinusoid(frequency_hz, rate_hz), rate_hz) == pytest.approx(expected, rel=0.01)
+    assert quality.rms_jerk(sinusoid(frequency_hz, rate_hz), rate_hz) == pytest.approx(
+        expected,
+        rel=0.01,
+    )
 
 
 def test_the_same_smooth_motion_gives_the_same_number_at_50_hz_and_1_khz() -> None:
@@ -66,6 +72,10 @@ def test_the_filter_text_states_what_the_code_does() -> None:
         (np.zeros((500, 14)), float("nan"), "40 Hz"),
     ],
 )
-def test_a_motion_that_has_no_meaningful_jerk_is_refused(q: np.ndarray, rate: float, words: str) -> None:
+def test_a_motion_that_has_no_meaningful_jerk_is_refused(
+    q: np.ndarray,
+    rate: float,
+    words: str,
+) -> None:
     with pytest.raises(DataError, match=words):
         quality.rms_jerk(q, rate)

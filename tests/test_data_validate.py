@@ -95,19 +95,31 @@ def test_a_flipped_bit_is_noticed(tmp_path: Path, key: str) -> None:
         (replaced("action_gripper", np.zeros((39, 2))), ["field_wrong"]),
         (replaced("observations/gripper", np.array([[b"a", b"b"]] * 40)), ["field_wrong"]),
         (replaced("observations/images/left", np.zeros((40, 8, 8), np.uint8)), ["field_wrong"]),
-        (replaced("observations/images/left", np.zeros((40, 8, 8, 3), np.float32)), ["field_wrong"]),
+        (
+            replaced("observations/images/left", np.zeros((40, 8, 8, 3), np.float32)),
+            ["field_wrong"],
+        ),
         (lambda f: f.__delitem__("observations/images/left"), ["cameras_wrong"]),
         (lambda f: f.attrs.__setitem__("num_timesteps", "many"), ["attributes_wrong"]),
         (lambda f: (f.__delitem__("action"), f.create_group("action")), ["field_wrong"]),
         (
-            lambda f: (f.__delitem__("observations/images/left"), f.create_group("observations/images/left")),
+            lambda f: (
+                f.__delitem__("observations/images/left"),
+                f.create_group("observations/images/left"),
+            ),
             ["field_wrong"],
         ),
-        (lambda f: f.move("observations/images/left", "observations/images/top"), ["cameras_wrong"]),
+        (
+            lambda f: f.move("observations/images/left", "observations/images/top"),
+            ["cameras_wrong"],
+        ),
         (lambda f: f.attrs.__setitem__("num_timesteps", 39), ["field_wrong"] * 9),
         (lambda f: f["observations/qvel"].__setitem__((7, 3), np.nan), ["not_finite"]),
         (lambda f: f["timestamps"].__setitem__(9, 0.5), ["timestamps_not_monotonic"]),
-        (lambda f: f["action"].__setitem__(..., f["observations/qpos"][()]), ["action_equals_qpos"]),
+        (
+            lambda f: f["action"].__setitem__(..., f["observations/qpos"][()]),
+            ["action_equals_qpos"],
+        ),
     ],
 )
 def test_structural_faults(tmp_path: Path, change: Spoil, expected: list[str]) -> None:
@@ -131,7 +143,9 @@ def test_camera_names_and_order_are_held_to_the_expected_ones(tmp_path: Path) ->
 
 
 def test_swapped_and_identical_cameras(tmp_path: Path) -> None:
-    sound = [data_samples.write(tmp_path / f"{i}.hdf5", data_samples.arrays(seed=i)) for i in range(3)]
+    sound = [
+        data_samples.write(tmp_path / f"{i}.hdf5", data_samples.arrays(seed=i)) for i in range(3)
+    ]
     seen = references(sound)
     data = data_samples.arrays(seed=9)
     images = data["images"]
@@ -191,7 +205,11 @@ def test_a_joint_outside_its_limits(tmp_path: Path) -> None:
         (lambda frames: frames.__setitem__(slice(None), frames[0].copy()), "images_frozen"),
     ],
 )
-def test_pictures_that_carry_nothing(tmp_path: Path, spoil: Callable[[np.ndarray], None], expected: str) -> None:
+def test_pictures_that_carry_nothing(
+    tmp_path: Path,
+    spoil: Callable[[np.ndarray], None],
+    expected: str,
+) -> None:
     data = data_samples.arrays()
     spoil(data["images"]["left"])
     (fault,) = inspect_episode(data_samples.write(tmp_path / "e.hdf5", data))[1]

@@ -29,7 +29,11 @@ def printed_commands() -> list[tuple[str, str]]:
         blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
         fenced = "\n".join(body for language, body in blocks if language in ("", "bash", "sh"))
         indented = "\n".join(re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE))
-        for line in re.findall(r"^(?:\.venv/bin/)?(minidual [^\n]*)$", f"{fenced}\n{indented}", re.MULTILINE):
+        for line in re.findall(
+            r"^(?:\.venv/bin/)?(minidual [^\n]*)$",
+            f"{fenced}\n{indented}",
+            re.MULTILINE,
+        ):
             command = re.sub(r"\s+#.*$|\s{3,}\S.*$", "", line).strip()
             if "[" not in command:
                 found.append((page.relative_to(ROOT).as_posix(), command))
@@ -48,13 +52,19 @@ def parse(words: list[str]) -> None:
         context = command.make_context(name, list(words), parent=context)
 
 
-@pytest.mark.parametrize(("page", "command"), printed_commands(), ids=lambda value: value.replace("/", "."))
+@pytest.mark.parametrize(
+    ("page", "command"),
+    printed_commands(),
+    ids=lambda value: value.replace("/", "."),
+)
 def test_printed_commands_parse_and_name_files_that_exist(page: str, command: str) -> None:
     words = shlex.split(command)[1:]
     if words[0] in OWN_STAGES or words[:2] == ["explain", "steadiness"]:
         return
     parse(words)
-    missing = [word for word in words if word.startswith("examples/") and not (ROOT / word).is_file()]
+    missing = [
+        word for word in words if word.startswith("examples/") and not (ROOT / word).is_file()
+    ]
     assert not missing
 
 
@@ -124,7 +134,9 @@ def test_closed_chain_page_moves_the_rod(tmp_path: Path) -> None:
 
 def test_task_page_solves_the_carry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = run_blocks("task-pipeline.md", tmp_path)
-    carried = next(s.trajectory.Ts_world_object for s in names["solution"].segments if s.phase == "carry")
+    carried = next(
+        s.trajectory.Ts_world_object for s in names["solution"].segments if s.phase == "carry"
+    )
     assert np.abs(carried[-1][:2, 3] - names["trial"].goal["rod"][:2]).max() < 1e-9
     assert "rod_carry: solved" in capsys.readouterr().out
 
@@ -135,18 +147,31 @@ def test_simulation_page_opens_the_environment(tmp_path: Path) -> None:
     names["env"].close()
 
 
-TESTED = {"control", "supervisor", "data", "plan", "planning-scenes", "closed-chain", "task-pipeline", "simulation"}
+TESTED = {
+    "control",
+    "supervisor",
+    "data",
+    "plan",
+    "planning-scenes",
+    "closed-chain",
+    "task-pipeline",
+    "simulation",
+}
 
 
 def test_no_page_has_untested_python() -> None:
     with_code = {page.stem for page in PAGES if "```python" in page.read_text(encoding="utf-8")}
     howtos = {name for name in with_code if name.startswith("howto-")}
     assert with_code - howtos == TESTED | {"README"}
-    tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_howto_*.py"))
+    tests = "".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_howto_*.py")
+    )
     assert [name for name in sorted(howtos) if f"{name}.md" not in tests] == []
 
 
 def test_every_planning_option_is_documented() -> None:
-    text = "".join((ROOT / "docs" / name).read_text() for name in ("planning-scenes.md", "task-pipeline.md"))
+    text = "".join(
+        (ROOT / "docs" / name).read_text() for name in ("planning-scenes.md", "task-pipeline.md")
+    )
     known = {option.name for aside in STAGES["plan"].asides for option in aside.options}
     assert known <= set(re.findall(r"--([a-z][a-z-]*)", text))

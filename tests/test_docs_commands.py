@@ -15,7 +15,11 @@ from test_docs import ROOT, printed_commands
 
 SEAMS = ("ur3", "wind", "sway", "open_loop", "gentle_carry", "nearest", "steadiness")
 """Rows of other distributions; the test of their how-to types those commands."""
-FORMS = list(dict.fromkeys(command for _, command in printed_commands() if not any(word in command for word in SEAMS)))
+FORMS = list(
+    dict.fromkeys(
+        command for _, command in printed_commands() if not any(word in command for word in SEAMS)
+    ),
+)
 """In the order of pages and lines: a command may go on from the one before."""
 
 
@@ -31,7 +35,10 @@ SMALLER = {
 }
 """What makes a printed command short, and work on the smoke run."""
 REFUSED = {
-    "minidual teleop-record --set teleop.leader=keyboard": (4, "the keyboard leader needs a terminal"),
+    "minidual teleop-record --set teleop.leader=keyboard": (
+        4,
+        "the keyboard leader needs a terminal",
+    ),
     "minidual stop": (2, "nothing to stop: no command is working"),
     "minidual run --run cuda --set train.device=cuda": (4, "torch finds no CUDA device"),
     "minidual run --profile gpu": (4, "torch finds no CUDA device"),
@@ -48,13 +55,21 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "examples").symlink_to(ROOT / "examples")
     (folder / "configs").mkdir()
     (folder / "configs" / "mine.yaml").write_text("extends: smoke\n\ncarry:\n  trials_n: 3\n")
-    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", "results_key"], cwd=folder, check=True)
+    subprocess.run(
+        ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", "results_key"],
+        cwd=folder,
+        check=True,
+    )
     done = typed(folder, ["run", "--profile", "smoke"], timeout_s=1500)
     assert done.returncode == 0, done.stderr[-3000:]
     return folder
 
 
-def typed(folder: Path, words: list[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
+def typed(
+    folder: Path,
+    words: list[str],
+    timeout_s: float = 600.0,
+) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "HF_HUB_OFFLINE": "1"}
     command = [sys.executable, "-m", "minidual.cli", *words]
     return subprocess.run(
@@ -83,7 +98,8 @@ def test_a_printed_command_does_its_work(desk: Path, command: str) -> None:
         pytest.skip("there is a CUDA device here; these runs take hours")
     done = typed(desk, words)
     if done.returncode == 1 and command in STOPPED:
-        code, said = 1, STOPPED[command]
+        code = 1
+        said = STOPPED[command]
     assert done.returncode == code, f"{' '.join(words)}: {done.returncode}\n{done.stderr[-3000:]}"
     assert said in done.stderr
     assert len(before) == 8

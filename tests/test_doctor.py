@@ -28,7 +28,11 @@ from minidual.stages import doctor
 from minidual.stages.registry import STAGES, TOOLS
 
 adapter = late("minidual.demos.lerobot_adapter")
-SETTINGS = ["teleop.cameras=[high,left]", "plan.planner.range_rad=0.9", "plan.success_rate_min=0.99"]
+SETTINGS = [
+    "teleop.cameras=[high,left]",
+    "plan.planner.range_rad=0.9",
+    "plan.success_rate_min=0.99",
+]
 
 
 class Patient:
@@ -37,8 +41,12 @@ class Patient:
     def __init__(self, root: Path) -> None:
         names = "env-check", "plan", "carry"
         self.toys = [Toy(name, names[:k][-1:]) for k, name in enumerate(names)]
-        self.table = StageTable([StageEntry(t.name, t, t.requires, "Toy") for t in self.toys], ("numpy",))
-        self.store, self.loaded = RunStore(root, "patient"), load_config("standard", SETTINGS)
+        self.table = StageTable(
+            [StageEntry(t.name, t, t.requires, "Toy") for t in self.toys],
+            ("numpy",),
+        )
+        self.store = RunStore(root, "patient")
+        self.loaded = load_config("standard", SETTINGS)
 
     def run(self) -> None:
         list(Runner(self.table, self.store, self.loaded).run_until(None))
@@ -54,7 +62,11 @@ class Patient:
         )
         context.begin()
         result = doctor.doctor(context)
-        return result, {row["part"]: row for row in result.data["parts"]}, list(result.data["faults"])
+        return (
+            result,
+            {row["part"]: row for row in result.data["parts"]},
+            list(result.data["faults"]),
+        )
 
 
 @pytest.fixture
@@ -64,7 +76,8 @@ def patient(tmp_path: Path) -> Patient:
 
 def episodes(patient: Patient, *changed: tuple[str, Any]) -> list[Path]:
     """Write three episodes into the run; the last has some arrays changed."""
-    folder, paths = patient.store.folder / "teleop-record" / "episodes", []
+    folder = patient.store.folder / "teleop-record" / "episodes"
+    paths = []
     for k in range(3):
         data = data_samples.arrays(seed=k, cameras=("high", "left"))
         data |= {key: 0.5 * data[key] + DUAL_PANDA.home for key in ("qpos", "action")}
@@ -87,8 +100,12 @@ def test_a_sound_machine_without_results_has_no_fault(patient: Patient) -> None:
 
 def test_stages_run_with_the_sizes_of_smoke_and_the_settings_of_the_run(patient: Patient) -> None:
     patient.examined()
-    config, smoke = patient.toys[2].contexts[0].config, load_config("smoke").config
-    assert (config.plan.queries_n, config.carry.trials_n) == (smoke.plan.queries_n, smoke.carry.trials_n)
+    config = patient.toys[2].contexts[0].config
+    smoke = load_config("smoke").config
+    assert (config.plan.queries_n, config.carry.trials_n) == (
+        smoke.plan.queries_n,
+        smoke.carry.trials_n,
+    )
     assert config.carry.limits == patient.loaded.config.carry.limits != smoke.carry.limits
     assert config.plan.time_median_max_s == smoke.plan.time_median_max_s
     assert config.plan.planner == patient.loaded.config.plan.planner != smoke.plan.planner
@@ -108,7 +125,12 @@ def test_a_failed_check_is_a_fault_with_its_remedy(patient: Patient) -> None:
     result, parts, faults = patient.examined()
     assert result.exit_code == ExitCode.ACCEPTANCE_FAILED
     assert faults == [
-        {"part": "plan", "name": "quality", "detail": "quality is 0.5 n, limit >= 1 n", "remedy": "hold harder"}
+        {
+            "part": "plan",
+            "name": "quality",
+            "detail": "quality is 0.5 n, limit >= 1 n",
+            "remedy": "hold harder",
+        },
     ]
     assert [parts[name]["faults"] for name in ("env-check", "plan", "carry")] == [0, 1, 0]
     assert "plan: quality: quality is 0.5 n, limit >= 1 n" in result.lines
@@ -124,7 +146,7 @@ def test_what_stops_one_part_does_not_stop_the_others(patient: Patient) -> None:
     result, parts, faults = patient.examined()
     assert result.exit_code == ExitCode.ACCEPTANCE_FAILED
     assert [(f["part"], f["detail"], f["remedy"]) for f in faults] == [
-        ("env-check", "no off-screen OpenGL", "apt-get install libegl1")
+        ("env-check", "no off-screen OpenGL", "apt-get install libegl1"),
     ]
     assert (parts["env-check"]["examined"], parts["plan"]["examined"]) == ("stopped", "2 checks")
     assert parts["recordings"]["examined"] == "3 episodes"
@@ -134,15 +156,27 @@ def test_what_stops_one_part_does_not_stop_the_others(patient: Patient) -> None:
     ("change", "name"),
     [
         (
-            ("images", lambda data: dict(zip(("high", "left"), [*data["images"].values()][::-1], strict=True))),
+            (
+                "images",
+                lambda data: dict(
+                    zip(("high", "left"), [*data["images"].values()][::-1], strict=True),
+                ),
+            ),
             "cameras_swapped",
         ),
-        (("images", lambda data: {c: np.zeros_like(x) for c, x in data["images"].items()}), "images_black"),
+        (
+            ("images", lambda data: {c: np.zeros_like(x) for c, x in data["images"].items()}),
+            "images_black",
+        ),
         (("qpos", lambda data: data["qpos"] + 10.0), "outside_joint_limits"),
         (("timestamps", lambda data: data["timestamps"] * 1.5), "rate_wrong"),
     ],
 )
-def test_each_fault_of_a_recording_is_named_with_its_file(patient: Patient, change: tuple[str, Any], name: str) -> None:
+def test_each_fault_of_a_recording_is_named_with_its_file(
+    patient: Patient,
+    change: tuple[str, Any],
+    name: str,
+) -> None:
     episodes(patient)
     assert patient.examined()[2] == [], "the same episodes, sound"
     for path in (patient.store.folder / "teleop-record" / "episodes").iterdir():
@@ -153,7 +187,9 @@ def test_each_fault_of_a_recording_is_named_with_its_file(patient: Patient, chan
     found = [fault for fault in faults if fault["name"] == name]
     assert found, faults
     assert {fault["part"] for fault in faults} == {"recordings"}
-    assert all(fault["detail"].startswith("episode_000002.hdf5: ") and fault["remedy"] for fault in faults)
+    assert all(
+        fault["detail"].startswith("episode_000002.hdf5: ") and fault["remedy"] for fault in faults
+    )
 
 
 def test_actions_that_were_overwritten_by_readings_are_named(patient: Patient) -> None:
@@ -179,7 +215,11 @@ def test_stale_and_broken_results_are_named(patient: Patient) -> None:
     result, parts, faults = patient.examined()
     assert result.exit_code == ExitCode.ACCEPTANCE_FAILED
     assert parts["results"]["examined"] == "env-check, plan, carry"
-    assert [fault["name"] for fault in faults] == ["env-check is stale", "plan is stale", "carry is error"]
+    assert [fault["name"] for fault in faults] == [
+        "env-check is stale",
+        "plan is stale",
+        "carry is error",
+    ]
     assert "artefact out/numbers.txt changed" in faults[0]["detail"]
     assert faults[0]["remedy"] == "minidual explain env-check"
 
@@ -188,13 +228,17 @@ def test_an_interrupted_stage_is_named(patient: Patient) -> None:
     patient.store.begin("env-check", "")
     patient.store.abandon("env-check", "interrupted", "Ctrl-C")
     (fault,) = patient.examined()[2]
-    assert (fault["name"], fault["remedy"]) == ("env-check is incomplete", "minidual explain env-check")
+    assert (fault["name"], fault["remedy"]) == (
+        "env-check is incomplete",
+        "minidual explain env-check",
+    )
     assert "Ctrl-C" in fault["detail"]
 
 
 @pytest.mark.torch
 def test_a_damaged_dataset_and_a_policy_beyond_the_limits_are_named(
-    patient: Patient, monkeypatch: pytest.MonkeyPatch
+    patient: Patient,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     dataset = patient.store.folder / "teleop-record" / "lerobot"
     adapter.convert(episodes(patient), dataset, DUAL_PANDA)
@@ -209,7 +253,11 @@ def test_a_damaged_dataset_and_a_policy_beyond_the_limits_are_named(
         "examined": "dataset of 120 ticks, checkpoint",
         "faults": 0,
     }
-    monkeypatch.setattr(doctor, "exercise_checkpoint", lambda *_: emitted._replace(in_limits=0.5, targets_n=14))
+    monkeypatch.setattr(
+        doctor,
+        "exercise_checkpoint",
+        lambda *_: emitted._replace(in_limits=0.5, targets_n=14),
+    )
     assert [fault["name"] for fault in patient.examined()[2]] == ["actions_in_limits", "targets_n"]
 
     info = dataset / "meta" / "info.json"

@@ -79,7 +79,8 @@ def _stop(runs: Path, *words: str) -> int:
 
 
 def test_the_command_stop_stops_a_running_command_and_its_workers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = tmp_path / "busy"
     folder.mkdir()
@@ -97,26 +98,39 @@ def test_stop_says_when_nothing_runs(tmp_path: Path, capsys: pytest.CaptureFixtu
     with run_lock(tmp_path / "ended", "minidual carry"):
         (tmp_path / "ended" / "config.yaml").write_text("seed: 1")
     # Another process has the id that the lock of a container names.
-    (tmp_path / "ended" / ".lock").write_text(json.dumps({"pid": 1, "command": "minidual carry", "since": "now"}))
+    (tmp_path / "ended" / ".lock").write_text(
+        json.dumps({"pid": 1, "command": "minidual carry", "since": "now"}),
+    )
     for words in ((), ("ended",), ("never",)):
         assert _stop(tmp_path, *words) == ExitCode.USAGE
         said = capsys.readouterr().err
-        assert f"nothing to stop: no command is working in {f'run {words[0]!r} of' if words else 'the runs in'}" in said
+        assert (
+            f"nothing to stop: no command is working in {f'run {words[0]!r} of' if words else 'the runs in'}"
+            in said
+        )
         assert "Traceback" not in said
 
 
 @pytest.mark.parametrize("words_that_stop", [("--run", "busy"), ()])
 def test_stop_stops_no_other_run_than_the_one_that_is_meant(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words_that_stop: tuple[str, ...]
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    words_that_stop: tuple[str, ...],
 ) -> None:
     """Before, `--profile` was ignored and every run was stopped; a misspelt name did not say what was working."""
     (folder := tmp_path / "busy").mkdir()
     (tmp_path / "damaged" / ".lock").mkdir(parents=True)  # it keeps nothing else from being stopped
-    with subprocess.Popen([sys.executable, "-c", WORKING, str(folder)], stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", WORKING, str(folder)],
+        stderr=subprocess.DEVNULL,
+    ) as process:
         _until(lambda: len(list(folder.glob("moving-*"))) == 2)
         for words, said in (
             (("--profile", "smoke"), "no command is working in run 'smoke'"),
-            (("bussy",), "remedy: a command is working in busy; minidual stop, without a name, stops all"),
+            (
+                ("bussy",),
+                "remedy: a command is working in busy; minidual stop, without a name, stops all",
+            ),
             (("busy", "--run", "other"), "two runs are named, 'busy' and 'other'"),
             (("",), "the name of the run is empty"),
         ):
@@ -235,7 +249,11 @@ def test_the_button_of_the_view_presses(capsys: pytest.CaptureFixture[str]) -> N
             _until(lambda: bool(view._server.get_clients()))
             assert emergency.pressed() == ""
             button: Any = view.panel._stop
-            message = {"type": "GuiUpdateMessage", "uuid": button._impl.uuid, "updates": {"value": True}}
+            message = {
+                "type": "GuiUpdateMessage",
+                "uuid": button._impl.uuid,
+                "updates": {"value": True},
+            }
             client.send(msgspec.msgpack.encode(message))
             _until(lambda: emergency.pressed() == "button of the view")
     finally:
@@ -243,12 +261,16 @@ def test_the_button_of_the_view_presses(capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.parametrize("key", ["x", "X", "\x1b"])
-def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(world: World, key: str) -> None:
+def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(
+    world: World,
+    key: str,
+) -> None:
     keys, screen = pty.openpty()
     leader = KeyboardLeader(Kinematics(), descriptor=screen)
     leader.realtime = False  # type: ignore[misc]
     os.write(
-        keys, b"\x1b[A\x1bOD\x1b[1;5C\x1b[F\x1b[3~"
+        keys,
+        b"\x1b[A\x1bOD\x1b[1;5C\x1b[F\x1b[3~",
     )  # arrows and the like are neither escape nor the letters they end with
     leader.read(0.0)
     assert emergency.pressed() == ""
@@ -279,13 +301,28 @@ def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(world: W
 
 
 @pytest.mark.slow
-def test_a_real_carry_ends_with_its_arms_at_rest_and_is_marked_as_interrupted(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "minidual.cli", "carry", "--profile", "smoke", "--trials", "20", "--workers", "2"]
+def test_a_real_carry_ends_with_its_arms_at_rest_and_is_marked_as_interrupted(
+    tmp_path: Path,
+) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "minidual.cli",
+        "carry",
+        "--profile",
+        "smoke",
+        "--trials",
+        "20",
+        "--workers",
+        "2",
+    ]
     command += ["--waive-gate", "test", "--runs-dir", str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         lines = iter(process.stderr.readline, "")
-        assert any(re.match(r"carries: \d+/20, .* left", line) for line in lines)  # one line in ten seconds
+        assert any(
+            re.match(r"carries: \d+/20, .* left", line) for line in lines
+        )  # one line in ten seconds
         assert _stop(tmp_path, "smoke") == ExitCode.PASS
         _, said = process.communicate(timeout=60)
     assert process.returncode == ExitCode.INTERRUPTED
@@ -311,7 +348,11 @@ def test_a_command_that_is_paused_and_goes_on_is_not_stopped() -> None:
     """Ctrl-Z and fg: before, CPython's sigtimedwait returned another signal then, and the arms stopped."""
     script = "import sys, time; from minidual import emergency as e; e.listen(); print('on', flush=True); "
     script += "time.sleep(1.2); print(repr(e.pressed()))"
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "on\n"
         process.send_signal(signal.SIGSTOP)

@@ -35,7 +35,8 @@ from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench, run_trials
 
-SEED, METHODS = 7, ("moveit", "impedance", "act")
+SEED = 7
+METHODS = ("moveit", "impedance", "act")
 ASKED = {CLEAN: 6, "push +x": 4, "pose noise x3": 4, "delay 20 ms": 4, "light -30 %": 4}
 BLANK = {
     ("act", "pose noise x3"),
@@ -76,14 +77,28 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, list[Any], Co
     calls: list[tuple[str, str, list[Any], Config]] = []
 
     def run_trials(
-        method: str, inputs: MethodInputs, trials: list[Any], *, workers: int, condition: str, watch: Any = None
+        method: str,
+        inputs: MethodInputs,
+        trials: list[Any],
+        *,
+        workers: int,
+        condition: str,
+        watch: Any = None,
     ) -> Iterator[TrialMetrics]:
         calls.append((method, condition, [t.start for t in trials], inputs.config))
         for trial in trials:
-            yield outcome(method, trial.index, condition, success=(trial.index, method) != (1, "act"))
+            yield outcome(
+                method,
+                trial.index,
+                condition,
+                success=(trial.index, method) != (1, "act"),
+            )
 
     monkeypatch.setattr(benchmark, "run_trials", run_trials)
-    monkeypatch.setattr("minidual.stages.benchmark.draw_failures", lambda failed, path: path.touch())  # made up too
+    monkeypatch.setattr(
+        "minidual.stages.benchmark.draw_failures",
+        lambda failed, path: path.touch(),
+    )  # made up too
     return calls
 
 
@@ -91,7 +106,8 @@ def test_of_failures_the_first_of_each_kind_are_told_clean_ones_first() -> None:
     trials = [outcome("act", k, "push +x", success=k < 2) for k in range(4)]
     trials += [outcome("act", k, "clean", success=k != 1) for k in range(4)]
     trials += [
-        dataclasses.replace(outcome("moveit", k, "clean", success=False), failure=f"kind {k}") for k in (5, 3, 4, 2)
+        dataclasses.replace(outcome("moveit", k, "clean", success=False), failure=f"kind {k}")
+        for k in (5, 3, 4, 2)
     ]
     found = [(t.method, t.condition, t.index) for t in first_failures(trials)]
     assert found == [("act", "clean", 1), ("moveit", "clean", 5), ("moveit", "clean", 3)]
@@ -99,7 +115,12 @@ def test_of_failures_the_first_of_each_kind_are_told_clean_ones_first() -> None:
 
 
 def table(methods: tuple[str, ...] = METHODS, **other: Any) -> dict[tuple[str, str], BenchmarkCell]:
-    cells, _ = run_benchmark(methods, other.get("trials_n", ASKED), MethodInputs(Config(), SEED), workers=1)
+    cells, _ = run_benchmark(
+        methods,
+        other.get("trials_n", ASKED),
+        MethodInputs(Config(), SEED),
+        workers=1,
+    )
     return {(c.method, c.condition): c for c in cells}
 
 
@@ -113,14 +134,22 @@ def test_all_methods_and_conditions_have_the_same_starts(asked: list[Any]) -> No
     longest = max((starts for _, _, starts, _ in asked), key=len)
     assert all(starts == longest[: len(starts)] for _, _, starts, _ in asked)
     assert {(m, c) for m, c, _, _ in asked} == {(m, c) for m in METHODS for c in ASKED} - BLANK
-    assert all(config == Config() for _, _, _, config in asked), "a bench makes a condition's settings, and it alone"
+    assert all(config == Config() for _, _, _, config in asked), (
+        "a bench makes a condition's settings, and it alone"
+    )
 
 
 def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
     cells = table()
     assert {key for key, cell in cells.items() if cell.summary is None} == BLANK
-    assert cells["act", "delay 20 ms"].why_not == "act reads no pose or contact force during the motion"
-    assert cells["moveit", "light -30 %"].record() == {"applies": False, "why": "moveit reads no picture"}
+    assert (
+        cells["act", "delay 20 ms"].why_not
+        == "act reads no pose or contact force during the motion"
+    )
+    assert cells["moveit", "light -30 %"].record() == {
+        "applies": False,
+        "why": "moveit reads no picture",
+    }
     count = count_trials(METHODS, ASKED, MethodInputs(Config(), SEED))
     assert count == sum(len(starts) for _, _, starts, _ in asked)
 
@@ -128,13 +157,28 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
 @pytest.mark.parametrize(
     ("settings", "name", "says"),
     [
-        ({"scene.object.friction": 0.3}, "friction 0.3", "without it too, scene.object.friction is 0.3"),
-        ({"carry.sensing.delay_s": 0.02}, "delay 20 ms", "without it too, carry.sensing.delay_s is 0.02"),
-        ({"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0}, "pose noise x3", "without it too"),
+        (
+            {"scene.object.friction": 0.3},
+            "friction 0.3",
+            "without it too, scene.object.friction is 0.3",
+        ),
+        (
+            {"carry.sensing.delay_s": 0.02},
+            "delay 20 ms",
+            "without it too, carry.sensing.delay_s is 0.02",
+        ),
+        (
+            {"carry.sensing.pose_noise_m": 0.0, "carry.sensing.pose_noise_rad": 0.0},
+            "pose noise x3",
+            "without it too",
+        ),
     ],
 )
 def test_what_would_be_the_clean_trials_is_not_run_under_another_name(
-    asked: list[Any], settings: dict[str, float], name: str, says: str
+    asked: list[Any],
+    settings: dict[str, float],
+    name: str,
+    says: str,
 ) -> None:
     inputs = MethodInputs(changed(Config(), settings), SEED)
     cells, _ = run_benchmark(("impedance",), {CLEAN: 2, name: 2}, inputs, workers=1)
@@ -176,7 +220,9 @@ def test_a_cell_with_too_few_trials_or_none_or_without_a_reason_fails(asked: lis
 
 @pytest.mark.parametrize("disturbed", [False, None])
 def test_a_success_that_nothing_pushed_leaves_its_cell_open(
-    asked: list[Any], monkeypatch: pytest.MonkeyPatch, disturbed: bool | None
+    asked: list[Any],
+    monkeypatch: pytest.MonkeyPatch,
+    disturbed: bool | None,
 ) -> None:
     run = benchmark.run_trials
 
@@ -195,7 +241,10 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
     assert "act under push +x (trial 2 succeeded undisturbed)" in checks["cells_settled"].why
 
 
-@pytest.mark.parametrize("name", ["torque_ratio_max", "jerk_rms_median", "tilt_low_rad", "duration_median_s"])
+@pytest.mark.parametrize(
+    "name",
+    ["torque_ratio_max", "jerk_rms_median", "tilt_low_rad", "duration_median_s"],
+)
 def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     cells = table()
     key = ("impedance", "push +x")
@@ -204,7 +253,11 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     bad = dataclasses.replace(summary, numbers={**summary.numbers, name: math.nan})
     broken = {**cells, key: cells[key]._replace(summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
-    (check,) = [c for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED)) if not c.passed and c.op]
+    (check,) = [
+        c
+        for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED))
+        if not c.passed and c.op
+    ]
     assert f"impedance under push +x: {name}" in check.why
 
 
@@ -213,8 +266,16 @@ def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) ->
     key = ("act", "push +x")
     summary = cells[key].summary
     assert summary is not None
-    none = {n: math.nan for n in summary.numbers if n.startswith(("duration", "path", "internal", "pinch"))}
-    lost = dataclasses.replace(summary, successes_n=0, numbers={**summary.numbers, "success_rate": 0.0, **none})
+    none = {
+        n: math.nan
+        for n in summary.numbers
+        if n.startswith(("duration", "path", "internal", "pinch"))
+    }
+    lost = dataclasses.replace(
+        summary,
+        successes_n=0,
+        numbers={**summary.numbers, "success_rate": 0.0, **none},
+    )
     cell = cells[key]._replace(summary=lost)
     assert failing({**cells, key: cell}.values()) == set()
     assert cell.record()["duration_median_s"] == "nan"
@@ -224,12 +285,19 @@ def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
     clean = [c.summary for c in table().values() if c.condition == CLEAN and c.summary is not None]
     assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
     checks = benchmark_checks(clean, BenchmarkConfig().success_rate_min, 6)
-    assert {c.name for c in checks if c.op} == {*(f"{m}.success_rate" for m in METHODS), "trials_per_method"}
+    assert {c.name for c in checks if c.op} == {
+        *(f"{m}.success_rate" for m in METHODS),
+        "trials_per_method",
+    }
 
 
 def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
     cells = list(table().values())
-    path = write_csv(tmp_path / "conditions.csv", [c.row() for c in cells], missing="does not apply")
+    path = write_csv(
+        tmp_path / "conditions.csv",
+        [c.row() for c in cells],
+        missing="does not apply",
+    )
     with path.open(newline="") as stream:
         rows = {(r["method"], r["condition"]): r for r in csv.DictReader(stream)}
     assert set(rows) == {(m, c) for m in METHODS for c in ASKED}
@@ -245,45 +313,75 @@ def test_the_files_hold_every_cell(asked: list[Any], tmp_path: Path) -> None:
 
 def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
     check_benchmark(Config.model_validate({"benchmark": {"conditions": ["all"]}}))
-    for names, says in ((["clean", "storm"], "no condition 'storm'"), (["push +x"], "lack 'clean'")):
+    for names, says in (
+        (["clean", "storm"], "no condition 'storm'"),
+        (["push +x"], "lack 'clean'"),
+    ):
         with pytest.raises(UsageError, match=says):
             check_benchmark(Config.model_validate({"benchmark": {"conditions": names}}))
     loud = {"benchmark": {"conditions": ["all"]}, "carry": {"sensing": {"pose_noise_m": 0.01}}}
-    with pytest.raises(UsageError, match=r"condition 'pose noise x3' sets carry.sensing.pose_noise_m = 0.03"):
+    with pytest.raises(
+        UsageError,
+        match=r"condition 'pose noise x3' sets carry.sensing.pose_noise_m = 0.03",
+    ):
         check_benchmark(Config.model_validate(loud))
-    one, other = Config(), Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
+    one = Config()
+    other = Config.model_validate({"benchmark": {"conditions": ["clean", "push +x"]}})
     assert STAGES["benchmark"].parameters(one) != STAGES["benchmark"].parameters(other)
 
 
 def run_benchmark_stage(folder: Path, config: Config, recorded: str) -> StageResult:
     """Run the stage where demonstrations of this task were recorded."""
     (folder / "config.yaml").write_text(f"task: {recorded}\n", encoding="utf-8")
-    given = StageContext(folder=folder, config=STAGES["benchmark"].resolved(config), seed=SEED, profile="standard")
+    given = StageContext(
+        folder=folder,
+        config=STAGES["benchmark"].resolved(config),
+        seed=SEED,
+        profile="standard",
+    )
     upstream = {"train-act": folder, "teleop-record": folder}
     return STAGES["benchmark"].load()(dataclasses.replace(given, upstream=upstream))
 
 
-def test_a_policy_is_compared_on_the_task_that_it_was_trained_on(asked: list[Any], tmp_path: Path) -> None:
+def test_a_policy_is_compared_on_the_task_that_it_was_trained_on(
+    asked: list[Any],
+    tmp_path: Path,
+) -> None:
     """Before, the run's task counted: a policy of a hand-over was refused there, and drove at the rod."""
     asked_of = {"tasks": ["rod_carry", "handover"], "methods": ["moveit", "act"], "trials_n": 2}
     config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean"]}})
     result = run_benchmark_stage(tmp_path, config, "handover")
-    rows = {task: result.data["tasks"][task]["methods"]["act"] for task in ("rod_carry", "handover")}
+    rows = {
+        task: result.data["tasks"][task]["methods"]["act"] for task in ("rod_carry", "handover")
+    }
     assert rows["handover"]["trials"] == 2
     assert rows["rod_carry"] == {"applies": False, "why": "its policy is trained on 'handover'"}
-    with pytest.raises(UsageError, match="'act' cannot do 'rod_carry': its policy is trained on 'handover'") as caught:
-        run_benchmark_stage(tmp_path, changed(config, {"benchmark.tasks": ["rod_carry"]}), "handover")
+    with pytest.raises(
+        UsageError,
+        match="'act' cannot do 'rod_carry': its policy is trained on 'handover'",
+    ) as caught:
+        run_benchmark_stage(
+            tmp_path,
+            changed(config, {"benchmark.tasks": ["rod_carry"]}),
+            "handover",
+        )
     assert "it can do handover" in str(caught.value.remedy)
 
 
 def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> None:
     asked_of = {"tasks": ["rod_carry", "handover"], "trials_n": 3, "perturbed_trials_n": 2}
-    config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean", "mass +50 %"]}})
+    config = Config.model_validate(
+        {"benchmark": {**asked_of, "conditions": ["clean", "mass +50 %"]}},
+    )
     check_benchmark(config)
     result = run_benchmark_stage(tmp_path, config, "rod_carry")
     assert all(check.passed is not False for check in result.checks)
     names = {check.name for check in result.checks}
-    assert {"rod_carry.moveit.success_rate", "handover.moveit.success_rate", "handover.cells_settled"} <= names
+    assert {
+        "rod_carry.moveit.success_rate",
+        "handover.moveit.success_rate",
+        "handover.cells_settled",
+    } <= names
     handed = result.data["tasks"]["handover"]["methods"]
     assert handed["moveit"]["trials"] == 3
     assert handed["impedance"]["trials"] == 3
@@ -305,12 +403,23 @@ def test_planned_methods_are_compared_without_a_policy(asked: list[Any], tmp_pat
         methods.METHODS["act"].factory(MethodInputs(config, SEED))
 
 
-def test_further_tasks_run_undisturbed_beside_the_runs_own(asked: list[Any], tmp_path: Path) -> None:
-    few = {"further_tasks": {"handover": 2, "pot_lift": 50, "rod_carry": 7}, "trials_n": 3, "perturbed_trials_n": 2}
+def test_further_tasks_run_undisturbed_beside_the_runs_own(
+    asked: list[Any],
+    tmp_path: Path,
+) -> None:
+    few = {
+        "further_tasks": {"handover": 2, "pot_lift": 50, "rod_carry": 7},
+        "trials_n": 3,
+        "perturbed_trials_n": 2,
+    }
     config = Config.model_validate({"benchmark": {**few, "conditions": ["clean", "mass +50 %"]}})
     check_benchmark(config)
     own = {"clean": 3, "mass +50 %": 2}
-    assert trials_asked(config) == {"rod_carry": own, "handover": {"clean": 2}, "pot_lift": {"clean": 3}}
+    assert trials_asked(config) == {
+        "rod_carry": own,
+        "handover": {"clean": 2},
+        "pot_lift": {"clean": 3},
+    }
     assert trials_asked(changed(config, {"benchmark.tasks": ("insertion",)})) == {"insertion": own}
     result = run_benchmark_stage(tmp_path, config, "rod_carry")
     assert all(check.passed is not False for check in result.checks)
@@ -339,7 +448,9 @@ def test_further_tasks_run_undisturbed_beside_the_runs_own(asked: list[Any], tmp
     ],
 )
 def test_a_method_that_can_do_none_of_the_tasks_is_refused_by_name(
-    tasks: list[str], methods: list[str], says: str
+    tasks: list[str],
+    methods: list[str],
+    says: str,
 ) -> None:
     with pytest.raises(UsageError, match=says) as caught:
         check_benchmark(Config.model_validate({"benchmark": {"tasks": tasks, "methods": methods}}))
@@ -351,7 +462,12 @@ def carried(method: str, condition: str, steps: int) -> Iterator[np.ndarray]:
     """Yield the joints after each of the first steps of a real trial under a condition."""
     bench = Bench(method, MethodInputs(Config(), SEED), condition)
     trial = sample_trial(bench.task.scene, SEED, "benchmark", 0)
-    with CONDITIONS[condition].applied(bench.world.model, bench.task, trial, np.random.default_rng(0)):
+    with CONDITIONS[condition].applied(
+        bench.world.model,
+        bench.task,
+        trial,
+        np.random.default_rng(0),
+    ):
         bench.world.reset(poses=trial.start)
         run = bench.factory(bench.world, bench.kinematics, trial)
         for _ in range(steps):
@@ -363,11 +479,19 @@ def carried(method: str, condition: str, steps: int) -> Iterator[np.ndarray]:
     ("method", "steps", "touched", "spared"),
     [
         ("moveit", 300, ("pose noise x3",), ("delay 20 ms", "light -30 %")),
-        ("impedance", 3000, ("pose noise x3", "delay 20 ms", "joint friction x2"), ("light -30 %",)),
+        (
+            "impedance",
+            3000,
+            ("pose noise x3", "delay 20 ms", "joint friction x2"),
+            ("light -30 %",),
+        ),
     ],
 )
 def test_a_condition_touches_a_method_exactly_if_the_table_says_so(
-    method: str, steps: int, touched: tuple[str, ...], spared: tuple[str, ...]
+    method: str,
+    steps: int,
+    touched: tuple[str, ...],
+    spared: tuple[str, ...],
 ) -> None:
     clean = list(carried(method, CLEAN, steps))
     for name in spared:
@@ -375,7 +499,10 @@ def test_a_condition_touches_a_method_exactly_if_the_table_says_so(
         np.testing.assert_array_equal(list(carried(method, name, steps)), clean, err_msg=name)
     for name in touched:
         assert not CONDITIONS[name].why_not(method, Config())
-        assert any((q != known).any() for q, known in zip(carried(method, name, steps), clean, strict=False)), name
+        assert any(
+            (q != known).any()
+            for q, known in zip(carried(method, name, steps), clean, strict=False)
+        ), name
 
 
 def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
@@ -395,8 +522,14 @@ def test_planning_starts_from_the_reading_that_impedance_starts_from() -> None:
 def test_an_object_that_somebody_moved_was_not_pushed_by_the_hands(name: str) -> None:
     """20 mm is as far as `stood` lets an object slide."""
     config = make_task(Config(task=name)).config
-    scene = config.scene.model_copy(update={"task": config.scene.task.model_copy(update={"time_limit_s": 1.2})})
-    bench = Bench("hold", MethodInputs(config.model_copy(update={"scene": scene}), SEED), "moved 20 mm")
+    scene = config.scene.model_copy(
+        update={"task": config.scene.task.model_copy(update={"time_limit_s": 1.2})},
+    )
+    bench = Bench(
+        "hold",
+        MethodInputs(config.model_copy(update={"scene": scene}), SEED),
+        "moved 20 mm",
+    )
     for index in range(4):
         result, _ = bench.run(bench.task.trial(SEED, "benchmark", index))
         assert result.disturbed
@@ -416,24 +549,40 @@ def test_a_method_that_stops_itself_says_so_in_its_metrics() -> None:
 
 @pytest.mark.parametrize(
     ("typed", "stops_s", "disturbed"),
-    [("push_+x", 0.2, False), ("moved_20_mm", 0.4, False), ("moved_20_mm", 0.6, True), (CLEAN, 0.2, None)],
+    [
+        ("push_+x", 0.2, False),
+        ("moved_20_mm", 0.4, False),
+        ("moved_20_mm", 0.6, True),
+        (CLEAN, 0.2, None),
+    ],
 )
 def test_a_trial_says_whether_its_disturbance_took_place_and_by_its_own_name(
-    monkeypatch: pytest.MonkeyPatch, typed: str, stops_s: float, disturbed: bool | None
+    monkeypatch: pytest.MonkeyPatch,
+    typed: str,
+    stops_s: float,
+    disturbed: bool | None,
 ) -> None:
     bench = Bench("impedance", MethodInputs(Config(), SEED), typed)
     build = bench.factory
 
     def short(*given: Any) -> Any:
         run: Any = build(*given)
-        kind = type("Short", (type(run),), {"done": property(lambda self: self.world.time >= stops_s - 1e-9)})
+        kind = type(
+            "Short",
+            (type(run),),
+            {"done": property(lambda self: self.world.time >= stops_s - 1e-9)},
+        )
         run.__class__ = kind
         return run
 
     bench.factory = short
     streams: list[str] = []
     draw = runner.stream
-    monkeypatch.setattr(runner, "stream", lambda seed, name, index: streams.append(name) or draw(seed, name, index))
+    monkeypatch.setattr(
+        runner,
+        "stream",
+        lambda seed, name, index: streams.append(name) or draw(seed, name, index),
+    )
     result, _ = bench.run(sample_trial(Config().scene, SEED, "benchmark", 0))
     assert result.disturbed is disturbed
     assert result.condition == CONDITIONS[typed.replace("_", " ")].name
@@ -450,14 +599,18 @@ def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
         assert rows[0] == rows[1]
 
 
-def test_a_trial_under_a_condition_has_its_settings_however_it_is_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trial_under_a_condition_has_its_settings_however_it_is_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Before, a caller had to set them, and trials that were run by hand under `randomised` had no sensor offset."""
     told: list[tuple[float, float]] = []
     load = methods.load_target
 
     def loaded(target: str) -> Any:
         def factory(inputs: MethodInputs) -> Any:
-            told.append((inputs.config.carry.sensing.pose_bias_m, inputs.config.carry.sensing.pose_noise_m))
+            told.append(
+                (inputs.config.carry.sensing.pose_bias_m, inputs.config.carry.sensing.pose_noise_m),
+            )
             return load(target)(inputs)
 
         return factory
@@ -470,8 +623,14 @@ def test_a_trial_under_a_condition_has_its_settings_however_it_is_run(monkeypatc
     for name in names:
         list(run_trials("hold", inputs, [trial], workers=1, condition=name))
     run_benchmark(["hold"], dict.fromkeys(names, 1), inputs, workers=1)
-    wanted = [(0.0, usual.pose_noise_m), (0.010, usual.pose_noise_m), (0.0, 3.0 * usual.pose_noise_m)]
-    assert told == [*wanted, *wanted[:2]], "nothing reads a pose in `hold`, so the benchmark leaves the last one out"
+    wanted = [
+        (0.0, usual.pose_noise_m),
+        (0.010, usual.pose_noise_m),
+        (0.0, 3.0 * usual.pose_noise_m),
+    ]
+    assert told == [*wanted, *wanted[:2]], (
+        "nothing reads a pose in `hold`, so the benchmark leaves the last one out"
+    )
 
 
 @pytest.mark.slow
@@ -480,7 +639,10 @@ def test_trials_under_a_condition_do_not_depend_on_workers() -> None:
     trials = [sample_trial(config.scene, SEED, "benchmark", i) for i in range(2)]
     inputs = MethodInputs(config, SEED)
     one, two = (
-        [same_row(r) for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")]
+        [
+            same_row(r)
+            for r in run_trials("impedance", inputs, trials, workers=n, condition="moved 20 mm")
+        ]
         for n in (1, 2)
     )
     assert one == two
@@ -492,7 +654,11 @@ def test_counterfactuals_of_force_change_one_setting_and_need_one_object_in_both
 ) -> None:
     settings = {"impedance_open": ("force_gain", 0.0), "impedance_world": ("squeeze_axes", "world")}
     given: list[Config] = []
-    monkeypatch.setattr(methods, "load_target", lambda _: lambda inputs: given.append(inputs.config))
+    monkeypatch.setattr(
+        methods,
+        "load_target",
+        lambda _: lambda inputs: given.append(inputs.config),
+    )
     for method, (name, value) in settings.items():
         given.clear()
         methods.METHODS[method].factory(MethodInputs(Config(), SEED))
@@ -519,7 +685,9 @@ def test_the_floor_rests_or_drives_one_plan_wherever_the_object_is() -> None:
         plans.append(np.vstack([segment.trajectory.q for segment in run.solution.segments]))
     np.testing.assert_array_equal(*plans)
     shown = replay.task.trial(SEED, "demonstrations", 0, widen=Config().teleop.widen).start["rod"]
-    assert run.poses["rod"][:2, 3] == pytest.approx(shown[:2]), "where the object was in the demonstration"
+    assert run.poses["rod"][:2, 3] == pytest.approx(shown[:2]), (
+        "where the object was in the demonstration"
+    )
     for name in ("pose noise x3", "delay 20 ms", "light -30 %"):
         assert all(CONDITIONS[name].why_not(method, Config()) for method in ("hold", "replay"))
         assert not CONDITIONS["mass +50 %"].why_not("replay", Config())
@@ -529,7 +697,11 @@ def test_a_method_gets_the_settings_of_its_task_even_from_a_plain_configuration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     given: list[Config] = []
-    monkeypatch.setattr(methods, "load_target", lambda _: lambda inputs: given.append(inputs.config))
+    monkeypatch.setattr(
+        methods,
+        "load_target",
+        lambda _: lambda inputs: given.append(inputs.config),
+    )
     Bench("hold", MethodInputs(Config(task="handover"), SEED))
     assert given[0] == make_task(Config(task="handover")).config
     assert given[0].plan.planner.padding_m != Config().plan.planner.padding_m

@@ -16,9 +16,18 @@ from minidual.tasks.insertion import depth_m
 from minidual.tasks.judge import begin
 from minidual.tasks.task import TASKS, level_pose, make_task
 from minidual.trials import conditions
-from minidual.trials.conditions import CLEAN, CONDITIONS, DRY_NM, SENSES, Push, condition, parse_conditions
+from minidual.trials.conditions import (
+    CLEAN,
+    CONDITIONS,
+    DRY_NM,
+    SENSES,
+    Push,
+    condition,
+    parse_conditions,
+)
 
-TASK, RNG = make_task(Config()), np.random.default_rng(0)
+TASK = make_task(Config())
+RNG = np.random.default_rng(0)
 TRIAL = TASK.trial(0, "conditions", 0)
 FIELDS = (
     "body_mass",
@@ -40,14 +49,25 @@ FIELDS = (
     "geom_pos",
     "geom_quat",
 )
-SEEN = {"cam_pos", "cam_quat", "geom_rgba", "geom_pos", "geom_quat", "ambient", "diffuse", "specular"}
+SEEN = {
+    "cam_pos",
+    "cam_quat",
+    "geom_rgba",
+    "geom_pos",
+    "geom_quat",
+    "ambient",
+    "diffuse",
+    "specular",
+}
 """With the lights, what only pictures show."""
 
 
 def fields(model):
     """Return what conditions may change, and what MuJoCo derives from it."""
     found = {f: np.array(getattr(model, f)) for f in FIELDS}
-    return found | {f: np.array(getattr(model.vis.headlight, f)) for f in ("ambient", "diffuse", "specular")}
+    return found | {
+        f: np.array(getattr(model.vis.headlight, f)) for f in ("ambient", "diffuse", "specular")
+    }
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +82,17 @@ def test_the_model_is_as_before_afterwards(model, name):
         changed = {f for f, value in fields(model).items() if not np.array_equal(before[f], value)}
         seen = {f for f in changed if "light" in f or f in SEEN}
         assert bool(changed) == (condition(name).change is not None)
-        assert bool(changed - seen) == (condition(name).change is not None and not condition(name).sense)
+        assert bool(changed - seen) == (
+            condition(name).change is not None and not condition(name).sense
+        )
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
 
 
 def test_mass_and_inertia_scale_together(model):
     rod = model.body("rod").id
-    mass, inertia = model.body_mass[rod], np.array(model.body_inertia[rod])
+    mass = model.body_mass[rod]
+    inertia = np.array(model.body_inertia[rod])
     with condition("mass +50 %").applied(model, TASK, TRIAL, RNG):
         assert model.body_mass[rod] == pytest.approx(1.5 * mass)
         np.testing.assert_allclose(model.body_inertia[rod], 1.5 * inertia)
@@ -77,28 +100,47 @@ def test_mass_and_inertia_scale_together(model):
 
 def test_friction_holds_for_every_surface_that_the_object_meets(model):
     with condition("friction 0.3").applied(model, TASK, TRIAL, RNG):
-        for name in ("rod", "table_top", "left_panda_leftfinger_pad", "right_panda_rightfinger_pad"):
+        for name in (
+            "rod",
+            "table_top",
+            "left_panda_leftfinger_pad",
+            "right_panda_rightfinger_pad",
+        ):
             assert model.geom(name).friction[0] == pytest.approx(0.3)
 
 
 def test_another_joint_each_trial(model):
-    for index, joint in ((0, "left_panda_joint1"), (13, "right_panda_joint7"), (14, "left_panda_joint1")):
-        plain, before = float(model.joint(joint).damping[0]), np.array(model.dof_damping)
-        with condition("joint friction x2").applied(model, TASK, TASK.trial(0, "conditions", index), RNG):
+    for index, joint in (
+        (0, "left_panda_joint1"),
+        (13, "right_panda_joint7"),
+        (14, "left_panda_joint1"),
+    ):
+        plain = float(model.joint(joint).damping[0])
+        before = np.array(model.dof_damping)
+        with condition("joint friction x2").applied(
+            model,
+            TASK,
+            TASK.trial(0, "conditions", index),
+            RNG,
+        ):
             assert model.joint(joint).damping[0] == pytest.approx(2.0 * plain)
             assert model.joint(joint).frictionloss[0] == 2.0 * DRY_NM
-            assert np.sum(model.dof_damping != before) == np.count_nonzero(model.dof_frictionloss) == 1
+            assert (
+                np.sum(model.dof_damping != before) == np.count_nonzero(model.dof_frictionloss) == 1
+            )
 
 
 @pytest.mark.parametrize(("torque_nm", "moves"), [(0.6, False), (0.9, True)])
 def test_an_arm_feels_the_dry_friction_of_its_joint(model, torque_nm, moves):
     """Below twice the reference, 0.72 Nm, a torque beside gravity's moves the joint only without the condition."""
-    world, kinematics = World(Config().scene, model=model), Kinematics()
+    world = World(Config().scene, model=model)
+    kinematics = Kinematics()
     joint = 6
 
     def turned() -> float:
         world.reset()
-        home, extra = world.q, np.zeros(14)
+        home = world.q
+        extra = np.zeros(14)
         extra[joint] = torque_nm
         for _ in range(100):
             world.command(kinematics.bias(world.q, world.v) + extra, np.full(2, 0.04))
@@ -106,7 +148,12 @@ def test_an_arm_feels_the_dry_friction_of_its_joint(model, torque_nm, moves):
         return float(world.q[joint] - home[joint])
 
     assert turned() > 0.01
-    with condition("joint friction x2").applied(model, TASK, TASK.trial(0, "conditions", joint), RNG):
+    with condition("joint friction x2").applied(
+        model,
+        TASK,
+        TASK.trial(0, "conditions", joint),
+        RNG,
+    ):
         assert pytest.approx(0.72) == 2.0 * DRY_NM
         assert (turned() > 1e-3) == moves
     assert turned() > 0.01
@@ -122,7 +169,9 @@ def test_a_push_of_the_table_is_twenty_newton_along_its_axis(axis):
 
 
 class ShortPush(Push):
-    duration_s, ramp_s, delays_s = 0.02, 0.005, (0.01, 0.01)
+    duration_s = 0.02
+    ramp_s = 0.005
+    delays_s = (0.01, 0.01)
 
 
 class AtOnce(Push):
@@ -176,10 +225,14 @@ def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
     def broken(model):
         raise ValueError("no constants")
 
-    before, derive = fields(model), conditions._derive
+    before = fields(model)
+    derive = conditions._derive
     calls = iter((broken, derive))
     monkeypatch.setattr(conditions, "_derive", lambda model: next(calls)(model))
-    with pytest.raises(ValueError, match="no constants"), condition("mass +50 %").applied(model, TASK, TRIAL, RNG):
+    with (
+        pytest.raises(ValueError, match="no constants"),
+        condition("mass +50 %").applied(model, TASK, TRIAL, RNG),
+    ):
         pass
     for f, value in fields(model).items():
         np.testing.assert_array_equal(before[f], value, err_msg=f)
@@ -217,7 +270,11 @@ def test_the_first_condition_is_clean_and_names_are_checked():
 
 
 def test_a_list_of_conditions_begins_with_the_clean_one():
-    assert parse_conditions(["push_+x", "clean", "friction0.3"]) == (CLEAN, "push +x", "friction 0.3")
+    assert parse_conditions(["push_+x", "clean", "friction0.3"]) == (
+        CLEAN,
+        "push +x",
+        "friction 0.3",
+    )
     assert parse_conditions(["all"]) == tuple(CONDITIONS)
     for typed, says in (
         ("push +x", "lack 'clean'"),
@@ -235,7 +292,9 @@ def test_what_changes_a_sense_alone_does_not_touch_who_lacks_it():
     assert noise.why_not("impedance", Config()) == ""
     late = CONDITIONS["delay 20 ms"]
     assert late.why_not("impedance", Config()) == ""
-    assert late.why_not("impedance", Config(task="insertion")).startswith("impedance reads no pose or contact force")
+    assert late.why_not("impedance", Config(task="insertion")).startswith(
+        "impedance reads no pose or contact force",
+    )
     assert CONDITIONS["mass +50 %"].why_not("act", Config()) == "", "nobody escapes the plant"
     assert {c.sense for c in CONDITIONS.values() if c.sense} == set(SENSES)
     for c in CONDITIONS.values():
@@ -270,7 +329,9 @@ def test_a_changed_room_changes_pictures_and_no_contact(visual_model, name):
         assert np.abs(picture - plain).max() > 30.0
         np.testing.assert_array_equal(qpos, undisturbed)
     differ = any(np.any(picture != pictures[0][0]) for picture, _ in pictures)
-    assert differ == (not name.startswith("light") and name != "object hidden"), "every trial draws its own room"
+    assert differ == (not name.startswith("light") and name != "object hidden"), (
+        "every trial draws its own room"
+    )
 
 
 def test_distractors_never_hide_the_object(visual_model):
@@ -282,7 +343,10 @@ def test_distractors_never_hide_the_object(visual_model):
         world.reset(poses=TASK.trial(0, "distractors", index).start)
         alone = camera.bodies_seen(world.data, "high")["rod"]
         with condition("distractors").applied(
-            visual_model, TASK, TASK.trial(0, "conditions", index), np.random.default_rng(index)
+            visual_model,
+            TASK,
+            TASK.trial(0, "conditions", index),
+            np.random.default_rng(index),
         ):
             mujoco.mj_forward(visual_model, world.data)
             assert camera.bodies_seen(world.data, "high")["rod"] == pytest.approx(alone)
@@ -313,10 +377,14 @@ def test_a_darker_room_gives_darker_pictures(visual_model):
 def test_the_depth_of_a_peg_of_another_size_is_that_of_its_solids(factor, deep_m):
     """Oracle: the places of the geoms in the simulated world."""
     task = make_task(Config(task="insertion"))
-    model, trial = build_model(task.scene, visuals=False), task.trial(0, "conditions", 0)
+    model = build_model(task.scene, visuals=False)
+    trial = task.trial(0, "conditions", 0)
     world = World(task.scene, model=model)
     with conditions.Condition("size", "", change=partial(conditions.size, factor=factor)).applied(
-        model, task, trial, RNG
+        model,
+        task,
+        trial,
+        RNG,
     ):
         judge = begin(world, task, trial)
         put_at(world, "socket", level_pose(0.5, 0.0, 0.3, 0.0))
@@ -330,7 +398,11 @@ def test_the_depth_of_a_peg_of_another_size_is_that_of_its_solids(factor, deep_m
         mujoco.mj_forward(model, world.data)
         judge.observe(world)
         assert depth_m(judge.truth) == pytest.approx(deep_m, abs=1e-9)
-        put_at(world, "peg", level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z + 0.002 * factor, 0.0))
+        put_at(
+            world,
+            "peg",
+            level_pose(0.5 + x, -0.2 + mouth + deep_m - tip, 0.3 + z + 0.002 * factor, 0.0),
+        )
         mujoco.mj_forward(model, world.data)
         judge.observe(world)
         assert depth_m(judge.truth) == 0.0, "in a wall"
@@ -340,12 +412,16 @@ def test_the_depth_of_a_peg_of_another_size_is_that_of_its_solids(factor, deep_m
 @pytest.mark.parametrize("factor", [0.85, 1.15])
 def test_an_object_of_another_size_stands_where_it_stood(name, factor):
     task = make_task(Config(task=name))
-    model, trial = build_model(task.scene, visuals=False), task.trial(0, "conditions", 0)
+    model = build_model(task.scene, visuals=False)
+    trial = task.trial(0, "conditions", 0)
     body = model.body(task.carried).id
     sizes = model.geom_size[model.geom_bodyid == body].copy()
     world = World(task.scene, model=model)
     with conditions.Condition("size", "", change=partial(conditions.size, factor=factor)).applied(
-        model, task, trial, RNG
+        model,
+        task,
+        trial,
+        RNG,
     ):
         assert model.geom_size[model.geom_bodyid == body] == pytest.approx(factor * sizes)
         world.reset(poses=trial.start)

@@ -80,7 +80,13 @@ def trial(index: int, *, success: bool = True, method: str = "act", **changes: A
 
 def test_a_trials_metrics_come_from_its_logs() -> None:
     made = trial_metrics("impedance", 4, outcome(), **logs())
-    assert (made.method, made.index, made.condition, made.success, made.failure) == ("impedance", 4, "clean", True, "")
+    assert (made.method, made.index, made.condition, made.success, made.failure) == (
+        "impedance",
+        4,
+        "clean",
+        True,
+        "",
+    )
     assert made.torque_ratio_max == pytest.approx(9.0 / 12.0)
     assert made.path_length_m == pytest.approx(0.3)
     expected = np.sqrt(14) * 0.3 * (2 * np.pi) ** 3 / np.sqrt(2)
@@ -90,7 +96,10 @@ def test_a_trials_metrics_come_from_its_logs() -> None:
 
 
 def test_the_first_fault_names_a_failure_and_when() -> None:
-    faults = (Failure("arrived", 15.0, "80 mm from the goal"), Failure("held", 4.25, "left hand pinches 3 N"))
+    faults = (
+        Failure("arrived", 15.0, "80 mm from the goal"),
+        Failure("held", 4.25, "left hand pinches 3 N"),
+    )
     made = trial_metrics("act", 1, outcome(*faults), **logs())
     assert (made.success, made.failure, made.failed_at_s) == (False, "held", 4.25)
     assert made.reason == "left hand pinches 3 N"
@@ -128,7 +137,9 @@ class TestMeasures:
 
     def test_the_hands_part_by_what_their_distance_changes_in_the_air_alone(self) -> None:
         """The left hand goes 0.125 m/s along y, the right one 0.025 along z, held from 1 to 2 s."""
-        apart = [math.hypot(0.125 * t, 0.025 * t) for t in (1.0 + 1 / LOG_RATE_HZ, 2.0 - 1 / LOG_RATE_HZ)]
+        apart = [
+            math.hypot(0.125 * t, 0.025 * t) for t in (1.0 + 1 / LOG_RATE_HZ, 2.0 - 1 / LOG_RATE_HZ)
+        ]
         assert measure(log(), 0.2, 40.0)["sync_error_m"] == pytest.approx(apart[1] - apart[0])
         let_go = log()
         let_go.pinch[let_go.t > 1.5, 1] = 0.0
@@ -151,16 +162,22 @@ class TestMeasures:
     def test_a_swing_of_25_hz_is_in_the_jerk_at_50_hz_alone(self) -> None:
         t = log().t
         shaken = log(q=0.001 * np.sin(2 * np.pi * 25.0 * t)[:, None] * np.ones(14))
-        found, expected = measure(shaken, 0.2, math.nan), 0.001 * (2 * np.pi * 25.0) ** 3 * np.sqrt(7.0)
+        found = measure(shaken, 0.2, math.nan)
+        expected = 0.001 * (2 * np.pi * 25.0) ** 3 * np.sqrt(7.0)
         assert found["jerk_50_hz_rms"] == pytest.approx(expected, rel=0.1)
-        assert trial_metrics("act", 1, outcome(), shaken, torque_ratio_max=0.1).jerk_rms < 0.1 * expected
+        assert (
+            trial_metrics("act", 1, outcome(), shaken, torque_ratio_max=0.1).jerk_rms
+            < 0.1 * expected
+        )
 
     def test_they_are_in_the_rows_and_their_medians_in_the_summary(self) -> None:
         made = trial_metrics("impedance", 4, outcome(progress=0.5, energy_j=3.0), **logs())
         row = made.to_row()
         assert set(MEASURES) <= set(row)
         assert (row["progress"], row["energy_j"], row["planning_s"]) == (0.5, 3.0, "not measured")
-        others = [replace(made, index=k, measured={**made.measured, "progress": k / 4}) for k in range(4)]
+        others = [
+            replace(made, index=k, measured={**made.measured, "progress": k / 4}) for k in range(4)
+        ]
         others[0] = replace(others[0], wall={"planning_s": 0.2})
         summary = summarise(others, np.random.default_rng(0))
         assert summary.measures["progress"] == pytest.approx(0.375)
@@ -173,7 +190,13 @@ class TestMeasures:
 
 
 def test_a_summary_says_over_which_trials_it_speaks() -> None:
-    trials = [trial(0), trial(1), trial(2), trial(3, success=False), trial(4, success=False, failure="arrived")]
+    trials = [
+        trial(0),
+        trial(1),
+        trial(2),
+        trial(3, success=False),
+        trial(4, success=False, failure="arrived"),
+    ]
     row = summarise(trials, np.random.default_rng(0))
     assert (row.trials_n, row.successes_n, row["success_rate"]) == (5, 3, 0.6)
     assert (row["success_low"], row["success_high"]) == pytest.approx((0.2307, 0.8824), abs=1e-4)
@@ -185,9 +208,15 @@ def test_a_summary_says_over_which_trials_it_speaks() -> None:
     assert row["tilt_median_rad"] == 0.02
     assert row.failures == {"arrived": 1, "held": 1}
     assert row.to_row()["failures"] == "arrived 1; held 1"
-    trials[3:] = [replace(lost, failed_in=phase) for lost, phase in zip(trials[3:], ("lift", "release"), strict=True)]
+    trials[3:] = [
+        replace(lost, failed_in=phase)
+        for lost, phase in zip(trials[3:], ("lift", "release"), strict=True)
+    ]
     again = [*trials, replace(trials[3], index=5)]
-    assert summarise(again, np.random.default_rng(0)).failures == {"held (lift)": 2, "arrived (release)": 1}
+    assert summarise(again, np.random.default_rng(0)).failures == {
+        "held (lift)": 2,
+        "arrived (release)": 1,
+    }
 
 
 def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None:
@@ -195,12 +224,20 @@ def test_no_successful_trial_is_said_in_words_and_stays_nan_for_checks() -> None
     assert (row["success_rate"], row["success_low"]) == (0.0, 0.0)
     assert math.isnan(row["duration_median_s"])
     cells = row.to_row()
-    for name in ("duration_median_s", "duration_low_s", "duration_high_s", "path_length_m", "pinch_force_min_n"):
+    for name in (
+        "duration_median_s",
+        "duration_low_s",
+        "duration_high_s",
+        "path_length_m",
+        "pinch_force_min_n",
+    ):
         assert cells[name] == "no successful trial"
     assert cells["tilt_max_rad"] == 1.5
     for at in range(3):
         hole = [trial(i, internal_force_min_n=math.nan if i == at else 30.0) for i in range(3)]
-        assert math.isnan(summarise(hole, np.random.default_rng(0))["internal_force_min_n"]), "NaN in any place"
+        assert math.isnan(summarise(hole, np.random.default_rng(0))["internal_force_min_n"]), (
+            "NaN in any place"
+        )
         hole = [trial(i, pinch_force_min_n=math.nan if i == at else 30.0) for i in range(3)]
         assert math.isnan(summarise(hole, np.random.default_rng(0))["pinch_force_min_n"])
     unmeasured = summarise([trial(0, jerk_rms=math.nan)], np.random.default_rng(0))
@@ -221,10 +258,17 @@ def test_summaries_refuse_mixtures_doubles_and_nothing() -> None:
 
 
 def test_a_table_holds_the_names_and_numbers_of_the_verdict(tmp_path: Path) -> None:
-    trials = [trial(s, method=m, success=(s + k) % 3 > 0) for k, m in enumerate(("moveit", "act")) for s in range(6)]
+    trials = [
+        trial(s, method=m, success=(s + k) % 3 > 0)
+        for k, m in enumerate(("moveit", "act"))
+        for s in range(6)
+    ]
     rng = np.random.default_rng(0)
     summaries = [summarise([t for t in trials if t.method == m], rng) for m in ("moveit", "act")]
-    with write_csv(tmp_path / "new" / "methods.csv", [s.to_row() for s in summaries]).open() as file:
+    with write_csv(
+        tmp_path / "new" / "methods.csv",
+        [s.to_row() for s in summaries],
+    ).open() as file:
         read = list(csv.DictReader(file))
     assert [line["method"] for line in read] == ["moveit", "act"]
     for line, summary in zip(read, summaries, strict=True):

@@ -55,7 +55,13 @@ def outcomes(monkeypatch):
 
 def found(failures=(), trials_n=20):
     inputs = MethodInputs(Config(), 5)
-    cells, trials = benchmark.run_benchmark(["impedance"], promised(trials_n), inputs, workers=1, purpose=PERTURBED)
+    cells, trials = benchmark.run_benchmark(
+        ["impedance"],
+        promised(trials_n),
+        inputs,
+        workers=1,
+        purpose=PERTURBED,
+    )
     rows = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     return {row.cell.condition: row for row in rows}
 
@@ -106,7 +112,14 @@ def test_a_rate_that_is_no_number_does_not_hold(outcomes):
 
 def tool_context(config, folder, trials):
     options = {"trials": trials}
-    return ToolContext(config=config, seed=5, profile="standard", run_folder=folder, name="perturb", options=options)
+    return ToolContext(
+        config=config,
+        seed=5,
+        profile="standard",
+        run_folder=folder,
+        name="perturb",
+        options=options,
+    )
 
 
 def test_the_command_fails_when_a_condition_costs_too_much(outcomes, tmp_path):
@@ -141,7 +154,9 @@ def test_noise_times_three_is_a_factor_of_the_noise_there_is():
     loud = changed(Config(), {"carry.sensing.pose_noise_m": 0.002})
     values = CONDITIONS["pose noise x3"].settings_under(loud)
     assert values["carry.sensing.pose_noise_m"] == pytest.approx(0.006)
-    assert CONDITIONS["pose noise x3"].settings_under(Config())["carry.sensing.pose_noise_m"] == pytest.approx(0.0015)
+    assert CONDITIONS["pose noise x3"].settings_under(Config())[
+        "carry.sensing.pose_noise_m"
+    ] == pytest.approx(0.0015)
 
 
 def test_a_row_with_a_success_that_nothing_pushed_does_not_hold(outcomes, monkeypatch, tmp_path):

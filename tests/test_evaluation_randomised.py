@@ -19,23 +19,38 @@ from minidual.trials.conditions import DRY_NM, condition
 if TYPE_CHECKING:
     import mujoco
 
-ROW, TRIALS_N = condition("randomised"), 8
+ROW = condition("randomised")
+TRIALS_N = 8
 EVERY_TASK = pytest.mark.parametrize("name", TASKS)
 
 
 def seen(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     """Return copies of what the condition may change."""
-    fields = ("body_mass", "body_inertia", "geom_friction", "dof_frictionloss", "cam_pos", "cam_quat", "geom_rgba")
-    found = {field: np.array(getattr(model, field)) for field in (*fields, "light_diffuse", "geom_pos", "qpos0")}
+    fields = (
+        "body_mass",
+        "body_inertia",
+        "geom_friction",
+        "dof_frictionloss",
+        "cam_pos",
+        "cam_quat",
+        "geom_rgba",
+    )
+    found = {
+        field: np.array(getattr(model, field))
+        for field in (*fields, "light_diffuse", "geom_pos", "qpos0")
+    }
     return found | {"headlight": np.array(model.vis.headlight.diffuse)}
 
 
 @functools.cache
-def drawn(name: str) -> tuple[Task, mujoco.MjModel, dict[str, np.ndarray], list[tuple[Trial, dict[str, np.ndarray]]]]:
+def drawn(
+    name: str,
+) -> tuple[Task, mujoco.MjModel, dict[str, np.ndarray], list[tuple[Trial, dict[str, np.ndarray]]]]:
     """Return a task, its model, the model's fields and those of some trials."""
     task = make_task(Config(task=name))
     model = build_model(task.scene, visuals=False)
-    plain, found = seen(model), []
+    plain = seen(model)
+    found = []
     for index in range(TRIALS_N):
         trial = task.trial(3, "randomised", index)
         with ROW.applied(model, task, trial, np.random.default_rng(index)):
@@ -48,23 +63,33 @@ def factors(name: str, field: str) -> np.ndarray:
     _, _, plain, found = drawn(name)
     base = plain[field]
     return np.array(
-        [np.where(base == 0.0, 1.0 + values[field], values[field] / np.where(base, base, 1.0)) for _, values in found]
+        [
+            np.where(base == 0.0, 1.0 + values[field], values[field] / np.where(base, base, 1.0))
+            for _, values in found
+        ],
     )
 
 
 def varies(values: np.ndarray, low: float, high: float) -> None:
     """Assert that values (trials, ...) stay in a range, and that no two trials share one."""
     assert np.all((values >= low) & (values <= high))
-    assert all(len(np.unique(column)) == len(column) for column in values.reshape(len(values), -1).T)
+    assert all(
+        len(np.unique(column)) == len(column) for column in values.reshape(len(values), -1).T
+    )
 
 
 @EVERY_TASK
 def test_each_object_has_a_mass_of_its_own(name: str) -> None:
     task, model, _, _ = drawn(name)
     objects = [model.body(item).id for item in task.objects]
-    mass, inertia = factors(name, "body_mass"), factors(name, "body_inertia")
+    mass = factors(name, "body_mass")
+    inertia = factors(name, "body_inertia")
     varies(mass[:, objects], 0.5, 1.5)
-    np.testing.assert_allclose(inertia[:, objects], np.repeat(mass[:, objects, None], 3, axis=2), rtol=1e-9)
+    np.testing.assert_allclose(
+        inertia[:, objects],
+        np.repeat(mass[:, objects, None], 3, axis=2),
+        rtol=1e-9,
+    )
     assert all(len(np.unique(row)) == len(objects) for row in mass[:, objects])
     np.testing.assert_array_equal(np.delete(mass, objects, axis=1), 1.0)
 
@@ -73,12 +98,19 @@ def test_each_object_has_a_mass_of_its_own(name: str) -> None:
 def test_all_surfaces_that_meet_slip_alike(name: str) -> None:
     task, model, _, _ = drawn(name)
     bodies = [model.body(item).id for item in task.objects]
-    touching = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies or model.geom(i).name.endswith("_pad")]
+    touching = [
+        i
+        for i in range(model.ngeom)
+        if model.geom_bodyid[i] in bodies or model.geom(i).name.endswith("_pad")
+    ]
     touching.append(model.geom("table_top").id)
     friction = factors(name, "geom_friction")[:, :, 0]
     varies(friction[:, touching[:1]], 0.4, 1.3)
     assert friction[:, touching[0]].min() < 0.6
-    np.testing.assert_allclose(friction[:, touching], np.repeat(friction[:, touching[:1]], len(touching), axis=1))
+    np.testing.assert_allclose(
+        friction[:, touching],
+        np.repeat(friction[:, touching[:1]], len(touching), axis=1),
+    )
     np.testing.assert_array_equal(np.delete(friction, touching, axis=1), 1.0)
     parts = sum(1 + len(item.body.parts) for item in task.objects.values())
     assert len(touching) >= parts + 5, "handles, four pads and the table"
@@ -92,7 +124,8 @@ def test_every_joint_has_dry_friction(name: str) -> None:
     for _, values in found:
         loss = values["dof_frictionloss"]
         assert np.all(
-            (loss[model.jnt_dofadr[hinges]] >= 0.5 * DRY_NM) & (loss[model.jnt_dofadr[hinges]] <= 1.5 * DRY_NM)
+            (loss[model.jnt_dofadr[hinges]] >= 0.5 * DRY_NM)
+            & (loss[model.jnt_dofadr[hinges]] <= 1.5 * DRY_NM),
         )
         assert len(np.unique(loss)) == len(hinges) + 1
         assert np.count_nonzero(loss) == len(hinges)
@@ -109,7 +142,9 @@ def test_lights_change_together(name: str) -> None:
 def test_the_camera_moves_by_up_to_two_centimetres_and_three_degrees(name: str) -> None:
     _, model, plain, found = drawn(name)
     high = model.camera("high").id
-    shifts = np.array([np.linalg.norm(v["cam_pos"][high] - plain["cam_pos"][high]) for _, v in found])
+    shifts = np.array(
+        [np.linalg.norm(v["cam_pos"][high] - plain["cam_pos"][high]) for _, v in found],
+    )
     cosines = np.array([abs(v["cam_quat"][high] @ plain["cam_quat"][high]) for _, v in found])
     turns = 2.0 * np.arccos(np.clip(cosines, 0.0, 1.0))
     varies(shifts[:, None], 1e-4, 0.02)
@@ -123,7 +158,9 @@ def test_objects_and_table_change_colour_and_stay_apart(name: str) -> None:
     task, model, plain, found = drawn(name)
     geoms = [model.geom(item).id for item in task.objects]
     table = model.geom("table_top").id
-    shifts = np.array([np.abs(v["geom_rgba"] - plain["geom_rgba"])[geoms].max(axis=1) for _, v in found])
+    shifts = np.array(
+        [np.abs(v["geom_rgba"] - plain["geom_rgba"])[geoms].max(axis=1) for _, v in found],
+    )
     assert np.all(shifts > 0.0)
     assert np.all(shifts.mean(axis=0) > 0.05)
     for _, values in found:
@@ -142,7 +179,8 @@ def test_distractors_stand_beside_starts_and_goals(name: str) -> None:
             assert values["geom_rgba"][geom, 3] == 1.0
             for poses in (trial.start, trial.goal):
                 for body, T in poses.items():
-                    (x, y, _), half = placement(T), min(task.objects[body].body.solids[0].half_m[:2])
+                    (x, y, _) = placement(T)
+                    half = min(task.objects[body].body.solids[0].half_m[:2])
                     assert np.hypot(place[0] - x, place[1] - y) > half + 0.03
 
 
@@ -150,14 +188,16 @@ def test_distractors_stand_beside_starts_and_goals(name: str) -> None:
 def test_the_pose_sensor_is_off_by_a_constant_of_the_trial(name: str) -> None:
     task, model, _, _ = drawn(name)
     sensing = ROW.config_under(task.config).carry.sensing.model_copy(
-        update={"pose_noise_m": 0.0, "pose_noise_rad": 0.0, "delay_s": 0.0, "pose_rate_hz": 1000.0}
+        update={"pose_noise_m": 0.0, "pose_noise_rad": 0.0, "delay_s": 0.0, "pose_rate_hz": 1000.0},
     )
     world = World(task.scene, model=model)
     world.reset(poses=task.trial(3, "randomised", 0).start)
     offsets = []
     for item in task.objects:
         sensors = Sensors(world, sensing, np.random.default_rng(len(offsets)), item)
-        poses = [sample.T_world_object for _ in range(3) if (sample := sensors.sense().pose) is not None]
+        poses = [
+            sample.T_world_object for _ in range(3) if (sample := sensors.sense().pose) is not None
+        ]
         assert len(poses) == 3
         errors = [T[:3, 3] - world.object_pose(item)[:3, 3] for T in poses]
         np.testing.assert_array_equal(errors[0], errors[2])
@@ -179,7 +219,8 @@ def test_no_distractor_hides_an_object(name: str) -> None:
 
     task = make_task(Config(task=name))
     model = build_model(task.scene, visuals=False)
-    world, camera = World(task.scene, model=model), Camera.recorded(model, task.scene.camera)
+    world = World(task.scene, model=model)
+    camera = Camera.recorded(model, task.scene.camera)
     for index in range(4):
         trial = task.trial(3, "hidden", index)
         world.reset(poses=trial.start)

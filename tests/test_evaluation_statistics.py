@@ -36,7 +36,10 @@ def test_wilson_against_known_values(successes: int, n: int, low: float, high: f
 def test_wilson_against_scipy() -> None:
     for successes, n in ((0, 1), (1, 1), (3, 7), (49, 50), (98, 100)):
         expected = stats.binomtest(successes, n).proportion_ci(0.95, method="wilson")
-        assert wilson_interval(successes, n) == pytest.approx((expected.low, expected.high), abs=1e-9)
+        assert wilson_interval(successes, n) == pytest.approx(
+            (expected.low, expected.high),
+            abs=1e-9,
+        )
 
 
 def test_wilson_refuses_what_has_no_interval() -> None:
@@ -47,7 +50,9 @@ def test_wilson_refuses_what_has_no_interval() -> None:
             wilson_interval(successes, n)
 
 
-def test_the_bootstrap_covers_the_median_as_often_as_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bootstrap_covers_the_median_as_often_as_it_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(statistics, "_RESAMPLES_N", 400)
     rng = np.random.default_rng(5)
     hits = 0
@@ -69,7 +74,9 @@ def test_the_bootstrap_repeats_with_its_seed_and_gives_nan_for_nonsense() -> Non
 
 def test_the_paired_test_is_mcnemars_exact_test() -> None:
     for first, second in ((10, 2), (2, 10), (1, 1), (0, 7), (3, 4)):
-        assert mcnemar_p_value(first, second) == pytest.approx(stats.binomtest(first, first + second, 0.5).pvalue)
+        assert mcnemar_p_value(first, second) == pytest.approx(
+            stats.binomtest(first, first + second, 0.5).pvalue,
+        )
     assert mcnemar_p_value(0, 0) == 1.0
 
 
@@ -83,26 +90,39 @@ def test_the_paired_test_is_mcnemars_exact_test() -> None:
     ],
 )
 def test_the_paired_interval_of_rates_against_its_parts(
-    table: tuple[int, int, int, int], low: float, high: float
+    table: tuple[int, int, int, int],
+    low: float,
+    high: float,
 ) -> None:
     assert paired_rate_interval(*table) == pytest.approx((low, high), abs=2e-4)
 
 
 def test_the_paired_interval_of_rates_is_corrected_for_continuity() -> None:
     """A negative correlation stays as it is, one of less than half a pair vanishes, a greater one shrinks by as much."""
-    assert paired_rate_interval(36, 12, 2, 0) == pytest.approx((0.0569, 0.3404), abs=1e-4)  # Newcombe's example
-    first, second = wilson_interval(17, 20), wilson_interval(14, 20)
-    low, high = np.hypot(0.85 - first[0], second[1] - 0.7), np.hypot(first[1] - 0.85, 0.7 - second[0])
-    assert paired_rate_interval(12, 5, 2, 1) == pytest.approx((0.15 - low, 0.15 + high))  # 12 * 1 - 5 * 2 = 2 < 10
-    a, b = wilson_interval(31, 50), wilson_interval(30, 50)
+    assert paired_rate_interval(36, 12, 2, 0) == pytest.approx(
+        (0.0569, 0.3404),
+        abs=1e-4,
+    )  # Newcombe's example
+    first = wilson_interval(17, 20)
+    second = wilson_interval(14, 20)
+    low = np.hypot(0.85 - first[0], second[1] - 0.7)
+    high = np.hypot(first[1] - 0.85, 0.7 - second[0])
+    assert paired_rate_interval(12, 5, 2, 1) == pytest.approx(
+        (0.15 - low, 0.15 + high),
+    )  # 12 * 1 - 5 * 2 = 2 < 10
+    a = wilson_interval(31, 50)
+    b = wilson_interval(30, 50)
     phi = (30 * 19 - 25) / np.sqrt(31 * 19 * 30 * 20)
-    down, up = (0.62 - a[0], b[1] - 0.6), (a[1] - 0.62, 0.6 - b[0])
+    down = (0.62 - a[0], b[1] - 0.6)
+    up = (a[1] - 0.62, 0.6 - b[0])
     low, high = (np.sqrt(x * x - 2 * phi * x * y + y * y) for x, y in (down, up))
     assert paired_rate_interval(30, 1, 0, 19) == pytest.approx((0.02 - low, 0.02 + high))
 
 
 @pytest.mark.parametrize("table", [(12, 5, 2, 1), (0, 16, 0, 4), (3, 0, 9, 8), (30, 1, 0, 19)])
-def test_the_paired_interval_of_rates_turns_round_with_its_pair(table: tuple[int, int, int, int]) -> None:
+def test_the_paired_interval_of_rates_turns_round_with_its_pair(
+    table: tuple[int, int, int, int],
+) -> None:
     both, first, second, neither = table
     low, high = paired_rate_interval(*table)
     assert paired_rate_interval(both, second, first, neither) == pytest.approx((-high, -low))
@@ -110,9 +130,13 @@ def test_the_paired_interval_of_rates_turns_round_with_its_pair(table: tuple[int
 
 
 @pytest.mark.parametrize(
-    ("shares", "n"), [((0.7, 0.15, 0.1, 0.05), 20), ((0.5, 0.4, 0.02, 0.08), 20), ((0.9, 0.1, 0, 0), 50)]
+    ("shares", "n"),
+    [((0.7, 0.15, 0.1, 0.05), 20), ((0.5, 0.4, 0.02, 0.08), 20), ((0.9, 0.1, 0, 0), 50)],
 )
-def test_the_paired_interval_of_rates_covers_as_often_as_it_says(shares: tuple[float, ...], n: int) -> None:
+def test_the_paired_interval_of_rates_covers_as_often_as_it_says(
+    shares: tuple[float, ...],
+    n: int,
+) -> None:
     """Simulated pairs: the truth lies inside in about 95 % of the draws, and agreement narrows the interval."""
     tables = np.random.default_rng(11).multinomial(n, shares, 2000)
     truth = shares[1] - shares[2]
@@ -122,7 +146,8 @@ def test_the_paired_interval_of_rates_covers_as_often_as_it_says(shares: tuple[f
 
 
 def test_pairs_that_agree_give_a_narrower_interval_than_pairs_that_do_not() -> None:
-    agree, differ = paired_rate_interval(50, 0, 0, 50), paired_rate_interval(25, 25, 25, 25)
+    agree = paired_rate_interval(50, 0, 0, 50)
+    differ = paired_rate_interval(25, 25, 25, 25)
     assert agree[1] - agree[0] < 0.3 * (differ[1] - differ[0])
 
 

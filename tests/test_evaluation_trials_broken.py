@@ -27,9 +27,18 @@ class Stands:
     aborted: str | None = None
     phase = "standing"
 
-    def __init__(self, world: World, kinematics: Kinematics, *, steps: int, breaks: str = "") -> None:
-        self.world, self._gravity = world, kinematics.gravity(world.q)
-        self._left, self._breaks = steps, breaks
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        *,
+        steps: int,
+        breaks: str = "",
+    ) -> None:
+        self.world = world
+        self._gravity = kinematics.gravity(world.q)
+        self._left = steps
+        self._breaks = breaks
 
     @property
     def done(self) -> bool:
@@ -55,15 +64,25 @@ def trial(world: World) -> Trial:
 
 def _run(world: World, trial: Trial, method: str = "impedance", **how: object):
     bench = Bench.__new__(Bench)  # on the world of the other tests: none is compiled
-    bench.method, bench.seed, bench.spec, bench.task = method, 5, METHODS[method], carry_task(world.scene)
-    bench.condition, bench.world, bench.kinematics = condition(CLEAN), world, Kinematics()
+    bench.method = method
+    bench.seed = 5
+    bench.spec = METHODS[method]
+    bench.task = carry_task(world.scene)
+    bench.condition = condition(CLEAN)
+    bench.world = world
+    bench.kinematics = Kinematics()
     bench.hands = Hands(bench.kinematics)
     bench.factory = lambda w, k, _trial: Stands(w, k, **how)
     return bench.run(trial)
 
 
 @pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])
-def test_a_trial_that_breaks_is_judged_as_it_stood(world: World, trial: Trial, breaks: str, quiet_mujoco: None) -> None:
+def test_a_trial_that_breaks_is_judged_as_it_stood(
+    world: World,
+    trial: Trial,
+    breaks: str,
+    quiet_mujoco: None,
+) -> None:
     whole, whole_log = _run(world, trial, steps=999)
     metrics, log = _run(world, trial, steps=1000, breaks=breaks)
     assert not metrics.success
@@ -77,13 +96,19 @@ def test_a_trial_that_breaks_is_judged_as_it_stood(world: World, trial: Trial, b
     for name in ("torque_ratio_max", "jerk_rms", "tilt_max_rad", "path_length_m"):
         assert getattr(metrics, name) == getattr(whole, name)
         assert math.isfinite(getattr(metrics, name))
-    assert metrics.goal_error_m == pytest.approx(math.dist(trial.start["rod"][:2], trial.goal["rod"][:2]), abs=2e-3)
+    assert metrics.goal_error_m == pytest.approx(
+        math.dist(trial.start["rod"][:2], trial.goal["rod"][:2]),
+        abs=2e-3,
+    )
     assert math.isnan(metrics.duration_s)
 
 
 @pytest.mark.parametrize("breaks", ["diverged", "exploded", "singular"])
 def test_a_trial_that_breaks_at_its_first_step_has_a_log_too(
-    world: World, trial: Trial, breaks: str, quiet_mujoco: None
+    world: World,
+    trial: Trial,
+    breaks: str,
+    quiet_mujoco: None,
 ) -> None:
     result, log = _run(world, trial, steps=1, breaks=breaks)
     assert result.failed_at_s == 0.0
@@ -92,7 +117,11 @@ def test_a_trial_that_breaks_at_its_first_step_has_a_log_too(
     assert np.isfinite(log.q).all()
 
 
-def test_the_next_trial_is_the_same_as_without_a_broken_one(world: World, trial: Trial, quiet_mujoco: None) -> None:
+def test_the_next_trial_is_the_same_as_without_a_broken_one(
+    world: World,
+    trial: Trial,
+    quiet_mujoco: None,
+) -> None:
     before, before_log = _run(world, trial, steps=400)
     _run(world, trial, steps=300, breaks="exploded")
     after, after_log = _run(world, trial, steps=400)
@@ -101,9 +130,16 @@ def test_the_next_trial_is_the_same_as_without_a_broken_one(world: World, trial:
     assert before.failure != "diverged"  # the control: a trial that only ends has another name
 
 
-@pytest.mark.parametrize(("method", "faults"), [("impedance", {"held", "squeezed"}), ("moveit", {"held"})])
+@pytest.mark.parametrize(
+    ("method", "faults"),
+    [("impedance", {"held", "squeezed"}), ("moveit", {"held"})],
+)
 def test_trials_of_object_impedance_must_squeeze_and_others_need_not(
-    world: World, trial: Trial, method: str, faults: set[str], monkeypatch: pytest.MonkeyPatch
+    world: World,
+    trial: Trial,
+    method: str,
+    faults: set[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     judges: list[Judge] = []
     monkeypatch.setattr(runner, "begin", lambda *given: judges.append(begin(*given)) or judges[-1])

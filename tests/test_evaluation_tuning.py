@@ -27,7 +27,14 @@ NEEDED_N = Config().scene.task.internal_force_min_n
 @pytest.fixture
 def plant(monkeypatch):
     """A plant that loses 2 N of squeeze, slips over 60 N and oscillates from a stiffness that the test sets."""
-    law = {"loss_n": 2.0, "slips_n": 60.0, "oscillates": 1e9, "torque": 0.7, "failure": "squeezed", "tracking_m": 0.001}
+    law = {
+        "loss_n": 2.0,
+        "slips_n": 60.0,
+        "oscillates": 1e9,
+        "torque": 0.7,
+        "failure": "squeezed",
+        "tracking_m": 0.001,
+    }
     starts = []
 
     def carry_once(inputs, trial):
@@ -105,7 +112,14 @@ def test_tuning_sees_starts_of_its_own_stream(plant):
 
 
 def tool_context(config, folder, shipped="standard"):
-    return ToolContext(config=config, seed=3, profile="mine", run_folder=folder, name="carry-tune", shipped=shipped)
+    return ToolContext(
+        config=config,
+        seed=3,
+        profile="mine",
+        run_folder=folder,
+        name="carry-tune",
+        shipped=shipped,
+    )
 
 
 def test_the_profile_that_is_written_loads(plant, tmp_path):
@@ -114,7 +128,8 @@ def test_the_profile_that_is_written_loads(plant, tmp_path):
     context.publish()
     loaded = load_config(str(tmp_path / "carry-tune" / "tuned.yaml")).config.carry.impedance
     assert loaded.internal_force_n == pytest.approx(
-        result.data["settings"]["carry.impedance.internal_force_n"], abs=0.01
+        result.data["settings"]["carry.impedance.internal_force_n"],
+        abs=0.01,
     )
     assert (tmp_path / "carry-tune" / "tuning.png").stat().st_size > 10_000
     assert (tmp_path / "carry-tune" / "tuning.csv").read_text().startswith("phase,")
@@ -123,7 +138,8 @@ def test_the_profile_that_is_written_loads(plant, tmp_path):
 def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
     """Gains of a glass, or of a softer pinch, must not end in a profile that carries something else."""
     config = load_config(
-        "standard", ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.object.friction=0.45"]
+        "standard",
+        ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.object.friction=0.45"],
     ).config
     context = tool_context(config, tmp_path)
     tune(context)
@@ -140,7 +156,7 @@ def test_the_profile_keeps_all_that_ones_own_profile_says(plant, tmp_path, exten
     mine = tmp_path / "mine.yaml"
     mine.write_text(
         f"{extends}seed: 7\nworkers: 1\nview: {{port: 9000}}\nrobot: {{arm: xarm7}}\narbiter: {{speed_override: 0.5}}\n"
-        "deploy: {trials: 3}\nscene: {object: {friction: 0.5}}\n"
+        "deploy: {trials: 3}\nscene: {object: {friction: 0.5}}\n",
     )
     loaded = load_config(str(mine), ["carry.object=glass"])
     context = tool_context(loaded.config, tmp_path / "my runs", loaded.shipped)
@@ -148,14 +164,21 @@ def test_the_profile_keeps_all_that_ones_own_profile_says(plant, tmp_path, exten
     context.publish()
     written = tmp_path / "my runs" / "carry-tune" / "tuned.yaml"
     assert f"use it: minidual run --until carry --profile '{written}'" in result.notes
-    tuned, given = load_config(str(written)), loaded.config
+    tuned = load_config(str(written))
+    given = loaded.config
     of_the_run = {name: getattr(tuned.config, name) for name in ("seed", "workers", "view")}
     motion = {"carry.motion": task_config(given).carry.motion}
     assert tuned.config == changed(given, {**of_the_run, **motion, **result.data["settings"]})
     assert tuned.reference() == loaded.reference()
-    assert of_the_run == {name: getattr(load_config(loaded.shipped or "standard").config, name) for name in of_the_run}
+    assert of_the_run == {
+        name: getattr(load_config(loaded.shipped or "standard").config, name) for name in of_the_run
+    }
     # The friction is the default, and was set: a glass does not bring its own.
-    assert task_config(tuned.config).scene.object.friction == task_config(given).scene.object.friction == 0.5
+    assert (
+        task_config(tuned.config).scene.object.friction
+        == task_config(given).scene.object.friction
+        == 0.5
+    )
 
 
 def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):
@@ -167,7 +190,8 @@ def test_what_was_tried_stays_when_nothing_was_found(plant, tmp_path):
 
 def test_oscillation_is_what_is_fast_alone():
     t = np.arange(0.0, 2.0, 1.0 / 250.0)
-    slow, fast = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+    slow = np.zeros((len(t), 3))
+    fast = np.zeros((len(t), 3))
     slow[:, 0] = 0.01 * np.sin(2 * np.pi * 0.5 * t)
     fast[:, 0] = 0.001 * np.sin(2 * np.pi * 20.0 * t)
     assert oscillation_m(slow) < 5e-5
@@ -178,7 +202,9 @@ def test_oscillation_is_what_is_fast_alone():
 def test_gains_stay_inside_the_configuration():
     assert gains(40.0, 500.0)["stiffness_nm_per_rad"] == pytest.approx(80.0)
     ceiling = changed(Config(), {"carry.impedance.internal_force_n": FORCE_FACTOR * FORCES_N[-1]})
-    assert ceiling.carry.impedance.internal_force_n < 80.0, "the factor may not lead past the safety ceiling"
+    assert ceiling.carry.impedance.internal_force_n < 80.0, (
+        "the factor may not lead past the safety ceiling"
+    )
     for n in (*FORCES_N, *tuning.COMPARED_N):
         changed(Config(), {"carry.impedance.internal_force_n": n})
     with pytest.raises(ValueError, match="less than or equal to 80"):

@@ -7,10 +7,13 @@ from minidual.gate import stage
 
 @pytest.mark.parametrize(("done_before", "left"), [(0, 80), (1000, 80), (5000, 40)])
 def test_the_time_left_follows_from_what_this_command_did(
-    monkeypatch: pytest.MonkeyPatch, done_before: int, left: int
+    monkeypatch: pytest.MonkeyPatch,
+    done_before: int,
+    left: int,
 ) -> None:
     """Work of an interrupted command, counted at once, is no speed."""
-    clock, lines = [100.0], list[str]()
+    clock = [100.0]
+    lines = list[str]()
     monkeypatch.setattr(stage.time, "monotonic", lambda: clock[0])
     total = done_before + 1000 if done_before < 5000 else 5600
     with stage.Progress(lines.append).task("steps", total) as task:

@@ -13,8 +13,12 @@ from minidual.robot.pair import ARM_MODELS
 from minidual.stages.registry import STAGES, TOOLS
 
 
-def test_an_arm_of_another_distribution_passes_env_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (module,), (toml,) = howto.blocks("howto-arm.md"), howto.blocks("howto-arm.md", "toml")
+def test_an_arm_of_another_distribution_passes_env_check(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (module,) = howto.blocks("howto-arm.md")
+    (toml,) = howto.blocks("howto-arm.md", "toml")
     site = tmp_path / "site"
     site.mkdir()
 
@@ -30,6 +34,8 @@ def test_an_arm_of_another_distribution_passes_env_check(tmp_path: Path, capsys:
         printed = capsys.readouterr()
     checks = {check["name"]: check for check in json.loads(printed.out)["verdict"]["checks"]}
     assert checks["joints.count"]["observed"] == 12
-    late = checks.pop("latency.wall_median_us")  # wall time: other work on the machine may hold it up
+    late = checks.pop(
+        "latency.wall_median_us",
+    )  # wall time: other work on the machine may hold it up
     assert {check["passed"] for check in checks.values()} <= {True, None}, printed.err
     assert status == (0 if late["passed"] else 1)

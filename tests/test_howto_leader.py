@@ -22,7 +22,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def test_what_the_leader_did_is_recorded_and_named(page: dict[str, Any]) -> None:
-    attempt, episode = page["attempt"], page["episode"]
+    attempt = page["attempt"]
+    episode = page["episode"]
     assert (attempt.kept, attempt.success) == (False, False)
     assert "lifted" in attempt.reason or "rose" in attempt.reason
     assert attempt.path.parent.name == "rejected"
@@ -40,7 +41,10 @@ def test_the_row_is_refused_twice_and_suggested_for_a_slip(page: dict[str, Any])
         LEADERS["swag"]
 
 
-def test_a_leader_in_real_time_records_in_one_process(page: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_leader_in_real_time_records_in_one_process(
+    page: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     job = page["rig"].job
     assert usable_workers(job, 4) == 4
     monkeypatch.setattr(page["module"].Sway, "realtime", True)

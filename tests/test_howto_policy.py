@@ -54,5 +54,8 @@ def test_a_kind_that_is_not_there_is_named(page: dict[str, Any], tmp_path: Path)
     with pytest.raises(UsageError, match=r"(?s)no policy 'nearset'.*did you mean 'nearest'"):
         check_policy(Config(train=TrainConfig(policy="nearset")))
     (tmp_path / "config.json").write_text('{"type": "diffusion"}')
-    with pytest.raises(DataError, match="no policy 'diffusion'; there are act, nearest, spatial_act"):
+    with pytest.raises(
+        DataError,
+        match="no policy 'diffusion'; there are act, nearest, spatial_act",
+    ):
         load_policy(tmp_path)

@@ -51,12 +51,23 @@ def test_a_condition_of_another_distribution_acts_on_the_tasks_object(printed) -
 
 
 @pytest.mark.parametrize("name", sorted(TASKS.keys() - {"rod_carry"}))
-def test_a_task_of_the_package_is_its_own_files(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_of_the_package_is_its_own_files(
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Taken out of the package and installed from outside, nothing else changes, and it is solved as before."""
     inputs = MethodInputs(make_task(Config(task=name)).config, 20261)
-    usual, _ = Bench("impedance", inputs).run(make_task(inputs.config).trial(inputs.seed, "bench", 0))
-    outside, folder = f"{name}_outside", Path(tasks.__path__[0])
-    monkeypatch.setattr(TASKS, "_rows", {other: row for other, row in TASKS._rows.items() if other != name})
+    usual, _ = Bench("impedance", inputs).run(
+        make_task(inputs.config).trial(inputs.seed, "bench", 0),
+    )
+    outside = f"{name}_outside"
+    folder = Path(tasks.__path__[0])
+    monkeypatch.setattr(
+        TASKS,
+        "_rows",
+        {other: row for other, row in TASKS._rows.items() if other != name},
+    )
     monkeypatch.setitem(sys.modules, f"minidual.tasks.{name}", None)  # whoever imports it now fails
     with pytest.raises(UsageError, match=f"no task '{name}'"):
         make_task(Config(task=name))
@@ -66,6 +77,8 @@ def test_a_task_of_the_package_is_its_own_files(name: str, tmp_path: Path, monke
     with howto.installed(TASKS, tmp_path, outside, source, toml):
         task = make_task(Config(task=name))
         assert task.success.__module__.startswith((outside, "minidual.tasks.rod_carry"))
-        result, _ = Bench("impedance", MethodInputs(task.config, inputs.seed)).run(task.trial(inputs.seed, "bench", 0))
+        result, _ = Bench("impedance", MethodInputs(task.config, inputs.seed)).run(
+            task.trial(inputs.seed, "bench", 0),
+        )
     assert result.success, result.text
     assert result == usual

@@ -9,7 +9,16 @@ from minidual.config.learning import AugmentConfig
 from minidual.policies.augment import augment, colour_maps, warps
 
 NOTHING = {"light_log": (0.0, 0.0)} | dict.fromkeys(
-    ("channel_gain_log", "channel_mixing", "offset", "permuted_share", "turn_deg", "scale", "shift"), 0
+    (
+        "channel_gain_log",
+        "channel_mixing",
+        "offset",
+        "permuted_share",
+        "turn_deg",
+        "scale",
+        "shift",
+    ),
+    0,
 )
 
 
@@ -32,7 +41,8 @@ def test_without_draws_pictures_stay_as_they_are(config: AugmentConfig) -> None:
 
 
 def test_a_batch_is_repeatable_and_leaves_the_demonstrations_alone() -> None:
-    given, before = pictures(), pictures()
+    given = pictures()
+    before = pictures()
     first, again, other = (changed(given, AugmentConfig(), seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(given, before)
     np.testing.assert_array_equal(first, again)
@@ -77,7 +87,9 @@ def test_a_quarter_of_the_pictures_has_permuted_channels() -> None:
 def test_colours_stay_in_place_and_places_keep_their_colours() -> None:
     given = pictures(50, level=50)
     given[:, 8:16, 10:20] = 200
-    bright = changed(given, AugmentConfig(geometric=False, permuted_share=0.0, offset=0.0)).sum(axis=3)
+    bright = changed(given, AugmentConfig(geometric=False, permuted_share=0.0, offset=0.0)).sum(
+        axis=3,
+    )
     inside = np.zeros((24, 32), dtype=bool)
     inside[8:16, 10:20] = True
     assert (np.ptp(bright[:, inside], axis=1) == 0).all()
@@ -101,7 +113,11 @@ def test_warps_move_a_point_as_they_say_about_the_middle() -> None:
     cv2.circle(dot[0], (90, 30), 3, (255, 255, 255), -1)
     for seed in range(10):
         place = warps(1, 96, 128, config, np.random.default_rng(seed))[0]
-        seen = augment(dot, config.model_copy(update={"photometric": False}), np.random.default_rng(seed))[0, :, :, 0]
+        seen = augment(
+            dot,
+            config.model_copy(update={"photometric": False}),
+            np.random.default_rng(seed),
+        )[0, :, :, 0]
         y, x = np.average(np.indices(seen.shape), axis=(1, 2), weights=seen)
         np.testing.assert_allclose([x, y], place @ [90, 30, 1], atol=0.3)
 
@@ -121,7 +137,8 @@ def test_each_kind_can_be_left_out_of_the_batch() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [{"thing_size": (0.2, 0.1)}, {"light_log": (-9.0, 0.0)}, {"scale": 1.0}, {"shift": -0.1}]
+    "values",
+    [{"thing_size": (0.2, 0.1)}, {"light_log": (-9.0, 0.0)}, {"scale": 1.0}, {"shift": -0.1}],
 )
 def test_meaningless_settings_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(ValidationError):

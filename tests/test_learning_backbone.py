@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from late import late
 
-torch, backbone = late("torch"), late("minidual.policies.spatial_act.modeling_spatial_act")
+torch = late("torch")
+backbone = late("minidual.policies.spatial_act.modeling_spatial_act")
 pytestmark = pytest.mark.torch
 
 
@@ -23,7 +24,10 @@ def test_a_sharp_peak_gives_its_pixel_centre(row: int, column: int) -> None:
 def test_a_flat_map_says_that_it_found_nothing() -> None:
     flat = backbone.SpatialSoftmax(1)(torch.zeros(1, 1, 24, 32))[0].detach()
     assert flat[:2].abs().max() < 1e-6
-    assert flat[2] == pytest.approx((1 / 3 + 1 / 3) ** 0.5, rel=0.01)  # two uniform variables on [-1, 1]
+    assert flat[2] == pytest.approx(
+        (1 / 3 + 1 / 3) ** 0.5,
+        rel=0.01,
+    )  # two uniform variables on [-1, 1]
 
 
 def test_a_blob_between_pixels_is_found_between_pixels() -> None:
@@ -66,14 +70,18 @@ def test_context_widens_what_a_feature_sees() -> None:
         image = torch.randn(1, 3, 128, 128, requires_grad=True)
         convolved(image)[0, :, 16, 16].sum().backward()
         columns = image.grad.abs().sum((0, 1, 2)).nonzero()
-        assert columns.max() - columns.min() + 1 == pytest.approx(seen, abs=4)  # some weights are 0 by chance
+        assert columns.max() - columns.min() + 1 == pytest.approx(
+            seen,
+            abs=4,
+        )  # some weights are 0 by chance
 
 
 def test_keypoints_do_not_depend_on_the_light_of_the_maps() -> None:
     torch.manual_seed(0)
     image = torch.randn(2, 3, 96, 128)
     encoder = backbone.KeypointEncoder(8)
-    before, maps = encoder(image), encoder.maps(image)
+    before = encoder(image)
+    maps = encoder.maps(image)
     encoder.heads.weight.data.mul_(3.0)
     encoder.heads.bias.data.add_(1.0)
     assert (encoder.maps(image) - maps).abs().max() > 1.0

@@ -12,7 +12,8 @@ from minidual.demos.lerobot_reader import camera_key
 from minidual.errors import DataError
 from minidual.policies.demonstrations import Demonstrations, gripper_switches, split_episodes
 
-torch, batches = late("torch"), late("minidual.policies.batches")
+torch = late("torch")
+batches = late("minidual.policies.batches")
 pytestmark = pytest.mark.torch
 
 
@@ -43,7 +44,10 @@ def test_phase_and_keyframes_follow_the_gripper_command() -> None:
 
 @pytest.mark.parametrize("flip", [False, True])
 @pytest.mark.parametrize("scale", [1.0, 0.04])
-def test_switches_are_found_in_commands_of_either_sign_and_in_metres(flip: bool, scale: float) -> None:
+def test_switches_are_found_in_commands_of_either_sign_and_in_metres(
+    flip: bool,
+    scale: float,
+) -> None:
     opening = np.ones((100, 2), np.float32)
     opening[30:80, 0] = 0
     opening[34:79, 1] = 0  # the other hand follows four ticks later: one event
@@ -80,7 +84,9 @@ def test_statistics_are_those_of_the_data_and_floored() -> None:
 def test_batch_holds_the_chunk_after_each_row_and_repeats_the_last_command() -> None:
     demos = tiny()
     stats = batches.dataset_statistics(demos, np.arange(len(demos)), 0.01)
-    batch = batches.BatchMaker(demos, TrainConfig(chunk_size=10), stats).clean(np.array([5, 55, 100]))
+    batch = batches.BatchMaker(demos, TrainConfig(chunk_size=10), stats).clean(
+        np.array([5, 55, 100]),
+    )
     actions = batch["action"] * stats["action"]["std"] + stats["action"]["mean"]
     assert np.allclose(actions[0], demos.action[5:15], atol=1e-5)
     expected = np.concatenate([demos.action[55:60], np.repeat(demos.action[59:60], 5, axis=0)])
@@ -99,8 +105,12 @@ def test_state_noise_is_large_in_the_approach_and_small_after_it() -> None:
 
     def noise(row: int) -> np.ndarray:
         rows = np.full(3000, row)
-        noisy, clean = maker.training(rows, np.random.default_rng(0)), maker.clean(rows)
-        return ((noisy["observation.state"] - clean["observation.state"]) * stats["observation.state"]["std"]).numpy()
+        noisy = maker.training(rows, np.random.default_rng(0))
+        clean = maker.clean(rows)
+        return (
+            (noisy["observation.state"] - clean["observation.state"])
+            * stats["observation.state"]["std"]
+        ).numpy()
 
     assert noise(3)[:, :14].std() == pytest.approx(0.06, rel=0.03)
     assert noise(30)[:, :14].std() == pytest.approx(0.01, rel=0.03)
@@ -110,7 +120,10 @@ def test_state_noise_is_large_in_the_approach_and_small_after_it() -> None:
 def test_images_are_normalised_in_one_pass_as_by_hand() -> None:
     generator = torch.Generator().manual_seed(0)
     images = torch.randint(0, 256, (4, 6, 8, 3), generator=generator, dtype=torch.uint8)
-    stats = {"mean": torch.tensor([0.3, 0.4, 0.5]).view(3, 1, 1), "std": torch.tensor([0.2, 0.1, 0.3]).view(3, 1, 1)}
+    stats = {
+        "mean": torch.tensor([0.3, 0.4, 0.5]).view(3, 1, 1),
+        "std": torch.tensor([0.2, 0.1, 0.3]).view(3, 1, 1),
+    }
     by_hand = (images.permute(0, 3, 1, 2) / 255.0 - stats["mean"]) / stats["std"]
     assert torch.allclose(batches.normalise_images(images, stats), by_hand, atol=1e-5)
 

@@ -26,8 +26,11 @@ class Scripted(ChunkPolicy):
     """Emits what `target` says of each tick: joints alone with open hands, or with two openings."""
 
     def __init__(self, target: Callable[[int], np.ndarray]) -> None:
-        self.chunk_size, self.dim, self.cameras = CHUNK, 16, {"high": (4, 4)}
-        self._target, self._tick = target, 0
+        self.chunk_size = CHUNK
+        self.dim = 16
+        self.cameras = {"high": (4, 4)}
+        self._target = target
+        self._tick = 0
 
     def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
         rows = [np.r_[self._target(self._tick + k), 1.0, 1.0][:16] for k in range(CHUNK)]
@@ -36,12 +39,22 @@ class Scripted(ChunkPolicy):
 
 
 def _pilot(world: World, target: Callable[[int], np.ndarray], picture: Picture) -> PolicyPilot:
-    runtime = PolicyRuntime(Scripted(target), n_action_steps=CHUNK, blend_ticks=0, limits=(Q_LOWER, Q_UPPER))
+    runtime = PolicyRuntime(
+        Scripted(target),
+        n_action_steps=CHUNK,
+        blend_ticks=0,
+        limits=(Q_LOWER, Q_UPPER),
+    )
     supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
     return PolicyPilot(ControlStack(world, Kinematics(), supervisor=supervisor), runtime, picture)
 
 
-def _fly(world: World, target: Callable[[int], np.ndarray], picture: Picture, seconds: float = 3.0) -> PolicyPilot:
+def _fly(
+    world: World,
+    target: Callable[[int], np.ndarray],
+    picture: Picture,
+    seconds: float = 3.0,
+) -> PolicyPilot:
     pilot = _pilot(world, target, picture)
     while not pilot.done and world.time < seconds:
         pilot.step()
@@ -65,10 +78,14 @@ OUTPUTS: dict[str, Callable[[int], np.ndarray]] = {
     "all_zero": lambda tick: np.zeros(14),
     "out_of_bounds": lambda tick: HOME + (1e6 if tick > 20 else 0.0) * AWAY,
     "oscillation": lambda tick: HOME + (0.04 if tick % 2 else -0.04) * AWAY,
-    "out_of_bounds: the policy asks the right hand for 1.6; bounds -0.5 to 1.5": lambda tick: np.r_[HOME, 1.0, 1.6],
-    "oscillation: the target of the left hand turned back 9 times by more than 0.2": lambda tick: np.r_[
-        HOME, tick % 2, 1.0
+    "out_of_bounds: the policy asks the right hand for 1.6; bounds -0.5 to 1.5": lambda tick: np.r_[
+        HOME,
+        1.0,
+        1.6,
     ],
+    "oscillation: the target of the left hand turned back 9 times by more than 0.2": lambda tick: (
+        np.r_[HOME, tick % 2, 1.0]
+    ),
 }
 
 
@@ -76,13 +93,19 @@ OUTPUTS: dict[str, Callable[[int], np.ndarray]] = {
     ("name", "most_rad", "at_s"),
     list(zip(OUTPUTS, (1e-6, 1e-6, 0.01, 1e-6, 1e-3), (0.05, 0.45, 0.25, 0.05, 0.25), strict=True)),
 )
-def test_a_broken_output_stops_the_trial_by_name(world: World, name: str, most_rad: float, at_s: float) -> None:
+def test_a_broken_output_stops_the_trial_by_name(
+    world: World,
+    name: str,
+    most_rad: float,
+    at_s: float,
+) -> None:
     """Zeros drove both arms 2.29 rad, 1e6 rad was followed to the limit, alternating targets shook for ever.
 
     Now the arms stay where they are; under alternating targets (0.08 rad) the joint moves 8 mrad.
     """
     pilot = _pilot(world, OUTPUTS[name], _seen(world))
-    moved, named_s = 0.0, np.inf
+    moved = 0.0
+    named_s = np.inf
     while not pilot.done and world.time < 3.0:
         pilot.step()
         moved = max(moved, float(np.abs(world.q - HOME).max()))
@@ -103,7 +126,10 @@ def test_slow_swings_are_noticed_too_and_a_task_is_not() -> None:
         for tick in range(2000):  # one turn in 20 ticks
             check.action(_open(HOME + 0.6 * SWING_RAD * (1.0 if tick % 40 < 20 else -1.0) * AWAY))
 
-    with pytest.raises(PolicyStoppedError, match=rf"joint 1 of 14 \[rad\] turned back 9 times .* bound {TURNS_MAX}"):
+    with pytest.raises(
+        PolicyStoppedError,
+        match=rf"joint 1 of 14 \[rad\] turned back 9 times .* bound {TURNS_MAX}",
+    ):
         swing()
     check.reset()
     for tick in range(2000):  # there and back four times in 20 s
@@ -147,10 +173,17 @@ def _broken(world: World) -> Picture:
         (_frozen, "frozen_picture: camera 'high' gives the same picture after 0."),
         (_late, "stale_picture: the picture of camera 'high' is 0.1"),
         (_ahead, "stale_picture: the picture of camera 'high' is -1.000 s old"),
-        (_broken, "camera_failed: camera 'high' gives no picture (OSError: no frame within 100 ms)"),
+        (
+            _broken,
+            "camera_failed: camera 'high' gives no picture (OSError: no frame within 100 ms)",
+        ),
     ],
 )
-def test_a_broken_camera_stops_the_trial_by_name(world: World, camera: Callable[[World], Any], said: str) -> None:
+def test_a_broken_camera_stops_the_trial_by_name(
+    world: World,
+    camera: Callable[[World], Any],
+    said: str,
+) -> None:
     pilot = _fly(world, _ramp, camera(world))
     assert (pilot.aborted or "").startswith(said)
     assert np.abs(world.v).max() < 0.05
@@ -174,7 +207,9 @@ def test_a_policy_that_answers_late_stops_the_trial_by_name(world: World) -> Non
     pilot._runtime.act = late
     while not pilot.done and world.time < 3.0:
         pilot.step()
-    assert (pilot.aborted or "").startswith("late_answer: the policy answered after 0.500 s; limit 0.1 s")
+    assert (pilot.aborted or "").startswith(
+        "late_answer: the policy answered after 0.500 s; limit 0.1 s",
+    )
     assert np.abs(world.v).max() < 0.05
 
 

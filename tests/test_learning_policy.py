@@ -20,7 +20,8 @@ from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageE
 from minidual.policies.kinds import POLICIES, ChunkPolicy, Image, Training
 from minidual.policies.policy import PolicyRuntime
 
-torch, tensor_files = late("torch"), late("safetensors.torch")
+torch = late("torch")
+tensor_files = late("safetensors.torch")
 pytestmark = pytest.mark.torch
 
 IMAGE = {"high": np.zeros((12, 16, 3), np.uint8)}
@@ -34,7 +35,9 @@ class CountingPolicy(ChunkPolicy):
         self.calls = 0
         self.seen: list[dict[str, Image]] = []
         self.resets = 0
-        self.chunk_size, self.dim, self.cameras = chunk, 16, dict.fromkeys(cameras, (12, 16))
+        self.chunk_size = chunk
+        self.dim = 16
+        self.cameras = dict.fromkeys(cameras, (12, 16))
 
     def reset(self) -> None:
         self.resets += 1
@@ -42,7 +45,11 @@ class CountingPolicy(ChunkPolicy):
     def predict(self, images: Mapping[str, Image], state: np.ndarray) -> np.ndarray:
         self.calls += 1
         self.seen.append(dict(images))
-        return np.repeat((self.calls + np.arange(self.chunk_size) / 1000)[:, None], self.dim, axis=1)
+        return np.repeat(
+            (self.calls + np.arange(self.chunk_size) / 1000)[:, None],
+            self.dim,
+            axis=1,
+        )
 
 
 def counting(chunk: int = 10, **options: Any) -> tuple[PolicyRuntime, CountingPolicy]:
@@ -63,7 +70,10 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_chunk_runs_for_its_steps_and_then_the_next_is_inferred() -> None:
     runtime, policy = counting()
-    assert first(runtime, 7) == pytest.approx([1.0, 1.001, 1.002, 1.003, 1.004, 2.0, 2.001], abs=1e-6)
+    assert first(runtime, 7) == pytest.approx(
+        [1.0, 1.001, 1.002, 1.003, 1.004, 2.0, 2.001],
+        abs=1e-6,
+    )
     assert policy.calls == 2
 
 
@@ -71,14 +81,20 @@ def test_after_a_reset_nothing_of_the_old_chunk_runs() -> None:
     runtime, _ = counting(blend_ticks=4)
     first(runtime, 2)
     runtime.reset()
-    assert first(runtime, 5) == pytest.approx([2.0, 2.001, 2.002, 2.003, 2.004], abs=1e-6)  # no blend with chunk 1
+    assert first(runtime, 5) == pytest.approx(
+        [2.0, 2.001, 2.002, 2.003, 2.004],
+        abs=1e-6,
+    )  # no blend with chunk 1
 
 
 def test_chunks_are_blended_with_what_was_left_of_the_old_one() -> None:
     runtime, _ = counting(blend_ticks=3)
     actions = first(runtime, 10)
     old = [1.005, 1.006, 1.007]
-    expected = [(1 - s) * o + s * (2 + k / 1000) for k, (o, s) in enumerate(zip(old, (0.25, 0.5, 0.75), strict=True))]
+    expected = [
+        (1 - s) * o + s * (2 + k / 1000)
+        for k, (o, s) in enumerate(zip(old, (0.25, 0.5, 0.75), strict=True))
+    ]
     assert actions[5:8] == pytest.approx(expected, abs=1e-6)
     assert actions[8:] == pytest.approx([2.003, 2.004], abs=1e-6)
 
@@ -188,9 +204,14 @@ def test_the_image_and_the_state_both_matter(checkpoint: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"]
+    "name",
+    ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"],
 )
-def test_a_missing_file_is_named_with_the_command_that_makes_it(checkpoint: Path, tmp_path: Path, name: str) -> None:
+def test_a_missing_file_is_named_with_the_command_that_makes_it(
+    checkpoint: Path,
+    tmp_path: Path,
+    name: str,
+) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     (copy / name).unlink()
     with pytest.raises(DataError, match=re.escape(name)) as caught:
@@ -218,7 +239,8 @@ def test_a_missing_checkpoint_is_named(tmp_path: Path) -> None:
 )
 def test_a_corrupt_checkpoint_is_refused(checkpoint: Path, tmp_path: Path, damage: str) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
-    weights, config = copy / "model.safetensors", copy / "config.json"
+    weights = copy / "model.safetensors"
+    config = copy / "config.json"
     record = json.loads(config.read_text())
     if damage == "truncated weights":
         weights.write_bytes(weights.read_bytes()[:-500])
@@ -256,16 +278,31 @@ def changed_json(path: Path, change: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda step, path: step.update({"class": "os.system", "config": {"command": f"touch {path}"}}), "class"),
-        (lambda step, path: (step.clear(), step.update({"class": "os.system", "config": {}})), "class 'os.system'"),
-        (lambda step, path: step.update(registry_name="reward_classifier_processor"), "registry_name"),
+        (
+            lambda step, path: step.update(
+                {"class": "os.system", "config": {"command": f"touch {path}"}},
+            ),
+            "class",
+        ),
+        (
+            lambda step, path: (step.clear(), step.update({"class": "os.system", "config": {}})),
+            "class 'os.system'",
+        ),
+        (
+            lambda step, path: step.update(registry_name="reward_classifier_processor"),
+            "registry_name",
+        ),
         (lambda step, path: step.update(state_file="../other.safetensors"), "Invalid name"),
         (lambda step, path: step.update(state_file="absent.safetensors"), "absent.safetensors"),
         (lambda step, path: step.update(state_file=3), "cannot be read"),
     ],
 )
 def test_a_processor_file_can_run_nothing_but_the_steps_of_act(
-    checkpoint: Path, tmp_path: Path, name: str, change: Any, words: str
+    checkpoint: Path,
+    tmp_path: Path,
+    name: str,
+    change: Any,
+    words: str,
 ) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     changed_json(copy / name, lambda record: change(record["steps"][0], tmp_path / "ran"))
@@ -277,21 +314,32 @@ def test_a_processor_file_can_run_nothing_but_the_steps_of_act(
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, "integers"])
-@pytest.mark.parametrize("pattern", ["model.safetensors", "policy_preprocessor_*", "policy_postprocessor_*"])
+@pytest.mark.parametrize(
+    "pattern",
+    ["model.safetensors", "policy_preprocessor_*", "policy_postprocessor_*"],
+)
 def test_weights_and_statistics_must_be_finite_numbers(
-    checkpoint: Path, tmp_path: Path, pattern: str, value: float | str
+    checkpoint: Path,
+    tmp_path: Path,
+    pattern: str,
+    value: float | str,
 ) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     path = next(p for p in copy.glob(pattern) if p.suffix == ".safetensors")
     tensors = tensor_files.load_file(path)
     name = sorted(tensors)[-1]
-    tensors[name] = tensors[name].to(torch.int64) if value == "integers" else tensors[name].fill_(value)
+    tensors[name] = (
+        tensors[name].to(torch.int64) if value == "integers" else tensors[name].fill_(value)
+    )
     tensor_files.save_file(tensors, path)
     with pytest.raises(DataError, match=f"{path.name}: '{name}'.*finite floating-point numbers"):
         PolicyRuntime.load(copy)
 
 
-def test_statistics_of_another_shape_are_refused_before_the_arms_move(checkpoint: Path, tmp_path: Path) -> None:
+def test_statistics_of_another_shape_are_refused_before_the_arms_move(
+    checkpoint: Path,
+    tmp_path: Path,
+) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     path = next(copy.glob("policy_preprocessor_*.safetensors"))
     tensors = tensor_files.load_file(path)
@@ -307,7 +355,9 @@ def test_statistics_of_another_shape_are_refused_before_the_arms_move(checkpoint
         (lambda c: c.update(n_encoder_layers=10**9), "n_encoder_layers"),
         (lambda c: c.update(chunk_size="many"), "many"),
         (
-            lambda c: c["input_features"]["observation.images.cam_high"].update(shape=[3, 10**6, 10**6]),
+            lambda c: c["input_features"]["observation.images.cam_high"].update(
+                shape=[3, 10**6, 10**6],
+            ),
             "cam_high .* are 0 to 4096",
         ),
         (lambda c: c.update(type="act"), "another type|not valid"),
@@ -315,7 +365,10 @@ def test_statistics_of_another_shape_are_refused_before_the_arms_move(checkpoint
     ],
 )
 def test_a_configuration_that_asks_for_too_much_is_refused(
-    checkpoint: Path, tmp_path: Path, change: Any, words: str
+    checkpoint: Path,
+    tmp_path: Path,
+    change: Any,
+    words: str,
 ) -> None:
     copy = shutil.copytree(checkpoint, tmp_path / "copy")
     changed_json(copy / "config.json", change)
@@ -324,7 +377,9 @@ def test_a_configuration_that_asks_for_too_much_is_refused(
 
 
 def test_loading_a_checkpoint_leaves_no_temporary_file(
-    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    checkpoint: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     PolicyRuntime.load(checkpoint, n_action_steps=5)

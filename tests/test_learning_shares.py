@@ -19,7 +19,11 @@ def _policy() -> Any:
 
         def __init__(self) -> None:
             super().__init__()
-            self.net = torch.nn.Sequential(torch.nn.Linear(3, 8), torch.nn.Tanh(), torch.nn.Linear(8, 1))
+            self.net = torch.nn.Sequential(
+                torch.nn.Linear(3, 8),
+                torch.nn.Tanh(),
+                torch.nn.Linear(8, 1),
+            )
             self.frozen = torch.nn.Parameter(torch.ones(2), requires_grad=False)
 
         def forward(self, batch: Any) -> Any:
@@ -33,14 +37,16 @@ def _policy() -> Any:
 def _batch(rows: int) -> Any:
     rng = np.random.default_rng(rows)
     return {
-        name: torch.from_numpy(rng.standard_normal((rows, k)).astype(np.float32)) for name, k in (("x", 3), ("y", 1))
+        name: torch.from_numpy(rng.standard_normal((rows, k)).astype(np.float32))
+        for name, k in (("x", 3), ("y", 1))
     }
 
 
 @pytest.mark.parametrize("rows", [3, 7, 32])
 @pytest.mark.parametrize("count", [2, 3])
 def test_shares_add_up_to_the_batch(rows: int, count: int) -> None:
-    whole, shared = shares.Shares(_policy(), 1), shares.Shares(_policy(), count)
+    whole = shares.Shares(_policy(), 1)
+    shared = shares.Shares(_policy(), count)
     loss, parts = whole.gradient(_batch(rows))
     loss_shared, parts_shared = shared.gradient(_batch(rows))
     assert loss_shared == pytest.approx(loss, rel=1e-5)
@@ -65,7 +71,10 @@ def test_all_shares_follow_the_weights() -> None:
     alone = shares.Shares(_policy(), 1)
     alone.policies[0].load_state_dict(shared.policies[0].state_dict())
     assert shared.gradient(_batch(12))[0] == pytest.approx(alone.gradient(_batch(12))[0], rel=1e-5)
-    assert alone.gradient(_batch(12))[0] != pytest.approx(shares.Shares(_policy(), 1).gradient(_batch(12))[0], rel=1e-2)
+    assert alone.gradient(_batch(12))[0] != pytest.approx(
+        shares.Shares(_policy(), 1).gradient(_batch(12))[0],
+        rel=1e-2,
+    )
 
 
 def test_the_same_batch_gives_the_same_bits() -> None:
@@ -73,6 +82,8 @@ def test_the_same_batch_gives_the_same_bits() -> None:
     for _ in range(2):
         shared = shares.Shares(_policy(), 2)
         shared.gradient(_batch(32))
-        runs.append([p.grad.numpy().copy() for p in shared.policies[0].parameters() if p.requires_grad])
+        runs.append(
+            [p.grad.numpy().copy() for p in shared.policies[0].parameters() if p.requires_grad],
+        )
     for a, b in zip(*runs, strict=True):
         np.testing.assert_array_equal(a, b)

@@ -20,7 +20,13 @@ from minidual.config.root import Config
 from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.errors import ConfigError, EnvironmentMissingError, ExitCode, GateClosedError, UsageError
+from minidual.errors import (
+    ConfigError,
+    EnvironmentMissingError,
+    ExitCode,
+    GateClosedError,
+    UsageError,
+)
 from minidual.gate.stage import ToolContext
 from minidual.motion.api import Planner
 from minidual.plant.world import World
@@ -70,16 +76,34 @@ class Stage:
         return modes_turns.moveit(self.stack, Planner(), SEED, home=home, share=share)
 
     def teleop(self) -> Turn:
-        return modes_turns.teleop(self.stack, ScriptedOperator(self.world.scene), self.trial, SEED, 50.0)
+        return modes_turns.teleop(
+            self.stack,
+            ScriptedOperator(self.world.scene),
+            self.trial,
+            SEED,
+            50.0,
+        )
 
     def policy(self) -> Turn:
         picture = lambda name: np.zeros((1, 1, 3), np.uint8)  # noqa: E731
-        return modes_turns.policy(self.stack, self.runtime, picture, carry_task(self.world.scene), self.trial)
+        return modes_turns.policy(
+            self.stack,
+            self.runtime,
+            picture,
+            carry_task(self.world.scene),
+            self.trial,
+        )
 
 
-def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(world: World, tmp_path: Path) -> None:
+def test_planner_leader_and_planner_again_carry_the_rod_within_every_bound(
+    world: World,
+    tmp_path: Path,
+) -> None:
     stage = Stage(world)
-    demo = ModesDemo(stage.stack, [stage.moveit(home=False, share=0.5), stage.teleop(), stage.moveit(home=True)])
+    demo = ModesDemo(
+        stage.stack,
+        [stage.moveit(home=False, share=0.5), stage.teleop(), stage.moveit(home=True)],
+    )
     steps = [turn.mode for turn in demo.steps()]
     assert demo.ended is None
     assert demo.exceeded(ArbiterConfig()) == []
@@ -110,7 +134,9 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
     steps = demo.steps()
     for _ in range(800):
         next(steps)
-    assert any("torque_step_nm" in text and "policy" in text for text in demo.exceeded(ArbiterConfig()))
+    assert any(
+        "torque_step_nm" in text and "policy" in text for text in demo.exceeded(ArbiterConfig())
+    )
     assert demo.switches[0].torque_step_nm == demo.switches[0].torque_step_asked_nm
 
 
@@ -126,7 +152,12 @@ def test_without_a_supervisor_the_torque_steps_are_over_their_bound_and_named(wo
     ],
 )
 def test_every_bound_can_fail(name: str, changes: dict[str, float]) -> None:
-    fine = {"first_step_rad": 0.01, "reference_step_ratio": 0.9, "torque_step_nm": 0.9, "target_step_rad": 0.01}
+    fine = {
+        "first_step_rad": 0.01,
+        "reference_step_ratio": 0.9,
+        "torque_step_nm": 0.9,
+        "target_step_rad": 0.01,
+    }
     demo = ModesDemo.__new__(ModesDemo)
     demo.switches = [Switch("teleop", 1.0, **fine)]
     assert demo.exceeded(ArbiterConfig()) == []
@@ -143,7 +174,9 @@ def test_the_policy_gets_its_turn_and_its_queue_is_dropped_at_every_switch(world
         if turn.mode == "moveit":
             break
     limit = world.scene.task.time_limit_s
-    assert world.time == pytest.approx(limit + 0.02, abs=0.05), "a policy that does nothing is ended by the clock"
+    assert world.time == pytest.approx(limit + 0.02, abs=0.05), (
+        "a policy that does nothing is ended by the clock"
+    )
     assert stage.runtime.flushes == 3  # at two switches, and when its turn begins
     assert demo.outcomes[0]["put_down_at_goal"] is False
 
@@ -157,12 +190,16 @@ def test_a_mode_that_falls_silent_ends_the_demonstration(world: World) -> None:
 
     demo = ModesDemo(stage.stack, [Turn("teleop", "", silent), stage.moveit(home=True)])
     assert {turn.mode for turn in demo.steps()} == {"teleop"}
-    assert re.fullmatch(r"mode 'teleop' lost its turn at 1\.\d+ s: no command came", str(demo.ended))
+    assert re.fullmatch(
+        r"mode 'teleop' lost its turn at 1\.\d+ s: no command came",
+        str(demo.ended),
+    )
 
 
 def test_the_caption_changes_with_who_drives(world: World) -> None:
     stage = Stage(world)
-    picture, turn = np.zeros((90, 160, 3), np.uint8), stage.teleop()
+    picture = np.zeros((90, 160, 3), np.uint8)
+    turn = stage.teleop()
     held = captioned(picture, stage.stack, turn)
     assert held.shape[0] > 90
     assert held.shape[1] == 160
@@ -194,7 +231,14 @@ def test_modes_are_parsed_or_refused() -> None:
 
 
 def _context(run: Path, **options: str) -> ToolContext:
-    return ToolContext(config=Config(), seed=SEED, profile="standard", run_folder=run, options=options, name="modes")
+    return ToolContext(
+        config=Config(),
+        seed=SEED,
+        profile="standard",
+        run_folder=run,
+        options=options,
+        name="modes",
+    )
 
 
 def test_without_a_policy_nothing_is_put_in_its_place(tmp_path: Path) -> None:
@@ -219,7 +263,10 @@ def test_modes_demonstrates_what_carry_carries(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="in the task 'handover' they do not"):
         modes(replace(context, config=Config(task="handover")))
     boxed = replace(context, config=Config(carry=CarryConfig(object="box")))
-    with pytest.raises(EnvironmentMissingError, match="films no more"):  # the world stands, the modes are prepared
+    with pytest.raises(
+        EnvironmentMissingError,
+        match="films no more",
+    ):  # the world stands, the modes are prepared
         _filming(modes, boxed)
 
 
@@ -232,7 +279,12 @@ def _filming(run: Callable[[ToolContext], Any], context: ToolContext) -> None:
         run(context)
 
 
-def _refuse(monkeypatch: pytest.MonkeyPatch, *, sequence: int, change: Callable[[Any], Any] | None = None) -> None:
+def _refuse(
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    sequence: int,
+    change: Callable[[Any], Any] | None = None,
+) -> None:
     """Let the planner's trajectory of that number be refused: at once, or changed so that the next tick refuses it."""
     propose = ControlStack.propose
 
@@ -253,7 +305,9 @@ def _elsewhere(command: Any) -> TrajectoryCommand:
 
 @pytest.mark.parametrize("change", [None, _elsewhere])
 def test_a_refused_second_motion_of_the_planner_is_no_success(
-    world: World, monkeypatch: pytest.MonkeyPatch, change: Callable[[Any], Any] | None
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[[Any], Any] | None,
 ) -> None:
     stage = Stage(world)
     _refuse(monkeypatch, sequence=2, change=change)
@@ -264,13 +318,16 @@ def test_a_refused_second_motion_of_the_planner_is_no_success(
 
 
 def test_a_demonstration_that_ends_early_leaves_its_log_and_exits_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     _refuse(monkeypatch, sequence=1)
     context = _context(tmp_path, modes="moveit,teleop")
     result = modes(context)
     assert result.exit_code == ExitCode.ACCEPTANCE_FAILED
-    assert any(note.startswith("ENDED TOO EARLY: trajectory 1 of mode 'moveit'") for note in result.notes)
+    assert any(
+        note.startswith("ENDED TOO EARLY: trajectory 1 of mode 'moveit'") for note in result.notes
+    )
     assert "every step at every switch within its bound" not in result.notes
     document = json.loads((context.output / "modes.json").read_text())
     assert "it is too old" in document["ended"]

@@ -9,7 +9,19 @@ import minidual
 
 SRC = Path(minidual.__file__).parent
 COUNTS = (7, 14)
-SHAPING = {"range", "zeros", "empty", "ones", "full", "eye", "reshape", "tile", "split", "repeat", "resize"}
+SHAPING = {
+    "range",
+    "zeros",
+    "empty",
+    "ones",
+    "full",
+    "eye",
+    "reshape",
+    "tile",
+    "split",
+    "repeat",
+    "resize",
+}
 EXCUSED = {
     "motion/held/hands.py": 1,  # the row of V beyond the six of a Jacobian
     "plant/bodies.py": 4,  # position and quaternion of an object; places in what `look` sees
@@ -37,7 +49,9 @@ def suspects(source: str) -> list[int]:
             found += [
                 part.lineno
                 for constant in ast.walk(part)
-                if isinstance(constant, ast.Constant) and type(constant.value) is int and constant.value in COUNTS
+                if isinstance(constant, ast.Constant)
+                and type(constant.value) is int
+                and constant.value in COUNTS
             ]
     return found
 
@@ -57,9 +71,15 @@ def test_no_link_or_joint_of_an_arm_is_named():
         if path.relative_to(SRC).as_posix() == "robot/pair.py":
             continue
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings may show a name
+        prose = {
+            id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)
+        }  # docstrings may show a name
         for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+            if (
+                isinstance(node, ast.Constant)
+                and isinstance(node.value, str)
+                and id(node) not in prose
+            ):
                 assert "panda_" not in node.value, (path.name, node.value)
 
 

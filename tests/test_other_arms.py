@@ -25,17 +25,33 @@ def test_another_pair_plans_to_joints_and_poses_and_follows(arm):
     loop = JointLoop(world, planner.kinematics)
     q = robot.home
     goal = robot.home + np.tile(np.linspace(-0.4, 0.4, robot.dof_per_arm), 2)
-    poses = {side: pose(np.diag([1.0, -1.0, -1.0]), (0.45, y, 0.3)) for side, y in (("left", 0.2), ("right", -0.2))}
+    poses = {
+        side: pose(np.diag([1.0, -1.0, -1.0]), (0.45, y, 0.3))
+        for side, y in (("left", 0.2), ("right", -0.2))
+    }
     plans = (
         lambda q: planner.plan_to_joints("both_arms", q, goal, seed=1),
         lambda q: planner.plan_to_poses("both_arms", q, poses, seed=1),
-        lambda q: planner.plan_to_joints("left_arm", q, np.r_[robot.arm.home, q[robot.dof_per_arm :]], seed=1),
+        lambda q: planner.plan_to_joints(
+            "left_arm",
+            q,
+            np.r_[robot.arm.home, q[robot.dof_per_arm :]],
+            seed=1,
+        ),
     )
     for plan in plans:
         result = plan(q)
         proof = result.verification
         assert proof.ok
-        assert max(proof.velocity_ratio, proof.acceleration_ratio, proof.jerk_ratio, proof.torque_ratio) <= 1.0
+        assert (
+            max(
+                proof.velocity_ratio,
+                proof.acceleration_ratio,
+                proof.jerk_ratio,
+                proof.torque_ratio,
+            )
+            <= 1.0
+        )
         trajectory = result.trajectory
         assert trajectory.q.shape[1] == robot.dof
         for t in np.arange(0.0, trajectory.duration_s, world.dt):
@@ -44,14 +60,28 @@ def test_another_pair_plans_to_joints_and_poses_and_follows(arm):
             assert error < BASELINE_TRACKING_RAD
             assert all("rod" in pair for pair in world.contact_pairs())
         q = trajectory.q[-1]
-    for side, T in zip(robot.sides, planner.kinematics.tcp_poses(plans[1](q).trajectory.q[-1]), strict=True):
+    for side, T in zip(
+        robot.sides,
+        planner.kinematics.tcp_poses(plans[1](q).trajectory.q[-1]),
+        strict=True,
+    ):
         assert np.abs(T - poses[side]).max() < 1e-5
 
 
 @pytest.mark.slow
 def test_two_xarms_pass_env_check_plan_and_carry(tmp_path):
     """The limits are those of the profile: tracking, plans found and proven, grip, tilt, time and success."""
-    words = ["run", "--until", "carry", "--profile", "smoke", "--runs-dir", str(tmp_path), "--run", "xarm7"]
+    words = [
+        "run",
+        "--until",
+        "carry",
+        "--profile",
+        "smoke",
+        "--runs-dir",
+        str(tmp_path),
+        "--run",
+        "xarm7",
+    ]
     words += ["--set", "robot.arm=xarm7", "--set", "carry.trials_n=5"]
     assert run_command_line(words, STAGES) == 0
     for stage in ("env-check", "plan", "carry"):

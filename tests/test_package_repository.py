@@ -63,9 +63,13 @@ def test_every_locked_distribution_has_hashes_and_none_an_address() -> None:
 
 @pytest.mark.parametrize("name", DIRECT + DEVELOPMENT)
 def test_every_direct_dependency_is_locked_and_has_its_reason(name: str) -> None:
-    assert re.search(rf"^{re.escape(name)}(\[[a-z,]+\])?==", LOCK, re.MULTILINE), f"{name} is not locked"
+    assert re.search(rf"^{re.escape(name)}(\[[a-z,]+\])?==", LOCK, re.MULTILINE), (
+        f"{name} is not locked"
+    )
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
-    assert re.search(rf"^\| `{re.escape(name)}[`\[]", page, re.MULTILINE), f"docs/dependencies.md lacks {name}"
+    assert re.search(rf"^\| `{re.escape(name)}[`\[]", page, re.MULTILINE), (
+        f"docs/dependencies.md lacks {name}"
+    )
 
 
 def test_the_page_of_dependencies_names_no_others() -> None:
@@ -88,7 +92,11 @@ def test_setup_without_python_312_says_what_to_do(tmp_path: Path, found: str) ->
     scripts.mkdir()
     shutil.copy(ROOT / "scripts" / "setup.sh", scripts)
     done = subprocess.run(
-        [str(scripts / "setup.sh")], env={"PATH": str(tools)}, capture_output=True, text=True, timeout=30
+        [str(scripts / "setup.sh")],
+        env={"PATH": str(tools)},
+        capture_output=True,
+        text=True,
+        timeout=30,
     )
     assert done.returncode == 1
     assert "minidual needs CPython 3.12" in done.stderr
@@ -128,7 +136,11 @@ PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/READM
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_every_link_of_the_documents_leads_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    targets = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    targets = [
+        target.split("#")[0]
+        for target in re.findall(r"\]\(([^)\s]+)\)", text)
+        if "://" not in target
+    ]
     broken = [target for target in targets if target and not (page.parent / target).exists()]
     assert broken == []
 
@@ -136,10 +148,18 @@ def test_every_link_of_the_documents_leads_somewhere(page: Path) -> None:
 def anchors(text: str) -> set[str]:
     """Return the names that GitHub gives the headings of a page: lower case, hyphens for spaces, no punctuation."""
     found: set[str] = set()
-    for heading in re.findall(r"^#{1,6} +(.+?)(?: +#+)? *$", re.sub(r"(?ms)^```.*?^```$", "", text), re.MULTILINE):
+    for heading in re.findall(
+        r"^#{1,6} +(.+?)(?: +#+)? *$",
+        re.sub(r"(?ms)^```.*?^```$", "", text),
+        re.MULTILINE,
+    ):
         words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
         name = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
-        found.add(next(each for each in (name, *(f"{name}-{k}" for k in range(1, 99))) if each not in found))
+        found.add(
+            next(
+                each for each in (name, *(f"{name}-{k}" for k in range(1, 99))) if each not in found
+            ),
+        )
     return found
 
 
@@ -156,7 +176,11 @@ def broken_anchors(page: Path) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("page", [ROOT / "CHANGELOG.md", *PAGES], ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "page",
+    [ROOT / "CHANGELOG.md", *PAGES],
+    ids=lambda path: path.relative_to(ROOT).as_posix(),
+)
 def test_every_linked_heading_exists(page: Path) -> None:
     assert broken_anchors(page) == []
 
@@ -177,11 +201,18 @@ def test_every_linked_heading_exists(page: Path) -> None:
         ("other.md#", True),
     ],
 )
-def test_a_link_to_a_heading_that_does_not_exist_is_found(tmp_path: Path, target: str, broken: bool) -> None:
+def test_a_link_to_a_heading_that_does_not_exist_is_found(
+    tmp_path: Path,
+    target: str,
+    broken: bool,
+) -> None:
     other = "# Against libfranka's errors (25 %)\n\n```sh\n# A comment\n```\n\n## Twice\n\n### [Twice](x.md)\n"
     (tmp_path / "other.md").write_text(other, encoding="utf-8")
     page = tmp_path / "page.md"
-    page.write_text(f"## `minidual replay FILE`\n\nSee [the other\npage]({target}).\n", encoding="utf-8")
+    page.write_text(
+        f"## `minidual replay FILE`\n\nSee [the other\npage]({target}).\n",
+        encoding="utf-8",
+    )
     assert broken_anchors(page) == ([target] if broken else [])
 
 
@@ -189,7 +220,9 @@ def test_the_readme_opens_with_a_picture_and_the_commands() -> None:
     head = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")[0]
     assert "docs/carry.webp" in head
     assert re.findall(r"^make (\w+)", head, re.MULTILINE) == ["setup", "all", "all", "test"]
-    assert len(re.findall(r"^\.venv/bin/minidual (\w+)", head, re.MULTILINE)) == 2  # four commands to moving arms
+    assert (
+        len(re.findall(r"^\.venv/bin/minidual (\w+)", head, re.MULTILINE)) == 2
+    )  # four commands to moving arms
     with Image.open(ROOT / "docs" / "carry.webp") as picture:
         assert picture.n_frames > 20, "it moves"
     assert (ROOT / "docs" / "carry.webp").stat().st_size < 700_000

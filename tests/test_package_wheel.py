@@ -97,7 +97,9 @@ def test_profiles_come_from_the_wheel(site: Path, tmp_path: Path) -> None:
     text = profile.read_text(encoding="utf-8")
     profile.write_text("seed: 4711\n" + text, encoding="utf-8")
     try:
-        shown = json.loads(run_installed(site, tmp_path, "config", "show", "--profile", "smoke", "--json"))
+        shown = json.loads(
+            run_installed(site, tmp_path, "config", "show", "--profile", "smoke", "--json"),
+        )
     finally:
         profile.write_text(text, encoding="utf-8")
     assert "4711" in json.dumps(shown)

@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 
 from minidual.gate.check import Check, with_unit
 
-OPERATORS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
+OPERATORS = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+}
 finite = st.floats(allow_nan=False, allow_infinity=False, width=32)
 
 
@@ -29,7 +35,10 @@ def test_non_finite_observation_fails_every_limit(op, observed):
     assert Check("x", observed, op, 0.0).passed is False
 
 
-@pytest.mark.parametrize(("value", "text"), [(math.nan, "nan"), (math.inf, "inf"), (-math.inf, "-inf")])
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(math.nan, "nan"), (math.inf, "inf"), (-math.inf, "-inf")],
+)
 def test_non_finite_observation_is_written_as_text(value, text):
     record = json.loads(json.dumps(Check("x", value, "<", 1.0).to_json(), allow_nan=False))
     assert (record["observed"], record["passed"]) == (text, False)
@@ -42,7 +51,14 @@ def test_check_without_limit_neither_passes_nor_fails():
 
 @pytest.mark.parametrize(
     ("op", "observed", "margin"),
-    [("<", 0.7, 0.3), ("<=", 1.2, -0.2), (">", 1.5, 0.5), (">=", 0.4, -0.6), ("==", 1.25, -0.25), ("==", 1, 0.0)],
+    [
+        ("<", 0.7, 0.3),
+        ("<=", 1.2, -0.2),
+        (">", 1.5, 0.5),
+        (">=", 0.4, -0.6),
+        ("==", 1.25, -0.25),
+        ("==", 1, 0.0),
+    ],
 )
 def test_margin_is_positive_on_the_good_side(op, observed, margin):
     assert Check("x", observed, op, 1.0).margin == pytest.approx(margin)
@@ -96,5 +112,8 @@ def test_limit_is_required_with_an_operator():
 
 
 def test_sentence_names_value_limit_and_unit():
-    assert Check("tilt", 0.12345, "<=", 0.0873, "rad").sentence() == "tilt is 0.1235 rad, limit <= 0.0873 rad"
+    assert (
+        Check("tilt", 0.12345, "<=", 0.0873, "rad").sentence()
+        == "tilt is 0.1235 rad, limit <= 0.0873 rad"
+    )
     assert with_unit(True, "") == "yes"

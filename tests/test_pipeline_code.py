@@ -85,7 +85,9 @@ def test_code_counts_and_words_do_not(package, module, text, changed):
     package(module, text)
     now = code_of(["toycode.stage:run"], before)
     assert before.changes(now) == changed
-    assert (now is before) == (module == "stranger")  # no tree is built while the files are the same
+    assert (now is before) == (
+        module == "stranger"
+    )  # no tree is built while the files are the same
 
 
 def test_the_table_beside_a_module_counts_and_its_comments_do_not(package, tmp_path):
@@ -100,14 +102,20 @@ def test_the_table_beside_a_module_counts_and_its_comments_do_not(package, tmp_p
 
 
 def test_a_stage_reaches_the_targets_that_a_table_names(package, tmp_path):
-    (tmp_path / "site" / "toycode" / "inner.yaml").write_text("rows: {far: {target: toycode.far:THING}}\n")
+    (tmp_path / "site" / "toycode" / "inner.yaml").write_text(
+        "rows: {far: {target: toycode.far:THING}}\n",
+    )
     package("far", "THING = 1\n")
     assert "toycode.far" in reach().modules
 
 
 def test_the_real_stages_reach_their_physics_and_not_each_other():
     modules = STAGES["carry"].code().modules
-    assert {"minidual.plant.world", "minidual.control.stack", "minidual.gate.check"} <= modules.keys()
+    assert {
+        "minidual.plant.world",
+        "minidual.control.stack",
+        "minidual.gate.check",
+    } <= modules.keys()
     assert "minidual.stages.deploy" not in modules
     assert "minidual.stages.registry" not in modules
 
@@ -123,7 +131,10 @@ def test_a_report_over_results_of_other_code_fails_and_gates_stay_open(package, 
     assert bench.states() == ["pass", "pass"]
     package("inner", "VALUE = 0.75\n")
     state = bench.gate().state("first")
-    assert (state.state, state.warnings) == ("pass", ("made by other code: toycode.inner changed since",))
+    assert (state.state, state.warnings) == (
+        "pass",
+        ("made by other code: toycode.inner changed since",),
+    )
     outcome = bench.runner().run("third", force=True)
     (check,) = (check for check in outcome.verdict.checks if check.name == "gate.code_changed")
     assert (outcome.verdict.status, check.observed, check.passed) == ("fail", 1, False)

@@ -55,7 +55,10 @@ def test_running_stage_holds_the_lock_and_names_its_process(bench, sleeper):
     assert bench.states() == ["incomplete", "blocked", "blocked"]
     assert "still running" in bench.gate().state("first").why()
     assert f"process {sleeper.pid}" in str(held_by(bench.store.folder / LOCK_FILE))
-    with pytest.raises(UsageError, match=rf"being written by process {sleeper.pid} \(minidual first"):
+    with pytest.raises(
+        UsageError,
+        match=rf"being written by process {sleeper.pid} \(minidual first",
+    ):
         bench.runner().run("first")
 
 

@@ -17,7 +17,16 @@ from minidual.gate.canonical import canonical, digest
 from minidual.gate.table import StageEntry, StageTable
 from minidual.stages.registry import STAGES
 
-ORDER = ("env-check", "plan", "carry", "teleop-record", "train-act", "deploy", "benchmark", "report")
+ORDER = (
+    "env-check",
+    "plan",
+    "carry",
+    "teleop-record",
+    "train-act",
+    "deploy",
+    "benchmark",
+    "report",
+)
 PROFILES = ("smoke", "standard", "gpu")
 
 
@@ -39,11 +48,14 @@ def test_a_stage_loads_and_its_parameters_are_json(name):
 
 @pytest.mark.parametrize("name", ORDER)
 def test_parameters_follow_options_and_leave_workers_out(name):
-    entry, loaded = STAGES[name], load_config("smoke")
+    entry = STAGES[name]
+    loaded = load_config("smoke")
     before = digest(entry.parameters(loaded.config))
     assert digest(entry.parameters(load_config("smoke", ["workers=1"]).config)) == before
     for option in entry.options:
-        value = ["moveit"] if option.kind is tuple else {str: "another", float: 0.7}.get(option.kind, 7)
+        value = (
+            ["moveit"] if option.kind is tuple else {str: "another", float: 0.7}.get(option.kind, 7)
+        )
         changed = load_config("smoke", [f"{option.path}={json.dumps(value)}"])
         assert digest(entry.parameters(changed.config)) != before, option
 
@@ -60,7 +72,12 @@ def test_asking_every_stage_for_its_parameters_imports_nothing_heavy():
         "    entry.parameters(config)\n"
         f"print([name for name in {heavy!r} if name in sys.modules])\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stdout.strip() == "[]", done.stderr
 
 
@@ -71,7 +88,11 @@ class TestPlugIn:
         module.WRONG = 3
         monkeypatch.setitem(sys.modules, "plugged_in_stage", module)
         point = importlib.metadata.EntryPoint("shout", value, "minidual.stages")
-        monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [point] if group == point.group else [])
+        monkeypatch.setattr(
+            importlib.metadata,
+            "entry_points",
+            lambda group: [point] if group == point.group else [],
+        )
         return StageTable(list(STAGES.values()))
 
     def test_a_row_of_another_distribution_comes_last(self, monkeypatch):
@@ -80,7 +101,10 @@ class TestPlugIn:
         assert tuple(table) == (*ORDER, "shout")
         assert table.upstream("shout") == ORDER
 
-    @pytest.mark.parametrize("value", ["plugged_in_stage:WRONG", "plugged_in_stage:NONE", "no_such_module_here:X"])
+    @pytest.mark.parametrize(
+        "value",
+        ["plugged_in_stage:WRONG", "plugged_in_stage:NONE", "no_such_module_here:X"],
+    )
     def test_a_row_that_cannot_be_used_is_named(self, monkeypatch, value):
         table = self.point(monkeypatch, value)
         with pytest.raises(UsageError, match="stage 'shout' of another distribution"):
@@ -89,7 +113,10 @@ class TestPlugIn:
     def test_one_that_cannot_be_used_is_a_document_under_json(self, monkeypatch, capsys):
         table = self.point(monkeypatch, "plugged_in_stage:WRONG")
         assert run_command_line(["status", "--json"], table) == 2
-        assert "stage 'shout' of another distribution" in json.loads(capsys.readouterr().out)["error"]["message"]
+        assert (
+            "stage 'shout' of another distribution"
+            in json.loads(capsys.readouterr().out)["error"]["message"]
+        )
 
     def test_a_name_that_is_taken_is_refused(self, monkeypatch):
         table = self.point(monkeypatch, "plugged_in_stage:ENTRY")

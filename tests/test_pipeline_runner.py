@@ -40,7 +40,10 @@ def test_closed_gate_names_stage_check_and_command(bench):
     assert bench.runner().run("first").exit_code == ExitCode.ACCEPTANCE_FAILED
     with pytest.raises(GateClosedError) as caught:
         bench.runner().run("second")
-    assert caught.value.message == "the gate of second is closed: first failed: quality is 0.25 n, limit >= 1 n"
+    assert (
+        caught.value.message
+        == "the gate of second is closed: first failed: quality is 0.25 n, limit >= 1 n"
+    )
     assert caught.value.remedy == "hold harder, then: minidual first; then this command again"
     assert bench.second.contexts == []
 
@@ -111,11 +114,13 @@ def test_waiver_is_written_taints_all_below_and_closes_the_last_stage(bench):
     second = bench.runner().run("second", waiver="demo tomorrow")
     assert second.exit_code == ExitCode.PASS
     assert [(w.stage, w.reason, w.blocking) for w in second.verdict.waivers] == [
-        ("second", "demo tomorrow", {"first": "fail"})
+        ("second", "demo tomorrow", {"first": "fail"}),
     ]
     assert second.verdict.acceptance is False
     third = bench.runner().run("third")
-    assert third.verdict.waivers == second.verdict.waivers, "the taint is inherited without a waiver of its own"
+    assert third.verdict.waivers == second.verdict.waivers, (
+        "the taint is inherited without a waiver of its own"
+    )
     assert bench.third.contexts[-1].waivers == second.verdict.waivers
     assert third.exit_code == ExitCode.ACCEPTANCE_FAILED
     assert [check.name for check in third.verdict.failed_checks()] == ["gate.waivers"]
@@ -134,8 +139,13 @@ def test_a_closed_gate_names_what_closes_it_not_a_waived_failure_above(bench):
 
 
 def test_a_waiver_does_not_replace_a_result_that_a_stage_works_on(bench):
-    bench.second.behaviour = lambda context: [Check("size", (context.upstream["first"] / "out").stat().st_size, ">", 0)]
-    with pytest.raises(GateClosedError, match="works on the result of first, and there is none") as caught:
+    bench.second.behaviour = lambda context: [
+        Check("size", (context.upstream["first"] / "out").stat().st_size, ">", 0),
+    ]
+    with pytest.raises(
+        GateClosedError,
+        match="works on the result of first, and there is none",
+    ) as caught:
         bench.runner().run("second", waiver="demo tomorrow")
     assert caught.value.remedy == "minidual first"
     bench.first.observed = 0.0
@@ -189,7 +199,11 @@ def test_stage_sees_all_that_is_above_it(bench):
 def test_smoke_never_counts_as_acceptance(tmp_path):
     bench = Bench(tmp_path, profile="smoke")
     verdict = bench.runner().run("first").verdict
-    assert (verdict.status, verdict.fingerprint.profile, verdict.acceptance) == ("pass", "smoke", False)
+    assert (verdict.status, verdict.fingerprint.profile, verdict.acceptance) == (
+        "pass",
+        "smoke",
+        False,
+    )
     assert verdict.to_json()["acceptance"] is False
 
 
@@ -199,7 +213,10 @@ def explode(context):
 
 def test_crash_is_internal_with_its_traceback_in_a_file(bench):
     bench.first.behaviour = explode
-    with pytest.raises(StageCrashedError, match="first crashed: RuntimeError: gears everywhere") as caught:
+    with pytest.raises(
+        StageCrashedError,
+        match="first crashed: RuntimeError: gears everywhere",
+    ) as caught:
         bench.runner().run("first")
     assert caught.value.exit_code == ExitCode.INTERNAL
     (trace,) = bench.store.folder.glob("crash-first-*.txt")
@@ -216,7 +233,9 @@ def test_crash_keeps_the_previous_passing_result(bench):
         bench.runner().run("first", force=True)
     assert bench.store.verdict_path("first").read_bytes() == before
     assert bench.states() == ["pass"] * 3
-    assert any("a later attempt ended as error" in text for text in bench.gate().state("first").warnings)
+    assert any(
+        "a later attempt ended as error" in text for text in bench.gate().state("first").warnings
+    )
 
 
 def test_rerun_clears_what_a_crash_left(bench):
@@ -253,13 +272,34 @@ def test_stage_error_keeps_its_kind(bench):
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (OSError(errno.ENOSPC, "No space left on device", "big.h5"), "no space left on the disk .* big.h5"),
-        (OSError("HDF5: write failed, errno = 28, No space left on device"), "no space left on the disk"),
-        (OSError(errno.EDQUOT, "Disk quota exceeded", "big.h5"), "no space left on the disk .*quota"),
-        (OSError(errno.EFBIG, "File too large", "big.h5"), "no space left on the disk .*File too large"),
-        (OSError(errno.EROFS, "Read-only file system", "out.mp4"), "no permission for out.mp4: Read-only"),
-        (SafetensorError("I/O error: No space left on device (os error 28)"), "no space left on the disk"),
-        (PermissionError(errno.EACCES, "Permission denied", "out.mp4"), "no permission for out.mp4"),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "big.h5"),
+            "no space left on the disk .* big.h5",
+        ),
+        (
+            OSError("HDF5: write failed, errno = 28, No space left on device"),
+            "no space left on the disk",
+        ),
+        (
+            OSError(errno.EDQUOT, "Disk quota exceeded", "big.h5"),
+            "no space left on the disk .*quota",
+        ),
+        (
+            OSError(errno.EFBIG, "File too large", "big.h5"),
+            "no space left on the disk .*File too large",
+        ),
+        (
+            OSError(errno.EROFS, "Read-only file system", "out.mp4"),
+            "no permission for out.mp4: Read-only",
+        ),
+        (
+            SafetensorError("I/O error: No space left on device (os error 28)"),
+            "no space left on the disk",
+        ),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "out.mp4"),
+            "no permission for out.mp4",
+        ),
     ],
 )
 def test_full_or_forbidden_disk_is_one_message(bench, error, message):
@@ -302,7 +342,11 @@ def test_run_resumes_at_the_first_stage_that_is_not_fresh(bench):
     assert [o.state.name for o in outcomes] == ["first", "second"], "stops at the failure"
     bench.second.observed = 1.0
     outcomes = list(bench.runner().run_until())
-    assert [(o.state.name, o.ran) for o in outcomes] == [("first", False), ("second", True), ("third", True)]
+    assert [(o.state.name, o.ran) for o in outcomes] == [
+        ("first", False),
+        ("second", True),
+        ("third", True),
+    ]
 
 
 def test_run_until_stops_there(bench):
@@ -314,7 +358,11 @@ def test_run_until_stops_there(bench):
 def test_run_with_a_waiver_goes_on_past_a_failure(bench):
     bench.first.observed = 0.0
     outcomes = list(bench.runner().run_until(waiver="want the report"))
-    assert [o.exit_code for o in outcomes] == [ExitCode.ACCEPTANCE_FAILED, ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED]
+    assert [o.exit_code for o in outcomes] == [
+        ExitCode.ACCEPTANCE_FAILED,
+        ExitCode.PASS,
+        ExitCode.ACCEPTANCE_FAILED,
+    ]
 
 
 def test_one_writer_at_a_time(bench):
@@ -329,7 +377,8 @@ def test_one_writer_at_a_time(bench):
 def test_replacement_cut_short_is_mended(bench, moment):
     """Between the two renames of a replacement there is an instant with the old result aside."""
     bench.run_all()
-    folder, old = bench.store.folder / "first", bench.store.folder / ".first.old"
+    folder = bench.store.folder / "first"
+    old = bench.store.folder / ".first.old"
     if moment == "after it is":
         shutil.copytree(folder, old)
     else:
@@ -349,7 +398,10 @@ def test_run_names_are_folder_names(tmp_path, run):
 def test_data_that_is_not_json_is_a_crash_not_a_pass(bench, monkeypatch):
     result = StageResult([Check("x", 1, "<", 2)], data={"model": object()})
     monkeypatch.setattr(bench.first, "run", lambda context: result)
-    with pytest.raises(StageCrashedError, match=r"first\.data\.model: object cannot be written as JSON"):
+    with pytest.raises(
+        StageCrashedError,
+        match=r"first\.data\.model: object cannot be written as JSON",
+    ):
         bench.runner().run("first")
 
 
@@ -364,7 +416,14 @@ def refuse(config):
 
 def test_what_is_typed_wrongly_is_said_before_the_gate_is_looked_at(bench):
     entries = [
-        StageEntry("first", bench.first, (), "Toy one", (KNOB,), options=(Option("queries", "How many.", int, KNOB),)),
+        StageEntry(
+            "first",
+            bench.first,
+            (),
+            "Toy one",
+            (KNOB,),
+            options=(Option("queries", "How many.", int, KNOB),),
+        ),
         StageEntry("second", bench.second, ("first",), "Toy two", check=f"{__name__}:refuse"),
     ]
     runner = Runner(StageTable(tuple(entries), libraries=("numpy",)), bench.store, bench.loaded())

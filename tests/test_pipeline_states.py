@@ -31,7 +31,11 @@ def test_nothing_has_run(bench):
 
 def test_all_pass(finished):
     assert finished.states() == ["pass", "pass", "pass"]
-    assert [len(toy.contexts) for toy in (finished.first, finished.second, finished.third)] == [1, 1, 1]
+    assert [len(toy.contexts) for toy in (finished.first, finished.second, finished.third)] == [
+        1,
+        1,
+        1,
+    ]
 
 
 def test_verdict_stands_where_it_is_promised(finished):
@@ -89,7 +93,11 @@ def _same_size(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("tamper", "reason"),
-    [(_overwrite, "changed (was"), (_same_size, "changed (same size, other content)"), (Path.unlink, "is gone")],
+    [
+        (_overwrite, "changed (was"),
+        (_same_size, "changed (same size, other content)"),
+        (Path.unlink, "is gone"),
+    ],
 )
 def test_tampering_with_an_artefact_is_stale(finished, tamper, reason):
     tamper(finished.store.folder / "first" / "out" / "numbers.txt")
@@ -126,7 +134,10 @@ def test_edited_verdict_is_an_error_not_a_pass(finished):
 
 def test_verdict_of_another_stage_is_corrupt(finished):
     shutil.copy(finished.store.verdict_path("second"), finished.store.verdict_path("third"))
-    assert "it is the verdict of stage second, not of third" in finished.gate().state("third").reasons[0]
+    assert (
+        "it is the verdict of stage second, not of third"
+        in finished.gate().state("third").reasons[0]
+    )
 
 
 def test_folder_without_verdict_is_missing(finished):

@@ -68,11 +68,18 @@ def test_pass_if_and_only_if_all_limited_checks_pass_and_there_is_one(checks):
 @given(checks_strategy)
 def test_file_round_trip_keeps_everything(tmp_path_factory, checks):
     path = tmp_path_factory.mktemp("v") / "verdict.json"
-    verdict = make_verdict(*checks, data={"curve": [1.0, float("nan")]}, notes=("n",), options={"trials": 3})
+    verdict = make_verdict(
+        *checks,
+        data={"curve": [1.0, float("nan")]},
+        notes=("n",),
+        options={"trials": 3},
+    )
     path.write_text(dumps(verdict.to_json()))
     again, sha256 = read_verdict(path)
     assert again.to_json() == verdict.to_json()
-    assert [type(check.observed) for check in again.checks] == [type(check.observed) for check in checks]
+    assert [type(check.observed) for check in again.checks] == [
+        type(check.observed) for check in checks
+    ]
     assert again.fingerprint == verdict.fingerprint
     assert len(sha256) == 64
 
@@ -104,7 +111,11 @@ def _edit(record: dict, **changes) -> str:
 
 def _doubled() -> str:
     """Return a verdict that says "fail" first and its own "pass" last: the digest holds for the last."""
-    return dumps(make_verdict(Check("x", 1, "<", 2)).to_json()).replace("{", '{"status": "fail",', 1)
+    return dumps(make_verdict(Check("x", 1, "<", 2)).to_json()).replace(
+        "{",
+        '{"status": "fail",',
+        1,
+    )
 
 
 def _reasons():
@@ -119,7 +130,11 @@ def _reasons():
     yield "edited", json.dumps({**record, "duration_s": 9.0}), "edited after it was written"
     yield "status", _edit(record, status="pass"), "it says status 'pass', its content says 'fail'"
     yield "acceptance", _edit(record, acceptance=True), "it says acceptance True"
-    yield "result", _edit(record, checks=loose), "it says checks.x.passed True, its content says False"
+    yield (
+        "result",
+        _edit(record, checks=loose),
+        "it says checks.x.passed True, its content says False",
+    )
     yield "schema", _edit(record, schema=99), "schema 99 is not 2"
     yield "missing part", _edit(record, fingerprint={}), "malformed verdict"
 
@@ -165,7 +180,13 @@ def test_differences_name_what_changed():
 
 
 def test_version_commit_machine_and_libraries_only_warn():
-    now = dataclasses.replace(FINGERPRINT, version="1", commit="abc", machine={"cores": 4}, libraries={"numpy": "3"})
+    now = dataclasses.replace(
+        FINGERPRINT,
+        version="1",
+        commit="abc",
+        machine={"cores": 4},
+        libraries={"numpy": "3"},
+    )
     assert FINGERPRINT.differences(now) == []
     assert len(FINGERPRINT.circumstances(now)) == 4
 

@@ -49,7 +49,9 @@ def seen(world: World, planner: Planner, off_m: np.ndarray | None = None) -> Pla
     """Return a trial whose bottle was seen `off_m` (3,) from its place."""
     begin(world, TASK, TRIAL)
     stack = ControlStack(
-        world, Kinematics(), supervisor=trial_supervisor(TASK.config.supervisor, world.dt, world.robot)
+        world,
+        Kinematics(),
+        supervisor=trial_supervisor(TASK.config.supervisor, world.dt, world.robot),
     )
     pose = world.object_pose() if off_m is None else moved(world.object_pose(), off_m)
     return PlannedCarry(stack, planner, TASK, TRIAL, 0, poses={NAME: pose})
@@ -72,16 +74,30 @@ def drive(carry: PlannedCarry, until: str) -> list[str]:
 @pytest.mark.parametrize("dry_nm", [0.0, 0.5])
 @pytest.mark.parametrize("off_m", [-0.018, 0.018])
 def test_the_hand_backs_off_and_grasps_the_bottle_where_it_is(
-    world: World, planner: Planner, axis: np.ndarray, off_m: float, dry_nm: float
+    world: World,
+    planner: Planner,
+    axis: np.ndarray,
+    off_m: float,
+    dry_nm: float,
 ) -> None:
     carry = seen(world, planner, -off_m * axis)
-    arm, before = giver(carry), carry._poses[NAME]
+    arm = giver(carry)
+    before = carry._poses[NAME]
     world.model.dof_frictionloss[world.joints.qvel] = dry_nm
     try:
         phases = drive(carry, "lift")
     finally:
         world.model.dof_frictionloss[world.joints.qvel] = 0.0
-    assert phases == ["approach", "descend", "done", "retreat", "approach", "descend", "close", "lift"], carry.aborted
+    assert phases == [
+        "approach",
+        "descend",
+        "done",
+        "retreat",
+        "approach",
+        "descend",
+        "close",
+        "lift",
+    ], carry.aborted
     assert carry.aborted is None
     assert carry.solution.pipeline.stages[0].name == "back off"
     assert world.truth().pinch()[arm] > LEAST_N
@@ -93,7 +109,8 @@ def test_the_hand_backs_off_and_grasps_the_bottle_where_it_is(
 
 def test_dry_joints_are_hardly_a_touch(world: World, planner: Planner) -> None:
     """On the way down friction is nearly constant: the supervisor feels it, and takes little of it for a touch."""
-    carry, felt = seen(world, planner), []
+    carry = seen(world, planner)
+    felt = []
     supervisor = carry.stack.supervisor
     world.model.dof_frictionloss[world.joints.qvel] = 0.5
     try:
@@ -110,14 +127,19 @@ def test_dry_joints_are_hardly_a_touch(world: World, planner: Planner) -> None:
 
 
 def test_a_bottle_within_reach_of_the_fingers_needs_no_second_grasp(
-    world: World, planner: Planner, axis: np.ndarray
+    world: World,
+    planner: Planner,
+    axis: np.ndarray,
 ) -> None:
     carry = seen(world, planner, -0.008 * axis)
     assert drive(carry, "lift") == ["approach", "descend", "close", "lift"]
 
 
 def test_after_three_tries_the_reflex_ends_the_trial(
-    world: World, planner: Planner, axis: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    world: World,
+    planner: Planner,
+    axis: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(planned_carry, "_ASIDE_M", 0.0)
     carry = seen(world, planner, -0.018 * axis)
@@ -129,7 +151,10 @@ def test_after_three_tries_the_reflex_ends_the_trial(
 
 
 def test_a_plan_that_is_not_found_leaves_the_arms_stopped(
-    world: World, planner: Planner, axis: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    world: World,
+    planner: Planner,
+    axis: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(planned_carry, "_ASIDE_M", 1.5)  # to beyond the table
     carry = seen(world, planner, -0.018 * axis)
@@ -142,7 +167,10 @@ def test_a_plan_that_is_not_found_leaves_the_arms_stopped(
 
 @pytest.mark.parametrize("after", [0, 3])
 def test_a_halt_in_the_stop_of_a_touch_is_not_overridden(
-    world: World, planner: Planner, axis: np.ndarray, after: int
+    world: World,
+    planner: Planner,
+    axis: np.ndarray,
+    after: int,
 ) -> None:
     """Before, the arms recovered and drove on: by 0.50 rad."""
     carry = seen(world, planner, -0.018 * axis)
@@ -160,12 +188,19 @@ def test_a_halt_in_the_stop_of_a_touch_is_not_overridden(
 
 
 def test_arms_that_are_not_measured_grasp_nothing_again(
-    world: World, planner: Planner, axis: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    world: World,
+    planner: Planner,
+    axis: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Before, `step` raised: the touch of NaN has no force."""
     carry = seen(world, planner, -0.018 * axis)
     assert drive(carry, "done") == ["approach", "descend", "done"]
-    monkeypatch.setattr(np.linalg, "lstsq", lambda a, b: _raise(np.linalg.LinAlgError("SVD did not converge")))
+    monkeypatch.setattr(
+        np.linalg,
+        "lstsq",
+        lambda a, b: _raise(np.linalg.LinAlgError("SVD did not converge")),
+    )
     for _ in range(600):
         carry.step()
     assert carry.done
@@ -179,7 +214,9 @@ def _raise(error: Exception) -> None:
 
 def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:
     """Return the joint torques of a force up on the giving hand, so far along its fingers."""
-    arm, kinematics, q = giver(carry), carry.stack.kinematics, carry.world.q
+    arm = giver(carry)
+    kinematics = carry.stack.kinematics
+    q = carry.world.q
     x, _, z = kinematics.tcp_poses(q)[arm][:3, :3].T
     wrench = np.r_[-force_n * z, -force_n * aside_m * x]
     return kinematics.tcp_jacobians(q)[arm].T @ wrench
@@ -197,10 +234,17 @@ def wrenched(carry: PlannedCarry, force_n: float, aside_m: float) -> np.ndarray:
     ],
 )
 def test_only_a_press_on_one_finger_says_where_the_object_is(
-    world: World, planner: Planner, force_n: float, aside_m: float, held: bool, goes_on: bool
+    world: World,
+    planner: Planner,
+    force_n: float,
+    aside_m: float,
+    held: bool,
+    goes_on: bool,
 ) -> None:
     carry = seen(world, planner)
-    solution, tries, before = carry.solution, carry._tries_left, carry._poses[NAME]
+    solution = carry.solution
+    tries = carry._tries_left
+    before = carry._poses[NAME]
     segment = next(s for s in solution.segments if s.phase == "descend")
     k = next(k for k, part in enumerate(solution.parts) if segment in part)
     if held:
@@ -210,8 +254,12 @@ def test_only_a_press_on_one_finger_says_where_the_object_is(
     along = carry.stack.kinematics.tcp_poses(world.q)[giver(carry)][:3, 1]
     carry._grasp_again(solution, segment, wrenched(carry, force_n, aside_m))
     assert (carry._tries_left < tries) == goes_on
-    assert (carry.solution is not solution and carry.solution.pipeline.stages[0].name == "back off") == goes_on
-    assert (carry._poses[NAME] - before)[:3, 3] == pytest.approx(goes_on * np.sign(aside_m) * 0.02 * along)
+    assert (
+        carry.solution is not solution and carry.solution.pipeline.stages[0].name == "back off"
+    ) == goes_on
+    assert (carry._poses[NAME] - before)[:3, 3] == pytest.approx(
+        goes_on * np.sign(aside_m) * 0.02 * along,
+    )
 
 
 @pytest.mark.parametrize(
@@ -225,7 +273,11 @@ def test_only_a_press_on_one_finger_says_where_the_object_is(
     ],
 )
 def test_only_a_touch_on_the_way_down_is_tried_again(
-    world: World, planner: Planner, name: str, phase: str, goes_on: bool
+    world: World,
+    planner: Planner,
+    name: str,
+    phase: str,
+    goes_on: bool,
 ) -> None:
     carry = seen(world, planner)
     while carry.phase != phase:

@@ -68,7 +68,9 @@ def _rows_added(file: Path) -> None:
     """Pairs of one arm that touch, declared to be allowed."""
     digest, content = file.read_text().split("\n")
     record = json.loads(content)
-    checked = [["left_panda_hand", f"left_panda_link{k}", "never in 80000 samples"] for k in range(5)]
+    checked = [
+        ["left_panda_hand", f"left_panda_link{k}", "never in 80000 samples"] for k in range(5)
+    ]
     file.write_text(f"{digest}\n{json.dumps({**record, 'pairs': record['pairs'] + checked})}")
 
 
@@ -112,7 +114,19 @@ def _replaced_by(make):
         _replaced_by(lambda file: file.symlink_to("/dev/zero")),
         _replaced_by(lambda file: file.symlink_to(file)),
     ],
-    ids=["added", "edited", "other", "fields", "empty", "cut", "bytes", "3 GB", "pipe", "device", "loop"],
+    ids=[
+        "added",
+        "edited",
+        "other",
+        "fields",
+        "empty",
+        "cut",
+        "bytes",
+        "3 GB",
+        "pipe",
+        "device",
+        "loop",
+    ],
 )
 def test_a_damaged_cache_is_built_again(built, tmp_path, monkeypatch, damage):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
@@ -149,5 +163,7 @@ def test_pairs_that_the_model_rules_out_count_in_either_order():
     by_pair = {(a, b): reason for a, b, reason in tables[0]}
     assert len(by_pair) == len(tables[0])
     assert (
-        by_pair["left_panda_hand", "left_panda_link5"] == by_pair["right_panda_link0", "right_panda_link2"] == "model"
+        by_pair["left_panda_hand", "left_panda_link5"]
+        == by_pair["right_panda_link0", "right_panda_link2"]
+        == "model"
     )

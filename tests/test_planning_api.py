@@ -62,17 +62,25 @@ def test_each_group_reaches_its_goal_and_holds_the_rest(planner, group):
 
 
 def test_a_blocked_line_is_gone_round(post_planner):
-    start, goal = beside_the_post(1), beside_the_post(-1)
+    start = beside_the_post(1)
+    goal = beside_the_post(-1)
     result = post_planner.plan_to_joints("left_arm", start, goal, seed=3)
     assert not result.direct
     assert len(result.path) > 2
     assert result.verification.ok
     # Oracle: without the post the same query is a straight line.
-    assert post_planner.plan_to_joints("left_arm", start, goal, seed=3, scene=PlanningScene()).direct
+    assert post_planner.plan_to_joints(
+        "left_arm",
+        start,
+        goal,
+        seed=3,
+        scene=PlanningScene(),
+    ).direct
 
 
 def test_same_seed_same_trajectory_bit_for_bit_even_after_other_queries(post_planner):
-    start, goal = beside_the_post(1), beside_the_post(-1)
+    start = beside_the_post(1)
+    goal = beside_the_post(-1)
     first = post_planner.plan_to_joints("left_arm", start, goal, seed=5).trajectory
     post_planner.plan_to_joints("right_arm", start, HOME[7:] + 0.1, seed=9)
     again = post_planner.plan_to_joints("left_arm", start, goal, seed=5).trajectory
@@ -86,7 +94,11 @@ def test_same_seed_same_trajectory_bit_for_bit_even_after_other_queries(post_pla
 def test_pose_goals_are_reached_by_both_hands(planner):
     targets = {"left": pose(DOWN, (0.5, 0.4, 0.15)), "right": pose(DOWN, (0.5, -0.4, 0.15))}
     result = planner.plan_to_poses("both_arms", HOME, targets, seed=2)
-    for T, wanted in zip(Kinematics().tcp_poses(result.trajectory.q[-1]), targets.values(), strict=True):
+    for T, wanted in zip(
+        Kinematics().tcp_poses(result.trajectory.q[-1]),
+        targets.values(),
+        strict=True,
+    ):
         assert np.abs(T - wanted).max() < 1e-6
     again = planner.plan_to_poses("both_arms", HOME, targets, seed=2)
     assert again.trajectory.digest() == result.trajectory.digest()
@@ -102,7 +114,8 @@ def test_start_in_collision_names_the_pair_and_the_depth(planner):
     start = HOME.copy()
     start[0], start[7] = -0.9, 0.9
     with pytest.raises(
-        StartInCollisionError, match=r"start is in collision: left_panda_\w+ and right_panda_\w+ penetrate by [\d.]+ mm"
+        StartInCollisionError,
+        match=r"start is in collision: left_panda_\w+ and right_panda_\w+ penetrate by [\d.]+ mm",
     ):
         planner.plan_to_joints("left_arm", start, HOME[:7])
 
@@ -116,11 +129,19 @@ def test_goal_in_collision_names_the_pair(planner):
         planner.plan_to_joints("right_arm", start, goal, scene=scene)
     # A pose that can be reached, but only inside the ball:
     with pytest.raises(GoalInCollisionError, match="goal is in collision"):
-        planner.plan_to_poses("right_arm", start, {"right": Kinematics().tcp_poses(HOME)[1]}, scene=scene)
+        planner.plan_to_poses(
+            "right_arm",
+            start,
+            {"right": Kinematics().tcp_poses(HOME)[1]},
+            scene=scene,
+        )
 
 
 def test_unreachable_pose_names_the_residual(planner):
-    with pytest.raises(IKUnreachableError, match=r"left hand cannot reach \(1.500, 0.000, 0.300\) m .* mm and"):
+    with pytest.raises(
+        IKUnreachableError,
+        match=r"left hand cannot reach \(1.500, 0.000, 0.300\) m .* mm and",
+    ):
         planner.plan_to_poses("left_arm", HOME, {"left": pose(DOWN, (1.5, 0.0, 0.3))})
 
 
@@ -149,10 +170,16 @@ def test_goals_out_of_limits_are_named(planner):
 
 def test_no_path_in_time_names_budget_attempts_and_reason():
     """A wall through the left base with a gap just wide enough for the folded arm, and steps too small to find it."""
-    walls = [Box(f"wall{side}", (side * 0.59, 0.25, 0.9), size_m=(0.9, 0.02, 1.8)) for side in (-1, 1)]
+    walls = [
+        Box(f"wall{side}", (side * 0.59, 0.25, 0.9), size_m=(0.9, 0.02, 1.8)) for side in (-1, 1)
+    ]
     scene = PlanningScene().with_obstacles(*walls)
-    start, goal = beside_the_post(1.4), beside_the_post(-1.4)
-    planner = Planner(scene, PlannerConfig(search_checks_n=200, edge_step_rad=0.0005, range_rad=0.05))
+    start = beside_the_post(1.4)
+    goal = beside_the_post(-1.4)
+    planner = Planner(
+        scene,
+        PlannerConfig(search_checks_n=200, edge_step_rad=0.0005, range_rad=0.05),
+    )
     planner.engines()
     with pytest.raises(
         NoPathInTimeError,
@@ -167,7 +194,8 @@ def test_no_path_in_time_names_budget_attempts_and_reason():
 def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     """The planner's own word never counts: what the proof refuses once is made anew."""
     verifier = post_planner.engines()
-    verify, calls = verifier.verify, []
+    verify = verifier.verify
+    calls = []
 
     def refuse_first(trajectory):
         calls.append(trajectory)
@@ -175,16 +203,29 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
         return report if len(calls) > 1 else report._replace(ok=False, reason="made up")
 
     monkeypatch.setattr(verifier, "verify", refuse_first)
-    result = post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=3)
+    result = post_planner.plan_to_joints(
+        "left_arm",
+        beside_the_post(1),
+        beside_the_post(-1),
+        seed=3,
+    )
     assert result.attempts_n == 2
     assert result.notes == ("proof failed: made up",)
     monkeypatch.setattr(verifier, "verify", lambda t: verify(t)._replace(ok=False, reason="no"))
     with pytest.raises(NoPathInTimeError, match="proof failed: no"):
-        post_planner.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(1)[:7] + 0.1, budget_s=0.3)
+        post_planner.plan_to_joints(
+            "left_arm",
+            beside_the_post(1),
+            beside_the_post(1)[:7] + 0.1,
+            budget_s=0.3,
+        )
 
 
 def test_unknown_group_and_wrong_targets(planner):
-    with pytest.raises(UsageError, match="no group 'both'; there are both_arms, left_arm, right_arm"):
+    with pytest.raises(
+        UsageError,
+        match="no group 'both'; there are both_arms, left_arm, right_arm",
+    ):
         planner.plan_to_joints("both", HOME, HOME)
     with pytest.raises(UsageError, match="targets name right; left_arm needs left"):
         planner.plan_to_poses("left_arm", HOME, {"right": np.eye(4)})
@@ -207,7 +248,12 @@ def test_allowing_and_forbidding_a_pair_changes_what_plans(planner):
     result = planner.plan_to_joints("left_arm", start, HOME, scene=scene)
     assert result.verification.ok
     with pytest.raises(GoalInCollisionError, match="foam and left_panda_rightfinger"):
-        planner.plan_to_joints("left_arm", start, HOME, scene=scene.forbidding("left_panda_rightfinger", "foam"))
+        planner.plan_to_joints(
+            "left_arm",
+            start,
+            HOME,
+            scene=scene.forbidding("left_panda_rightfinger", "foam"),
+        )
 
 
 def test_forbidding_a_robot_pair_changes_what_plans(planner):
@@ -219,17 +265,25 @@ def test_forbidding_a_robot_pair_changes_what_plans(planner):
     assert planner.plan_to_joints("left_arm", HOME, HOME[:7] + 0.1, scene=back).verification.ok
 
 
-@pytest.mark.parametrize("settings", [{"planner": "rrtconect"}, {"fallback_planners": ("kpiece", "rrtconect")}])
+@pytest.mark.parametrize(
+    "settings",
+    [{"planner": "rrtconect"}, {"fallback_planners": ("kpiece", "rrtconect")}],
+)
 def test_an_unknown_planner_is_refused_before_the_first_query(settings):
     config = Config.model_validate({"plan": {"planner": settings}})
-    with pytest.raises(UsageError, match=r"no planner 'rrtconect'.*\n?.*did you mean 'rrtconnect'") as caught:
+    with pytest.raises(
+        UsageError,
+        match=r"no planner 'rrtconect'.*\n?.*did you mean 'rrtconnect'",
+    ) as caught:
         STAGES["plan"].resolved(config, checked=True)
     assert "kpiece" in str(caught.value)
 
 
 def test_a_planner_of_another_distribution_plans(post_planner, monkeypatch):
     monkeypatch.setitem(
-        PLANNERS._rows, "bkpiece", "ompl.geometric:BKPIECE1"
+        PLANNERS._rows,
+        "bkpiece",
+        "ompl.geometric:BKPIECE1",
     )  # as an entry point of minidual.planners names it
     other = Planner(post_planner.scene, PlannerConfig(planner="bkpiece"))
     result = other.plan_to_joints("left_arm", beside_the_post(1), beside_the_post(-1), seed=1)
@@ -261,7 +315,9 @@ def test_patience_grows_up_to_a_bound():
     assert sizes[:3] == [3750, 5625, 8437]
     assert sizes == sorted(sizes)
     assert sizes[-1] == 10_000_000
-    assert Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000  # never less than was asked for
+    assert (
+        Effort(0.008, 0.05, 50_000_000).after_no_path().checks_n == 50_000_000
+    )  # never less than was asked for
 
 
 def test_padding_never_shrinks_after_a_failed_proof():

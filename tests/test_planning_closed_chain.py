@@ -21,7 +21,13 @@ RADIUS = 0.00887
 DOWN = rot_z(np.pi / 2) @ rot_x(np.pi)
 GRASPS = (pose(DOWN, (0.0, 0.12, 0.003)), pose(DOWN, (0.0, -0.12, 0.003)))
 HELD = {"left": GRASPS[0], "right": GRASPS[1]}
-ROD = Capsule("rod", (0, 0, 0), (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0), radius_m=RADIUS, length_m=0.28)
+ROD = Capsule(
+    "rod",
+    (0, 0, 0),
+    (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0),
+    radius_m=RADIUS,
+    length_m=0.28,
+)
 
 
 def rod_at(x, y, z, yaw=0.0):
@@ -47,7 +53,12 @@ def waypoints():
 
 @pytest.fixture(scope="module")
 def carried(q_start, waypoints):
-    return HeldPlanner().follow(q_start, waypoints, GRASPS, scene=scene_holding(PlanningScene(), ROD, HELD))
+    return HeldPlanner().follow(
+        q_start,
+        waypoints,
+        GRASPS,
+        scene=scene_holding(PlanningScene(), ROD, HELD),
+    )
 
 
 def test_grasps_hold_on_a_much_finer_grid_than_was_solved(carried):
@@ -94,7 +105,9 @@ def test_the_proof_covers_the_rod(carried, q_start, waypoints):
     assert carried.verification is not None
     assert carried.verification.ok
     # A block that only the rod would hit, under its way between the hands:
-    blocked = PlanningScene().with_obstacles(Box("block", (0.5, 0.0, 0.06), size_m=(0.02, 0.02, 0.13)))
+    blocked = PlanningScene().with_obstacles(
+        Box("block", (0.5, 0.0, 0.06), size_m=(0.02, 0.02, 0.13)),
+    )
     with pytest.raises(ClosedChainError, match=r"not free: .*block"):
         HeldPlanner().follow(q_start, waypoints, GRASPS, scene=scene_holding(blocked, ROD, HELD))
 
@@ -117,7 +130,9 @@ def test_rotation_while_carrying(q_start):
     turned = [rod_at(0.5, 0.25, 0.2, 0.2), rod_at(0.5, 0.0, 0.2, 0.8)]
     planner = Planner()
     q = planner.plan_to_poses(
-        "both_arms", q_start, {"left": turned[0] @ GRASPS[0], "right": turned[0] @ GRASPS[1]}
+        "both_arms",
+        q_start,
+        {"left": turned[0] @ GRASPS[0], "right": turned[0] @ GRASPS[1]},
     ).q_goal
     plan = HeldPlanner().follow(q, turned, GRASPS)
     assert plan.residual_m < 1e-4
@@ -127,7 +142,10 @@ def test_rotation_while_carrying(q_start):
 def test_start_off_the_grasp_is_refused(q_start, waypoints):
     off = [T.copy() for T in waypoints]
     off[0][0, 3] += 0.01
-    with pytest.raises(ClosedChainError, match=r"left hand is 10.00 mm and 0.0000 rad off its grasp"):
+    with pytest.raises(
+        ClosedChainError,
+        match=r"left hand is 10.00 mm and 0.0000 rad off its grasp",
+    ):
         HeldPlanner().follow(q_start, off, GRASPS)
     left, right = (inverse(off[0]) @ T for T in Kinematics().tcp_poses(q_start))
     assert HeldPlanner().follow(q_start, off, (left, right)).residual_m < 1e-4
@@ -135,7 +153,10 @@ def test_start_off_the_grasp_is_refused(q_start, waypoints):
 
 def test_out_of_reach_names_the_hand_and_the_place(q_start, waypoints):
     far = [waypoints[0], rod_at(1.4, 0.25, 0.3, 0.2)]
-    with pytest.raises(ClosedChainError, match=r"the \w+ hand cannot follow.*\(0\.\d+, 0\.\d+, 0\.\d+\) m"):
+    with pytest.raises(
+        ClosedChainError,
+        match=r"the \w+ hand cannot follow.*\(0\.\d+, 0\.\d+, 0\.\d+\) m",
+    ):
         HeldPlanner().follow(q_start, far, GRASPS)
 
 
@@ -145,7 +166,10 @@ def test_bad_input_is_named(q_start, waypoints):
         planner.follow(q_start, waypoints[:1], GRASPS)
     with pytest.raises(UsageError, match="same pose"):
         planner.follow(q_start, [waypoints[0], waypoints[0]], GRASPS)
-    with pytest.raises(UsageError, match="waypoint 1 of the object holds a value that is not finite"):
+    with pytest.raises(
+        UsageError,
+        match="waypoint 1 of the object holds a value that is not finite",
+    ):
         planner.follow(q_start, [waypoints[0], waypoints[1] * np.nan], GRASPS)
     with pytest.raises(UsageError, match="the left grasp is no rigid pose"):
         planner.follow(q_start, waypoints, (2.0 * GRASPS[0], GRASPS[1]))

@@ -102,7 +102,8 @@ def test_a_wall_is_passed_and_the_proof_covers_the_rod(planner, over_the_wall):
 
 
 def test_goal_postures_are_searched_longer_before_a_goal_is_refused(planner, q_start, monkeypatch):
-    usual, tried = planner.planner.config.ik_restarts_n, []
+    usual = planner.planner.config.ik_restarts_n
+    tried = []
 
     def rare(*args):
         tried.append(args[-2])
@@ -127,13 +128,18 @@ def test_hands_keep_their_grasps_at_1_khz_and_between(over_the_wall, q_start):
     # Oracle: forward kinematics at random times against the constraint.
     constraint = GraspConstraint(inverse(GRASPS[0]) @ GRASPS[1], Kinematics())
     times = np.random.default_rng(0).uniform(0.0, over_the_wall.duration_s, 400)
-    off = np.array([constraint.value_and_jacobian(q)[0] for q in over_the_wall.sample_many(times)[0]])
+    off = np.array(
+        [constraint.value_and_jacobian(q)[0] for q in over_the_wall.sample_many(times)[0]],
+    )
     assert np.linalg.norm(off[:, :3], axis=1).max() < 1e-4
     assert np.linalg.norm(off[:, 3:], axis=1).max() < np.deg2rad(0.05)
     # Negative control: a hand that turns by 2 mrad is seen.
     bent = over_the_wall.q.copy()
     bent[len(bent) // 2, 13] += 2e-3
-    assert timed_residual(dataclasses.replace(over_the_wall, q=bent), query(q_start), Kinematics())[1] > 1.9e-3
+    assert (
+        timed_residual(dataclasses.replace(over_the_wall, q=bent), query(q_start), Kinematics())[1]
+        > 1.9e-3
+    )
 
 
 def test_same_query_same_bytes(planner, over_the_wall, q_start):
@@ -156,7 +162,8 @@ def test_continuation_and_projection_agree_with_the_grasps(q_start):
 
 
 def test_rounding_beyond_a_limit_is_cut_off_and_more_is_refused(monkeypatch, q_start):
-    hands, q = HandsIK(GRASPS, DUAL_PANDA), q_start.copy()
+    hands = HandsIK(GRASPS, DUAL_PANDA)
+    q = q_start.copy()
     monkeypatch.setattr(hands, "_nearest", lambda *_: q)
     q[10] = Q_UPPER[10] + 5e-7
     assert hands.solve(START, q_start)[10] == Q_UPPER[10]
@@ -181,7 +188,8 @@ def test_search_and_shortening_stay_free(planner, q_start):
     q_goal = planner.plan(problem).q[-1]
     checker = EdgeChecker(planner.planner.engines(problem.scene), 0.005, (q_start, q_goal), 0.03)
     space = HeldSpace(hands, ObjectChart(START[:3, :3]), checker)
-    start, goal = space.point(START, q_start), space.point(GOAL, q_goal)
+    start = space.point(START, q_start)
+    goal = space.point(GOAL, q_goal)
     assert not space.edge_free(start, goal)
     rng = np.random.default_rng(5)
     checker.allow(20_000, time.perf_counter() + 60.0)
@@ -207,7 +215,10 @@ def test_search_and_shortening_stay_free(planner, q_start):
 def test_bad_queries_are_named_with_numbers(planner, q_start):
     off = q_start.copy()
     off[6] += 0.05
-    with pytest.raises(ClosedChainError, match=r"right hand is \d+\.\d+ mm and 0\.05\d+ rad off its grasp"):
+    with pytest.raises(
+        ClosedChainError,
+        match=r"right hand is \d+\.\d+ mm and 0\.05\d+ rad off its grasp",
+    ):
         planner.plan(query(off))
     far = pose(np.eye(3), (1.4, 0.0, 0.3))
     with pytest.raises(IKUnreachableError, match=r"hand cannot reach .*mm and \d+\.\d+ rad away"):
@@ -259,7 +270,12 @@ def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
     path = HeldPath.through([START, GOAL])
     followed, _ = hands.follow(path.poses(np.linspace(0.0, path.length, 60)), q_start)
     chart = ObjectChart(START[:3, :3])
-    points = np.array([np.concatenate([chart.coordinates(T), q]) for T, q in ((START, q_start), (GOAL, followed[-1]))])
+    points = np.array(
+        [
+            np.concatenate([chart.coordinates(T), q])
+            for T, q in ((START, q_start), (GOAL, followed[-1]))
+        ],
+    )
     assert HeldWork(planner.planner, query(q_start)).rounded(points, "given").verification.ok
     with pytest.raises(ClosedChainError, match=r"not free: .*wall"):
         HeldWork(planner.planner, query(q_start, obstacles=(WALL,))).rounded(points, "given")
@@ -269,7 +285,8 @@ def test_a_witness_that_passes_through_things_is_refused(planner, q_start):
 def driven():
     scene = SceneConfig()
     generator = HeldMoveGenerator(5, scene, from_table=True)
-    planner, world = HeldPlanner(), World(scene)
+    planner = HeldPlanner()
+    world = World(scene)
     plans = [planner.plan(generator.move(i).query) for i in (0, 1)]
     return scene, plans, [execute(plan, world) for plan in plans]
 
@@ -290,7 +307,10 @@ def test_an_execution_that_strays_is_seen(driven):
     scene, plans, _ = driven
     elsewhere = plans[0].Ts_world_object.copy()
     elsewhere[200:, 0, 3] += 0.003
-    assert execute(dataclasses.replace(plans[0], Ts_world_object=elsewhere), World(scene)).error_max_m > 0.0025
+    assert (
+        execute(dataclasses.replace(plans[0], Ts_world_object=elsewhere), World(scene)).error_max_m
+        > 0.0025
+    )
     dropped = execute(plans[0], World(scene), close_s=0.001)
     assert dropped.error_max_m > 0.002
     tilted = plans[0].Ts_world_object.copy()
@@ -327,7 +347,8 @@ def test_every_check_can_fail(outcomes, driven):
     lost = dataclasses.replace(executions[0], error_max_m=float("nan"))
     assert names(runs=[lost, executions[1]]) == {"closed_chain.executed_error_max_m"}
     left_out = dataclasses.replace(
-        outcomes[0], move=dataclasses.replace(outcomes[0].move, undecided_n=3, unreachable_n=5)
+        outcomes[0],
+        move=dataclasses.replace(outcomes[0].move, undecided_n=3, unreachable_n=5),
     )
     sets = {"first": [left_out], "second": [left_out]}
     (draws,) = [c for c in held_checks(sets, executions, config) if "left_out" in c.name]
@@ -340,7 +361,10 @@ def test_every_check_can_fail(outcomes, driven):
         "closed_chain.executed_error_max_rad",
     }
     nothing = [failed]
-    assert names(first=nothing, second=nothing) >= {"closed_chain.residual_max_m", "closed_chain.success_rate"}
+    assert names(first=nothing, second=nothing) >= {
+        "closed_chain.residual_max_m",
+        "closed_chain.success_rate",
+    }
 
 
 def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch):
@@ -357,7 +381,11 @@ def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch
     assert len(plans) == 1
     assert failures == ["held move 1 off the table cannot be driven: no such move"]
     config = Config(plan=PlanConfig(held=HeldMovesConfig(moves_n=2)))
-    monkeypatch.setattr(HeldMoveGenerator, "move", lambda self, i: move(self, 0 if self._seed == 5 else i))
+    monkeypatch.setattr(
+        HeldMoveGenerator,
+        "move",
+        lambda self, i: move(self, 0 if self._seed == 5 else i),
+    )
     assert [o.ok for o in run_moves(config, 5)] == [True, True]
 
 
@@ -371,13 +399,15 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
     assert work.search(method, [end + 0.3], effort._replace(checks_n=50), 1) is None
     points = work.search(method, [end + 0.3, end], effort, 1)
     assert np.abs(points[-1, Q] - end).max() < 1e-3
-    hands, chart = HandsIK(GRASPS, DUAL_PANDA), ObjectChart(START[:3, :3])
+    hands = HandsIK(GRASPS, DUAL_PANDA)
+    chart = ObjectChart(START[:3, :3])
     assert max(hands.strays(points[:, Q], chart.poses(points[:, X]))) < 1e-6
 
 
 def test_a_search_that_fails_keeps_the_known_goals(planner, q_start, monkeypatch):
     end = planner.plan(query(q_start)).q[-1]
-    work, searched = HeldWork(planner.planner, query(q_start, obstacles=(WALL,)), 2.0), []
+    work = HeldWork(planner.planner, query(q_start, obstacles=(WALL,)), 2.0)
+    searched = []
 
     def postures(straight, wanted_n, *_):
         if wanted_n == 1:

@@ -27,7 +27,10 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 @pytest.fixture
 def run(tmp_path, capsys):
     def call(*words):
-        code = run_command_line(["plan", *map(str, words), "--runs-dir", str(tmp_path / "runs")], STAGES)
+        code = run_command_line(
+            ["plan", *map(str, words), "--runs-dir", str(tmp_path / "runs")],
+            STAGES,
+        )
         out = capsys.readouterr()
         assert not list(tmp_path.rglob("verdict.json"))
         return code, out.out, out.err
@@ -37,10 +40,24 @@ def run(tmp_path, capsys):
 
 def test_a_plan_prints_its_summary_and_writes_its_files(run, tmp_path):
     code, out, err = run(
-        "--group", "both_arms", "--to", "ready", "--out", tmp_path / "t.json", "--csv", tmp_path / "t.csv"
+        "--group",
+        "both_arms",
+        "--to",
+        "ready",
+        "--out",
+        tmp_path / "t.json",
+        "--csv",
+        tmp_path / "t.csv",
     )
     assert code == 0
-    for word in ("both_arms to ready", "phases [ms]", "clearance", "of limits", "velocity", "joint margin"):
+    for word in (
+        "both_arms to ready",
+        "phases [ms]",
+        "clearance",
+        "of limits",
+        "velocity",
+        "joint margin",
+    ):
         assert word in out
     assert "t.json" in err
     written = json.loads((tmp_path / "t.json").read_text())
@@ -145,7 +162,7 @@ def test_bad_queries_end_with_2_and_no_way_with_1(run, tmp_path):
     assert "of the way" in document["message"]
     wall = tmp_path / "wall.yaml"
     wall.write_text(
-        "obstacles:\n  - {name: wall, shape: box, position_m: [0.5, 0.25, 0.5], size_m: [0.02, 1.0, 1.0]}\n"
+        "obstacles:\n  - {name: wall, shape: box, position_m: [0.5, 0.25, 0.5], size_m: [0.02, 1.0, 1.0]}\n",
     )
     code, _, err = run("--scene", wall, "--group", "left_arm", "--from", "folded", "--to", "ready")
     assert code == 2
@@ -158,14 +175,23 @@ def test_no_path_within_the_budget_ends_with_1(run, tmp_path):
     scene.write_text(
         "obstacles:\n"
         "  - {name: fence, shape: box, position_m: [0.6, 0.25, 0.9], size_m: [0.9, 0.02, 1.8]}\n"
-        "  - {name: back, shape: box, position_m: [-0.6, 0.25, 0.9], size_m: [0.9, 0.02, 1.8]}\n"
+        "  - {name: back, shape: box, position_m: [-0.6, 0.25, 0.9], size_m: [0.9, 0.02, 1.8]}\n",
     )
     starts = {}
     for name, turn in (("a", 1.4), ("b", -1.4)):
         starts[name] = tmp_path / f"{name}.yaml"
         starts[name].write_text(f"joints_by_name_rad: {{left_panda_joint1: {turn}}}\n")
     code, out, err = run(
-        "--scene", scene, "--group", "left_arm", "--from", starts["a"], "--to", starts["b"], "--budget-s", 0.001
+        "--scene",
+        scene,
+        "--group",
+        "left_arm",
+        "--from",
+        starts["a"],
+        "--to",
+        starts["b"],
+        "--budget-s",
+        0.001,
     )
     assert code == 1
     assert "no proven path for left_arm in 0.00 s" in out
@@ -175,11 +201,16 @@ def test_no_path_within_the_budget_ends_with_1(run, tmp_path):
 def test_acm_prints_pairs_and_reasons(run, tmp_path):
     code, out, err = run("--acm")
     assert code == 0
-    assert any(line.split()[:3] == ["left_panda_link5", "left_panda_link6", "adjacent"] for line in out.splitlines())
+    assert any(
+        line.split()[:3] == ["left_panda_link5", "left_panda_link6", "adjacent"]
+        for line in out.splitlines()
+    )
     assert "pairs of different arms always are" in err
     assert "converged" in err
     kinds = {line.split()[2] for line in out.splitlines()}
-    assert kinds == {line.split()[1] for line in err.splitlines() if line.split()[0].isdigit()} - {"pairs"}
+    assert kinds == {line.split()[1] for line in err.splitlines() if line.split()[0].isdigit()} - {
+        "pairs",
+    }
     assert "allowed by the scene file" not in err
     document = json.loads(run("--acm", "--json")[1])
     assert len(document["allowed"]) == len(out.splitlines())
@@ -188,7 +219,7 @@ def test_acm_prints_pairs_and_reasons(run, tmp_path):
     scene.write_text(
         "obstacles:\n  - {name: foam, shape: sphere, position_m: [1, 1, 1], radius_m: 0.1}\n"
         "allowed:\n  - {pair: [foam, left_panda_hand], reason: soft}\n"
-        "checked:\n  - [left_panda_link5, left_panda_link6]\n"
+        "checked:\n  - [left_panda_link5, left_panda_link6]\n",
     )
     laid = json.loads(run("--acm", "--scene", scene, "--json")[1])
     pairs = {(p["first"], p["second"]): p["reason"] for p in laid["allowed"]}
@@ -219,7 +250,8 @@ def furnished():
 
 
 @pytest.mark.parametrize(
-    ("write", "broken"), [(Trajectory.write_csv, "numpy.savetxt"), (Trajectory.write_json, "pathlib.Path.write_text")]
+    ("write", "broken"),
+    [(Trajectory.write_csv, "numpy.savetxt"), (Trajectory.write_json, "pathlib.Path.write_text")],
 )
 def test_a_file_cut_off_is_no_shorter_trajectory(swing, tmp_path, monkeypatch, write, broken):
     """Before, the first rows stood in the file, in place of the earlier one."""
@@ -256,7 +288,9 @@ class Watching:
     """A view that somebody closes after some pictures."""
 
     def __init__(self, pictures):
-        self.left, self.seen, self.opened = pictures, [], 0
+        self.left = pictures
+        self.seen = []
+        self.opened = 0
 
     @property
     def alive(self):

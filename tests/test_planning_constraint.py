@@ -37,7 +37,8 @@ def constraint():
 @pytest.fixture(scope="module")
 def q_held():
     left = (0.0253, -0.6431, -0.2768, -2.3208, -0.2559, 1.7128, 0.2325)
-    q, kinematics = np.array([*left, 0.3514, -0.9444, 0.5062, -2.3693, 0.3329, 1.4401, 1.0883]), Kinematics()
+    q = np.array([*left, 0.3514, -0.9444, 0.5062, -2.3693, 0.3329, 1.4401, 1.0883])
+    kinematics = Kinematics()
     return HandsIK(GRASPS, DUAL_PANDA).solve(kinematics.tcp_poses(q)[0] @ inverse(GRASPS[0]), q)
 
 
@@ -69,7 +70,8 @@ def test_jacobian_is_the_derivative(constraint, q_held):
 def test_jacobian_by_a_second_formula(constraint):
     """Oracle: log(E) = -log(E^-1), and E^-1 = G T_right^-1 T_left has the body velocity J_left - Ad(A) J_right."""
     kinematics = Kinematics()
-    model, data = kinematics.model, kinematics.data
+    model = kinematics.model
+    data = kinematics.data
     left, right = kinematics.tcp_ids
     G = pin.SE3(T_LEFT_RIGHT)
     for q in random_configurations(40, seed=2):
@@ -105,13 +107,17 @@ def test_value_vanishes_where_the_hands_hold_and_only_there(constraint, q_held):
 
 
 def test_a_relative_pose_that_is_none_is_named():
-    with pytest.raises(UsageError, match="relative pose of the hands holds a value that is not finite"):
+    with pytest.raises(
+        UsageError,
+        match="relative pose of the hands holds a value that is not finite",
+    ):
         GraspConstraint(np.full((4, 4), np.nan), Kinematics())
 
 
 def test_ompl_gets_the_same_numbers(constraint, q_held):
     q = q_held + 0.05
-    found, J = np.zeros(6), np.zeros((6, 14))
+    found = np.zeros(6)
+    J = np.zeros((6, 14))
     constraint.function(q, found)
     constraint.jacobian(q, J)
     expected, J_expected = constraint.value_and_jacobian(q)

@@ -15,7 +15,8 @@ from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
 
-HALF, HOME = np.sqrt(0.5), DUAL_PANDA.home
+HALF = np.sqrt(0.5)
+HOME = DUAL_PANDA.home
 
 
 @pytest.fixture(scope="module")
@@ -26,11 +27,21 @@ def scene():
         .with_obstacles(
             Box("box", (0.5, 0.2, 0.15), (np.cos(0.3), 0.0, 0.0, np.sin(0.3)), (0.1, 0.12, 0.3)),
             Cylinder("cylinder", (0.5, -0.2, 0.15), radius_m=0.04, length_m=0.3),
-            Capsule("capsule", (0.6, 0.0, 0.2), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
+            Capsule(
+                "capsule",
+                (0.6, 0.0, 0.2),
+                (HALF, HALF, 0.0, 0.0),
+                radius_m=0.04,
+                length_m=0.3,
+            ),
             Sphere("sphere", (0.4, 0.0, 0.45), radius_m=0.06),
         )
         .with_attached(
-            Attached(Cylinder("stick", (0, 0, 0.11), radius_m=0.01, length_m=0.3), "left_panda_hand", fingers)
+            Attached(
+                Cylinder("stick", (0, 0, 0.11), radius_m=0.01, length_m=0.3),
+                "left_panda_hand",
+                fingers,
+            ),
         )
     )
 
@@ -53,7 +64,7 @@ def test_engines_disagree_when_their_scenes_differ(scene, engines):
     assert (
         np.sum(
             engines[0].collisions(Q)
-            != CoalEngine(dataclasses.replace(scene, obstacles=scene.obstacles[:1])).collisions(Q)
+            != CoalEngine(dataclasses.replace(scene, obstacles=scene.obstacles[:1])).collisions(Q),
         )
         > 20
     )
@@ -67,7 +78,8 @@ def test_both_engines_check_the_same_pairs(scene, engines):
 
 
 def test_kinematics_of_the_engine_is_that_of_pinocchio():
-    engine, kinematics = MujocoEngine(PlanningScene()), Kinematics()
+    engine = MujocoEngine(PlanningScene())
+    kinematics = Kinematics()
     for q in states(20)[:20]:
         engine.contact_count(q)
         for name, T in zip(("left", "right"), kinematics.tcp_poses(q), strict=True):
@@ -101,7 +113,11 @@ def test_bisection_order_holds_every_fraction_once(count):
 def test_padding_is_kept_and_relaxes_at_a_tight_start():
     """A start 2 mm from a box: with full padding it could never be left."""
     plain = MujocoEngine(PlanningScene())
-    finger_z = min(p.distance_m for p in plain.closest(HOME, 1.0) if "finger" in p.first and p.second == "table")
+    finger_z = min(
+        p.distance_m
+        for p in plain.closest(HOME, 1.0)
+        if "finger" in p.first and p.second == "table"
+    )
     x, y, _ = Kinematics().tcp_poses(HOME)[0][:3, 3]
     top = finger_z - 0.002
     scene = PlanningScene().with_obstacles(Box("block", (x, y, 0.5 * top), size_m=(0.2, 0.2, top)))
@@ -114,7 +130,9 @@ def test_padding_is_kept_and_relaxes_at_a_tight_start():
     assert relaxed.free(HOME)
     assert relaxed.edge_free(HOME, away)
     nearer = SceneEngines(
-        PlanningScene().with_obstacles(Box("block", (x, y, 0.5 * top + 4e-4), size_m=(0.2, 0.2, top)))
+        PlanningScene().with_obstacles(
+            Box("block", (x, y, 0.5 * top + 4e-4), size_m=(0.2, 0.2, top)),
+        ),
     )
     relaxed._geometry = nearer.solids.geometry
     assert not relaxed.free(HOME)  # 0.9 of its clearance is asked for at the tight end
@@ -146,11 +164,13 @@ def test_no_part_reaches_farther_than_its_reach(scene, engines):
     def points(q, k):
         work = solids.workspace()
         planes._place(solids.geometry, q, 0, work)
-        R, p = work[1], work[2]
+        R = work[1]
+        p = work[2]
         own = clusters[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
         return own["vertices"].reshape(-1, 3) @ R[0, parts[k]["frame"]].T + p[0, parts[k]["frame"]]
 
-    tightest, turn = 0.0, 1e-3
+    tightest = 0.0
+    turn = 1e-3
     for q in states(10, seed=4):
         for k, name in enumerate(scene.names):
             side, joints_n = scene._moved_by[name]
@@ -177,8 +197,14 @@ def test_only_joints_between_two_links_move_them_against_each_other(scene, engin
         return 8 * scene.names.index(name)
 
     assert where[frozenset(("left_panda_hand", "table"))] == {row("left_panda_hand"), still}
-    assert where[frozenset(("left_panda_link1", "left_panda_link5"))] == {row("left_panda_link5") + 1, still}
-    assert where[frozenset(("right_panda_link5", "right_panda_hand"))] == {row("right_panda_hand") + 5, still}
+    assert where[frozenset(("left_panda_link1", "left_panda_link5"))] == {
+        row("left_panda_link5") + 1,
+        still,
+    }
+    assert where[frozenset(("right_panda_link5", "right_panda_hand"))] == {
+        row("right_panda_hand") + 5,
+        still,
+    }
     assert where[frozenset(("left_panda_hand", "right_panda_hand"))] == {
         row("left_panda_hand"),
         row("right_panda_hand"),

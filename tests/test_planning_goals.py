@@ -8,7 +8,12 @@ import pytest
 from pydantic import ValidationError
 
 from minidual.collision.engines import MujocoEngine
-from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, LinearMoveError, OutOfLimitsError
+from minidual.collision.errors import (
+    GoalInCollisionError,
+    IKUnreachableError,
+    LinearMoveError,
+    OutOfLimitsError,
+)
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits, PlannerConfig
@@ -31,7 +36,9 @@ from minidual.motion.linear import Line, LinearPlanner
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose, rot_x
 
-HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
+HOME = DUAL_PANDA.home
+Q_LOWER = DUAL_PANDA.q_lower
+Q_UPPER = DUAL_PANDA.q_upper
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -46,11 +53,16 @@ def ready():
 
 
 def to_pose(position_m, quat_wxyz=None, frame="world", arm="left"):
-    return Goal(poses=Poses(**{arm: TipPose(position_m=position_m, quat_wxyz=quat_wxyz, frame=frame)}))
+    return Goal(
+        poses=Poses(**{arm: TipPose(position_m=position_m, quat_wxyz=quat_wxyz, frame=frame)}),
+    )
 
 
 def by(offset_m=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0), frame="world", arm="left", **how):
-    return Goal(move=Move(frame=frame, **{arm: TipOffset(offset_m=offset_m, rotation_rad=rotation_rad)}), **how)
+    return Goal(
+        move=Move(frame=frame, **{arm: TipOffset(offset_m=offset_m, rotation_rad=rotation_rad)}),
+        **how,
+    )
 
 
 def tips(q):
@@ -69,12 +81,17 @@ def test_every_named_state_is_inside_the_limits_and_free():
 
 
 def test_a_state_of_one_arm_leaves_the_other():
-    states = NamedStates(SemanticsConfig(states={"wave": NamedStateConfig(left_rad=(0.1, 0, 0, -1.5, 0, 1.5, 0))}))
+    states = NamedStates(
+        SemanticsConfig(states={"wave": NamedStateConfig(left_rad=(0.1, 0, 0, -1.5, 0, 1.5, 0))}),
+    )
     assert {"wave", "home"} <= set(states)  # the arm model's own stay
     q = states.joints("wave", "left_arm", HOME)
     assert q[0] == 0.1
     assert (q[7:] == HOME[7:]).all()
-    with pytest.raises(UsageError, match="'wave' says nothing about the right arm, which both_arms moves"):
+    with pytest.raises(
+        UsageError,
+        match="'wave' says nothing about the right arm, which both_arms moves",
+    ):
         states.joints("wave", "both_arms", HOME)
 
 
@@ -115,7 +132,7 @@ def test_frames_are_the_world_links_obstacles_and_held_objects(planner):
     T = pose(rot_x(0.4), (0.5, 0.2, 0.3))
     quat = pin.Quaternion(T[:3, :3])
     scene = PlanningScene().with_obstacles(
-        Box("shelf", (0.5, 0.2, 0.3), (quat.w, quat.x, quat.y, quat.z), size_m=(0.1, 0.1, 0.1))
+        Box("shelf", (0.5, 0.2, 0.3), (quat.w, quat.x, quat.y, quat.z), size_m=(0.1, 0.1, 0.1)),
     )
     point = (0.1, 0.02, -0.03)
     goal = to_pose(point, (1.0, 0.0, 0.0, 0.0), "shelf")
@@ -133,7 +150,9 @@ def test_frames_are_the_world_links_obstacles_and_held_objects(planner):
 def test_relative_goals_in_both_frames(planner, ready, frame):
     offset = TipOffset(offset_m=(0.02, -0.03, 0.05), rotation_rad=(0.1, 0.0, 0.4))
     before = tips(ready)["right"]
-    target = planner.resolve("right_arm", ready, Goal(move=Move(right=offset, frame=frame)))["right"]
+    target = planner.resolve("right_arm", ready, Goal(move=Move(right=offset, frame=frame)))[
+        "right"
+    ]
     turn = pin.exp3(np.array(offset.rotation_rad))
     if frame == "tcp":
         wanted = before @ pose(turn, offset.offset_m)
@@ -143,7 +162,11 @@ def test_relative_goals_in_both_frames(planner, ready, frame):
 
 
 def test_some_joints_by_name(planner):
-    resolved = planner.resolve("left_arm", HOME, Goal(joints_by_name_rad={"left_panda_joint1": 0.4}))
+    resolved = planner.resolve(
+        "left_arm",
+        HOME,
+        Goal(joints_by_name_rad={"left_panda_joint1": 0.4}),
+    )
     assert resolved[0] == 0.4
     assert (resolved[1:] == HOME[1:]).all()
 
@@ -151,10 +174,25 @@ def test_some_joints_by_name(planner):
 @pytest.mark.parametrize(
     ("group", "goal", "kind", "says"),
     [
-        ("left_arm", Goal(state="redy"), UsageError, "no named state 'redy'; there are carry, folded"),
+        (
+            "left_arm",
+            Goal(state="redy"),
+            UsageError,
+            "no named state 'redy'; there are carry, folded",
+        ),
         ("left_arms", Goal(state="ready"), UsageError, "no group 'left_arms'"),
-        ("left_arm", Goal(joints_by_name_rad={"left_panda_joint9": 0.1}), UsageError, "no joint 'left_panda_joint9'"),
-        ("left_arm", Goal(joints_by_name_rad={"right_panda_joint1": 0.1}), UsageError, "moves joints outside left_arm"),
+        (
+            "left_arm",
+            Goal(joints_by_name_rad={"left_panda_joint9": 0.1}),
+            UsageError,
+            "no joint 'left_panda_joint9'",
+        ),
+        (
+            "left_arm",
+            Goal(joints_by_name_rad={"right_panda_joint1": 0.1}),
+            UsageError,
+            "moves joints outside left_arm",
+        ),
         (
             "left_arm",
             Goal(joints_by_name_rad={"left_panda_joint4": 0.5}),
@@ -195,13 +233,19 @@ def test_a_straight_move_is_straight(planner, ready):
     left = TipOffset(offset_m=(0.1, 0.05, -0.12), rotation_rad=(0.0, 0.3, 0.5))
     goal = Goal(move=Move(left=left, right=TipOffset(offset_m=(0, 0, -0.1))), linear=True)
     move = LinearPlanner().plan(
-        "both_arms", ready, planner.resolve("both_arms", ready, goal), planner.planner.engines()
+        "both_arms",
+        ready,
+        planner.resolve("both_arms", ready, goal),
+        planner.planner.engines(),
     )
     assert move.fraction == 1.0
     assert move.reason == ""
     assert move.verification.ok
-    before, targets = tips(ready), planner.resolve("both_arms", ready, goal)
-    Q, _, _ = move.trajectory.sample_many(np.random.default_rng(0).uniform(0, move.trajectory.duration_s, 300))
+    before = tips(ready)
+    targets = planner.resolve("both_arms", ready, goal)
+    Q, _, _ = move.trajectory.sample_many(
+        np.random.default_rng(0).uniform(0, move.trajectory.duration_s, 300),
+    )
     for arm in ("left", "right"):
         line = Line(before[arm], targets[arm])
         shift = targets[arm][:3, 3] - before[arm][:3, 3]
@@ -212,20 +256,35 @@ def test_a_straight_move_is_straight(planner, ready):
             assert distance < 2e-4
             assert angle < 3e-3
         assert np.abs(tips(move.trajectory.q[-1])[arm] - targets[arm]).max() < 1e-5
-    speeds = np.linalg.norm(np.diff([tips(q)["left"][:3, 3] for q in move.trajectory.q[::10]], axis=0), axis=1) / 0.01
+    speeds = (
+        np.linalg.norm(
+            np.diff([tips(q)["left"][:3, 3] for q in move.trajectory.q[::10]], axis=0),
+            axis=1,
+        )
+        / 0.01
+    )
     assert speeds.max() < 0.26
 
 
 def test_a_straight_move_tells_how_far_it_goes_and_why(planner, ready):
     into_table = by((0, 0, -0.5), linear=True)
-    with pytest.raises(LinearMoveError, match=r"ends at 4\d.\d% of the way: collision: .*finger and table") as caught:
+    with pytest.raises(
+        LinearMoveError,
+        match=r"ends at 4\d.\d% of the way: collision: .*finger and table",
+    ) as caught:
         planner.plan("left_arm", ready, into_table)
     assert caught.value.reason == "linear_blocked"
     part = by((0, 0, -0.5), linear=True, fraction_min=0.3)
     plan = planner.plan("left_arm", ready, part)
     fell = tips(ready)["left"][2, 3] - tips(plan.trajectory.q[-1])["left"][2, 3]
     targets = planner.resolve("left_arm", ready, part)
-    move = LinearPlanner().plan("left_arm", ready, targets, planner.planner.engines(), fraction_min=0.3)
+    move = LinearPlanner().plan(
+        "left_arm",
+        ready,
+        targets,
+        planner.planner.engines(),
+        fraction_min=0.3,
+    )
     assert 0.3 < move.fraction < 0.5
     assert fell == pytest.approx(0.5 * move.fraction, abs=1e-4)
     assert plan.verification.ok
@@ -287,7 +346,10 @@ def test_example_goal_files(planner, ready):
         ("poses: {left: {position_m: [0, 0]}}\n", r"goal.yaml:1: poses.left.position_m"),
         ("poses: {}\n", "poses names neither left nor right"),
         ("poses:\n  left: {position_m: [0, 0, .nan]}\n", r"goal.yaml:2: .*not a finite number"),
-        ("move: {left: {ofset_m: [0, 0, 0]}}\n", r"move.left.ofset_m: no such key; move.left has offset_m"),
+        (
+            "move: {left: {ofset_m: [0, 0, 0]}}\n",
+            r"move.left.ofset_m: no such key; move.left has offset_m",
+        ),
         ("state: a\nstate: b\n", "stands twice"),
         ("move: {left: {}}\nfraction_min: 0.5\n", "fraction_min goes with linear"),
     ],
@@ -309,7 +371,10 @@ def test_words_and_files(tmp_path, planner, ready):
     plan = planner.plan("left_arm", HOME, Goal(joints_by_name_rad={"left_panda_joint1": 0.2}))
     plan.trajectory.write_json(tmp_path / "t.json", DUAL_PANDA.joint_names)
     again = goal_of(str(tmp_path / "t.json"), names)
-    assert np.abs(np.array(list(again.joints_by_name_rad.values())) - plan.trajectory.q[-1]).max() < 1e-8
+    assert (
+        np.abs(np.array(list(again.joints_by_name_rad.values())) - plan.trajectory.q[-1]).max()
+        < 1e-8
+    )
     (tmp_path / "t.json").write_text('{"joint_names": ["left_join1"], "q_rad": [[0]]}')
     with pytest.raises(UsageError, match="no joint 'left_join1'; there are left_panda_joint1"):
         planner.plan("left_arm", HOME, goal_of(str(tmp_path / "t.json"), names))
@@ -346,4 +411,11 @@ def test_a_goal_that_no_plane_separates_is_refused_and_not_searched_for_ever():
     home = DUAL_PANDA.home
     target = Kinematics(DUAL_PANDA).tcp_poses(home)[0]
     with pytest.raises(GoalInCollisionError, match="too close to contact"):
-        pose_goals("left_arm", home, {"left": target}, _NeverProvenFree(), np.random.default_rng(0), 2)
+        pose_goals(
+            "left_arm",
+            home,
+            {"left": target},
+            _NeverProvenFree(),
+            np.random.default_rng(0),
+            2,
+        )

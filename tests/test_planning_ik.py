@@ -56,13 +56,17 @@ def test_jacobian_is_the_derivative_of_the_error(solver):
         for j in range(7):
             d = np.zeros(7)
             d[j] = h
-            numeric[:, j] = (solver.error_and_jacobian(q + d, T)[0] - solver.error_and_jacobian(q - d, T)[0]) / (2 * h)
+            numeric[:, j] = (
+                solver.error_and_jacobian(q + d, T)[0] - solver.error_and_jacobian(q - d, T)[0]
+            ) / (2 * h)
         assert np.abs(J - numeric).max() < 1e-5
 
 
 def test_solutions_differ_and_repeat(solver):
     T = solver.tcp_pose(HOME[GROUPS[f"{solver.arm}_arm"]])
-    first, again = (list(solver.solutions(T, np.zeros(7), np.random.default_rng(6), 20)) for _ in range(2))
+    first, again = (
+        list(solver.solutions(T, np.zeros(7), np.random.default_rng(6), 20)) for _ in range(2)
+    )
     assert len(first) > 3
     assert np.array_equal(first, again)
     for i, q in enumerate(first):
@@ -71,9 +75,14 @@ def test_solutions_differ_and_repeat(solver):
 
 def test_the_posture_for_a_pose_is_the_nearest_and_moves_with_the_pose():
     """A policy that learns from planned motion cannot tell a drawn posture from a picture."""
-    engines, rng, goals = Planner().engines(), np.random.default_rng(8), []
+    engines = Planner().engines()
+    rng = np.random.default_rng(8)
+    goals = []
     for k in range(30):
-        hands = {side: pose(DOWN, (0.4 + 0.004 * k, y, 0.1)) for side, y in (("left", 0.25), ("right", -0.32))}
+        hands = {
+            side: pose(DOWN, (0.4 + 0.004 * k, y, 0.1))
+            for side, y in (("left", 0.25), ("right", -0.32))
+        }
         nearest, *others = pose_goals("both_arms", HOME, hands, engines, rng, 30, 2)
         goals.append(nearest)
         assert all(np.linalg.norm(nearest - HOME) <= np.linalg.norm(q - HOME) for q in others)
@@ -82,7 +91,8 @@ def test_the_posture_for_a_pose_is_the_nearest_and_moves_with_the_pose():
 
 def test_the_resting_posture_is_the_nearest_in_its_own_metric(solver):
     """Oracle: the gradient of the cost lies in the rows of the Jacobian, so no motion of the elbow lowers it."""
-    home, mobility = HOME[GROUPS[f"{solver.arm}_arm"]], np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0])
+    home = HOME[GROUPS[f"{solver.arm}_arm"]]
+    mobility = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0])
     T = solver.tcp_pose(home)
     for shift in ((0.05, 0.1, -0.2), (-0.1, -0.1, 0.1), (0.1, 0.0, 0.1)):
         T_there = T.copy()
@@ -96,7 +106,9 @@ def test_the_resting_posture_is_the_nearest_in_its_own_metric(solver):
         assert np.abs(gradient - along).max() < 1e-4
         elsewhere = solver.solve(T_there, home + np.eye(7)[2] / 2)
         assert elsewhere.reached
-        assert np.sum((elsewhere.q - home) ** 2 / mobility) > np.sum((found.q - home) ** 2 / mobility)
+        assert np.sum((elsewhere.q - home) ** 2 / mobility) > np.sum(
+            (found.q - home) ** 2 / mobility,
+        )
 
 
 def test_where_null_space_steps_end_at_the_limits_descent_still_reaches(solver):
@@ -105,13 +117,22 @@ def test_where_null_space_steps_end_at_the_limits_descent_still_reaches(solver):
     rested = [solver.resting(T, home, home, np.ones(7)) for T in poses]
     assert len(poses) > 100
     assert all(found.reached for found in rested)
-    assert max(np.abs(solver.tcp_pose(found.q) - T).max() for found, T in zip(rested, poses, strict=True)) < 1e-3
+    assert (
+        max(
+            np.abs(solver.tcp_pose(found.q) - T).max()
+            for found, T in zip(rested, poses, strict=True)
+        )
+        < 1e-3
+    )
 
 
 def test_unreachable_pose_names_the_residual(solver):
     T = solver.tcp_pose(HOME[GROUPS[f"{solver.arm}_arm"]])
     T[0, 3] += 1.0
-    with pytest.raises(IKUnreachableError, match=rf"{solver.arm} hand cannot reach .* mm and .* rad away") as caught:
+    with pytest.raises(
+        IKUnreachableError,
+        match=rf"{solver.arm} hand cannot reach .* mm and .* rad away",
+    ) as caught:
         list(solver.solutions(T, np.zeros(7), np.random.default_rng(7), 5))
     assert caught.value.reason == "ik_unreachable"
     away_mm = float(caught.value.message.split("stays ")[1].split(" mm")[0])
@@ -125,7 +146,10 @@ def test_unreachable_pose_names_the_residual(solver):
         (lambda T: T * np.nan, "not finite"),
         (lambda T: np.diag([1.0, 1.0, -1.0, 1.0]), "no rigid pose"),
         (lambda T: T * 2.0, "no rigid pose"),
-        (lambda T: T + np.eye(4, k=1) * 2e-6, "no rigid pose: R R.T is 2e-06 from the identity, det 1.000"),
+        (
+            lambda T: T + np.eye(4, k=1) * 2e-6,
+            "no rigid pose: R R.T is 2e-06 from the identity, det 1.000",
+        ),
         (lambda T: T + np.eye(4, k=-3) * 1e-8, "no rigid pose"),
         (lambda T: T + np.diag([0.0, 0.0, 0.0, np.inf]), "not finite"),
     ],
@@ -155,13 +179,17 @@ def by_pinocchio(solver, q, target):
     return pin.log6(offset).vector, -pin.Jlog6(offset.inverse()) @ J
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-4, 2e-4, 0.01, 1.0, 3.0, np.pi - 2e-3, np.pi - 1e-4])
+@pytest.mark.parametrize(
+    "angle",
+    [0.0, 1e-9, 1e-6, 1e-4, 2e-4, 0.01, 1.0, 3.0, np.pi - 2e-3, np.pi - 1e-4],
+)
 def test_error_and_jacobian_are_those_of_pinocchio_at_every_angle(solver, angle):
     rng = np.random.default_rng(8)
     # Pinocchio itself has fewer digits at small angles (1 - cos) and near half a turn.
     tolerance = 1e-8 if 1e-5 < angle < 1e-3 else 1e-9 if angle < 3.1 else 1e-6
     for _ in range(10):
-        q, axis = rng.uniform(solver.lower, solver.upper), rng.standard_normal(3)
+        q = rng.uniform(solver.lower, solver.upper)
+        axis = rng.standard_normal(3)
         offset = pin.SE3(pin.exp3(angle * axis / np.linalg.norm(axis)), rng.uniform(-0.5, 0.5, 3))
         target = se3(q, solver) * offset
         error, J = solver.error_and_jacobian(q, target.homogeneous)
@@ -173,21 +201,32 @@ def test_error_and_jacobian_are_those_of_pinocchio_at_every_angle(solver, angle)
 
 def descent(solver, T, q, iterations=80):
     """The descent in numpy and Pinocchio: slow and plain."""
-    target, q, damping = pin.SE3(T), np.clip(q, solver.lower, solver.upper), 1e-3
+    target = pin.SE3(T)
+    q = np.clip(q, solver.lower, solver.upper)
+    damping = 1e-3
     error, J = by_pinocchio(solver, q, target)
     for _ in range(iterations):
         if error @ error < 1e-14 or damping > 1e4:
             break
         gradient = J.T @ error
-        blocked = ((q <= solver.lower) & (gradient > 0.0)) | ((q >= solver.upper) & (gradient < 0.0))
+        blocked = ((q <= solver.lower) & (gradient > 0.0)) | (
+            (q >= solver.upper) & (gradient < 0.0)
+        )
         if blocked.all():
             break
         J = np.where(blocked, 0.0, J)
         H = J.T @ J + np.diag(damping + blocked)
-        trial = np.clip(q - np.linalg.solve(H, np.where(blocked, 0.0, gradient)), solver.lower, solver.upper)
+        trial = np.clip(
+            q - np.linalg.solve(H, np.where(blocked, 0.0, gradient)),
+            solver.lower,
+            solver.upper,
+        )
         error_new, J_new = by_pinocchio(solver, trial, target)
         if error_new @ error_new < error @ error:
-            q, error, J, damping = trial, error_new, J_new, max(0.2 * damping, 1e-10)
+            q = trial
+            error = error_new
+            J = J_new
+            damping = max(0.2 * damping, 1e-10)
         else:
             damping *= 5.0
             J = by_pinocchio(solver, q, target)[1]
@@ -216,7 +255,10 @@ def test_residuals_are_measured_where_the_descent_ends(solver):
         offset = se3(solution.q, solver).actInv(pin.SE3(T))
         assert not solution.reached
         assert solution.residual_m == pytest.approx(np.linalg.norm(offset.translation), abs=1e-12)
-        assert solution.residual_rad == pytest.approx(np.linalg.norm(pin.log3(offset.rotation)), abs=1e-9)
+        assert solution.residual_rad == pytest.approx(
+            np.linalg.norm(pin.log3(offset.rotation)),
+            abs=1e-9,
+        )
 
 
 def test_a_start_is_not_changed_and_must_have_seven_joints(solver):
@@ -245,7 +287,11 @@ def test_what_is_no_number_reaches_nothing(solver):
 
 @pytest.mark.parametrize(
     ("third", "tip", "error"),
-    [(pin.JointModelPZ(), 7, "arms need hinges"), (pin.JointModelRZ(), 6, "chains are needed"), (None, 7, "chains")],
+    [
+        (pin.JointModelPZ(), 7, "arms need hinges"),
+        (pin.JointModelRZ(), 6, "chains are needed"),
+        (None, 7, "chains"),
+    ],
 )
 def test_an_arm_of_another_build_is_refused(monkeypatch, third, tip, error):
     """A sliding joint; a tcp before the last joint; a joint that hangs on the one before the last."""
@@ -256,7 +302,13 @@ def test_an_arm_of_another_build_is_refused(monkeypatch, third, tip, error):
             joint = third if i == 2 and third is not None else pin.JointModelRZ()
             parent = chain[-2] if i == 2 and third is None else chain[-1]
             chain.append(model.addJoint(parent, joint, pin.SE3.Identity(), f"{side}_joint{i}"))
-        frame = pin.Frame(f"{side}_panda_hand_tcp", chain[tip], 0, pin.SE3.Identity(), pin.FrameType.BODY)
+        frame = pin.Frame(
+            f"{side}_panda_hand_tcp",
+            chain[tip],
+            0,
+            pin.SE3.Identity(),
+            pin.FrameType.BODY,
+        )
         model.addFrame(frame)
     monkeypatch.setattr("minidual.robot.kinematics._shared_model", lambda robot: model)
     with pytest.raises(ValueError, match=error):
@@ -269,7 +321,8 @@ def test_arms_of_other_models_are_solved_too(name):
     kinematics = Kinematics(Robot(ARM_MODELS[name]))
     arm = ArmIK("right", kinematics.robot)
     rng = np.random.default_rng(12)
-    full, n = kinematics.robot.home.copy(), kinematics.robot.dof_per_arm
+    full = kinematics.robot.home.copy()
+    n = kinematics.robot.dof_per_arm
     for _ in range(20):
         full[arm.joints] = rng.uniform(arm.lower, arm.upper)
         T = kinematics.tcp_poses(full)[1]

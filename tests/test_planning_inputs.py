@@ -33,9 +33,21 @@ def huge(path: Path) -> None:
 
 
 FILES = [
-    ("goal.json", text(GOOD.replace(repr(HOME[0]), "NaN", 1).replace("[[0.0", "[[NaN", 1)), "finite"),
-    ("goal.json", text(json.dumps({"joint_names": NAMES, "q_rad": [[1e300] * 14]})), "= 1e+300|e+30|rad; its limits"),
-    ("goal.json", text(json.dumps({"joint_names": NAMES, "q_rad": [[0.0] * 13]})), "is no trajectory"),
+    (
+        "goal.json",
+        text(GOOD.replace(repr(HOME[0]), "NaN", 1).replace("[[0.0", "[[NaN", 1)),
+        "finite",
+    ),
+    (
+        "goal.json",
+        text(json.dumps({"joint_names": NAMES, "q_rad": [[1e300] * 14]})),
+        "= 1e+300|e+30|rad; its limits",
+    ),
+    (
+        "goal.json",
+        text(json.dumps({"joint_names": NAMES, "q_rad": [[0.0] * 13]})),
+        "is no trajectory",
+    ),
     ("goal.json", text(json.dumps({"joint_names": NAMES, "q_rad": []})), "is no trajectory"),
     ("goal.json", text(json.dumps({"joint_names": [[]], "q_rad": [[0.0]]})), "is no trajectory"),
     ("goal.json", text(json.dumps({"joint_names": ["elbow"], "q_rad": [[0.0]]})), "elbow"),
@@ -49,17 +61,34 @@ FILES = [
     ("goal.yaml", os.mkfifo, "is a FIFO, not a file"),
     ("goal.yaml", text("joints_rad: [0, 0]"), "14"),
     ("goal.yaml", text("joints_rad: [1.0e+300, 0, 0, 0, 0, 0, 0]"), "out of range"),
-    ("goal.yaml", text("joints_rad: [1.0e+18, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"), "its limits are"),
-    ("goal.yaml", text("poses: {left: {position_m: [1.0e+9, 0, 0]}}"), "goal.yaml:1: poses.left.position_m.0: must be"),
+    (
+        "goal.yaml",
+        text("joints_rad: [1.0e+18, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"),
+        "its limits are",
+    ),
+    (
+        "goal.yaml",
+        text("poses: {left: {position_m: [1.0e+9, 0, 0]}}"),
+        "goal.yaml:1: poses.left.position_m.0: must be",
+    ),
     ("goal.yaml", text("poses: {left: {position_m: [0.5, 0.2]}}"), "position_m"),
-    ("goal.yaml", text("move: {left: {rotation_rad: [180, 0, 0]}}"), "goal.yaml:1: move.left.rotation_rad.0: must be"),
+    (
+        "goal.yaml",
+        text("move: {left: {rotation_rad: [180, 0, 0]}}"),
+        "goal.yaml:1: move.left.rotation_rad.0: must be",
+    ),
     ("goal.yaml", text("&a [*a]"), "aliases are not read here"),
     (f"{'x' * 5000}.yaml", lambda path: None, "File name too long"),
 ]
 
 
 @pytest.mark.parametrize(("name", "make", "says"), FILES)
-def test_a_broken_goal_is_named(tmp_path: Path, name: str, make: Callable[[Path], object], says: str) -> None:
+def test_a_broken_goal_is_named(
+    tmp_path: Path,
+    name: str,
+    make: Callable[[Path], object],
+    says: str,
+) -> None:
     make(tmp_path / name)
     began = time.process_time()
     with pytest.raises(MinidualError) as caught:
@@ -78,10 +107,15 @@ def _planner(found: list[GoalPlanner] = []) -> GoalPlanner:  # noqa: B006 - one 
 MESH = "obstacles: [{name: part, shape: mesh, file: %s, position_m: [0.5, 0, 0.2]}]"
 SCENES = [
     (
-        text("obstacles: [{name: post, shape: box, position_m: [0.4, 0, 1.0e+12], size_m: [1, 1, 1]}]"),
+        text(
+            "obstacles: [{name: post, shape: box, position_m: [0.4, 0, 1.0e+12], size_m: [1, 1, 1]}]",
+        ),
         "less than or equal",
     ),
-    (text("obstacles: [{name: post, shape: box, position_m: [0.4, 0, 0.1], size_m: [1, 1]}]"), "size_m"),
+    (
+        text("obstacles: [{name: post, shape: box, position_m: [0.4, 0, 0.1], size_m: [1, 1]}]"),
+        "size_m",
+    ),
     (text("allowed: [{pair: [a], reason: b}]"), "allowed.0.pair"),
     (text(MESH % "pipe.stl"), "pipe.stl is a FIFO, not a file"),
     (text(MESH % "huge.stl"), "huge.stl holds 3,221,225,472 bytes"),
@@ -117,13 +151,19 @@ def test_the_good_goal_is_read(tmp_path: Path) -> None:
         (("--profile", "x" * 5000 + ".yaml"), "File name too long"),
     ],
 )
-def test_a_strange_profile_name_is_named(words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_strange_profile_name_is_named(
+    words: tuple[str, ...],
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert run_command_line(["config", "show", *words], STAGES, TOOLS) == 2
     assert says in capsys.readouterr().err
 
 
 def test_an_unknown_home_is_a_folder_of_that_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MINIDUAL_RUNS", "~nobody-here/runs")

@@ -57,8 +57,10 @@ def test_shortcut_goes_round_what_stands_between():
     """A post between two hand positions: the straight line is blocked, the shortened path is not."""
     scene = PlanningScene().with_obstacles(Box("post", (0.36, 0.25, 0.4), size_m=(0.06, 0.06, 0.8)))
     engine = SceneEngines(scene)
-    left, right = HOME.copy(), HOME.copy()
-    left[0], right[0] = 0.8, -0.8
+    left = HOME.copy()
+    right = HOME.copy()
+    left[0] = 0.8
+    right[0] = -0.8
     checker = EdgeChecker(engine, 0.01, (), 0.02)
     assert not checker.edge_free(left, right)
     checker.allow(100_000, time.perf_counter() + 60.0)
@@ -84,7 +86,9 @@ def test_rounded_corners_are_smooth_and_cut_inside():
     corner = curve.at(np.linspace(curve.knots[1], curve.knots[2], 50))
     assert (corner[:, 0] <= 1.0 + 1e-12).all()
     assert (corner[:, 1] >= -1e-12).all()
-    assert (corner[:, 0] - corner[:, 1] >= 0.7 - 1e-12).all()  # within the triangle that the corner cuts off
+    assert (
+        corner[:, 0] - corner[:, 1] >= 0.7 - 1e-12
+    ).all()  # within the triangle that the corner cuts off
     assert np.linalg.norm(curve.at(s, 1), axis=1).max() <= 1.0 + 1e-12
 
 
@@ -95,7 +99,9 @@ def test_a_curve_is_the_piecewise_polynomial_of_its_coefficients(order):
     curve = rounded(rng.normal(size=(5, 3)), 0.3)
     s = rng.permutation(np.concatenate([curve.knots, rng.uniform(-0.2, curve.length + 0.2, 200)]))
     other = (
-        PPoly(curve.coefficients, curve.knots).derivative(order) if order else PPoly(curve.coefficients, curve.knots)
+        PPoly(curve.coefficients, curve.knots).derivative(order)
+        if order
+        else PPoly(curve.coefficients, curve.knots)
     )
     np.testing.assert_allclose(curve.at(s, order), other(s), atol=1e-9)
     assert np.isnan(curve.at(np.array([np.nan, 0.1]), order)).all(axis=1).tolist() == [True, False]
@@ -106,7 +112,9 @@ def test_a_blocked_corner_is_rounded_less():
         """Allows points nearer than 0.02 to the vertex or to one of the straight pieces."""
 
         def all_free(self, Q):
-            return all(min(q[0] - 0.0, 1.0 - q[1]) < 2.0 and (q[0] > 0.98 or q[1] < 0.02) for q in Q)
+            return all(
+                min(q[0] - 0.0, 1.0 - q[1]) < 2.0 and (q[0] > 0.98 or q[1] < 0.02) for q in Q
+            )
 
     path = np.zeros((3, 14))
     path[1, 0] = path[2, 0] = path[2, 1] = 1.0
@@ -160,11 +168,17 @@ def test_timing_starts_and_ends_where_the_path_does(timed):
 def test_smoothing_keeps_the_path_and_adds_its_window(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(6)), free_checker(engine), 0.3, 0.01)
     plain = time_path(
-        curve, "both_arms", MotionLimits.model_construct(smoothing_s=0.0, jerk_scale=1e6, torque_scale=1e6), kinematics
+        curve,
+        "both_arms",
+        MotionLimits.model_construct(smoothing_s=0.0, jerk_scale=1e6, torque_scale=1e6),
+        kinematics,
     )[0]
-    smooth = time_path(curve, "both_arms", MotionLimits.model_construct(smoothing_s=0.1, torque_scale=1e6), kinematics)[
-        0
-    ]
+    smooth = time_path(
+        curve,
+        "both_arms",
+        MotionLimits.model_construct(smoothing_s=0.1, torque_scale=1e6),
+        kinematics,
+    )[0]
     assert 0.05 < smooth.duration_s - plain.duration_s < 0.4
     s = np.linspace(0.0, curve.length, 4000)
     on_path = curve.at(s)
@@ -191,7 +205,9 @@ def test_torque_limit_slows_a_path_down(engine, kinematics):
     curve = blended_path(zigzag(np.random.default_rng(7)), free_checker(engine), 0.3, 0.01)
     fast = time_path(curve, "both_arms", MotionLimits(), kinematics)[0]
     used = used_by(fast)
-    held = max(float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50])  # what gravity alone needs
+    held = max(
+        float(np.max(np.abs(kinematics.gravity(q)) / TAU_MAX)) for q in fast.q[::50]
+    )  # what gravity alone needs
     limit = 0.5 * (used + held)
     slow = time_path(curve, "both_arms", MotionLimits(torque_scale=limit), kinematics)[0]
     assert used_by(slow) <= limit * 1.01
@@ -226,7 +242,12 @@ def test_sample_parameters_end_on_the_grid_at_rest():
 
 def make(n=11, **change):
     times = np.arange(n) * 0.001
-    values = {"times": times, "q": np.zeros((n, 14)), "v": np.zeros((n, 14)), "a": np.zeros((n, 14))}
+    values = {
+        "times": times,
+        "q": np.zeros((n, 14)),
+        "v": np.zeros((n, 14)),
+        "a": np.zeros((n, 14)),
+    }
     return Trajectory(**{**values, **change}, group="both_arms")
 
 

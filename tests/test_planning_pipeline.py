@@ -23,13 +23,24 @@ from minidual.skills.cycle import thing_of
 from minidual.skills.phases import CLOSED, OPEN, PHASES, State
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.hands import Grip, close, descend, home, off, open_hands, reach, retreat, straight
+from minidual.skills.pipeline.hands import (
+    Grip,
+    close,
+    descend,
+    home,
+    off,
+    open_hands,
+    reach,
+    retreat,
+    straight,
+)
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Gap, Stage, Tools
 from minidual.skills.supervised import arm_distance
 from minidual.tasks.task import grasp_offsets
 
-RADIUS, HOME = 0.00887, DUAL_PANDA.home
+RADIUS = 0.00887
+HOME = DUAL_PANDA.home
 ROD = thing_of(SceneConfig().object)
 GRASPS = dict(zip(SIDES, grasp_offsets(SceneConfig()), strict=True))
 BOTH = Grip("both ends", GRASPS)
@@ -79,17 +90,22 @@ class Driven:
 
 
 def measured(drive, world, on_step=lambda phase: None):
-    done, last = [], None
+    done = []
+    last = None
     while not drive.done:
         drive.step()
-        segment, t = next(iter(drive._left), None), drive.elapsed_s
+        segment = next(iter(drive._left), None)
+        t = drive.elapsed_s
         if segment is None or t == 0.0:
             continue
         if segment is not last:
             done.append(Driven(segment.phase))
             last = segment
         now = done[-1]
-        now.tracking_max_rad = max(now.tracking_max_rad, np.abs(world.q - segment.trajectory.sample(t)[0]).max())
+        now.tracking_max_rad = max(
+            now.tracking_max_rad,
+            np.abs(world.q - segment.trajectory.sample(t)[0]).max(),
+        )
         if isinstance(segment.trajectory, CarriedTrajectory):
             planned = segment.trajectory.Ts_world_object
             row = min(round(t / segment.trajectory.dt_s), len(planned) - 1)
@@ -123,7 +139,8 @@ class Numbers:
 
     def __init__(self, name, count):
         self.name = name
-        self.count, self.asked = count, 0
+        self.count = count
+        self.asked = 0
 
     def offers(self, start, tools):
         for k in range(self.count):
@@ -136,7 +153,8 @@ class Only:
 
     def __init__(self, name, number):
         self.name = name
-        self.number, self.asked = number, 0
+        self.number = number
+        self.asked = 0
 
     def offers(self, start, tools):
         self.asked += 1
@@ -150,7 +168,8 @@ NOTHING = State(np.zeros(14), {"rod": np.eye(4)})
 
 
 def test_it_goes_back_until_a_candidate_passes_every_stage():
-    numbers, last = Numbers("make", 10), Only("last", 3)
+    numbers = Numbers("make", 10)
+    last = Only("last", 3)
     solution = Pipeline("t", [numbers, Only("first", 3), last]).solve(NOTHING, Idle())
     assert solution.states[1].q[0] == 3
     assert numbers.asked == 4
@@ -175,7 +194,10 @@ def test_preferred_candidates_are_followed_first_over_all_stages():
         yield CandidateError("no", "never")
 
     with pytest.raises(TaskFailedError, match="'never' stops it") as caught:
-        Pipeline("t", [Numbers("make", 3), Stage("second", second), Stage("never", never)]).solve(NOTHING, Idle())
+        Pipeline("t", [Numbers("make", 3), Stage("second", second), Stage("never", never)]).solve(
+            NOTHING,
+            Idle(),
+        )
     assert followed == sorted(followed)
     assert followed == [0.0, 0.4, 1.0, 1.4, 2.0, 2.4, 2.5, 3.5, 4.5]
     assert caught.value.summary == "'never' stops it: never"
@@ -200,11 +222,15 @@ def test_a_pipeline_without_stages_or_with_a_name_twice_is_refused():
 
 
 def test_hands_back_off_against_the_way_they_point():
-    down, forward = pose(np.diag([1.0, -1.0, -1.0]), (0, 0, 0)), pose(np.eye(3)[:, [1, 2, 0]], (0, 0, 0))
+    down = pose(np.diag([1.0, -1.0, -1.0]), (0, 0, 0))
+    forward = pose(np.eye(3)[:, [1, 2, 0]], (0, 0, 0))
     np.testing.assert_allclose(off({"left": down, "right": down}, 0.08), [0, 0, 0.08])
     np.testing.assert_allclose(off({"left": forward}, 0.08), [-0.08, 0, 0])
     facing = pose(np.diag([1.0, -1.0, -1.0]) @ np.diag([1.0, -1.0, -1.0]), (0, 0, 0))
-    np.testing.assert_allclose(off({"left": down, "right": facing}, 0.08), [0, 0, 0.08])  # they face each other: up
+    np.testing.assert_allclose(
+        off({"left": down, "right": facing}, 0.08),
+        [0, 0, 0.08],
+    )  # they face each other: up
 
 
 def test_the_scene_follows_the_object(planner):
@@ -221,27 +247,57 @@ def test_the_scene_follows_the_object(planner):
 
 
 def test_the_scene_holds_an_object_in_each_hand_and_the_others_as_obstacles(planner):
-    cubes = {n: thing_of(ObjectConfig(name=n, shape="box", length_m=0.04, grasp_offset_m=0.0)) for n in "abc"}
+    cubes = {
+        n: thing_of(ObjectConfig(name=n, shape="box", length_m=0.04, grasp_offset_m=0.0))
+        for n in "abc"
+    }
     poses = {name: lying(0.5, y) for name, y in zip("abc", (0.3, 0.0, -0.3), strict=True)}
-    held = State(np.array(HOME), poses, {"left": np.eye(4), "right": np.eye(4)}, about={"left": "b", "right": "c"})
+    held = State(
+        np.array(HOME),
+        poses,
+        {"left": np.eye(4), "right": np.eye(4)},
+        about={"left": "b", "right": "c"},
+    )
     assert not held.closed_chain
     scene = Tools(PlanningScene(), cubes, planner).scene(held, resting=True)
-    assert {a.name: a.link for a in scene.attached} == {"b": "left_panda_hand_tcp", "c": "right_panda_hand_tcp"}
+    assert {a.name: a.link for a in scene.attached} == {
+        "b": "left_panda_hand_tcp",
+        "c": "right_panda_hand_tcp",
+    }
     assert scene.why_unchecked("b", "c") is None
     assert scene.why_unchecked("a", "b") is None
     assert scene.why_unchecked("c", "left_panda_hand") is None
     assert scene.why_unchecked("c", "right_panda_hand")
-    near = Tools(PlanningScene(), cubes, planner).scene(replace(held, held_by={}), touching=("left",))
+    near = Tools(PlanningScene(), cubes, planner).scene(
+        replace(held, held_by={}),
+        touching=("left",),
+    )
     assert near.why_unchecked("b", "left_panda_leftfinger")
     assert near.why_unchecked("a", "left_panda_leftfinger") is None
     one = replace(held, about={"left": "b", "right": "b"})
     assert one.closed_chain
-    assert Tools(PlanningScene(), cubes, planner).scene(one).attached[0].touch_links[0].startswith("left")
+    assert (
+        Tools(PlanningScene(), cubes, planner)
+        .scene(one)
+        .attached[0]
+        .touch_links[0]
+        .startswith("left")
+    )
 
 
 def test_a_carry_is_a_chain_of_proven_segments(carried):
     phases = [s.phase for s in carried.segments]
-    assert phases == ["approach", "descend", "close", "close", "carry", "settle", "open", "retreat", "home"]
+    assert phases == [
+        "approach",
+        "descend",
+        "close",
+        "close",
+        "carry",
+        "settle",
+        "open",
+        "retreat",
+        "home",
+    ]
     moving = [s for s in carried.segments if s.phase not in ("close", "settle", "open")]
     assert all(s.verification.ok for s in moving)
     for a, b in itertools.pairwise(carried.segments):
@@ -318,8 +374,14 @@ def test_grips_out_of_reach_stop_it_at_the_approach(planner):
 
 
 def test_a_grip_that_cannot_be_reached_gives_way_to_the_next(planner):
-    beyond = Grip("1 m beside it", {arm: pose(np.eye(3), (1.0, 0.0, 0.0)) @ T for arm, T in GRASPS.items()})
-    fetch = Pipeline("fetch", [Stage("approach", partial(reach, SIDES, [beyond, replace(BOTH, cost=1.0)], {}))])
+    beyond = Grip(
+        "1 m beside it",
+        {arm: pose(np.eye(3), (1.0, 0.0, 0.0)) @ T for arm, T in GRASPS.items()},
+    )
+    fetch = Pipeline(
+        "fetch",
+        [Stage("approach", partial(reach, SIDES, [beyond, replace(BOTH, cost=1.0)], {}))],
+    )
     solution = fetch.solve(START, tools(planner))
     assert solution.record.stages[0].chosen == "both ends"
     assert "1 m beside it" in solution.record.stages[0].failures["ik_unreachable"][0]
@@ -331,11 +393,14 @@ def test_arms_that_come_too_close_are_a_failure_with_the_pair_and_the_gap(planne
     solution = carry([GOAL]).solve(START, tools(planner, gap=gap))
     record = solution.record.stages[0]
     assert record.chosen == "both ends, posture 2"
-    assert record.failures["arms_too_close"][0] == "elbow with elbow come to 2.0 mm; they must keep 15"
+    assert (
+        record.failures["arms_too_close"][0] == "elbow with elbow come to 2.0 mm; they must keep 15"
+    )
 
 
 def test_a_gap_is_looked_at_as_often_as_it_could_close(carried):
-    distance, looks = arm_distance(DUAL_PANDA), []
+    distance = arm_distance(DUAL_PANDA)
+    looks = []
     motion = next(s for s in carried.segments if s.phase == "home")
     times = np.arange(0.0, motion.trajectory.duration_s + 0.005, 0.005)
     every = [distance(q)[1] for q in motion.trajectory.sample_many(times)[0]]
@@ -355,8 +420,14 @@ def test_a_motion_that_touches_a_joint_limit_is_refused_where_the_supervisor_wou
     gap = Gap(lambda q: ("", 1.0), REACH_M, 0.015)
     gap.check(carried.segments)
     (moving, *_) = (segment for segment in carried.segments if segment.verification is not None)
-    at_the_limit = replace(moving, verification=moving.verification._replace(limit_margin_rad=0.002))
-    with pytest.raises(CandidateError, match=r"a joint comes to 2\.0 mrad from its limit") as caught:
+    at_the_limit = replace(
+        moving,
+        verification=moving.verification._replace(limit_margin_rad=0.002),
+    )
+    with pytest.raises(
+        CandidateError,
+        match=r"a joint comes to 2\.0 mrad from its limit",
+    ) as caught:
         gap.check([moving, at_the_limit])
     assert caught.value.reason == "at_limit"
 
@@ -367,10 +438,19 @@ def test_a_straight_way_past_a_singular_posture_is_refused_before_anything_waits
     state = replace(START, q=q, objects={})
     down = rot_z(np.pi / 2 - 0.1) @ rot_x(np.pi)
     there = Tools(PlanningScene(), {}, planner)
-    with pytest.raises(CandidateError, match=r"0\.62 m straight in 1\d\.\d s instead of 2\.1") as caught:
+    with pytest.raises(
+        CandidateError,
+        match=r"0\.62 m straight in 1\d\.\d s instead of 2\.1",
+    ) as caught:
         straight(there, "carry", state, {"right": pose(down, (0.56, 0.03, 0.37))}, PlanningScene())
     assert caught.value.reason == "crawls"
-    beside = straight(there, "carry", state, {"right": pose(down, (0.56, -0.2, 0.37))}, PlanningScene())
+    beside = straight(
+        there,
+        "carry",
+        state,
+        {"right": pose(down, (0.56, -0.2, 0.37))},
+        PlanningScene(),
+    )
     assert beside.trajectory.duration_s < 2.5
 
 
@@ -397,7 +477,8 @@ def test_hands_may_reach_their_grasps_one_after_the_other(planner):
 
 def keeps_the_limits_of_a_carry(planner, motion):
     """The left hand's speed and acceleration by finite differences every 2 ms; one radian counts as 0.2 m."""
-    step_s, limits = 0.002, PHASES["carry"].limits
+    step_s = 0.002
+    limits = PHASES["carry"].limits
     times = np.arange(0.0, motion.duration_s, step_s)
     poses = np.array([planner.kinematics.tcp_poses(q)[0] for q in motion.sample_many(times)[0]])
     turns = np.array([pin.log3(a.T @ b) for a, b in pairwise(poses[:, :3, :3])]) / step_s
@@ -411,7 +492,8 @@ def keeps_the_limits_of_a_carry(planner, motion):
 
 def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
     """One hand brings an upright rod round a wall: allowed where any tilt is, refused where none is."""
-    bottle, T = replace(ROD, upright=True), GRASPS["left"]
+    bottle = replace(ROD, upright=True)
+    T = GRASPS["left"]
     state = replace(START, q=np.array(HOME), held_by={"left": T}, rests=False)
     T_start = planner.kinematics.tcp_poses(HOME)[0] @ inverse(T)
     turned = T_start.copy()
@@ -467,7 +549,10 @@ def test_one_hand_carries_too(planner, world):
     along_x = lying(0.45, 0.25, np.pi / 2)
     grip = Grip("the middle", {"left": pose(np.eye(3), (0.0, -0.12, 0.0)) @ GRASPS["left"]})
     place = Place("p", {"rod": lying(0.45, 0.05, np.pi / 2)})
-    solution = carry([place], [grip], ("left",)).solve(replace(START, objects={"rod": along_x}), tools(planner))
+    solution = carry([place], [grip], ("left",)).solve(
+        replace(START, objects={"rod": along_x}),
+        tools(planner),
+    )
     world.reset(poses={"rod": (0.45, 0.25, np.pi / 2)})
     driven(solution, world)
     assert np.linalg.norm(world.object_pose()[:3, 3] - place.objects["rod"][:3, 3]) < 0.005

@@ -15,7 +15,8 @@ from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
 
 HALF = np.sqrt(0.5)
-DOF, HOME = DUAL_PANDA.dof, DUAL_PANDA.home
+DOF = DUAL_PANDA.dof
+HOME = DUAL_PANDA.home
 WEDGE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.12, 0.0], [0.02, 0.03, 0.15]])
 
 
@@ -27,19 +28,40 @@ def scene():
         PlanningScene()
         .with_obstacles(
             Box("box", (0.5, 0.2, 0.15), (np.cos(0.3), 0.0, 0.0, np.sin(0.3)), (0.1, 0.12, 0.3)),
-            Cylinder("cylinder", (0.5, -0.2, 0.15), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
-            Capsule("capsule", (0.6, 0.0, 0.2), (HALF, HALF, 0.0, 0.0), radius_m=0.04, length_m=0.3),
+            Cylinder(
+                "cylinder",
+                (0.5, -0.2, 0.15),
+                (HALF, HALF, 0.0, 0.0),
+                radius_m=0.04,
+                length_m=0.3,
+            ),
+            Capsule(
+                "capsule",
+                (0.6, 0.0, 0.2),
+                (HALF, HALF, 0.0, 0.0),
+                radius_m=0.04,
+                length_m=0.3,
+            ),
             Sphere("sphere", (0.4, 0.0, 0.45), radius_m=0.06),
             Mesh(
-                "wedge", (0.45, 0.35, 0.1), (HALF, 0.0, HALF, 0.0), pieces=(WEDGE.tobytes(), (WEDGE + 0.05).tobytes())
+                "wedge",
+                (0.45, 0.35, 0.1),
+                (HALF, 0.0, HALF, 0.0),
+                pieces=(WEDGE.tobytes(), (WEDGE + 0.05).tobytes()),
             ),
         )
         .with_attached(
             Attached(
-                Cylinder("stick", (0, 0.02, 0.11), (HALF, 0.0, HALF, 0.0), radius_m=0.01, length_m=0.3),
+                Cylinder(
+                    "stick",
+                    (0, 0.02, 0.11),
+                    (HALF, 0.0, HALF, 0.0),
+                    radius_m=0.01,
+                    length_m=0.3,
+                ),
                 "left_panda_hand",
                 fingers,
-            )
+            ),
         )
     )
 
@@ -76,14 +98,26 @@ def free(solids, q, *args):
 def prove(solids, trajectory, reach=None, length=0.5, chosen=None):
     chosen = np.arange(len(solids.pairs)) if chosen is None else chosen
     geometry = solids.geometry if reach is None else (*solids.geometry[:5], reach)
-    stretches, work = first_stretches(trajectory.q, length), solids.workspace(len(trajectory.q))
-    return planes.prove(geometry, trajectory.q, trajectory.v, trajectory.dt_s, stretches, chosen, 2e-5, work)
+    stretches = first_stretches(trajectory.q, length)
+    work = solids.workspace(len(trajectory.q))
+    return planes.prove(
+        geometry,
+        trajectory.q,
+        trajectory.v,
+        trajectory.dt_s,
+        stretches,
+        chosen,
+        2e-5,
+        work,
+    )
 
 
 def wave(q, amplitude, seed, samples_n=201):
     """A motion through q: every joint swings by its own amplitude, frequency and phase."""
     rng = np.random.default_rng(seed)
-    size, rate, phase = (rng.uniform(-amplitude, amplitude, DOF), rng.uniform(1.0, 6.0, DOF), rng.uniform(0, 6, DOF))
+    size = rng.uniform(-amplitude, amplitude, DOF)
+    rate = rng.uniform(1.0, 6.0, DOF)
+    phase = rng.uniform(0, 6, DOF)
     t = np.arange(samples_n)[:, None] * 0.001
     turn = rate * t * 5.0 + phase
     return Trajectory(
@@ -134,7 +168,10 @@ def test_the_solids_are_what_mujoco_compiled(scene, arm):
                     )
                     + n @ p[part["frame"]]
                 )
-                assert far == pytest.approx(farthest_in_mujoco(engines.engine("mujoco"), name, n), abs=2e-6), name
+                assert far == pytest.approx(
+                    farthest_in_mujoco(engines.engine("mujoco"), name, n),
+                    abs=2e-6,
+                ), name
                 seen += 1
     assert seen == 36 * len(scene.names)
 
@@ -146,7 +183,10 @@ def test_another_geometry_would_be_noticed(scene, engines):
     other = SceneEngines(dataclasses.replace(scene, obstacles=(*kept, larger)))
     engines.engine("mujoco").contact_count(HOME)
     other.engine("mujoco").contact_count(HOME)
-    far = [farthest_in_mujoco(e.engine("mujoco"), "sphere", np.array([0.0, 0.0, 1.0])) for e in (engines, other)]
+    far = [
+        farthest_in_mujoco(e.engine("mujoco"), "sphere", np.array([0.0, 0.0, 1.0]))
+        for e in (engines, other)
+    ]
     assert far[1] - far[0] == pytest.approx(1e-4, abs=1e-9)
 
 
@@ -156,7 +196,9 @@ def test_verdicts_are_those_of_exact_distances(engines, distances, padding_m):
     nearest = distances(Q).min(axis=1)
     said = np.array([free(engines.solids, q, padding_m) for q in Q])
     assert (nearest[said] > padding_m - 1e-7).all()
-    assert (nearest[~said] > padding_m + 1e-7).mean() < 0.02  # what planes leave open counts as not free
+    assert (
+        nearest[~said] > padding_m + 1e-7
+    ).mean() < 0.02  # what planes leave open counts as not free
     assert min(said.sum(), (~said).sum()) > 50
 
 
@@ -199,7 +241,8 @@ def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
     table = np.empty((len(parts) + 1, 8))
     tightest = 0.0
     for size in (0.02, 0.1, 0.4):
-        q, step = states(1, seed=int(1e3 * size))[0], rng.uniform(-size, size, DOF)
+        q = states(1, seed=int(1e3 * size))[0]
+        step = rng.uniform(-size, size, DOF)
         planes._deviate(solids.geometry, step, np.zeros(DOF), table)
         poses = [placed(solids, q + x * step) for x in np.linspace(0.0, 1.0, 21)]
         poses = [(R.copy(), p.copy()) for R, p in poses]
@@ -211,7 +254,12 @@ def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
             base = 0 if frame <= 7 else 7
             for inner in range(frame - base):
                 seen_from = inner + base if inner else 0
-                seen = np.array([(points @ R[frame].T + p[frame] - p[seen_from]) @ R[seen_from] for R, p in poses])
+                seen = np.array(
+                    [
+                        (points @ R[frame].T + p[frame] - p[seen_from]) @ R[seen_from]
+                        for R, p in poses
+                    ],
+                )
                 x = np.linspace(0.0, 1.0, 21)[:, None, None]
                 off = np.linalg.norm(seen - ((1 - x) * seen[0] + x * seen[-1]), axis=2).max()
                 assert off <= table[row, inner] + 1e-12
@@ -223,7 +271,8 @@ def test_no_vertex_leaves_its_chord_by_more_than_the_bound(scene, engines):
 def test_the_motion_leaves_the_straight_line_by_no_more_than_is_said():
     trajectory = wave(HOME, 0.5, seed=7)
     n = len(trajectory.q)
-    step, off = np.empty(DOF), np.empty(DOF)
+    step = np.empty(DOF)
+    off = np.empty(DOF)
     bend = planes.bends(trajectory.q, trajectory.v, trajectory.dt_s)
     for i, j in [(0, n - 1), (3, 60), (100, 101), (150, 152)]:
         planes._off_chord(trajectory.q, bend, i, j, step, off)
@@ -241,7 +290,9 @@ def test_the_motion_leaves_the_straight_line_by_no_more_than_is_said():
 def test_a_number_that_is_none_makes_the_bound_infinite():
     trajectory = wave(HOME, 0.5, seed=7)
     n = len(trajectory.q)
-    bend, step, off = np.zeros((n - 1, DOF)), np.empty(DOF), np.empty(DOF)
+    bend = np.zeros((n - 1, DOF))
+    step = np.empty(DOF)
+    off = np.empty(DOF)
     bend[5, 3] = np.nan
     planes._off_chord(trajectory.q, bend, 0, n - 1, step, off)
     assert np.isinf(off).all()
@@ -271,33 +322,52 @@ def test_what_is_proven_is_free_at_a_thousand_states_in_between(engines, distanc
 
 def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
     """Negative control of the bound: a tip turns about the base past a ball that its arc meets and its chord does not."""
-    a, b = HOME.copy(), HOME.copy()
-    a[0], b[0] = HOME[0] - 0.4, HOME[0] + 0.4
+    a = HOME.copy()
+    b = HOME.copy()
+    a[0] = HOME[0] - 0.4
+    b[0] = HOME[0] + 0.4
     T_world_tcp = Kinematics().tcp_poses(HOME)[0]
     tip = Attached(Sphere("tip", (0.0, 0.0, 0.1), radius_m=0.01), "left_panda_hand_tcp")
     ball = Sphere("ball", tuple(T_world_tcp[:3, 3] + 0.1 * T_world_tcp[:3, 2]), radius_m=0.01)
     engines = SceneEngines(PlanningScene(obstacles=(ball,)).with_attached(tip))
     solids = engines.solids
     x = np.linspace(0.0, 1.0, 3001)[:, None]
-    smooth, speed = 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 - 60 * x**3 + 30 * x**4
+    smooth = 10 * x**3 - 15 * x**4 + 6 * x**5
+    speed = 30 * x**2 - 60 * x**3 + 30 * x**4
     trajectory = Trajectory(
-        np.arange(3001) * 0.001, a + (b - a) * smooth, (b - a) * speed / 3.0, np.zeros((3001, DOF)), "left_arm"
+        np.arange(3001) * 0.001,
+        a + (b - a) * smooth,
+        (b - a) * speed / 3.0,
+        np.zeros((3001, DOF)),
+        "left_arm",
     )
     assert engines.engine("mujoco").collisions(trajectory.q[::10]).any()
     only = np.array([solids.pairs.index(("ball", "tip"))])
     assert prove(solids, trajectory, length=100.0, chosen=only)[1] >= 0
-    asked, failed, _ = prove(solids, trajectory, reach=0.01 * solids.geometry[5], length=100.0, chosen=only)
+    asked, failed, _ = prove(
+        solids,
+        trajectory,
+        reach=0.01 * solids.geometry[5],
+        length=100.0,
+        chosen=only,
+    )
     assert failed < 0
     assert asked.sum() == 2
 
 
-@pytest.mark.parametrize("spoil", ["q", "v", "reach", "all clusters", "last cluster", "later clusters"])
+@pytest.mark.parametrize(
+    "spoil",
+    ["q", "v", "reach", "all clusters", "last cluster", "later clusters"],
+)
 def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
     solids = engines.solids
     trajectory = wave(HOME, 0.02, seed=8)
     assert prove(solids, trajectory)[1] < 0
     joints, clusters, shapes, parts, pairs, reach = solids.geometry
-    q, v, reach, balls = trajectory.q.copy(), trajectory.v.copy(), reach.copy(), clusters.copy()
+    q = trajectory.q.copy()
+    v = trajectory.v.copy()
+    reach = reach.copy()
+    balls = clusters.copy()
     if spoil == "q":
         q[50, 2] = np.nan
     elif spoil == "v":
@@ -316,7 +386,8 @@ def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
             balls["radius"][np.setdiff1d(np.arange(len(balls)), shapes["first"])] = np.nan
     every = np.arange(len(pairs))
     spoiled = (joints, balls, shapes, parts, pairs, reach)
-    stretches, work = first_stretches(trajectory.q, 0.5), solids.workspace(len(q))
+    stretches = first_stretches(trajectory.q, 0.5)
+    work = solids.workspace(len(q))
     _, failed, _ = planes.prove(spoiled, q, v, trajectory.dt_s, stretches, every, 2e-5, work)
     assert failed >= 0
     if "cluster" in spoil:
@@ -332,7 +403,8 @@ def test_no_vertex_lies_outside_the_ball_of_its_cluster(scene, arm):
     clusters, shapes = solids.geometry[1:3]
     away = np.linalg.norm(clusters["vertices"] - clusters["centre"][:, None], axis=2)
     assert (away <= clusters["radius"][:, None] + 1e-15).all()
-    rng, still = np.random.default_rng(2), (np.eye(3), np.zeros(3))
+    rng = np.random.default_rng(2)
+    still = (np.eye(3), np.zeros(3))
     asked = 0
     for way in rng.normal(size=(50, 3)):
         way /= np.linalg.norm(way)
@@ -361,7 +433,9 @@ def test_clearance_of_a_state_that_is_none_is_nothing_and_ends(engines):
 
 
 def test_a_huge_obstacle_is_answered_for_too():
-    engines = SceneEngines(PlanningScene(obstacles=(Box("sky", (0.0, 0.0, 2e9), size_m=(1e9, 1e9, 1e9)),)))
+    engines = SceneEngines(
+        PlanningScene(obstacles=(Box("sky", (0.0, 0.0, 2e9), size_m=(1e9, 1e9, 1e9)),)),
+    )
     assert engines.solids.clearance(HOME[None], 0.04) <= 0.04
 
 
@@ -369,8 +443,10 @@ def rest_to_rest(start, end, aside=None, samples_n=401):
     """A motion from start to end, and by (14,) `aside` away from the straight line half-way."""
     x = np.linspace(0.0, 1.0, samples_n)[:, None]
     seconds = (samples_n - 1) * 0.001
-    there, speed = 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 - 60 * x**3 + 30 * x**4
-    out, turn = np.sin(np.pi * x) ** 2, np.pi * np.sin(2.0 * np.pi * x)
+    there = 10 * x**3 - 15 * x**4 + 6 * x**5
+    speed = 30 * x**2 - 60 * x**3 + 30 * x**4
+    out = np.sin(np.pi * x) ** 2
+    turn = np.pi * np.sin(2.0 * np.pi * x)
     aside = np.zeros(DOF) if aside is None else aside
     q = start + (end - start) * there + aside * out
     v = ((end - start) * speed + aside * turn) / seconds
@@ -384,7 +460,8 @@ def test_two_links_of_one_arm_are_looked_at_from_the_inner_one(balls_settle):
     In the world the one lies on the same side of the other before and after; from the forearm, which is what counts for a
     bound on the wrist alone, it changes sides.
     """
-    start, end = HOME.copy(), HOME.copy()
+    start = HOME.copy()
+    end = HOME.copy()
     start[[0, 5]] += [-0.5 * np.pi, -0.3]
     end[[0, 5]] += [0.5 * np.pi, 0.3]
     T_world_tcp = Kinematics().tcp_poses(HOME)[0]
@@ -398,7 +475,9 @@ def test_two_links_of_one_arm_are_looked_at_from_the_inner_one(balls_settle):
     solids = engines.solids
     if not balls_settle:
         solids.geometry[3]["radius"] = 1.0  # then planes must
-    only = np.array([k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}])
+    only = np.array(
+        [k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}],
+    )
     assert len(only) == 1
     meets = rest_to_rest(start, end)
     assert CoalDistances(scene, engines.engine("coal"))(meets.q[200:201])[0, only[0]] < 0.0
@@ -415,7 +494,9 @@ def test_a_motion_that_returns_to_where_it_began_is_not_taken_for_rest():
     away = np.zeros(DOF)
     away[0] = 0.4
     there = Kinematics().tcp_poses(HOME + away)[0][:3, 3]
-    solids = SceneEngines(PlanningScene(obstacles=(Sphere("ball", tuple(there), radius_m=0.01),))).solids
+    solids = SceneEngines(
+        PlanningScene(obstacles=(Sphere("ball", tuple(there), radius_m=0.01),)),
+    ).solids
     only = solids.of_arms(["left"])
     out_and_back = rest_to_rest(HOME, HOME, away)
     assert np.abs(out_and_back.q[0] - out_and_back.q[-1]).max() < 1e-30
@@ -426,7 +507,9 @@ def test_a_motion_that_returns_to_where_it_began_is_not_taken_for_rest():
 def test_an_obstacle_may_have_the_name_of_a_piece_of_a_link():
     """Pieces of links are called by the part they belong to, not by a name that an obstacle could take."""
     names = ("left_panda_link5_0", "left_panda_leftfinger_0")
-    boxes = tuple(Box(name, (0.9 + 0.2 * k, 0.0, 0.5), size_m=(0.1, 0.1, 0.1)) for k, name in enumerate(names))
+    boxes = tuple(
+        Box(name, (0.9 + 0.2 * k, 0.0, 0.5), size_m=(0.1, 0.1, 0.1)) for k, name in enumerate(names)
+    )
     scene = PlanningScene(obstacles=boxes)
     engines = SceneEngines(scene)
     parts = engines.solids.geometry[3]

@@ -15,7 +15,9 @@ from minidual.errors import UsageError
 from minidual.robot.description import collision_links, links_of, never_touching
 from minidual.robot.pair import DUAL_PANDA, PANDA
 
-HOME, Q_LOWER, Q_UPPER = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper
+HOME = DUAL_PANDA.home
+Q_LOWER = DUAL_PANDA.q_lower
+Q_UPPER = DUAL_PANDA.q_upper
 LINKS = collision_links(DUAL_PANDA)
 
 
@@ -34,8 +36,13 @@ def test_joints_before_counts_the_joints_that_move_a_link():
     links = links_of(DUAL_PANDA)
     assert links["left_panda_link0"].joints_before == 0
     assert links["right_panda_link5"].joints_before == 5
-    assert links["right_panda_hand"].joints_before == links["left_panda_leftfinger"].joints_before == 7
-    assert (links["left_panda_hand_tcp"].side, links["left_panda_hand_tcp"].collides) == ("left", False)
+    assert (
+        links["right_panda_hand"].joints_before == links["left_panda_leftfinger"].joints_before == 7
+    )
+    assert (links["left_panda_hand_tcp"].side, links["left_panda_hand_tcp"].collides) == (
+        "left",
+        False,
+    )
     assert "left_table" not in links
 
 
@@ -51,7 +58,10 @@ FLAT = np.array([[0, 0, 0], [0.1, 0, 0.05], [0, 0.1, 0.05], [0.1, 0.1, 0.1]], dt
         (lambda: Capsule("", (0, 0, 0)), "needs a name"),
         (lambda: Box("grain", (0, 0, 0), size_m=(0.1, 0.1, 1e-5)), "must be 0.0001 or more"),
         (lambda: Mesh("m", (0, 0, 0), pieces=(FLAT.tobytes(),)), "no solid"),
-        (lambda: Mesh("m", (0, 0, 0), pieces=(np.outer(range(4), [0.1, 0.2, 0.3]).tobytes(),)), "no solid"),
+        (
+            lambda: Mesh("m", (0, 0, 0), pieces=(np.outer(range(4), [0.1, 0.2, 0.3]).tobytes(),)),
+            "no solid",
+        ),
     ],
 )
 def test_bad_shapes_are_refused(make, says):
@@ -124,7 +134,9 @@ def test_few_samples_would_drop_pairs_that_collide():
 
 def test_what_is_called_never_does_not_touch_in_fresh_samples():
     matrix = acm_report(DUAL_PANDA).acm
-    never = [(a, b) for a, b, r in sorted(matrix) if r.startswith("never") and a.startswith("left_")]
+    never = [
+        (a, b) for a, b, r in sorted(matrix) if r.startswith("never") and a.startswith("left_")
+    ]
     engine = MujocoEngine(Pairs(DUAL_PANDA, tuple(never)))
     rng = np.random.default_rng(99)
     Q = np.tile(HOME, (20_000, 1))
@@ -157,7 +169,8 @@ def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
 
 
 def test_adding_and_removing_a_pair():
-    scene, (b, a) = PlanningScene(allowed=frozenset()), ("table", "left_panda_hand")
+    scene = PlanningScene(allowed=frozenset())
+    (b, a) = ("table", "left_panda_hand")
     more = scene.allowing(b, a, "because")
     assert more.why_unchecked(a, b) == more.why_unchecked(b, a) == "because"
     assert sorted(more.allowing(a, b, "again").allowed) == [(a, b, "again")]
@@ -171,7 +184,7 @@ def test_adding_and_removing_a_pair():
 def test_attached_object_moves_with_its_hand_and_may_touch_its_fingers():
     fingers = ("left_panda_leftfinger", "left_panda_rightfinger")
     scene = PlanningScene().with_attached(
-        Attached(Sphere("ball", (0, 0, 0.1), radius_m=0.03), "left_panda_hand", fingers)
+        Attached(Sphere("ball", (0, 0, 0.1), radius_m=0.03), "left_panda_hand", fingers),
     )
     assert scene.why_unchecked("ball", "left_panda_hand") == "rigid"
     assert scene.why_unchecked("ball", "left_panda_leftfinger") == "rigid"

@@ -26,7 +26,13 @@ from minidual.stages.plan import common_checks, group_checks, run
 from minidual.stages.registry import STAGES
 from minidual.trials.planning import queries
 from minidual.trials.planning.evaluate import engine_agreement, plan_query, repeats, run_queries
-from minidual.trials.planning.queries import QueryGenerator, polyline_states, query_source, stored_query, stored_set
+from minidual.trials.planning.queries import (
+    QueryGenerator,
+    polyline_states,
+    query_source,
+    stored_query,
+    stored_set,
+)
 from scripts.make_query_set import is_free, witness
 
 _PLANNED_STRAIGHT = 38
@@ -37,7 +43,7 @@ CONFIG = Config(
         second_queries_n=1,
         agreement_states_n=200,
         held=HeldMovesConfig(moves_n=2, executed_n=1, cpu_time_median_max_s=None),
-    )
+    ),
 )
 
 
@@ -67,10 +73,16 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
     assert len(rows) == 6
     assert {row["group"] for row in rows} == set(GROUPS)
     for row in rows:
-        phases = sum(float(row[f"{p}_s"]) for p in ("ik", "search", "shortcut", "blend", "timing", "verify"))
+        phases = sum(
+            float(row[f"{p}_s"]) for p in ("ik", "search", "shortcut", "blend", "timing", "verify")
+        )
         assert phases <= float(row["total_s"]) + 1e-5
         assert float(row["velocity_ratio"]) <= 0.951
-    assert {"second_seed.both_arms.success_rate", "proof.audit_collisions", "left_arm.replan_p99_s"} <= names
+    assert {
+        "second_seed.both_arms.success_rate",
+        "proof.audit_collisions",
+        "left_arm.replan_p99_s",
+    } <= names
     assert len((folder / "queries_second_seed.csv").read_text().splitlines()) == 4
     for row in rows:
         assert int(row["audited_n"]) > 100
@@ -86,10 +98,13 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
 
 def test_parameters_hold_the_planner_but_not_the_workers():
     a, b = (
-        STAGES["plan"].parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p)))) for p in (0.005, 0.01)
+        STAGES["plan"].parameters(Config(plan=PlanConfig(planner=PlannerConfig(padding_m=p))))
+        for p in (0.005, 0.01)
     )
     assert a != b
-    assert STAGES["plan"].parameters(Config(workers=1)) == STAGES["plan"].parameters(Config(workers=2))
+    assert STAGES["plan"].parameters(Config(workers=1)) == STAGES["plan"].parameters(
+        Config(workers=2),
+    )
 
 
 @pytest.mark.parametrize(
@@ -107,7 +122,8 @@ def test_the_world_in_which_held_moves_are_driven_is_part_of_the_fingerprint(sce
 
 @pytest.fixture(scope="module")
 def outcomes():
-    planner, generator = Planner(), QueryGenerator(3)
+    planner = Planner()
+    generator = QueryGenerator(3)
     return [plan_query(planner, generator.query("left_arm", i)) for i in range(2)]
 
 
@@ -115,14 +131,24 @@ def test_group_checks_can_fail(outcomes):
     config = PlanConfig()
     assert failing(group_checks("left_arm", outcomes, config)) == set()
     failed = dataclasses.replace(outcomes[0], result=None, reason="no_path_in_time", message="none")
-    assert failing(group_checks("left_arm", [failed, outcomes[1]], config)) == {"left_arm.success_rate"}
+    assert failing(group_checks("left_arm", [failed, outcomes[1]], config)) == {
+        "left_arm.success_rate",
+    }
     slow = dataclasses.replace(outcomes[0], total_s=10.5)
-    assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {"left_arm.replan_max_s"}
+    assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {
+        "left_arm.replan_max_s",
+    }
     quick = [dataclasses.replace(o, total_s=0.03) for o in outcomes]
     late = [dataclasses.replace(o, total_s=0.03 + 0.1 * k) for k, o in enumerate(outcomes)]
-    limited = PlanConfig(time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01), time_p99_max_s=0.1)
+    limited = PlanConfig(
+        time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01),
+        time_p99_max_s=0.1,
+    )
     assert failing(group_checks("left_arm", quick, limited)) == set()
-    assert failing(group_checks("left_arm", late, limited)) == {"left_arm.replan_median_s", "left_arm.replan_p99_s"}
+    assert failing(group_checks("left_arm", late, limited)) == {
+        "left_arm.replan_median_s",
+        "left_arm.replan_p99_s",
+    }
     remedies = {check.name: check.remedy for check in group_checks("left_arm", late, limited)}
     assert "--set plan.time_median_max_s.left_arm=0.2" in remedies["left_arm.replan_median_s"]
     assert failing(group_checks("left_arm", late, limited, "second_seed.")) == {
@@ -130,9 +156,15 @@ def test_group_checks_can_fail(outcomes):
         "second_seed.left_arm.replan_p99_s",
     }
     starved = [dataclasses.replace(o, total_s=0.2, cpu_s=0.05) for o in outcomes]
-    (share,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.core_share"]
+    (share,) = [
+        c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.core_share"
+    ]
     assert share.observed == pytest.approx(0.25)
-    (median,) = [c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.replan_median_s"]
+    (median,) = [
+        c
+        for c in group_checks("left_arm", starved, limited)
+        if c.name == "left_arm.replan_median_s"
+    ]
     assert "the process had 25% of a core" in (median.remedy or "")
     assert failed.row()["reason"] == "no_path_in_time"
     assert failed.row().keys() < outcomes[0].row().keys()
@@ -165,14 +197,20 @@ def test_a_second_set_that_is_the_first_is_refused():
     assert "--set plan.second_seed" in caught.value.remedy
     check_plan(Config(seed=20261, plan=PlanConfig(second_queries_n=0)))
     check_plan(Config(seed=20260, plan=PlanConfig(second_queries_n=1)))
-    with pytest.raises(UsageError, match=r"(?s)no arm .pandaa.; there are panda, ur5.*did you mean .panda.") as caught:
+    with pytest.raises(
+        UsageError,
+        match=r"(?s)no arm .pandaa.; there are panda, ur5.*did you mean .panda.",
+    ) as caught:
         check_plan(Config(robot=RobotConfig(arm="pandaa")))  # before the gate
     assert caught.value.exit_code == 2
 
 
 def test_notes_tell_of_both_seeds(outcomes):
     failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
-    notes = plan.notes(first={"left_arm": [outcomes[0]]}, second={"left_arm": [outcomes[0], failed]})
+    notes = plan.notes(
+        first={"left_arm": [outcomes[0]]},
+        second={"left_arm": [outcomes[0], failed]},
+    )
     assert notes == ["left_arm query 1 of the second seed failed: none"]
 
 
@@ -210,7 +248,8 @@ def test_repeats_tells_the_difference(outcomes):
 
 def test_whether_the_line_is_blocked_is_measured(outcomes):
     """Of one query with and without its obstacles; and towards the posture that the planner reached, not the drawn one."""
-    planner, query = Planner(), outcomes[0].query
+    planner = Planner()
+    query = outcomes[0].query
     assert query.kind == "past_obstacle"
     assert outcomes[0].line_blocked
     bare = dataclasses.replace(query, scene=PlanningScene(obstacles=query.scene.obstacles[:1]))
@@ -221,9 +260,15 @@ def test_whether_the_line_is_blocked_is_measured(outcomes):
     assert freed.query.as_poses
     assert freed.result.direct
     assert not freed.line_blocked
-    drawn = freed.query.q_start + np.linspace(0, 1, 300)[:, None] * (freed.query.q_goal - freed.query.q_start)
+    drawn = freed.query.q_start + np.linspace(0, 1, 300)[:, None] * (
+        freed.query.q_goal - freed.query.q_start
+    )
     assert CoalEngine(freed.query.scene).collisions(drawn).any()
-    rate, *_ = [c for c in group_checks("left_arm", [outcomes[0], free], PlanConfig()) if "line_blocked" in c.name]
+    rate, *_ = [
+        c
+        for c in group_checks("left_arm", [outcomes[0], free], PlanConfig())
+        if "line_blocked" in c.name
+    ]
     assert rate.observed == 0.5
     assert "1 of 2" in rate.why
 
@@ -270,7 +315,9 @@ def test_queries_are_what_they_say(group):
         assert not engines.closest(query.q_goal, 0.0099)
         line = query.q_start + np.linspace(0, 1, 200)[:, None] * (query.q_goal - query.q_start)
         assert query.kind == generator.kind(group, index)
-        assert engines.engine("coal").collisions(line).any()  # the second engine sees the block, too
+        assert (
+            engines.engine("coal").collisions(line).any()
+        )  # the second engine sees the block, too
         assert len(query.scene.obstacles) == 5
         hands = dict(zip(("left", "right"), Kinematics().tcp_poses(query.q_goal), strict=True))
         for arm, T in query.targets.items():
@@ -299,14 +346,18 @@ def test_queries_are_hard_as_their_kind_says(group):
             assert frozenset(("left", "right")) in owners
         else:
             bare = PlanningScene(obstacles=query.scene.obstacles[:1])  # only the table
-            assert CoalEngine(query.scene).collisions(line).sum() > CoalEngine(bare).collisions(line).sum()
+            assert (
+                CoalEngine(query.scene).collisions(line).sum()
+                > CoalEngine(bare).collisions(line).sum()
+            )
 
 
 def test_stored_queries_are_those_of_the_generator():
     known = stored_set(20260)
     generator = QueryGenerator(20260)
     for group, index in (("left_arm", 3), ("both_arms", 1)):
-        query, again = stored_query(20260, group, index), generator.attempt(group, index, known[group][0][index])
+        query = stored_query(20260, group, index)
+        again = generator.attempt(group, index, known[group][0][index])
         assert query.scene == again.scene
         assert (query.seed, query.kind, query.as_poses) == (again.seed, again.kind, again.as_poses)
         assert np.abs(query.q_start - again.q_start).max() < 1e-6
@@ -321,7 +372,8 @@ def test_stored_witnesses_prove_their_queries_feasible(seed):
     known = stored_set(seed)
     assert all(len(known[group][0]) == 100 for group in GROUPS)
     for group, index in (("left_arm", 1), ("right_arm", 50), ("both_arms", 99)):
-        query, path = stored_query(seed, group, index), witness(seed, group, index)
+        query = stored_query(seed, group, index)
+        path = witness(seed, group, index)
         engines = Planner(query.scene).engines()
         assert np.array_equal(path[[0, -1]], [query.q_start, query.q_goal])
         assert np.abs(np.diff(polyline_states(path), axis=0)).max() <= 0.002 + 1e-12
@@ -349,7 +401,10 @@ def test_a_query_that_cannot_be_made_is_an_error(monkeypatch):
     monkeypatch.setattr(queries, "_SCENE_TRIES_N", 1)
     monkeypatch.setattr(queries, "_POSE_TRIES_N", 1)
     monkeypatch.setattr(queries, "random_pose", lambda _rng, _arm: pose(np.eye(3), (3.0, 0.0, 0.0)))
-    with pytest.raises(PlanningError, match="no query 0 for both_arms with 5 obstacles after 1 scenes"):
+    with pytest.raises(
+        PlanningError,
+        match="no query 0 for both_arms with 5 obstacles after 1 scenes",
+    ):
         QueryGenerator(1).query("both_arms", 0)
 
 

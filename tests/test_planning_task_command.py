@@ -13,7 +13,10 @@ from minidual.stages.registry import STAGES
 @pytest.fixture
 def run(tmp_path, capsys):
     def call(*words):
-        code = run_command_line(["plan", *map(str, words), "--runs-dir", str(tmp_path / "runs")], STAGES)
+        code = run_command_line(
+            ["plan", *map(str, words), "--runs-dir", str(tmp_path / "runs")],
+            STAGES,
+        )
         out = capsys.readouterr()
         assert not list(tmp_path.rglob("verdict.json"))
         return code, out.out, out.err

@@ -17,7 +17,10 @@ from minidual.proof.scene_engines import limit_use
 from minidual.robot.kinematics import Kinematics, Trajectory
 from minidual.robot.pair import DUAL_PANDA
 
-HOME, Q_LOWER, Q_UPPER, JERK_MAX = DUAL_PANDA.home, DUAL_PANDA.q_lower, DUAL_PANDA.q_upper, DUAL_PANDA.jerk_max
+HOME = DUAL_PANDA.home
+Q_LOWER = DUAL_PANDA.q_lower
+Q_UPPER = DUAL_PANDA.q_upper
+JERK_MAX = DUAL_PANDA.jerk_max
 H = 0.001
 
 
@@ -38,7 +41,11 @@ def test_torques_in_one_call_are_those_of_the_states(kinematics, n):
     truth = np.array([kinematics.rnea(*state) for state in zip(q, v, a, strict=True)])
     assert np.abs(kinematics.torques(q, v, a) - truth).max() < 1e-10
     resting = q.copy(), v.copy(), a.copy()
-    resting[0][:, 7:], resting[1][:, 7:], resting[2][:, 7:] = q[0, 7:], 0.0, 0.0  # one arm stands still
+    resting[0][:, 7:], resting[1][:, 7:], resting[2][:, 7:] = (
+        q[0, 7:],
+        0.0,
+        0.0,
+    )  # one arm stands still
     truth = np.array([kinematics.rnea(*state) for state in zip(*resting, strict=True)])
     assert np.abs(kinematics.torques(*resting) - truth).max() < 1e-10
     a[n // 2, 3] = np.nan
@@ -49,14 +56,18 @@ def test_torques_in_one_call_are_those_of_the_states(kinematics, n):
 
 def test_what_happens_only_between_two_samples_is_seen(kinematics):
     """Samples at the velocity limit, and at the position limit while they move outwards."""
-    q, v, a = np.tile(HOME, (3, 1)), np.zeros((3, 14)), np.zeros((3, 14))
+    q = np.tile(HOME, (3, 1))
+    v = np.zeros((3, 14))
+    a = np.zeros((3, 14))
     q[2, 7] += 0.002
     use, _ = limit_use(Trajectory(np.arange(3) * H, q, v, a, "both_arms"), kinematics)
     assert use["velocity_ratio"] == pytest.approx(3.0 / DUAL_PANDA.v_max[7])
     q, v[0, 5], v[1, 5] = np.tile(HOME, (3, 1)), 1.0, -1.0
     q[:, 5] = Q_UPPER[5]
     use, broken = limit_use(Trajectory(np.arange(3) * H, q, v, a, "both_arms"), kinematics)
-    assert -H / 3.0 - 1e-12 <= use["limit_margin_rad"] <= -0.25 * H  # its control points contain the cubic
+    assert (
+        -H / 3.0 - 1e-12 <= use["limit_margin_rad"] <= -0.25 * H
+    )  # its control points contain the cubic
     assert "position limit" in broken
 
 
@@ -65,14 +76,21 @@ def test_what_happens_only_between_two_samples_is_seen(kinematics):
 def test_limits_hold_on_the_whole_cubic_between_samples(kinematics, seed, dt_s):
     """Against samples a hundred times as dense, of position, speed and acceleration."""
     rng = np.random.default_rng(seed)
-    q, v = HOME + np.cumsum(rng.normal(0.0, dt_s, (6, 14)), axis=0), rng.normal(0.0, 1.0, (6, 14))
+    q = HOME + np.cumsum(rng.normal(0.0, dt_s, (6, 14)), axis=0)
+    v = rng.normal(0.0, 1.0, (6, 14))
     motion = Trajectory(np.arange(6) * dt_s, q, v, np.zeros_like(q), "both_arms")
     use, _ = limit_use(motion, kinematics)
     fine = np.linspace(0.0, motion.duration_s, 501)
     x, speed, _ = motion.sample_many(fine)
     acceleration = np.abs(np.diff(speed, axis=0)) / (0.01 * dt_s)
-    assert use["velocity_ratio"] == pytest.approx((np.abs(speed) / DUAL_PANDA.v_max).max(), rel=2e-3)
-    assert use["acceleration_ratio"] == pytest.approx((acceleration / DUAL_PANDA.a_max).max(), rel=0.02)
+    assert use["velocity_ratio"] == pytest.approx(
+        (np.abs(speed) / DUAL_PANDA.v_max).max(),
+        rel=2e-3,
+    )
+    assert use["acceleration_ratio"] == pytest.approx(
+        (acceleration / DUAL_PANDA.a_max).max(),
+        rel=0.02,
+    )
     margin = np.minimum(x - Q_LOWER, Q_UPPER - x).min()
     assert margin - dt_s <= use["limit_margin_rad"] <= margin + 1e-9
 
@@ -81,7 +99,8 @@ def test_a_motion_that_starts_or_ends_with_an_acceleration_needs_its_jerk(kinema
     """Before, the arms' rest before and after it did not count."""
     x = np.linspace(0.0, 1.0, 201)[:, None]
     q = HOME + 0.02 * (3 * x**2 - 2 * x**3)
-    v, a = 0.02 * (6 * x - 6 * x**2) / 0.2 + 0.0 * q, 0.02 * (6 - 12 * x) / 0.04 + 0.0 * q
+    v = 0.02 * (6 * x - 6 * x**2) / 0.2 + 0.0 * q
+    a = 0.02 * (6 - 12 * x) / 0.04 + 0.0 * q
     use, _ = limit_use(Trajectory(np.arange(201) * H, q, v, a, "both_arms"), kinematics)
     assert use["jerk_ratio"] == pytest.approx((3.0 / H / JERK_MAX).max(), rel=1e-6)
     limits = MotionLimits(smoothing_s=0.0)
@@ -96,9 +115,17 @@ def wave(n=201, fastest=40.0):
     """A trajectory of sines, each joint its own."""
     t = np.arange(n)[:, None] * H
     rng = np.random.default_rng(3)
-    w, size, phase = rng.uniform(1.0, fastest, 14), rng.uniform(0.01, 0.2, 14), rng.uniform(0.0, 6.0, 14)
+    w = rng.uniform(1.0, fastest, 14)
+    size = rng.uniform(0.01, 0.2, 14)
+    phase = rng.uniform(0.0, 6.0, 14)
     q = HOME + size * np.sin(w * t + phase)
-    return Trajectory(t[:, 0], q, size * w * np.cos(w * t + phase), -size * w**2 * np.sin(w * t + phase), "both_arms")
+    return Trajectory(
+        t[:, 0],
+        q,
+        size * w * np.cos(w * t + phase),
+        -size * w**2 * np.sin(w * t + phase),
+        "both_arms",
+    )
 
 
 @pytest.mark.parametrize("what", ["q", "v", "a"])
@@ -128,8 +155,14 @@ def test_a_smooth_path_is_its_piecewise_polynomial(d, order):
     path = curve(d=d)
     truth = PPoly(path.coefficients, path.knots)
     rng = np.random.default_rng(0)
-    s = np.concatenate([path.knots, rng.uniform(-0.1, path.length + 0.1, 300), [np.nan]])  # in any order
-    np.testing.assert_allclose(path.at(s, order), truth(s, order), atol=1e-9 * np.abs(truth(s[:-1], order)).max())
+    s = np.concatenate(
+        [path.knots, rng.uniform(-0.1, path.length + 0.1, 300), [np.nan]],
+    )  # in any order
+    np.testing.assert_allclose(
+        path.at(s, order),
+        truth(s, order),
+        atol=1e-9 * np.abs(truth(s[:-1], order)).max(),
+    )
 
 
 def test_a_path_that_is_no_number_gives_no_trajectory(kinematics, monkeypatch):
@@ -153,14 +186,19 @@ def by_arrays(s, sd, smoothing_s):
     u = (sd[i + 1] ** 2 - sd[i] ** 2) / (2.0 * (s[i + 1] - s[i]))
     x = t - passed[i]
     position = np.clip(s[i] + sd[i] * x + 0.5 * u * x**2, 0.0, s[-1])
-    speed, acceleration = np.maximum(0.0, sd[i] + u * x) / stretch, u / stretch**2
-    position[-1], speed[-1] = s[-1], 0.0
+    speed = np.maximum(0.0, sd[i] + u * x) / stretch
+    acceleration = u / stretch**2
+    position[-1] = s[-1]
+    speed[-1] = 0.0
     copies = max(1, round(smoothing_s / H))
     if copies > 1:
         acceleration[-1] = 0.0
     out = []
     for values, at_end in ((position, s[-1]), (speed, 0.0), (acceleration, 0.0)):
-        shifted = [np.concatenate([np.zeros(k), values, np.full(copies - 1 - k, at_end)]) for k in range(copies)]
+        shifted = [
+            np.concatenate([np.zeros(k), values, np.full(copies - 1 - k, at_end)])
+            for k in range(copies)
+        ]
         out.append(np.mean(shifted, axis=0))
     return out
 
@@ -195,11 +233,16 @@ def test_the_grid_hits_every_knot_and_is_fine_enough():
 def test_the_fastest_profile_is_that_of_toppra(dof):
     import toppra  # slow to import
     from toppra.algorithm import TOPPRA
-    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+    from toppra.constraint import (
+        DiscretizationType,
+        JointAccelerationConstraint,
+        JointVelocityConstraint,
+    )
     from toppra.interpolator import AbstractGeometricPath
 
     class Path(AbstractGeometricPath):
-        dof, waypoints = property(lambda _: dof), None
+        dof = property(lambda _: dof)
+        waypoints = None
         path_interval = property(lambda _: np.array([0.0, path.length]))
 
         def __call__(self, s, order=0):
@@ -210,14 +253,20 @@ def test_the_fastest_profile_is_that_of_toppra(dof):
     for seed in range(5):
         rng = np.random.default_rng([dof, seed])
         path = curve(seed=seed, n=2 + seed, d=dof)
-        v_max, a_max = rng.uniform(1.0, 3.0, dof), rng.uniform(5.0, 20.0, dof)
+        v_max = rng.uniform(1.0, 3.0, dof)
+        a_max = rng.uniform(5.0, 20.0, dof)
         s, sd = fastest_profile(path, np.arange(dof), v_max, a_max)
         both = DiscretizationType.Interpolation
         limits = [
             JointVelocityConstraint(np.column_stack([-v_max, v_max])),
             JointAccelerationConstraint(np.column_stack([-a_max, a_max]), both),
         ]
-        truth = TOPPRA(limits, Path(), gridpoints=s, solver_wrapper="seidel").compute_parameterization(0, 0)[1]
+        truth = TOPPRA(
+            limits,
+            Path(),
+            gridpoints=s,
+            solver_wrapper="seidel",
+        ).compute_parameterization(0, 0)[1]
         assert np.abs(sd - truth).max() < 1e-5
         assert (sd[[0, -1]] == 0.0).all()
 
@@ -232,7 +281,8 @@ def test_a_path_whose_derivative_is_not_finite_has_no_profile(spoil):
 
 @pytest.mark.parametrize("spoil", [0.0, np.nan])
 def test_a_profile_that_never_arrives_is_refused(spoil):
-    s, sd = np.linspace(0.0, 1.0, 11), np.concatenate([[0.0], np.full(9, 0.5), [0.0]])
+    s = np.linspace(0.0, 1.0, 11)
+    sd = np.concatenate([[0.0], np.full(9, 0.5), [0.0]])
     assert len(sample_parameters(s, sd)[0]) > 2000
     sd[4:6] = spoil
     with pytest.raises(TimingError, match="no finite time"):

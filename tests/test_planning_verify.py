@@ -113,18 +113,40 @@ def test_each_limit_is_named(planner, good):
 
 def test_torque_rate_limit_is_named(planner):
     """Acceleration, jerk and torque within limits, but an acceleration that swings 40 times a second."""
-    times, w, a_max = np.arange(201) * 0.001, 2.0 * np.pi * 40.0, np.zeros(14)
+    times = np.arange(201) * 0.001
+    w = 2.0 * np.pi * 40.0
+    a_max = np.zeros(14)
     a_max[1] = 4.0
     q, v, a = (
         np.outer(x, a_max)
-        for x in ((times - np.sin(w * times) / w) / w, (1 - np.cos(w * times)) / w, np.sin(w * times))
+        for x in (
+            (times - np.sin(w * times) / w) / w,
+            (1 - np.cos(w * times)) / w,
+            np.sin(w * times),
+        )
     )
     report = planner.engines().verify(Trajectory(times, HOME + q, v, a, "left_arm"))
-    assert max(report.velocity_ratio, report.acceleration_ratio, report.jerk_ratio, report.torque_ratio) < 1.0
+    assert (
+        max(
+            report.velocity_ratio,
+            report.acceleration_ratio,
+            report.jerk_ratio,
+            report.torque_ratio,
+        )
+        < 1.0
+    )
     tau = Kinematics().torques(HOME + q, v, a)
-    assert report.torque_rate_ratio * 1000.0 == pytest.approx(np.abs(tau[8:] - tau[:-8]).max() / 0.008, rel=0.02)
-    assert report.reason == f"left_panda_joint2 needs {report.torque_rate_ratio:.3f} of its torque rate limit"
-    gentle = planner.engines().verify(Trajectory(times, HOME + 0.2 * q, 0.2 * v, 0.2 * a, "left_arm"))
+    assert report.torque_rate_ratio * 1000.0 == pytest.approx(
+        np.abs(tau[8:] - tau[:-8]).max() / 0.008,
+        rel=0.02,
+    )
+    assert (
+        report.reason
+        == f"left_panda_joint2 needs {report.torque_rate_ratio:.3f} of its torque rate limit"
+    )
+    gentle = planner.engines().verify(
+        Trajectory(times, HOME + 0.2 * q, 0.2 * v, 0.2 * a, "left_arm"),
+    )
     assert gentle.ok
 
 
@@ -132,7 +154,9 @@ def test_torque_limit_is_named(planner):
     """Accelerations within limits, but torques beyond: the stretched arm swung upwards at full acceleration."""
     q = HOME.copy()
     q[1], q[3], q[5] = 1.2, -0.1, 1.5
-    times, most, w = np.arange(101) * 0.001, np.zeros(14), 20.0 * np.pi
+    times = np.arange(101) * 0.001
+    most = np.zeros(14)
+    w = 20.0 * np.pi
     most[1], most[3] = -7.4, 12.0
     t = times[:, None]  # the acceleration rises from zero and falls again
     v = 0.5 * most * (t - np.sin(w * t) / w)
@@ -158,7 +182,9 @@ def test_a_jump_between_samples_fails(planner, good):
 
 def swing_past(ball_offset_m):
     """A swing of the elbow, and a scene with a small ball where the hand is half-way, moved up by an offset."""
-    a, middle, b = HOME.copy(), HOME.copy(), HOME.copy()
+    a = HOME.copy()
+    middle = HOME.copy()
+    b = HOME.copy()
     a[3] -= 0.2
     middle[3] += 0.4
     b[3] += 1.0
@@ -176,7 +202,10 @@ def test_what_hides_between_two_samples_is_found(monkeypatch):
     monkeypatch.setattr(scene_engines, "_FIRST_RAD", 100.0)  # the first look is at both ends only
     report = engines.verify(trajectory)
     assert "ball and left_panda" in report.reason or "left_panda" in report.reason.split(" and ")[0]
-    assert re.match(r"collision at \d\.\d+ s: .* touch|.* could not be proven apart after", report.reason)
+    assert re.match(
+        r"collision at \d\.\d+ s: .* touch|.* could not be proven apart after",
+        report.reason,
+    )
     clear, scene = swing_past(0.5)
     report = Planner(scene).engines().verify(clear)
     assert report.ok
@@ -188,7 +217,8 @@ def test_grazing_cannot_be_proven_and_is_refused():
     engines = Planner().engines()
     Q = collision_samples(trajectory)
     assert not engines.engine("mujoco").collisions(Q).any()
-    low, high = 0.0, 0.2
+    low = 0.0
+    high = 0.2
     for _ in range(14):  # the offset at which the hand just touches the ball
         offset = 0.5 * (low + high)
         hit = Planner(swing_past(offset)[1]).engines().engine("mujoco").collisions(Q).any()
@@ -235,13 +265,18 @@ def test_what_a_trajectory_says_of_its_acceleration_and_velocity_must_be_true(pl
     still = np.zeros_like(good.v)
     lied = verifier.verify(dataclasses.replace(good, a=still))
     assert 0.5 < lied.acceleration_ratio < 1.0, "that of the cubics between the samples"
-    assert re.search(r"the acceleration of \w+ is not that of its velocity: \d+\.\d\d rad/s\^2 off", lied.reason)
+    assert re.search(
+        r"the acceleration of \w+ is not that of its velocity: \d+\.\d\d rad/s\^2 off",
+        lied.reason,
+    )
     halved = verifier.verify(dataclasses.replace(good, a=0.5 * good.a))
     assert "is not that of its velocity" in halved.reason
     # A motion slow enough that even stopping and starting every millisecond breaks no limit of speed.
     slow = minimum_jerk(HOME, good.q[-1], 8.0)
     assert verifier.verify(slow).ok
-    report = verifier.verify(dataclasses.replace(slow, v=still[:1].repeat(len(slow.v), axis=0), a=0.0 * slow.a))
+    report = verifier.verify(
+        dataclasses.replace(slow, v=still[:1].repeat(len(slow.v), axis=0), a=0.0 * slow.a),
+    )
     assert "of its acceleration limit" in report.reason
     bent = 1.002 * slow.v
     report = verifier.verify(dataclasses.replace(slow, v=bent))
@@ -268,9 +303,13 @@ def coarse(q, v, a, dt_s=0.25):
 
 def test_an_arm_whose_samples_stand_still_may_move_between_them():
     """Passed at speed to and fro, equal samples hide a swing of 0.14 rad; a ball beside the arm is met in between."""
-    joint, dt, n = 10, 0.25, 10
+    joint = 10
+    dt = 0.25
+    n = 10
     sign = (-1.0) ** np.arange(n)
-    q, v, a = np.tile(HOME, (n, 1)), np.zeros((n, 14)), np.zeros((n, 14))
+    q = np.tile(HOME, (n, 1))
+    v = np.zeros((n, 14))
+    a = np.zeros((n, 14))
     a[:, joint] = 0.8 * A_MAX[joint] * sign
     v[1:-1, joint] = 0.45 * 0.8 * A_MAX[joint] * dt * sign[1:-1]
     trajectory = coarse(q, v, a)
@@ -280,7 +319,11 @@ def test_an_arm_whose_samples_stand_still_may_move_between_them():
     far = between[np.argmax(np.abs(between - HOME).max(axis=1))]
     here, there = (kinematics.tcp_poses(x)[1][:3, 3] for x in (HOME, far))
     for away in np.linspace(0.02, 0.2, 100):
-        ball = Sphere("ball", tuple(here + away * (there - here) / np.linalg.norm(there - here)), radius_m=0.01)
+        ball = Sphere(
+            "ball",
+            tuple(here + away * (there - here) / np.linalg.norm(there - here)),
+            radius_m=0.01,
+        )
         engines = Planner(PlanningScene(obstacles=(ball,))).engines()
         if not engines.engine("mujoco").collisions(q[:1]).any():
             break
@@ -315,13 +358,16 @@ def test_times_that_drift_from_their_step_are_refused(good):
 
 def zigzag(joint, dt_s, n):
     """Stated accelerations within the limits, whose cubics between the samples accelerate by up to twice as much."""
-    a_max, change = 0.999 * A_MAX[joint], 0.999 * min(float(DUAL_PANDA.jerk_max[joint]) * dt_s, 2 * A_MAX[joint])
-    middle, stated = n // 2, np.zeros(n)
+    a_max = 0.999 * A_MAX[joint]
+    change = 0.999 * min(float(DUAL_PANDA.jerk_max[joint]) * dt_s, 2 * A_MAX[joint])
+    middle = n // 2
+    stated = np.zeros(n)
     for i in range(1, middle):
         wanted = (a_max if i % 2 else a_max - change) if i < middle - 4 else 0.0
         stated[i] = np.clip(wanted, stated[i - 1] - change, min(a_max, stated[i - 1] + change))
     stated[middle:] = -stated[:middle][::-1]
-    changes, mean = np.abs(np.diff(stated)), 0.5 * (stated[1:] + stated[:-1])
+    changes = np.abs(np.diff(stated))
+    mean = 0.5 * (stated[1:] + stated[:-1])
     slack = 0.049 * A_MAX[joint]
     gain = mean + np.sign(mean) * (0.5 * changes + slack) * 0.99
     gain = 0.5 * (gain - gain[::-1])
@@ -330,10 +376,14 @@ def zigzag(joint, dt_s, n):
     v[-1] = 0.0
     x = np.append(0.0, np.cumsum(dt_s * (0.5 * (v[1:] + v[:-1]) + dt_s / 6 * bend)))
     q = np.tile(HOME, (n, 1))
-    V, A = np.zeros_like(q), np.zeros_like(q)
+    V = np.zeros_like(q)
+    A = np.zeros_like(q)
     q[:, joint] += x - x[-1] / 2
-    V[:, joint], A[:, joint] = v, stated
-    return Trajectory(np.arange(n) * dt_s, q, V, A, "left_arm"), np.abs([gain + bend, gain - bend]).max()
+    V[:, joint] = v
+    A[:, joint] = stated
+    return Trajectory(np.arange(n) * dt_s, q, V, A, "left_arm"), np.abs(
+        [gain + bend, gain - bend],
+    ).max()
 
 
 @pytest.mark.parametrize(("joint", "dt_s", "n"), [(5, 0.001, 200), (6, 0.001, 200), (0, 0.004, 80)])
@@ -368,5 +418,7 @@ def test_positions_beyond_all_measure_are_refused_and_not_raised(planner):
     q = np.tile(HOME, (17, 1))
     q[8, 0], q[16, 0] = 1e308, -1e308
     with np.errstate(over="ignore", invalid="ignore"):
-        proof = planner.engines().verify(Trajectory(np.arange(17) * 1e-3, q, 0 * q, 0 * q, "left_arm"))
+        proof = planner.engines().verify(
+            Trajectory(np.arange(17) * 1e-3, q, 0 * q, 0 * q, "left_arm"),
+        )
     assert not proof.ok

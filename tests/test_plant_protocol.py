@@ -18,7 +18,10 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 
 _PAGE: dict[str, Any] = {"np": np}
-exec(next(block for block in howto.blocks("howto-plant.md") if "class DelayedPlant" in block), _PAGE)
+exec(
+    next(block for block in howto.blocks("howto-plant.md") if "class DelayedPlant" in block),
+    _PAGE,
+)
 DelayedPlant = _PAGE["DelayedPlant"]
 SEAM = {name for name in vars(Plant) if not name.startswith("_")} | set(Plant.__annotations__)
 
@@ -37,7 +40,10 @@ class OnlyAPlant:
 
 def wave(plant: Any, stack: ControlStack, seconds: float, joint: int = 3) -> np.ndarray:
     """Stream a slow sine on one joint; return the tracking error of that joint (ticks,) [rad]."""
-    start, began, errors, sequence = plant.q, plant.time, [], 0
+    start = plant.q
+    began = plant.time
+    errors = []
+    sequence = 0
     stack.request("teleop")
     while stack.source != "teleop":
         stack.step()
@@ -46,7 +52,9 @@ def wave(plant: Any, stack: ControlStack, seconds: float, joint: int = 3) -> np.
             sequence += 1
             q = start.copy()
             q[joint] += 0.05 * np.sin(2.0 * np.pi * 0.5 * (plant.time - began))
-            assert stack.propose("teleop", JointCommand(q, np.ones(2), plant.time, sequence)) is None
+            assert (
+                stack.propose("teleop", JointCommand(q, np.ones(2), plant.time, sequence)) is None
+            )
         stack.step()
         errors.append(plant.q[joint] - stack.manager.reference[joint])
     return np.array(errors)
@@ -72,7 +80,8 @@ def test_world_keeps_the_seam(scene, compiled_model):
 @pytest.mark.parametrize("delay_s", [0.0, 0.001, 0.007])
 def test_measurements_arrive_late_by_the_delay(scene, compiled_model, delay_s):
     world = World(scene, model=compiled_model)
-    late, seen = DelayedPlant(world, delay_s), []
+    late = DelayedPlant(world, delay_s)
+    seen = []
     for _ in range(30):
         seen.append((world.time, world.q, world.v, world.tau, world.fingers, world.grip))
         k = max(0, len(seen) - 1 - round(delay_s / world.dt))
@@ -119,7 +128,11 @@ def test_stale_measurements_stop_the_arms_under_a_supervisor(scene):
 @pytest.mark.parametrize("supervised", [True, False])
 def test_a_plant_in_bad_health_is_not_driven(scene, supervised):
     plant = ArmsPlant(scene)
-    stack = ControlStack(plant, Kinematics(), supervisor=Supervisor(dt_s=plant.dt) if supervised else None)
+    stack = ControlStack(
+        plant,
+        Kinematics(),
+        supervisor=Supervisor(dt_s=plant.dt) if supervised else None,
+    )
     stack.step()
     plant.health = "the brakes are closed"
     with pytest.raises(ReflexError if supervised else PlantError, match="brakes are closed"):

@@ -17,7 +17,11 @@ SOURCES = Path(minidual.__file__).parent
 
 def plug(monkeypatch, *points):
     found = [importlib.metadata.EntryPoint(name, value, "minidual.tests") for name, value in points]
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: found if group == "minidual.tests" else [])
+    monkeypatch.setattr(
+        importlib.metadata,
+        "entry_points",
+        lambda group: found if group == "minidual.tests" else [],
+    )
 
 
 def test_a_row_is_itself_or_what_its_target_names():
@@ -41,7 +45,8 @@ def test_an_unknown_name_is_answered_with_what_exists():
 
 
 @pytest.mark.parametrize(
-    "target", ["no_such_module_here:x", "math:no_such_name", "module_that_divides:x", "module_misspelt:x"]
+    "target",
+    ["no_such_module_here:x", "math:no_such_name", "module_that_divides:x", "module_misspelt:x"],
 )
 def test_a_target_that_does_not_load_is_named(target, tmp_path, monkeypatch):
     """Whatever another distribution's module raises is its fault, not an internal error."""
@@ -68,7 +73,8 @@ def test_a_row_of_another_distribution_may_not_replace_one(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "meant"), [("nope", None), ("wbe", "web"), ("pot", "pot_lift"), ("handovr", "handover"), ("", None)]
+    ("name", "meant"),
+    [("nope", None), ("wbe", "web"), ("pot", "pot_lift"), ("handovr", "handover"), ("", None)],
 )
 def test_only_a_close_name_or_the_rest_of_one_is_suggested(name, meant):
     remedy = unknown_name("row", name, ("handover", "pot_lift", "rod_carry", "web")).remedy
@@ -79,7 +85,11 @@ def test_names_are_read_from_text():
     table = Registry("number", {"two": 2, "three": 3})
     assert table.names(" three, two") == ("three", "two")
     assert table.names(["two"]) == ("two",)
-    for text, message in (("", "no number named"), ("two,two", "named twice"), ("two,tree", "no number 'tree'")):
+    for text, message in (
+        ("", "no number named"),
+        ("two,two", "named twice"),
+        ("two,tree", "no number 'tree'"),
+    ):
         with pytest.raises(UsageError, match=message):
             table.names(text)
 
@@ -95,13 +105,23 @@ def misread(node):
     """Return keys that stand twice in one mapping, of which YAML keeps the last, or that are no text, such as `yes`."""
     if isinstance(node, yaml.MappingNode):
         keys = [key.value for key, _ in node.value]
-        wrong = [key.value for key, _ in node.value if keys.count(key.value) > 1 or not key.tag.endswith(":str")]
+        wrong = [
+            key.value
+            for key, _ in node.value
+            if keys.count(key.value) > 1 or not key.tag.endswith(":str")
+        ]
         return wrong + [found for _, value in node.value for found in misread(value)]
-    return [found for item in node.value for found in misread(item)] if isinstance(node, yaml.SequenceNode) else []
+    return (
+        [found for item in node.value for found in misread(item)]
+        if isinstance(node, yaml.SequenceNode)
+        else []
+    )
 
 
 def test_names_in_tables_are_text_and_stand_once():
     assert misread(yaml.compose("a: {b: 1, b: 2, c: [{yes: 1}]}")) == ["b", "b", "yes"]
     tables = [path for path in SOURCES.rglob("*.yaml") if path.parent.name != "configs"]
     assert len(tables) > 5
-    assert {path.name: found for path in tables if (found := misread(yaml.compose(path.read_text())))} == {}
+    assert {
+        path.name: found for path in tables if (found := misread(yaml.compose(path.read_text())))
+    } == {}

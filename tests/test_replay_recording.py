@@ -80,7 +80,9 @@ class TestRepeating:
         found = replay(recorded, on_step=lambda world: ends.append((world.q, world.object_pose())))
         assert found.exact
         assert found.largest_deviation == 0.0
-        assert found.compared == len(recorded.keyframes) - 1 == STEPS // 100  # the start agrees by itself
+        assert (
+            found.compared == len(recorded.keyframes) - 1 == STEPS // 100
+        )  # the start agrees by itself
         assert found.first == ()
         assert (found.from_s, found.to_s) == (0.0, pytest.approx(0.7))
         assert (ends[-1][0] == q_end).all()
@@ -100,11 +102,14 @@ class TestRepeating:
         robot = Robot(ARM_MODELS["ur5"])
         world = World(scene, robot)
         recorder = Recorder(world)
-        world.recorder, tau = recorder, np.linspace(-5.0, 5.0, robot.dof)
+        world.recorder = recorder
+        tau = np.linspace(-5.0, 5.0, robot.dof)
         for _ in range(150):
             world.command(tau, np.zeros(2))
             world.step()
-        recorded = read_recording(write_recording(tmp_path / "ur5.npz", recorder.recording("another arm")))
+        recorded = read_recording(
+            write_recording(tmp_path / "ur5.npz", recorder.recording("another arm")),
+        )
         assert recorded.arm == "ur5"
         assert replay(recorded).exact
 
@@ -139,8 +144,14 @@ class TestRepeating:
 
     def test_a_file_without_a_last_state_is_read_and_its_end_is_not_claimed(self, trial, tmp_path):
         recorded = read_recording(trial[0])
-        before = {"keyframe_steps": recorded.keyframe_steps[:-1], "keyframes": recorded.keyframes[:-1]}
-        path = write_recording(tmp_path / "old.npz", module.Recording(**{**vars(recorded), **before}))
+        before = {
+            "keyframe_steps": recorded.keyframe_steps[:-1],
+            "keyframes": recorded.keyframes[:-1],
+        }
+        path = write_recording(
+            tmp_path / "old.npz",
+            module.Recording(**{**vars(recorded), **before}),
+        )
         found = replay(read_recording(path))
         assert found.exact
         assert found.compared == STEPS // 100 - 1
@@ -202,10 +213,17 @@ class TestRepeating:
 
 
 class TestDumps:
-    def test_nan_is_dumped_and_the_replay_names_the_motor(self, world, kinematics, tmp_path, quiet_mujoco):
+    def test_nan_is_dumped_and_the_replay_names_the_motor(
+        self,
+        world,
+        kinematics,
+        tmp_path,
+        quiet_mujoco,
+    ):
         world.recorder = Recorder(world, window_s=1.0, folder=tmp_path)
         loop = JointLoop(world, kinematics)
-        torque, tick = loop.controller.torque, iter(range(10_000))
+        torque = loop.controller.torque
+        tick = iter(range(10_000))
 
         def fails(*state):
             tau = torque(*state)
@@ -224,7 +242,13 @@ class TestDumps:
         assert found.exact
         assert found.ended == "the command of right_panda_joint3_motor is not finite at 1.234 s"
 
-    def test_an_exploding_state_is_dumped_and_what_came_first_is_named(self, world, kinematics, tmp_path, quiet_mujoco):
+    def test_an_exploding_state_is_dumped_and_what_came_first_is_named(
+        self,
+        world,
+        kinematics,
+        tmp_path,
+        quiet_mujoco,
+    ):
         world.recorder = Recorder(world, window_s=1.0, folder=tmp_path)
         loop = JointLoop(world, kinematics)
         stand(loop, 100)
@@ -233,14 +257,20 @@ class TestDumps:
             stand(loop, 100)
         found = replay(read_recording(next(tmp_path.iterdir())))
         assert not found.exact  # somebody wrote into the state, and that is what it says
-        assert found.deviates.what in ("velocity of left_panda_joint3", "position of left_panda_joint3")
+        assert found.deviates.what in (
+            "velocity of left_panda_joint3",
+            "position of left_panda_joint3",
+        )
 
     def test_a_reflex_writes_its_last_second(self, world, kinematics, tmp_path):
         world.recorder = Recorder(world, window_s=1.0, folder=tmp_path)
         supervisor = Supervisor(SupervisorConfig(), on_reflex=dumping(world.recorder))
         loop = JointLoop(world, kinematics)
         world_command = world.command
-        world.command = lambda tau, fingers: world_command(supervisor.guard(world.time, world.q, world.v, tau), fingers)
+        world.command = lambda tau, fingers: world_command(
+            supervisor.guard(world.time, world.q, world.v, tau),
+            fingers,
+        )
         with pytest.raises(ReflexError) as caught:
             speed_up(loop)
         supervisor.tell(caught.value)
@@ -277,7 +307,10 @@ class TestFiles:
         controls = recorded.controls.copy()
         controls[3, :3] = np.nan, np.inf, -0.0
         controls[4, :3] = 5e-324, 1.7e308, -1e-300
-        path = write_recording(tmp_path / "odd.npz", module.Recording(**{**vars(recorded), "controls": controls}))
+        path = write_recording(
+            tmp_path / "odd.npz",
+            module.Recording(**{**vars(recorded), "controls": controls}),
+        )
         restored = read_recording(path).controls
         assert (restored.view(np.uint64) == controls.view(np.uint64)).all()
 
@@ -299,7 +332,8 @@ class TestFiles:
     def test_flipped_bytes_are_noticed(self, trial, tmp_path):
         content = trial[0].read_bytes()
         rng = np.random.default_rng(1)
-        harmless, messages = 0, []
+        harmless = 0
+        messages = []
         for _ in range(40):
             damaged = bytearray(content)
             damaged[int(rng.integers(len(content)))] ^= 0xFF
@@ -307,7 +341,9 @@ class TestFiles:
             path.write_bytes(damaged)
             try:
                 read_recording(path)
-                harmless += 1  # names and dates inside the archive are not covered by its check sums
+                harmless += (
+                    1  # names and dates inside the archive are not covered by its check sums
+                )
             except DataError as error:
                 messages.append(error.message)
         assert harmless < 10
@@ -335,18 +371,26 @@ class TestFiles:
 
     def test_another_version_of_the_format_is_named(self, trial, tmp_path):
         path = edit_header(trial[0], tmp_path, version=99)
-        with pytest.raises(DataError, match="version 99 of the format; this minidual reads version 3") as caught:
+        with pytest.raises(
+            DataError,
+            match="version 99 of the format; this minidual reads version 3",
+        ) as caught:
             read_recording(path)
         assert "minidual 0." in caught.value.remedy
 
     def test_a_scene_of_another_version_is_named(self, trial, tmp_path):
         path = edit_header(trial[0], tmp_path, scene={"planet": "Mars"})
-        with pytest.raises(DataError, match=r"values that this version does not know: scene\.planet"):
+        with pytest.raises(
+            DataError,
+            match=r"values that this version does not know: scene\.planet",
+        ):
             read_recording(path)
 
     def test_another_robot_is_refused(self, trial):
         recorded = read_recording(trial[0])
-        other = module.Recording(**{**vars(recorded), "model": {**recorded.model, "body_mass": np.ones(7)}})
+        other = module.Recording(
+            **{**vars(recorded), "model": {**recorded.model, "body_mass": np.ones(7)}},
+        )
         with pytest.raises(DataError, match="body_mass has shape"):
             replay(other)
 
@@ -393,7 +437,15 @@ class TestHostileFiles:
             with pytest.raises(DataError, match=r"changed\.npz"):
                 read_recording(tmp_path / "changed.npz")
             read.append(name)
-        assert {"controls", "keyframes", "pushes", "header", "digest", "model.body_mass", "model.opt.cone"} <= {*read}
+        assert {
+            "controls",
+            "keyframes",
+            "pushes",
+            "header",
+            "digest",
+            "model.body_mass",
+            "model.opt.cone",
+        } <= {*read}
         np.savez(tmp_path / "changed.npz", **{**arrays, "model.opt.cone": np.array(0.0)})
         with pytest.raises(DataError, match="its content does not fit its digest") as caught:
             read_recording(tmp_path / "changed.npz")
@@ -410,16 +462,31 @@ class TestHostileFiles:
             ("controls", lambda a: a.astype(np.complex128), "controls is 2-dimensional complex128"),
             ("controls", lambda a: a[:, None], "controls is 3-dimensional"),
             ("keyframe_steps", lambda a: a[:0], "or the state before the first"),
-            ("keyframe_steps", lambda a: np.r_[a[:1], a[:0:-1]], "its keyframe steps do not grow from 0 to 700"),
+            (
+                "keyframe_steps",
+                lambda a: np.r_[a[:1], a[:0:-1]],
+                "its keyframe steps do not grow from 0 to 700",
+            ),
             ("keyframe_steps", lambda a: np.r_[a[:-1], 2**62], "its keyframe steps do not grow"),
             ("keyframes", lambda a: a[1:], "one for each of 7 rows"),
             ("keyframes", lambda a: a[:, :0], "lacks controls, or the state before the first"),
-            ("keyframes", lambda a: a * 1e300, "the times of its keyframes are not 0.001 s a step apart"),
+            (
+                "keyframes",
+                lambda a: a * 1e300,
+                "the times of its keyframes are not 0.001 s a step apart",
+            ),
             ("push_steps", lambda a: a - 1000, "its push steps do not grow"),
             ("pushes", lambda a: a[..., 0], "pushes is 2-dimensional"),
         ],
     )
-    def test_arrays_that_do_not_fit_each_other_are_refused_by_name(self, trial, tmp_path, name, change, said):
+    def test_arrays_that_do_not_fit_each_other_are_refused_by_name(
+        self,
+        trial,
+        tmp_path,
+        name,
+        change,
+        said,
+    ):
         recorded = read_recording(trial[0])
         with np.errstate(all="ignore"):
             changed = {**vars(recorded), name: change(getattr(recorded, name))}
@@ -433,7 +500,11 @@ class TestHostileFiles:
             ("controls", lambda a: a[:, :3], "a row of the model's controls has shape"),
             ("keyframes", lambda a: a[:, :9], "a row of the model's keyframes has shape"),
             ("pushes", lambda a: a[:, :2], "a row of the model's pushes has shape"),
-            ("keyframes", lambda a: np.where(np.arange(a.shape[1]) == 3, np.nan, a), "the state at 0 s is not finite"),
+            (
+                "keyframes",
+                lambda a: np.where(np.arange(a.shape[1]) == 3, np.nan, a),
+                "the state at 0 s is not finite",
+            ),
         ],
     )
     def test_states_that_do_not_fit_the_model_are_refused_by_name(self, trial, name, change, said):
@@ -445,7 +516,8 @@ class TestHostileFiles:
         recorded = read_recording(trial[0])
         mass = {"body_mass": recorded.model["body_mass"].astype("S8")}
         path = write_recording(
-            tmp_path / "forged.npz", module.Recording(**{**vars(recorded), "model": {**recorded.model, **mass}})
+            tmp_path / "forged.npz",
+            module.Recording(**{**vars(recorded), "model": {**recorded.model, **mass}}),
         )
         with pytest.raises(DataError, match=r"model\.body_mass is 1-dimensional \|S8"):
             read_recording(path)
@@ -453,11 +525,18 @@ class TestHostileFiles:
     def test_a_scene_that_mujoco_cannot_build_is_one_message(self, trial):
         recorded = read_recording(trial[0])
         block = ObstacleConfig.model_construct(size_m=(-1.0, 0.04, 0.1), xy_m=(0.5, 0.0))
-        scene = recorded.scene.model_copy(update={"task": recorded.scene.task.model_copy(update={"obstacle": block})})
+        scene = recorded.scene.model_copy(
+            update={"task": recorded.scene.task.model_copy(update={"obstacle": block})},
+        )
         with pytest.raises(DataError, match="the recording's scene cannot be built"):
             replay(module.Recording(**{**vars(recorded), "scene": scene}))
 
-    def test_a_state_that_ends_where_the_recording_goes_on_does_not_repeat(self, trial, tmp_path, monkeypatch):
+    def test_a_state_that_ends_where_the_recording_goes_on_does_not_repeat(
+        self,
+        trial,
+        tmp_path,
+        monkeypatch,
+    ):
         monkeypatch.chdir(tmp_path)
         recorded = read_recording(trial[0])
         mass = recorded.model["body_mass"].copy()
@@ -465,7 +544,9 @@ class TestHostileFiles:
         inertia = np.zeros_like(recorded.model["body_inertia"])
         armature = np.zeros_like(recorded.model["dof_armature"])
         weightless = {"body_mass": mass, "body_inertia": inertia, "dof_armature": armature}
-        found = replay(module.Recording(**{**vars(recorded), "model": {**recorded.model, **weightless}}))
+        found = replay(
+            module.Recording(**{**vars(recorded), "model": {**recorded.model, **weightless}}),
+        )
         assert found.ended.startswith("the state is not finite")
         assert not found.exact
         assert found.deviates.what == "the state, which goes on in the recording,"
@@ -474,7 +555,13 @@ class TestHostileFiles:
 
     @pytest.mark.parametrize(
         "header",
-        [{"kind": "\x1b[2J"}, {"seed": "x"}, {"libraries": {"minidual": 3}}, {"details": [1]}, {"reason": None}],
+        [
+            {"kind": "\x1b[2J"},
+            {"seed": "x"},
+            {"libraries": {"minidual": 3}},
+            {"details": [1]},
+            {"reason": None},
+        ],
     )
     def test_headers_of_another_type_are_refused_by_name(self, trial, tmp_path, header):
         with pytest.raises(DataError, match=f"does not know: {next(iter(header))}"):
@@ -506,14 +593,21 @@ def test_no_mutation_kills_the_command_or_passes_unseen(trial, tmp_path, forged)
     """300 mutations of arrays and header, with the old digest or one that fits, in processes of their own."""
     with np.load(trial[0]) as stored:
         arrays = dict(stored)
-    cases, files = [], []
+    cases = []
+    files = []
     for seed in range(300):
         mutated, what = mutate(arrays, [seed, forged])
         files.append(tmp_path / f"{seed}.npz")
         write(files[-1], mutated, forged=forged)
-        same = all(np.array_equal(arrays[n], mutated[n]) and arrays[n].dtype == mutated[n].dtype for n in arrays)
+        same = all(
+            np.array_equal(arrays[n], mutated[n]) and arrays[n].dtype == mutated[n].dtype
+            for n in arrays
+        )
         cases.append((what, same))
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:  # raises if a signal ends one of them
+    with ProcessPoolExecutor(
+        2,
+        get_context("spawn"),
+    ) as pool:  # raises if a signal ends one of them
         found = list(pool.map(replay_mutations.run, files))
     for (what, same), (code, out) in zip(cases, found, strict=True):
         assert code in ({0, 1, 2, 5} if forged else {0} if same else {2}), (what, code, out)
@@ -528,7 +622,9 @@ def edit_header(path, folder, **changes):
         arrays = dict(stored)
     header = json.loads(arrays["header"].tobytes()) | changes
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    arrays["digest"] = module._digest({name: values for name, values in arrays.items() if name != "digest"})
+    arrays["digest"] = module._digest(
+        {name: values for name, values in arrays.items() if name != "digest"},
+    )
     edited = folder / "edited.npz"
     np.savez(edited, **arrays)
     return edited
@@ -538,7 +634,11 @@ class TestCommand:
     @pytest.fixture
     def run(self, tmp_path, capsys):
         def call(*words):
-            code = run_command_line(["replay", *map(str, words), "--runs-dir", str(tmp_path)], STAGES, TOOLS)
+            code = run_command_line(
+                ["replay", *map(str, words), "--runs-dir", str(tmp_path)],
+                STAGES,
+                TOOLS,
+            )
             return code, *capsys.readouterr()
 
         return call
@@ -551,7 +651,13 @@ class TestCommand:
         assert "mujoco 4." in out
         assert list(tmp_path.iterdir()) == []  # it looks, it does not write
 
-    def test_it_shows_the_tick_of_the_reflex_though_the_motors_never_saw_it(self, run, world, kinematics, tmp_path):
+    def test_it_shows_the_tick_of_the_reflex_though_the_motors_never_saw_it(
+        self,
+        run,
+        world,
+        kinematics,
+        tmp_path,
+    ):
         recorder = move(world, kinematics, 150, folder=tmp_path / "dumps")
         supervisor = Supervisor(SupervisorConfig(), on_reflex=dumping(recorder))
         tau = np.full(14, 0.25)
@@ -565,7 +671,9 @@ class TestCommand:
         assert code == 0
         assert "nothing went out of bounds" in out
         assert f"asked_torque_nm: {'0.25 ' * 4}nan{' 0.25' * 9}\n" in out
-        assert read_recording(caught.value.dump).details["measured_position_rad"] == world.q.tolist()
+        assert (
+            read_recording(caught.value.dump).details["measured_position_rad"] == world.q.tolist()
+        )
 
     def test_it_says_that_nothing_was_compared(self, run, trial):
         code, out, _ = run(trial[0], "--from-s", "0.31", "--to-s", "0.39")
@@ -574,7 +682,11 @@ class TestCommand:
         assert "to the bit" not in out
 
     def test_what_a_file_says_does_not_steer_the_terminal(self, run, trial, tmp_path):
-        told = {"reason": "\x1b]0;owned\x07\u202e", "kind": "dump", "details": {"\x1b[2J": ["\x9b31m"]}}
+        told = {
+            "reason": "\x1b]0;owned\x07\u202e",
+            "kind": "dump",
+            "details": {"\x1b[2J": ["\x9b31m"]},
+        }
         code, out, err = run(edit_header(trial[0], tmp_path, **told))
         assert code == 0
         assert "why       \\u001b]0;owned\\u0007\\u202e" in out
@@ -589,7 +701,12 @@ class TestCommand:
         assert document["from_s"] == pytest.approx(0.2)
         assert document["details"] == {"index": 3}
 
-    def test_physics_that_does_not_repeat_exits_1_and_another_version_explains_it(self, run, trial, tmp_path):
+    def test_physics_that_does_not_repeat_exits_1_and_another_version_explains_it(
+        self,
+        run,
+        trial,
+        tmp_path,
+    ):
         recorded = read_recording(trial[0])
         controls = recorded.controls.copy()
         controls[450, 4] += 1e-3
@@ -632,7 +749,8 @@ class TestCommand:
             assert f"{option} goes with {of}" in run(trial[0], option, value)[2]
 
     def test_it_draws_a_film_and_a_sheet(self, run, trial, tmp_path):
-        film, sheet = tmp_path / "film.mp4", tmp_path / "sheet.png"
+        film = tmp_path / "film.mp4"
+        sheet = tmp_path / "sheet.png"
         words = ("--from-s", "0.4", "--to-s", "0.6", "--slowdown", "2", "--frames", "3")
         assert run(trial[0], *words, "--video", film, "--picture", sheet)[0] == 0
         with av.open(str(film)) as container:

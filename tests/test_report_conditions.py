@@ -37,7 +37,9 @@ def given(tmp_path: Path) -> StageContext:
 
 def built(given: StageContext, root: Path) -> tuple[Report, str]:
     (root / "report").mkdir()
-    return build_report(given, root / "report"), (root / "report" / "report.html").read_text(encoding="utf-8")
+    return build_report(given, root / "report"), (root / "report" / "report.html").read_text(
+        encoding="utf-8",
+    )
 
 
 def table(data: dict[str, Any]) -> Tables:
@@ -59,16 +61,26 @@ def test_the_table_holds_every_cell_with_its_numbers(data: dict[str, Any]) -> No
     still = cells["moveit", CLEAN].measures["duration_median_s"]
     assert moved.middle == pytest.approx(still.middle + 0.5)
     assert moved.low <= moved.middle <= moved.high
-    assert (cells["act", "delay 20 ms"].state, cells["act", "delay 20 ms"].why) == ("spared", "act reads no force")
+    assert (cells["act", "delay 20 ms"].state, cells["act", "delay 20 ms"].why) == (
+        "spared",
+        "act reads no force",
+    )
 
 
-def test_a_cell_says_what_is_promised_and_nothing_where_nothing_is(given: StageContext, tmp_path: Path) -> None:
+def test_a_cell_says_what_is_promised_and_nothing_where_nothing_is(
+    given: StageContext,
+    tmp_path: Path,
+) -> None:
     report, text = built(given, tmp_path)
     limits = {(c.method, c.condition): c.limit for c in report.tables[samples.TASK].cells}
     assert limits["impedance", CLEAN] == "more than 80 %"
     assert limits["impedance", "push +x"] == "95 % or more (carry --perturb)"
     assert (limits["moveit", "push +x"], limits["act", "push +x"]) == ("", "")
-    assert text.count("(carry --perturb)") == sum("(carry --perturb)" in limit for limit in limits.values()) > 0
+    assert (
+        text.count("(carry --perturb)")
+        == sum("(carry --perturb)" in limit for limit in limits.values())
+        > 0
+    )
     asked = given.config.deploy.model_copy(update={"condition_rate_min": {"room": 0.85}})
     config = given.config.model_copy(update={"deploy": asked})
     assert limits_of(config, samples.TASK, "act", "room") == "85 % or more (deploy)"
@@ -111,30 +123,45 @@ _PUSH = ("conditions", "push +x", "methods")
     ],
 )
 def test_a_hole_is_named_and_fails_the_report(
-    data: dict[str, Any], change: Callable[[dict[str, Any]], None], hole: str, given: StageContext
+    data: dict[str, Any],
+    change: Callable[[dict[str, Any]], None],
+    hole: str,
+    given: StageContext,
 ) -> None:
     assert {c.passed for c in Report(given, {samples.TASK: table(data)}, {}, ()).checks} == {True}
     broken = copy.deepcopy(data)
     change(broken)
     assert hole in table(broken).missing()
-    checks = {check.name: check for check in Report(given, {samples.TASK: table(broken)}, {}, ()).checks}
+    checks = {
+        check.name: check for check in Report(given, {samples.TASK: table(broken)}, {}, ()).checks
+    }
     assert checks["missing_cells"].passed is False
     assert checks["missing_cells"].observed == len(table(broken).missing()) > 0
     assert checks["stages_not_passing"].passed
 
 
-def test_conditions_that_nobody_ran_fail_the_report(given: StageContext, data: dict[str, Any], tmp_path: Path) -> None:
+def test_conditions_that_nobody_ran_fail_the_report(
+    given: StageContext,
+    data: dict[str, Any],
+    tmp_path: Path,
+) -> None:
     plain = {key: value for key, value in data.items() if key not in ("conditions", "losses")}
     report, text = built(samples.with_data(given, plain), tmp_path)
     assert report.state == "fail"
-    assert len(report.tables[samples.TASK].missing()) == 6 * 8  # six indicators, the number of trials and the loss
+    assert (
+        len(report.tables[samples.TASK].missing()) == 6 * 8
+    )  # six indicators, the number of trials and the loss
     assert "This report does not pass" in text
     assert text.count('<td class="missing">') == 6 * (1 + 5)
 
 
 def test_an_undisturbed_benchmark_has_no_such_table_and_passes(tmp_path: Path) -> None:
     report, text = built(samples.make_run(tmp_path), tmp_path)
-    assert (report.state, len(report.tables[samples.TASK].rows), "Under disturbances" in text) == ("pass", 1, False)
+    assert (report.state, len(report.tables[samples.TASK].rows), "Under disturbances" in text) == (
+        "pass",
+        1,
+        False,
+    )
     assert 'id="conditions"' not in text
 
 
@@ -142,10 +169,15 @@ def test_an_indicator_without_its_interval_is_a_hole() -> None:
     rows = samples.methods_data(samples.make_trials())
     assert tabulate(samples.METHODS, (), {"methods": rows}).missing() == []
     del rows["act"]["jerk_rms_low"]
-    assert tabulate(samples.METHODS, (), {"methods": rows}).missing() == ["act.clean.jerk_rms_median"]
+    assert tabulate(samples.METHODS, (), {"methods": rows}).missing() == [
+        "act.clean.jerk_rms_median",
+    ]
 
 
-def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(given: StageContext, tmp_path: Path) -> None:
+def test_the_page_shows_what_applies_what_is_lost_and_what_is_behind_it(
+    given: StageContext,
+    tmp_path: Path,
+) -> None:
     report, text = built(given, tmp_path)
     assert report.state == "pass"
     part = text[text.index('id="conditions"') : text.index('id="analysis"')]
@@ -172,15 +204,22 @@ def test_ranks_and_figures_of_trials_are_those_of_undisturbed_ones(tmp_path: Pat
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     plain, _ = built(samples.make_run(tmp_path / "a"), tmp_path / "a")
-    disturbed, _ = built(samples.make_run(tmp_path / "b", samples.disturbed_trials()), tmp_path / "b")
-    (new,), (old,) = disturbed.tables.values(), plain.tables.values()
+    disturbed, _ = built(
+        samples.make_run(tmp_path / "b", samples.disturbed_trials()),
+        tmp_path / "b",
+    )
+    (new,) = disturbed.tables.values()
+    (old,) = plain.tables.values()
     assert (new.clean, new.pairs) == (old.clean, old.pairs)
-    (drawn,), (known,) = disturbed.figures.values(), plain.figures.values()
+    (drawn,) = disturbed.figures.values()
+    (known,) = plain.figures.values()
     assert [f.svg for f in drawn[1:]] == [f.svg for f in known[1:]]
 
 
 def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
-    data: dict[str, Any], given: StageContext, tmp_path: Path
+    data: dict[str, Any],
+    given: StageContext,
+    tmp_path: Path,
 ) -> None:
     found = table(data)
     (loss,) = found.losses
@@ -200,29 +239,47 @@ def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
     assert table(few).losses == []
 
 
-def test_a_difference_is_shown_after_correction_for_the_number_of_tests(data: dict[str, Any]) -> None:
+def test_a_difference_is_shown_after_correction_for_the_number_of_tests(
+    data: dict[str, Any],
+) -> None:
     """p = 0.02 in one test of four is not below 0.05 over all of them."""
     for rows in (data["losses"], data["comparisons"]):
         for row in rows:
-            row["p_value"] = 0.02 if row.get("condition", row["first"]) == "push +x" and "act" in row.values() else 1.0
+            row["p_value"] = (
+                0.02
+                if row.get("condition", row["first"]) == "push +x" and "act" in row.values()
+                else 1.0
+            )
     assert table(data).losses == []
     many = [{**row, "condition": f"other {i}"} for i, row in enumerate(data["comparisons"][:3])]
     assert table({**data, "comparisons": data["comparisons"] + many}).partings == []
     data["losses"] = [row for row in data["losses"] if row["method"] == "act"]
-    data["comparisons"] = [r for r in data["comparisons"] if (r["first"], r["condition"]) == ("moveit", "push +x")][1:]
+    data["comparisons"] = [
+        r for r in data["comparisons"] if (r["first"], r["condition"]) == ("moveit", "push +x")
+    ][1:]
     alone = table(data)
     assert [loss["p_holm"] for loss in alone.losses] == [0.02]
     assert [pair["p_holm"] for pair in alone.partings] == [0.02]
 
 
-def test_each_task_has_its_own_tables_and_figures(given: StageContext, data: dict[str, Any], tmp_path: Path) -> None:
+def test_each_task_has_its_own_tables_and_figures(
+    given: StageContext,
+    data: dict[str, Any],
+    tmp_path: Path,
+) -> None:
     other = copy.deepcopy(data)
     other["methods"]["act"] = {"applies": False, "why": "its policy is trained on 'rod_carry'"}
     given.verdicts["benchmark"].data["tasks"]["handover"] = other
-    changes = {"benchmark": given.config.benchmark.model_copy(update={"tasks": (samples.TASK, "handover")})}
+    changes = {
+        "benchmark": given.config.benchmark.model_copy(
+            update={"tasks": (samples.TASK, "handover")}
+        ),
+    }
     report, text = built(replace(given, config=given.config.model_copy(update=changes)), tmp_path)
     assert list(report.tables) == [samples.TASK, "handover"]
-    assert text.count("<h2>Comparison of the methods: ") == text.count("<h2>Under disturbances: ") == 2
+    assert (
+        text.count("<h2>Comparison of the methods: ") == text.count("<h2>Under disturbances: ") == 2
+    )
     assert text.count("Thinnest margins") == 1
     assert text.count("Success in each task") == 1
     assert '<th scope="row"><a href="#comparison-handover">handover</a></th>' in text
@@ -238,13 +295,22 @@ def test_each_task_has_its_own_tables_and_figures(given: StageContext, data: dic
     (tmp_path / "again").mkdir()
     given.verdicts["benchmark"].data["tasks"].pop("handover")
     report, _ = built(report.given, tmp_path / "again")
-    assert "handover.moveit.clean.success_rate" in report.checks[0].why, "a task that nobody ran is a hole"
+    assert "handover.moveit.clean.success_rate" in report.checks[0].why, (
+        "a task that nobody ran is a hole"
+    )
 
 
-def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(data: dict[str, Any]) -> None:
+def test_the_figure_has_a_line_for_every_cell_that_ran_and_says_which_did_not(
+    data: dict[str, Any],
+) -> None:
     figure = success_figure(table(data).rows)
     assert figure is not None
-    for word in (*samples.METHODS, *samples.CONDITIONS, "moveit: does not apply", "act: does not apply"):
+    for word in (
+        *samples.METHODS,
+        *samples.CONDITIONS,
+        "moveit: does not apply",
+        "act: does not apply",
+    ):
         assert word in figure.svg
     assert "impedance: does not apply" not in figure.svg
     assert "var(--ink)" in figure.themed

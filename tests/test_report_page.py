@@ -46,12 +46,16 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: Sequence[tuple[str, str | None]]) -> None:
         self._heading_seen |= tag == "h1"
-        self.references += [value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")]
+        self.references += [
+            value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")
+        ]
         if tag not in self.VOID:
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: Sequence[tuple[str, str | None]]) -> None:
-        self.references += [value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")]
+        self.references += [
+            value or "" for name, value in attrs if name in ("src", "href", "poster", "xlink:href")
+        ]
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open, f"</{tag}> closes nothing"
@@ -79,22 +83,32 @@ def test_the_page_is_well_formed_and_needs_nothing_from_outside(tmp_path: Path) 
     page = Page(text)
     assert page.open == []
     for reference in page.references:
-        inside = reference.startswith(("#", "data:")) or (tmp_path / "report" / reference.partition("#")[0]).is_file()
+        inside = (
+            reference.startswith(("#", "data:"))
+            or (tmp_path / "report" / reference.partition("#")[0]).is_file()
+        )
         assert inside, reference[:80]
     assert re.findall(r"(?:@import|url\()\s*['\"]?(?:https?:|//)", text) == []
     assert "<script" not in text
 
 
-def test_the_same_verdicts_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_verdicts_give_the_same_bytes(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.undo()  # figures are drawn twice here
     given = samples.make_run(tmp_path)
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         build_report(given, tmp_path / name)
-    files = sorted(p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file())
+    files = sorted(
+        p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file()
+    )
     assert len(files) > 5
     for file in files:
-        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), file
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), (
+            file
+        )
 
 
 def test_a_waiver_taints_the_report_at_its_very_top(tmp_path: Path) -> None:
@@ -152,7 +166,10 @@ def test_a_missing_method_fails_the_report_and_shows_the_hole(tmp_path: Path) ->
 
 def test_a_failing_or_absent_stage_fails_the_report(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
-    bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
+    bad = replace(
+        given.verdicts["plan"],
+        checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),),
+    )
     rest = {name: verdict for name, verdict in given.verdicts.items() if name != "deploy"}
     report, text = built(replace(given, verdicts={**rest, "plan": bad}), tmp_path)
     assert report.state == "fail"
@@ -172,7 +189,11 @@ def test_without_a_benchmark_there_is_still_a_page_that_fails(tmp_path: Path) ->
 def test_overrides_and_mixed_commits_are_said(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     plan = given.verdicts["plan"]
-    plan = replace(plan, overrides=("plan.queries_n=1",), fingerprint=replace(plan.fingerprint, commit="feed" * 10))
+    plan = replace(
+        plan,
+        overrides=("plan.queries_n=1",),
+        fingerprint=replace(plan.fingerprint, commit="feed" * 10),
+    )
     _, text = built(replace(given, verdicts={**given.verdicts, "plan": plan}), tmp_path)
     before = Page(text).before_heading
     assert "plan.queries_n=1" in before
@@ -197,7 +218,9 @@ def with_artefact(given: StageContext, stage: str) -> StageContext:
 def picture(path: Path, size: tuple[int, int] = (48, 32)) -> None:
     from PIL import Image
 
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)).save(path)
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)).save(
+        path,
+    )
 
 
 def test_pictures_and_films_of_the_stages_are_shown_and_data_is_not(tmp_path: Path) -> None:
@@ -209,12 +232,18 @@ def test_pictures_and_films_of_the_stages_are_shown_and_data_is_not(tmp_path: Pa
     write_video(carry / "carry.mp4", frames, fps=10)
     write_video(carry / "dataset" / "videos" / "file-000.mp4", frames, fps=10)
     report, text = built(with_artefact(given, "carry"), tmp_path)
-    assert [(medium.name, medium.film) for medium in report.media] == [("carry.mp4", True), ("median_trial.png", False)]
+    assert [(medium.name, medium.film) for medium in report.media] == [
+        ("carry.mp4", True),
+        ("median_trial.png", False),
+    ]
     assert "Median trial" in text
     assert 'src="data:video/mp4;base64,' in text
 
 
-def test_a_large_film_is_copied_beside_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_film_is_copied_beside_the_page(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(model, "EMBED_BYTES", 10)
     given = samples.make_run(tmp_path)
     film = given.upstream["deploy"] / "success.mp4"
@@ -241,7 +270,13 @@ def test_every_figure_is_drawn_from_the_data_and_themed(tmp_path: Path) -> None:
         "success",
         *(
             f"{n}"
-            for n in ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
+            for n in (
+                "duration_median_s",
+                "torque_ratio_max",
+                "jerk_rms_median",
+                "tilt_max_rad",
+                "path_length_m",
+            )
         ),
     ]
     for figure in report.figures[samples.TASK]:
@@ -257,9 +292,9 @@ def test_the_json_says_what_the_page_says(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert document["state"] == report.state == "pass"
     assert [stage["name"] for stage in document["stages"]] == [name for name, _ in samples.STAGES]
-    assert document["tasks"][samples.TASK]["comparison"]["methods"]["act"]["measures"]["success_rate"][
-        "value"
-    ] == pytest.approx(0.75)
+    assert document["tasks"][samples.TASK]["comparison"]["methods"]["act"]["measures"][
+        "success_rate"
+    ]["value"] == pytest.approx(0.75)
     pair = document["tasks"][samples.TASK]["analysis"]["pairs"][0]
     assert (pair["first"], pair["second"], pair["trials_n"]) == ("moveit", "impedance", 20)
     assert "moveit against impedance" in text

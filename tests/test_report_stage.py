@@ -35,7 +35,10 @@ def test_the_registry_and_the_stage_agree() -> None:
 
 def test_the_stage_writes_the_page_and_derives_its_checks(tmp_path: Path) -> None:
     result = run_report(samples.make_run(tmp_path), tmp_path / "out")
-    assert {check.name: check.passed for check in result.checks} == {"missing_cells": True, "stages_not_passing": True}
+    assert {check.name: check.passed for check in result.checks} == {
+        "missing_cells": True,
+        "stages_not_passing": True,
+    }
     assert (tmp_path / "out" / "report.html").is_file()
     assert (tmp_path / "out" / "report.json").is_file()
     assert result.data["state"] == "pass"
@@ -48,7 +51,8 @@ def test_a_waiver_reaches_the_page(tmp_path: Path) -> None:
 
 
 def test_the_result_depends_on_title_and_methods() -> None:
-    one, other = Config(), Config.model_validate({"report": {"title": "Another"}})
+    one = Config()
+    other = Config.model_validate({"report": {"title": "Another"}})
     fewer = Config.model_validate({"benchmark": {"methods": ["act"]}})
     assert STAGES["report"].parameters(one) != STAGES["report"].parameters(other)
     assert STAGES["report"].parameters(one) != STAGES["report"].parameters(fewer)

@@ -39,10 +39,19 @@ def table() -> dict[str, dict]:
     return samples.methods_data(samples.make_trials())
 
 
-def own_check(table: dict, name: str = "missing_cells", methods: tuple[str, ...] = samples.METHODS) -> Check:
+def own_check(
+    table: dict,
+    name: str = "missing_cells",
+    methods: tuple[str, ...] = samples.METHODS,
+) -> Check:
     """Return one of the report's own checks for a table of methods."""
     given = StageContext(folder=Path(), config=Config(), seed=1, profile="standard")
-    checks = model.Report(given, {samples.TASK: compare(methods, {"methods": table})}, {}, ()).checks
+    checks = model.Report(
+        given,
+        {samples.TASK: compare(methods, {"methods": table})},
+        {},
+        (),
+    ).checks
     return next(check for check in checks if check.name == name)
 
 
@@ -67,7 +76,8 @@ def test_a_cell_that_is_no_finite_number_is_missing(table: dict, key: str, hole:
 
 
 @pytest.mark.parametrize(
-    ("key", "hole"), [("success_low", "success_rate"), ("success_high", "success_rate"), ("trials", "trials")]
+    ("key", "hole"),
+    [("success_low", "success_rate"), ("success_high", "success_rate"), ("trials", "trials")],
 )
 def test_a_success_rate_without_its_interval_is_missing(table: dict, key: str, hole: str) -> None:
     del table["impedance"][key]
@@ -79,7 +89,10 @@ def test_no_success_leaves_completion_time_undefined_but_nothing_else(table: dic
     table["act"].update(duration_median_s="nan", path_length_m="nan")
     tables = compare(samples.METHODS, {"methods": table})
     assert tables.missing() == []
-    assert [i.key for i in INDICATORS if tables.clean.cells[2].undefined(i)] == ["duration_median_s", "path_length_m"]
+    assert [i.key for i in INDICATORS if tables.clean.cells[2].undefined(i)] == [
+        "duration_median_s",
+        "path_length_m",
+    ]
     table["act"]["jerk_rms_median"] = "nan"
     assert compare(samples.METHODS, {"methods": table}).missing() == ["act.clean.jerk_rms_median"]
 
@@ -148,7 +161,10 @@ def test_the_figures_read_the_undisturbed_trials(tmp_path: Path) -> None:
         lambda data: data["comparisons"][0].update(rate_difference="nan"),
     ],
 )
-def test_damaged_data_of_the_benchmark_is_named(tmp_path: Path, damage: Callable[[dict], object]) -> None:
+def test_damaged_data_of_the_benchmark_is_named(
+    tmp_path: Path,
+    damage: Callable[[dict], object],
+) -> None:
     given = samples.make_run(tmp_path)
     data = copy.deepcopy(given.verdicts["benchmark"].data["tasks"][samples.TASK])
     damage(data)
@@ -159,7 +175,10 @@ def test_damaged_data_of_the_benchmark_is_named(tmp_path: Path, damage: Callable
 def test_a_table_of_trials_without_a_column_is_named(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
     path = given.upstream["benchmark"] / "benchmark.csv"
-    path.write_text(path.read_text(encoding="utf-8").replace("jerk_rms", "jerk", 1), encoding="utf-8")
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("jerk_rms", "jerk", 1),
+        encoding="utf-8",
+    )
     with pytest.raises(DataError, match="'jerk_rms'"):
         build_report(given, tmp_path)
 
@@ -197,7 +216,10 @@ def test_pairs_of_methods_claim_what_many_trials_show(tmp_path: Path) -> None:
     (pair,) = [p for p in pairs if (p["first"], p["second"]) == ("impedance", "act")]
     assert pair["shown"]
     assert pair["rate_difference"] == pytest.approx(0.25)
-    assert (points(pair["rate_difference_low"]), points(pair["rate_difference_high"])) == ("+19", "+31")
+    assert (points(pair["rate_difference_low"]), points(pair["rate_difference_high"])) == (
+        "+19",
+        "+31",
+    )
 
 
 def test_failures_are_named_and_counted(page: str) -> None:
@@ -210,7 +232,10 @@ def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None
     assert "held out from training: 78 % (95 % interval 65 % to 87 %)" in page
     assert "training set: 95 %, +17 points, outside that interval" in page
     assert "undisturbed: 47 of 60 succeed (65 % to 87 %); 13 × missed the goal." in page
-    assert "room: 45 of 60 succeed (63 % to 87 %); 15 × missed the goal; training by training 80 %, 65 %, 80 %." in page
+    assert (
+        "room: 45 of 60 succeed (63 % to 87 %); 15 × missed the goal; training by training 80 %, 65 %, 80 %."
+        in page
+    )
 
 
 def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
@@ -222,7 +247,10 @@ def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
 
 def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
     given = samples.make_run(tmp_path)
-    bad = replace(given.verdicts["plan"], checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),))
+    bad = replace(
+        given.verdicts["plan"],
+        checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),),
+    )
     first = gather({**given.verdicts, "plan": bad})["margins"][0]
     assert (first["stage"], first["share_of_limit"]) == ("plan", pytest.approx(-0.2))
 
@@ -233,8 +261,13 @@ def test_a_share_at_100_percent_has_no_margin_to_be_thin(report: Report) -> None
 
 
 def test_without_numbers_there_is_no_analysis() -> None:
-    found, nothing = gather({}), compare(samples.METHODS, {})
-    assert (nothing.pairs, nothing.losses, found) == ([], [], {"gap": None, "sets": {}, "margins": [], "at_best_n": 0})
+    found = gather({})
+    nothing = compare(samples.METHODS, {})
+    assert (nothing.pairs, nothing.losses, found) == (
+        [],
+        [],
+        {"gap": None, "sets": {}, "margins": [], "at_best_n": 0},
+    )
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:

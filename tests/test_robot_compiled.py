@@ -58,7 +58,8 @@ def test_the_private_flag_of_numba_is_still_there():
 
 
 def test_a_kernel_that_counts_no_references_checks_its_arguments_all_the_same():
-    a, b = np.arange(3.0), np.array([0.0, 3.0, 2.0])
+    a = np.arange(3.0)
+    b = np.array([0.0, 3.0, 2.0])
     before = sys.getrefcount(a)
     for _ in range(1000):
         assert kernels.farthest(a, b) == 2.0
@@ -87,7 +88,10 @@ from numba import njit
 print(njit(lambda a: a @ a)(2.0 * np.eye(2))[1, 1])
 """
     done = subprocess.run(
-        [sys.executable, "-c", f"from pathlib import Path{program}"], check=True, capture_output=True, text=True
+        [sys.executable, "-c", f"from pathlib import Path{program}"],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     assert done.stdout.split() == ["False", "True", "4.0"]
 

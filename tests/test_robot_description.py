@@ -73,16 +73,24 @@ def test_masses_and_inertias_are_those_of_the_urdf(robot):
     arms = [i for i in range(model.nbody) if model.body(i).name.startswith(("left_", "right_"))]
     # Pinocchio folds both fixed bases into the universe, whose mass it does not count.
     bases = sum(float(model.body(name).mass[0]) for name in robot.both(robot.arm.base_link))
-    assert sum(model.body_mass[arms]) - bases == pytest.approx(pin.computeTotalMass(full, full.createData()), abs=1e-9)
+    assert sum(model.body_mass[arms]) - bases == pytest.approx(
+        pin.computeTotalMass(full, full.createData()),
+        abs=1e-9,
+    )
 
 
 @each_robot
 def test_nothing_but_the_rod_touches_at_home_and_motors_hold_the_arms(robot):
-    world, kinematics = World(SceneConfig(), robot), Kinematics(robot)
+    world = World(SceneConfig(), robot)
+    kinematics = Kinematics(robot)
     assert {frozenset(pair[:2]) for pair in world.contact_pairs()} == {frozenset(("rod", "table"))}
     assert (np.abs(kinematics.gravity(robot.home)) < 0.6 * robot.tau_max).all()
     for T in kinematics.tcp_poses(robot.home):
-        assert np.allclose(T[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-3)  # hands down, fingers open along x
+        assert np.allclose(
+            T[:3, :3],
+            np.diag([1.0, -1.0, -1.0]),
+            atol=1e-3,
+        )  # hands down, fingers open along x
 
 
 @each_robot
@@ -110,7 +118,9 @@ def test_a_link_that_the_urdf_does_not_have_is_named():
     with pytest.raises(UsageError, match="panda_link8"):
         description.pair_urdf(Robot(arm))
     with pytest.raises(UsageError, match="does not hang on"):
-        description.pair_urdf(Robot(dataclasses.replace(PANDA, base_link="panda_link3", flange_link="panda_link1")))
+        description.pair_urdf(
+            Robot(dataclasses.replace(PANDA, base_link="panda_link3", flange_link="panda_link1")),
+        )
 
 
 def test_groups_partition_the_joints():

@@ -14,7 +14,8 @@ from minidual.robot import pair
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, robot_from
 
-DOF, ARMS = DUAL_PANDA.dof, DUAL_PANDA.sides
+DOF = DUAL_PANDA.dof
+ARMS = DUAL_PANDA.sides
 
 RNG_SEED = 11
 ARM_NAMES = ("panda", "xarm7", "ur5")
@@ -22,13 +23,17 @@ ARM_NAMES = ("panda", "xarm7", "ur5")
 
 def random_states(n, robot=DUAL_PANDA):
     rng = np.random.default_rng(RNG_SEED)
-    return [(rng.uniform(robot.q_lower, robot.q_upper), rng.uniform(-robot.v_max, robot.v_max)) for _ in range(n)]
+    return [
+        (rng.uniform(robot.q_lower, robot.q_upper), rng.uniform(-robot.v_max, robot.v_max))
+        for _ in range(n)
+    ]
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)
 def test_mujoco_and_pinocchio_agree_to_rounding(arm):
     robot = robot_from(RobotConfig(arm=arm))
-    world, kinematics = World(SceneConfig(), robot), Kinematics(robot)
+    world = World(SceneConfig(), robot)
+    kinematics = Kinematics(robot)
     for q, v in random_states(5, robot):
         world.reset(q)
         world.data.qvel[world.joints.qvel] = v
@@ -39,7 +44,12 @@ def test_mujoco_and_pinocchio_agree_to_rounding(arm):
             assert np.abs(T[:3, :3] - body.xmat.reshape(3, 3)).max() < 1e-12
         M = np.zeros((world.model.nv, world.model.nv))
         mujoco.mj_fullM(world.model, world.data, M)
-        assert np.abs(M[np.ix_(world.joints.qvel, world.joints.qvel)] - kinematics.mass_matrix(q)).max() < 1e-12
+        assert (
+            np.abs(
+                M[np.ix_(world.joints.qvel, world.joints.qvel)] - kinematics.mass_matrix(q),
+            ).max()
+            < 1e-12
+        )
         assert np.abs(world.data.qfrc_bias[world.joints.qvel] - kinematics.bias(q, v)).max() < 1e-10
 
 
@@ -63,7 +73,8 @@ def test_jacobians_match_mujocos(world, kinematics):
     q, _ = random_states(1)[0]
     world.reset(q)
     for arm, J in zip(ARMS, kinematics.tcp_jacobians(q), strict=True):
-        linear, angular = np.zeros((3, world.model.nv)), np.zeros((3, world.model.nv))
+        linear = np.zeros((3, world.model.nv))
+        angular = np.zeros((3, world.model.nv))
         body = world.model.body(f"{arm}_panda_hand_tcp").id
         mujoco.mj_jacBody(world.model, world.data, linear, angular, body)
         assert np.abs(np.vstack([linear, angular])[:, world.joints.qvel] - J).max() < 1e-12
@@ -126,5 +137,11 @@ class TestPoses:
 
     @pytest.mark.parametrize("angle", [-3.0, -0.4, 0.0, 1e-9, 2.0, np.pi])
     def test_elementary_rotations(self, angle):
-        assert pair.rot_x(angle) == pytest.approx(Rotation.from_euler("x", angle).as_matrix(), abs=1e-15)
-        assert pair.rot_z(angle) == pytest.approx(Rotation.from_euler("z", angle).as_matrix(), abs=1e-15)
+        assert pair.rot_x(angle) == pytest.approx(
+            Rotation.from_euler("x", angle).as_matrix(),
+            abs=1e-15,
+        )
+        assert pair.rot_z(angle) == pytest.approx(
+            Rotation.from_euler("z", angle).as_matrix(),
+            abs=1e-15,
+        )

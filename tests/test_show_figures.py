@@ -23,7 +23,10 @@ from minidual.trials.runner import Bench
 
 @pytest.mark.parametrize(("arm", "joints"), [("panda", 7), ("ur5", 6)])
 def test_a_trial_is_drawn_with_the_joints_of_its_arm(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: str, joints: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arm: str,
+    joints: int,
 ) -> None:
     config = Config.model_validate({"robot": {"arm": arm}})
     robot = robot_from(config.robot)
@@ -31,18 +34,38 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
     zeros = np.zeros((50, robot.dof))
     tau = np.tile(0.5 * robot.tau_max, (50, 1))
     tau[:, -1] = 0.9 * robot.tau_max[-1]
-    log = TrialLog(t, zeros, tau, np.zeros((50, 2, 3)), np.zeros((50, 3)), 0.0 * t, np.ones((50, 2)), 0.0 * t, t > 1.0)
+    log = TrialLog(
+        t,
+        zeros,
+        tau,
+        np.zeros((50, 2, 3)),
+        np.zeros((50, 3)),
+        0.0 * t,
+        np.ones((50, 2)),
+        0.0 * t,
+        t > 1.0,
+    )
     drawn: list[Any] = []
     make = canvas.new_figure
     monkeypatch.setattr(
-        "minidual.show.figures.trial.new_figure", lambda *a, **k: drawn.append(make(*a, **k)) or drawn[0]
+        "minidual.show.figures.trial.new_figure",
+        lambda *a, **k: drawn.append(make(*a, **k)) or drawn[0],
     )
-    draw_trial(log, config.scene, robot, tmp_path / "trial.png", goal=np.array([0.53, -0.28, 0.01]), title="a title")
+    draw_trial(
+        log,
+        config.scene,
+        robot,
+        tmp_path / "trial.png",
+        goal=np.array([0.53, -0.28, 0.01]),
+        title="a title",
+    )
     assert imread(tmp_path / "trial.png").std() > 0.02
     goals = [line.get_ydata()[0] for line in drawn[0][1][0, 0].lines if line.get_linestyle() == ":"]
     assert goals == [0.53, -0.28, 0.01]  # of this trial, not the middle of its range
     torque = drawn[0][1][1, 1]
-    assert [text.get_text() for text in torque.get_legend().get_texts()] == [f"joint {i + 1}" for i in range(joints)]
+    assert [text.get_text() for text in torque.get_legend().get_texts()] == [
+        f"joint {i + 1}" for i in range(joints)
+    ]
     assert torque.lines[joints - 1].get_ydata()[0] == pytest.approx(0.9)  # the larger of both arms
     assert torque.lines[0].get_ydata()[0] == pytest.approx(0.5)
 
@@ -50,7 +73,8 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
 def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> None:
 
     scene = Config().scene
-    world, keep = World(scene), Postures(0.001)
+    world = World(scene)
+    keep = Postures(0.001)
     model = build_model(scene, visuals=True)
     for _ in range(3):
         world.step()
@@ -64,7 +88,10 @@ def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> 
     assert film_postures(model, keep.qpos, tmp_path / "film.mp4") == 3
 
 
-def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """`hold` never lifts the rod, so every trial of it fails; the condition is that of the trial."""
     inputs = MethodInputs(Config(), 7)
     trial = draw_under(inputs, "object colour")
@@ -87,16 +114,21 @@ def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(tmp_path: Path, m
     ]
     assert all(picture.std() > 20.0 for _, picture in drawn)
     assert imread(tmp_path / "failures.png").std() > 0.02
-    draw_failures([(inputs, trial(3), dataclasses.replace(result, condition="clean"))], tmp_path / "clean.png")
+    draw_failures(
+        [(inputs, trial(3), dataclasses.replace(result, condition="clean"))],
+        tmp_path / "clean.png",
+    )
     for k in (0, 2):  # the last one, too, though the trial has ended by then
         difference = np.abs(drawn[k][1].astype(float) - drawn[k + 3][1]).max()
         assert difference > 30.0, "the rod has the colour of its trial"
 
 
 def test_a_picture_that_cannot_be_finished_leaves_the_older_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    path, grey = tmp_path / "plan.png", np.full((8, 8, 3), 128, dtype=np.uint8)
+    path = tmp_path / "plan.png"
+    grey = np.full((8, 8, 3), 128, dtype=np.uint8)
     canvas.sheet([("first", grey)], 1, path)
     older = path.read_bytes()
 

@@ -16,7 +16,18 @@ from minidual.gate.signature import sign
 
 
 def make_key(path: Path, passphrase: str = "") -> Path:
-    command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", passphrase, "-C", "someone", "-f", str(path)]
+    command = [
+        "ssh-keygen",
+        "-q",
+        "-t",
+        "ed25519",
+        "-N",
+        passphrase,
+        "-C",
+        "someone",
+        "-f",
+        str(path),
+    ]
     subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
     return path
 
@@ -25,8 +36,10 @@ class Signed:
     """A run of toys behind the real command line, with a key."""
 
     def __init__(self, root: Path, capsys) -> None:
-        self.bench, self._capsys = Bench(root / "runs"), capsys
-        self.folder, self.key = self.bench.store.folder, root / "key"
+        self.bench = Bench(root / "runs")
+        self._capsys = capsys
+        self.folder = self.bench.store.folder
+        self.key = root / "key"
         self.public = root / "key.pub"
 
     def __call__(self, *words: str | Path) -> tuple[int, str, str]:
@@ -79,7 +92,9 @@ def test_an_untouched_run_verifies(signed):
 
 def test_a_forged_last_stage_passes_the_gate_and_fails_the_signature(signed):
     forge(signed.bench.store.verdict_path("third"))
-    assert signed.bench.states() == ["pass"] * 3, "the digest has no key: this is what the signature is for"
+    assert signed.bench.states() == ["pass"] * 3, (
+        "the digest has no key: this is what the signature is for"
+    )
     assert signed.verify() == (1, "signature: third: its verdict was changed after it was signed")
     code, out, _ = signed("status", "--json", "--verify", signed.public)
     assert (code, len(json.loads(out)["signature"]["changed"])) == (1, 1)
@@ -156,7 +171,11 @@ def test_keys_that_cannot_be_used_are_named_before_work_starts(unsigned, tmp_pat
     (tmp_path / "text").chmod(0o600)
     locked = make_key(tmp_path / "locked", "secret")
     monkeypatch.delenv("SSH_AUTH_SOCK", raising=False)
-    for key, said in ((tmp_path / "none", "does not exist"), (tmp_path, "is a folder"), (tmp_path / "text", "cannot")):
+    for key, said in (
+        (tmp_path / "none", "does not exist"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "text", "cannot"),
+    ):
         code, _, err = unsigned("run", "--sign", key)
         assert (code, unsigned.bench.first.contexts) == (2, [])
         assert str(key) in err
@@ -165,7 +184,10 @@ def test_keys_that_cannot_be_used_are_named_before_work_starts(unsigned, tmp_pat
     assert (code, unsigned.bench.first.contexts) == (2, [])
     assert "passphrase" in err
     unsigned.bench.store.folder.mkdir(parents=True)
-    for key, said in ((unsigned.key, "is no public key of OpenSSH"), (tmp_path / "none", "does not exist")):
+    for key, said in (
+        (unsigned.key, "is no public key of OpenSSH"),
+        (tmp_path / "none", "does not exist"),
+    ):
         code, err = unsigned.verify(key)
         assert code == 2
         assert said in err

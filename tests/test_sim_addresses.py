@@ -19,7 +19,13 @@ def edited(scene, edit):
 
 def test_addresses_follow_the_transmission(compiled_model):
     addresses = map_joints(compiled_model, JOINT_NAMES, torque=True)
-    for name, qpos, qvel, ctrl in zip(JOINT_NAMES, addresses.qpos, addresses.qvel, addresses.ctrl, strict=True):
+    for name, qpos, qvel, ctrl in zip(
+        JOINT_NAMES,
+        addresses.qpos,
+        addresses.qvel,
+        addresses.ctrl,
+        strict=True,
+    ):
         joint = compiled_model.joint(name)
         assert qpos == joint.qposadr[0]
         assert qvel == joint.dofadr[0]
@@ -34,8 +40,10 @@ def test_the_order_asked_for_is_the_order_given(compiled_model):
 
 def test_the_actuators_name_is_not_what_counts(scene):
     def swap_names(spec):
-        first, second = spec.actuator("left_panda_joint1_motor"), spec.actuator("left_panda_joint2_motor")
-        first.name, second.name = "spare", "left_panda_joint1_motor"
+        first = spec.actuator("left_panda_joint1_motor")
+        second = spec.actuator("left_panda_joint2_motor")
+        first.name = "spare"
+        second.name = "left_panda_joint1_motor"
         first.name = "left_panda_joint2_motor"
 
     model = edited(scene, swap_names)
@@ -46,7 +54,7 @@ def test_the_actuators_name_is_not_what_counts(scene):
 
 def test_a_model_without_actuators_is_named():
     model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>'
+        '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>',
     )
     with pytest.raises(UsageError, match=r"model\.nu == 0") as caught:
         map_joints(model, ["j"], torque=True)
@@ -54,7 +62,10 @@ def test_a_model_without_actuators_is_named():
 
 
 def test_an_unknown_joint_is_reported_with_those_that_exist(compiled_model):
-    with pytest.raises(UsageError, match=r"no position for joint 'panda_joint1'.*left_panda_finger_joint1") as caught:
+    with pytest.raises(
+        UsageError,
+        match=r"no position for joint 'panda_joint1'.*left_panda_finger_joint1",
+    ) as caught:
         map_joints(compiled_model, ["panda_joint1"], torque=True)
     assert "prefix" in caught.value.remedy
 
@@ -69,7 +80,10 @@ def test_a_position_servo_under_a_torque_command_is_refused(scene):
     def servo(spec):
         spec.actuator("left_panda_joint3_motor").set_to_position(kp=100.0)
 
-    with pytest.raises(UsageError, match=r"left_panda_joint3_motor.*is a position servo; this needs a torque motor"):
+    with pytest.raises(
+        UsageError,
+        match=r"left_panda_joint3_motor.*is a position servo; this needs a torque motor",
+    ):
         World(scene, model=edited(scene, servo))
 
 

@@ -36,14 +36,22 @@ def test_the_same_state_gives_the_same_picture(visual_world):
 
 
 def test_supersampling_keeps_the_size_and_smooths(visual_world):
-    with Camera(visual_world.model, 64, 48) as plain, Camera(visual_world.model, 64, 48, supersample=3) as smooth:
-        coarse, fine = (c.picture(visual_world.data, "overview").astype(float) for c in (plain, smooth))
+    with (
+        Camera(visual_world.model, 64, 48) as plain,
+        Camera(visual_world.model, 64, 48, supersample=3) as smooth,
+    ):
+        coarse, fine = (
+            c.picture(visual_world.data, "overview").astype(float) for c in (plain, smooth)
+        )
     assert coarse.shape == fine.shape
     assert np.abs(np.diff(fine, axis=1)).mean() < np.abs(np.diff(coarse, axis=1)).mean()
 
 
 def test_an_unknown_camera_is_named(visual_world):
-    with Camera(visual_world.model, 64, 48) as camera, pytest.raises(UsageError, match="no camera 'hihg'") as caught:
+    with (
+        Camera(visual_world.model, 64, 48) as camera,
+        pytest.raises(UsageError, match="no camera 'hihg'") as caught,
+    ):
         camera.picture(visual_world.data, "hihg")
     assert "high" in caught.value.remedy
 
@@ -91,7 +99,10 @@ def test_wrist_cameras_see_both_fingers_and_the_rod_in_a_grasp(visual_world, sce
         for arm in ("left", "right"):
             seen = camera.bodies_seen(visual_world.data, arm)
             assert seen["rod"] > 0.02
-            assert min(seen[f"{arm}_panda_{finger}"] for finger in ("leftfinger", "rightfinger")) > 0.005
+            assert (
+                min(seen[f"{arm}_panda_{finger}"] for finger in ("leftfinger", "rightfinger"))
+                > 0.005
+            )
 
 
 def frames(n, height=48, width=64):
@@ -136,14 +147,18 @@ def test_rendering_does_not_move_the_world(visual_world):
 
 def seen_from(name: str, width_px: int | None = None, opening_deg: float | None = None) -> float:
     """Return how far the starts and goals of a task reach out of the middle of the recorded picture; 1 is its rim."""
-    settings = [f"task={name}"] + ([] if width_px is None else [f"scene.camera.width_px={width_px}"])
+    settings = [f"task={name}"] + (
+        [] if width_px is None else [f"scene.camera.width_px={width_px}"]
+    )
     task = make_task(load_config(overrides=settings).config)
     model = build_model(task.scene)
-    camera, size = model.camera("high"), task.scene.camera
+    camera = model.camera("high")
+    size = task.scene.camera
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, camera.quat)
     up = np.tan(np.radians((opening_deg or camera.fovy[0]) / 2.0))
-    right, farthest = up * size.width_px / size.height_px, 0.0
+    right = up * size.width_px / size.height_px
+    farthest = 0.0
     for index in range(100):
         trial = task.trial(1, "tests", index)
         for where in (trial.start, trial.goal):

@@ -29,7 +29,8 @@ def pinched(scene, compiled_model):
     """Both hands pinch the rod where it lies."""
     from minidual.robot.kinematics import Kinematics
 
-    world, kinematics = World(scene, model=compiled_model), Kinematics()
+    world = World(scene, model=compiled_model)
+    kinematics = Kinematics()
     loop = JointLoop(world, kinematics)
     q = pinch_rod(loop, scene, kinematics)
     return world, loop, q
@@ -40,14 +41,20 @@ class TestReset:
         assert np.array_equal(world.q, HOME)
         assert not world.v.any()
         assert world.gripper == pytest.approx([1.0, 1.0])
-        assert world.object_pose()[:3, 3] == pytest.approx([*scene.task.start_xy_m, scene.object.radius_m])
+        assert world.object_pose()[:3, 3] == pytest.approx(
+            [*scene.task.start_xy_m, scene.object.radius_m],
+        )
         assert world.on_table()
 
     def test_rolling_out_twice_from_a_reset_gives_the_same_bytes(self, world):
         def rollout():
             world.reset(poses={"rod": (0.48, 0.2, 0.1)})
             run(world, 200, 0.05 * TAU_MAX)
-            return world.data.qpos.tobytes() + world.data.qvel.tobytes() + world.data.sensordata.tobytes()
+            return (
+                world.data.qpos.tobytes()
+                + world.data.qvel.tobytes()
+                + world.data.sensordata.tobytes()
+            )
 
         first = rollout()
         run(world, 37, -0.2 * TAU_MAX)
@@ -68,7 +75,10 @@ class TestReset:
     def test_a_bad_posture_is_refused_by_name(self, world):
         q = HOME.copy()
         q[3] = 0.5
-        with pytest.raises(UsageError, match=r"left_panda_joint4 = 0\.5000 rad; -3\.0718 <= value <= -0\.0698"):
+        with pytest.raises(
+            UsageError,
+            match=r"left_panda_joint4 = 0\.5000 rad; -3\.0718 <= value <= -0\.0698",
+        ):
             world.reset(q)
         q[3] = np.nan
         with pytest.raises(UsageError, match="left_panda_joint4 = nan"):
@@ -94,7 +104,8 @@ class TestReadings:
         rod.qpos[3:] = [0.8, 0.0, 0.6, 0.0]
         rod.qvel[:] = [0.1, -0.2, 0.3, 1.0, 2.0, -1.0]
         mujoco.mj_forward(world.model, world.data)
-        before, twist = world.object_pose(), world.truth().twist()
+        before = world.object_pose()
+        twist = world.truth().twist()
         h = 1e-7
         mujoco.mj_integratePos(world.model, world.data.qpos, world.data.qvel, h)
         mujoco.mj_forward(world.model, world.data)
@@ -127,18 +138,24 @@ class TestContacts:
 
     def test_sensors_add_up_to_the_contacts_themselves(self, pinched):
         world, *_ = pinched
-        model, data = world.model, world.data
+        model = world.model
+        data = world.data
         for arm, measured in zip(("left", "right"), world.truth().forces(), strict=True):
             force = np.zeros(3)
             for i in range(data.ncon):
                 contact = data.contact[i]
-                bodies = [model.body(int(model.geom_bodyid[g])).name for g in (contact.geom1, contact.geom2)]
+                bodies = [
+                    model.body(int(model.geom_bodyid[g])).name
+                    for g in (contact.geom1, contact.geom2)
+                ]
                 if "rod" not in bodies or not any(b.startswith(f"{arm}_") for b in bodies):
                     continue
                 local = np.zeros(6)
                 mujoco.mj_contactForce(model, data, i, local)
                 axes = contact.frame.reshape(3, 3).T
-                sign = 1.0 if bodies[1] == "rod" else -1.0  # a contact's force acts on its second geom
+                sign = (
+                    1.0 if bodies[1] == "rod" else -1.0
+                )  # a contact's force acts on its second geom
                 force += sign * axes @ local[:3]
             assert np.linalg.norm(force) < 30.0  # the two fingers nearly cancel
             assert measured == pytest.approx(force, abs=1e-9)
@@ -167,7 +184,9 @@ class TestContacts:
         for push in (15.0, -15.0):
             world.data.qpos[:], world.data.qvel[:], world.data.ctrl[:] = state
             left, right = kinematics.tcp_jacobians(world.q)
-            tau = -push * left[:3].T @ axis + push * right[:3].T @ axis  # left hand towards -y, right towards +y
+            tau = (
+                -push * left[:3].T @ axis + push * right[:3].T @ axis
+            )  # left hand towards -y, right towards +y
             zero = np.zeros(DOF)
             for _ in range(400):
                 stiff = loop.controller.torque(world.q, world.v, q, zero, zero)
@@ -198,7 +217,10 @@ class TestDivergence:
     def test_a_state_that_is_not_finite_is_not_reset_in_silence(self, world, field, what):
         run(world, 10, ZERO)
         getattr(world.data, field)[3] = np.nan
-        with pytest.raises(SimulationDivergedError, match=rf"t = 0\.010 s \({what} not finite\)") as caught:
+        with pytest.raises(
+            SimulationDivergedError,
+            match=rf"t = 0\.010 s \({what} not finite\)",
+        ) as caught:
             run(world, 1, ZERO)
         assert caught.value.remedy
 
@@ -218,10 +240,22 @@ class TestDivergence:
 
 def test_a_scene_holds_several_named_objects_lying_and_upright() -> None:
     bottle = ObjectConfig(
-        name="bottle", upright=True, length_m=0.2, radius_m=0.03, grasp_offset_m=0.0, xy_m=(0.45, -0.1), mass_kg=0.3
+        name="bottle",
+        upright=True,
+        length_m=0.2,
+        radius_m=0.03,
+        grasp_offset_m=0.0,
+        xy_m=(0.45, -0.1),
+        mass_kg=0.3,
     )
     crate = ObjectConfig(
-        name="crate", shape="box", upright=True, length_m=0.18, width_m=0.05, grasp_offset_m=0.0, xy_m=(0.6, -0.3)
+        name="crate",
+        shape="box",
+        upright=True,
+        length_m=0.18,
+        width_m=0.05,
+        grasp_offset_m=0.0,
+        xy_m=(0.6, -0.3),
     )
     world = World(SceneConfig(more=(bottle, crate)))
     assert world.objects == ("rod", "bottle", "crate")

@@ -49,7 +49,9 @@ def test_the_standard_profile_asks_for_the_goal_and_smoke_for_the_baseline() -> 
 
 
 @pytest.mark.slow
-def test_results_do_not_depend_on_the_processes_and_a_recording_is_the_same_trial(tmp_path: Path) -> None:
+def test_results_do_not_depend_on_the_processes_and_a_recording_is_the_same_trial(
+    tmp_path: Path,
+) -> None:
     config = Config()
     inputs = MethodInputs(config, 3)
     trials = [sample_trial(config.scene, 3, "workers", i) for i in range(3)]
@@ -74,7 +76,12 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
     context: Any = SimpleNamespace(folder=tmp_path, progress=Progress())
     trials: list[Any] = [0, 1, 2]
     _record(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
-    assert written == [(1, "trial001.npz"), (2, "trial002.npz"), (0, "median.npz"), (0, "worst.npz")]
+    assert written == [
+        (1, "trial001.npz"),
+        (2, "trial002.npz"),
+        (0, "median.npz"),
+        (0, "worst.npz"),
+    ]
     written.clear()
     _record(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
     assert written == [(1, "median.npz"), (2, "worst.npz")]

@@ -50,7 +50,13 @@ GOOD: dict[str, Any] = {
     "pinch_force_min_n": 60.0,
     "goal_error_m": 0.001,
 }
-BAD = {"success": False, "failure": "held", "reason": "dropped", "failed_at_s": 3.0, "duration_s": math.nan}
+BAD = {
+    "success": False,
+    "failure": "held",
+    "reason": "dropped",
+    "failed_at_s": 3.0,
+    "duration_s": math.nan,
+}
 
 
 def trials(n: int = 10, **last: Any) -> list[TrialMetrics]:
@@ -99,7 +105,9 @@ def test_two_lost_rods_of_two_hundred_are_allowed_and_three_are_not() -> None:
 
 def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
     def saturated(seconds: float) -> set[str]:
-        results = [replace(row, saturated_max_s=seconds if row.index == 3 else 0.0) for row in trials()]
+        results = [
+            replace(row, saturated_max_s=seconds if row.index == 3 else 0.0) for row in trials()
+        ]
         return failing(carry_checks(results, CarryLimits(), TASK))
 
     assert saturated(0.02) == set()
@@ -107,7 +115,13 @@ def test_a_motor_that_stands_at_its_limit_fails_the_stage() -> None:
     assert saturated(math.nan) == {"saturated_max_s"}
 
 
-def deploy(rows: list[TrialMetrics], hz: float = 200.0, *, seen_n: int = 0, judged: bool = True) -> list[Check]:
+def deploy(
+    rows: list[TrialMetrics],
+    hz: float = 200.0,
+    *,
+    seen_n: int = 0,
+    judged: bool = True,
+) -> list[Check]:
     settings = DeployConfig(trials=10, **({} if judged else {"success_rate_min": None}))
     return deploy_checks(summarise(rows, np.random.default_rng(0)), seen_n, hz, settings)
 
@@ -127,11 +141,17 @@ def missed(count: int) -> list[TrialMetrics]:
         (deploy(missed(0), seen_n=1), {"held_out_starts_seen"}),
     ],
 )
-def test_deploy_fails_below_half_when_slow_and_on_demonstrated_starts(checks: list[Check], names: set[str]) -> None:
+def test_deploy_fails_below_half_when_slow_and_on_demonstrated_starts(
+    checks: list[Check],
+    names: set[str],
+) -> None:
     assert failing(checks) == names
 
 
-@pytest.mark.parametrize(("missed_n", "names"), [(1, set()), (2, {"room_success_rate"}), (10, {"room_success_rate"})])
+@pytest.mark.parametrize(
+    ("missed_n", "names"),
+    [(1, set()), (2, {"room_success_rate"}), (10, {"room_success_rate"})],
+)
 def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[str]) -> None:
     settings = DeployConfig(trials=10, condition_rate_min={"room": 0.85})
     summary = summarise(missed(missed_n), np.random.default_rng(0))
@@ -143,8 +163,14 @@ def test_deploy_fails_below_the_limit_of_a_condition(missed_n: int, names: set[s
     assert rate.op is None
 
 
-@pytest.mark.parametrize(("missed_n", "names"), [(10, set()), (8, set()), (7, {"hidden_success_rate"})])
-def test_deploy_fails_if_the_policy_succeeds_without_seeing_the_object(missed_n: int, names: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("missed_n", "names"),
+    [(10, set()), (8, set()), (7, {"hidden_success_rate"})],
+)
+def test_deploy_fails_if_the_policy_succeeds_without_seeing_the_object(
+    missed_n: int,
+    names: set[str],
+) -> None:
     summary = summarise(missed(missed_n), np.random.default_rng(0))
     checks = set_checks("object hidden", summary, [0.0, 0.5], DeployConfig(trials=10))
     assert failing(checks) == names
@@ -163,11 +189,16 @@ def test_the_object_is_hidden_where_going_to_the_middle_fails(name: str) -> None
     assert len(set(chosen)) == 5
     assert off_m[chosen].min() >= np.delete(off_m, chosen).max()
     if name == "rod_carry":
-        assert off_m[chosen].min() > 2 * task.scene.task.goal_tolerance_m, "blind grasps end off the goal"
+        assert off_m[chosen].min() > 2 * task.scene.task.goal_tolerance_m, (
+            "blind grasps end off the goal"
+        )
 
 
 def test_a_limit_of_deploy_needs_its_condition() -> None:
-    with pytest.raises(ValidationError, match=r"limits camera moved, not one of conditions \(room\)"):
+    with pytest.raises(
+        ValidationError,
+        match=r"limits camera moved, not one of conditions \(room\)",
+    ):
         DeployConfig(condition_rate_min={"camera moved": 0.5})
 
 
@@ -182,14 +213,19 @@ def test_held_out_starts_are_none_of_the_demonstrations(monkeypatch: pytest.Monk
     starts, seen_n = deploy_starts(config, 7, [4, 0, 2])
     assert seen_n == 0
     assert [t.index for t in starts["held_out"]] == list(range(config.deploy.trials))
-    later = config.model_copy(update={"deploy": config.deploy.model_copy(update={"first_start": 1000})})
+    later = config.model_copy(
+        update={"deploy": config.deploy.model_copy(update={"first_start": 1000})},
+    )
     assert [t.index for t in deploy_starts(later, 7, [4])[0]["held_out"]] == list(
-        range(1000, 1000 + later.deploy.trials)
+        range(1000, 1000 + later.deploy.trials),
     )
     assert [t.index for t in starts["training"]] == [4, 0, 2][: config.deploy.training_trials]
     # The demonstrations' starts are those that teleop-record draws.
     assert {t.purpose for t in starts["training"]} == {PURPOSE}
-    assert starts["training"][0].start == make_task(config).trial(7, PURPOSE, 4, widen=config.teleop.widen).start
+    assert (
+        starts["training"][0].start
+        == make_task(config).trial(7, PURPOSE, 4, widen=config.teleop.widen).start
+    )
     # The control: drawn from the demonstrations' stream, the starts 0 and 1 were seen, whatever their width.
     monkeypatch.setattr(deploy_stage, "HELD_OUT", PURPOSE)
     assert deploy_starts(config, 7, [4, 0, 1])[1] == 2
@@ -210,7 +246,10 @@ def test_benchmark_fails_a_method_below_its_rate_and_a_method_that_ran_too_littl
 
 
 def test_benchmark_reports_every_indicator_of_every_method() -> None:
-    names = {check.name for check in benchmark_checks(summaries(trials()), BenchmarkConfig().success_rate_min, 10)}
+    names = {
+        check.name
+        for check in benchmark_checks(summaries(trials()), BenchmarkConfig().success_rate_min, 10)
+    }
     for indicator in (
         "success_rate",
         "duration_median_s",
@@ -223,15 +262,23 @@ def test_benchmark_reports_every_indicator_of_every_method() -> None:
 
 
 def test_deploy_refuses_conditions_that_the_policy_does_not_feel() -> None:
-    check_deploy(Config(deploy=DeployConfig(conditions=("room", "camera moved", "start range x1.5"))))
-    with pytest.raises(ConfigError, match="'pose noise x3' does not apply: act reads no sensed pose"):
+    check_deploy(
+        Config(deploy=DeployConfig(conditions=("room", "camera moved", "start range x1.5"))),
+    )
+    with pytest.raises(
+        ConfigError,
+        match="'pose noise x3' does not apply: act reads no sensed pose",
+    ):
         check_deploy(Config(deploy=DeployConfig(conditions=("pose noise x3",))))
     with pytest.raises(UsageError, match="did you mean 'room'"):
         check_deploy(Config(deploy=DeployConfig(conditions=("rooom",))))
 
 
 def test_rates_of_seeds_are_told_apart_and_each_training_has_its_own_seed() -> None:
-    results = [TrialMetrics(**{**GOOD, **won, "index": i}) for i, won in enumerate([{}, {}, BAD, {}, BAD, BAD])]
+    results = [
+        TrialMetrics(**{**GOOD, **won, "index": i})
+        for i, won in enumerate([{}, {}, BAD, {}, BAD, BAD])
+    ]
     assert seed_rates(results, 3) == [1.0, 0.5, 0.0]
     with pytest.raises(ValueError, match="reshape"):
         seed_rates(results[:5], 3)
@@ -270,18 +317,44 @@ def test_deploy_refuses_a_task_that_was_not_recorded(tmp_path: Path) -> None:
         folder=tmp_path / "deploy",
         upstream={"train-act": tmp_path, "teleop-record": tmp_path},
     )
-    with pytest.raises(UsageError, match="cannot do 'handover': its policy is trained on 'rod_carry'"):
+    with pytest.raises(
+        UsageError,
+        match="cannot do 'handover': its policy is trained on 'rod_carry'",
+    ):
         deploy_stage.run(context)
 
 
 REPORTED = {
-    "plan": ["first_plan_median_s", "core_share", "line_blocked_rate", "closed_chain.time_median_s"],
-    "carry": ["success_low", "goal_error_max_m", "pinch_force_min_n", "duration_median_s", "jerk_rms_median"],
+    "plan": [
+        "first_plan_median_s",
+        "core_share",
+        "line_blocked_rate",
+        "closed_chain.time_median_s",
+    ],
+    "carry": [
+        "success_low",
+        "goal_error_max_m",
+        "pinch_force_min_n",
+        "duration_median_s",
+        "jerk_rms_median",
+    ],
     "teleop-record": ["success_rate", "attempts", "latency_p50_s", "recorded_per_min"],
-    "train-act": ["samples_per_s", "parameters", "overshoot_max_rad", "inference_hz", "validation_l1"],
+    "train-act": [
+        "samples_per_s",
+        "parameters",
+        "overshoot_max_rad",
+        "inference_hz",
+        "validation_l1",
+    ],
     "deploy": ["success_low", "success_high", "goal_error_median_m", "looks_at_object"],
     "deploy-set": ["worst_seed", "median_seed"],
-    "benchmark": ["duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m"],
+    "benchmark": [
+        "duration_median_s",
+        "torque_ratio_max",
+        "jerk_rms_median",
+        "tilt_max_rad",
+        "path_length_m",
+    ],
 }
 REPORTED["plan"].append("closed_chain.draws_left_out_n")
 REPORTED["train-act"].append("validation_keyframe_rad")
@@ -290,6 +363,11 @@ REPORTED["train-act"].append("validation_keyframe_rad")
 def test_every_check_says_why_and_each_that_has_a_limit_what_to_do() -> None:
     """Those named here have none: they are reported."""
     rows = rows_beside(words.__file__, "checks.yaml")
-    silent = {stage: [name for name, row in checks.items() if "remedy" not in row] for stage, checks in rows.items()}
+    silent = {
+        stage: [name for name, row in checks.items() if "remedy" not in row]
+        for stage, checks in rows.items()
+    }
     assert all(row["why"] for checks in rows.values() for row in checks.values())
-    assert {k: sorted(v) for k, v in silent.items() if v} == {k: sorted(v) for k, v in REPORTED.items()}
+    assert {k: sorted(v) for k, v in silent.items() if v} == {
+        k: sorted(v) for k, v in REPORTED.items()
+    }

@@ -43,7 +43,9 @@ from minidual.stages.env_check.tracking import (
 )
 from minidual.stages.registry import STAGES
 
-DOF, HOME, JOINT_NAMES = DUAL_PANDA.dof, DUAL_PANDA.home, DUAL_PANDA.joint_names
+DOF = DUAL_PANDA.dof
+HOME = DUAL_PANDA.home
+JOINT_NAMES = DUAL_PANDA.joint_names
 
 QUICK = EnvCheckConfig(sine_duration_s=2.0, agreement_states_n=4)
 
@@ -61,7 +63,8 @@ def failed(result):
 @pytest.fixture(scope="module")
 def passed(tmp_path_factory):
     """Return the stage's folder, its result and what measured_checks was given."""
-    folder, given = tmp_path_factory.mktemp("env-check"), []
+    folder = tmp_path_factory.mktemp("env-check")
+    given = []
 
     def judged(*arguments):
         given.extend(arguments)
@@ -73,7 +76,11 @@ def passed(tmp_path_factory):
 
 
 def rig_of(world, kinematics, **supervisor):
-    return tracking.TrackingRig(world, kinematics, Config(supervisor=SupervisorConfig(**supervisor)))
+    return tracking.TrackingRig(
+        world,
+        kinematics,
+        Config(supervisor=SupervisorConfig(**supervisor)),
+    )
 
 
 @pytest.fixture
@@ -113,11 +120,18 @@ class TestStage:
 
     def test_its_artefacts_are_there_and_whole(self, passed):
         folder, result, _ = passed
-        assert {p.name for p in folder.iterdir()} == {"sine.mp4", "cameras.png", "tracking.png", "joints.csv"}
+        assert {p.name for p in folder.iterdir()} == {
+            "sine.mp4",
+            "cameras.png",
+            "tracking.png",
+            "joints.csv",
+        }
         with av.open(str(folder / "sine.mp4")) as film:
             frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
         assert len(frames) == 2 * FILM_FPS
-        assert np.abs(frames[0].astype(int) - frames[25]).mean() > 2.0  # half a period later the arms are elsewhere
+        assert (
+            np.abs(frames[0].astype(int) - frames[25]).mean() > 2.0
+        )  # half a period later the arms are elsewhere
         assert result.data["libraries"]["mujoco"]["found"].startswith("4.")
         with (folder / "joints.csv").open(newline="") as stream:
             rows = list(csv.DictReader(stream))
@@ -185,7 +199,12 @@ class TestStage:
 
 
 def response(joint, rise_s, overshoot_rad, settled_rad):
-    return {"joint": joint, "rise_s": rise_s, "overshoot_rad": overshoot_rad, "settled_rad": settled_rad}
+    return {
+        "joint": joint,
+        "rise_s": rise_s,
+        "overshoot_rad": overshoot_rad,
+        "settled_rad": settled_rad,
+    }
 
 
 def measured(**changes):
@@ -209,14 +228,24 @@ def measured(**changes):
 
 
 def judged(**changes):
-    return {check.name: check for check in judge.measured_checks(measured(**changes), QUICK, DUAL_PANDA)}
+    return {
+        check.name: check for check in judge.measured_checks(measured(**changes), QUICK, DUAL_PANDA)
+    }
 
 
 def all_failing_checks():
     """Return every check with a limit, made from measurements in which everything is broken."""
     nan = float("nan")
     wide = np.full((300, DOF), nan)
-    lost = tracking.Tracking(np.arange(300) * 1e-3, wide, np.zeros((300, DOF)), HOME, 3, nan, "joint_speed: too fast")
+    lost = tracking.Tracking(
+        np.arange(300) * 1e-3,
+        wide,
+        np.zeros((300, DOF)),
+        HOME,
+        3,
+        nan,
+        "joint_speed: too fast",
+    )
     checks = judged(
         moved=(-1,) * DOF,
         contacts=[("left_panda_hand", "table", -0.01)],
@@ -239,11 +268,21 @@ def test_measurements_in_which_all_is_well_pass():
 
 class TestMapping:
     def test_all_motors_move_their_own_joint(self, world, kinematics):
-        assert measure.torque_pulse_mapping(world, Supervisor(), kinematics, tolerance=1e-3) == tuple(range(DOF))
+        assert measure.torque_pulse_mapping(
+            world,
+            Supervisor(),
+            kinematics,
+            tolerance=1e-3,
+        ) == tuple(range(DOF))
 
     def test_every_pulse_passes_the_supervisor(self, world, kinematics, monkeypatch):
-        applied, command = [], world.command
-        monkeypatch.setattr(world, "command", lambda tau, fingers: (applied.append(tau), command(tau, fingers)))
+        applied = []
+        command = world.command
+        monkeypatch.setattr(
+            world,
+            "command",
+            lambda tau, fingers: (applied.append(tau), command(tau, fingers)),
+        )
         supervisor = Supervisor()
         measure.torque_pulse_mapping(world, supervisor, kinematics)
         pulses = np.array(applied) - kinematics.gravity(HOME)
@@ -356,10 +395,8 @@ class TestTracking:
         h = 1e-6
         for t in (0.0, 0.3, 1.7):
             _, v, a = tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t)
-            after, before = (
-                tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t + h),
-                tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t - h),
-            )
+            after = tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t + h)
+            before = tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, t - h)
             assert (after[0] - before[0]) / (2 * h) == pytest.approx(v, abs=1e-8)
             assert (after[1] - before[1]) / (2 * h) == pytest.approx(a, abs=1e-8)
         assert not tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[1].any()
@@ -377,7 +414,8 @@ class TestResponses:
         target = HOME + 0.1 * np.eye(DOF)[3]
         step = tracking.Tracking(t, np.tile(target, (1000, 1)), measured, HOME)
         assert joint_responses(DUAL_PANDA, [step] * DOF, step)[3]["rise_s"] == pytest.approx(
-            0.05 * np.log(9.0), abs=1.1e-3
+            0.05 * np.log(9.0),
+            abs=1.1e-3,
         )
 
     def test_overshoot_and_never_arriving_are_seen_on_either_side(self):
@@ -405,12 +443,16 @@ class TestResponses:
 class TestLatency:
     def test_a_command_waits_for_the_arbiter_and_for_nothing_else(self, rig):
         found = command_latency(rig, repeats_n=10)
-        assert found.ticks == (1, *range(20, 1, -1))  # the later after a tick, the nearer the next one
+        assert found.ticks == (
+            1,
+            *range(20, 1, -1),
+        )  # the later after a tick, the nearer the next one
         assert found.late_steps == 0
         assert 0.0 < found.wall_us < 5000.0
 
     def test_a_controller_that_lags_a_step_is_seen(self, rig):
-        guard, late = rig.supervisor.guard, []
+        guard = rig.supervisor.guard
+        late = []
 
         def lagging(t, q, v, tau, *_):
             late.append(tau.copy())
@@ -443,8 +485,14 @@ class TestLatency:
     def test_another_reflex_is_no_emergency_stop(self, world, kinematics, monkeypatch):
         slow = rig_of(world, kinematics, velocity_scale=0.2)
         assert emergency_stop(slow, 0.3, 0.5).ticks == 0  # stopped before it was pressed
-        monkeypatch.setattr(Supervisor, "estop", lambda self, *_: setattr(self, "_deadline_s", -1.0))
-        assert emergency_stop(rig_of(world, kinematics), 0.3, 0.5).ticks == 0  # in the tick of the call
+        monkeypatch.setattr(
+            Supervisor,
+            "estop",
+            lambda self, *_: setattr(self, "_deadline_s", -1.0),
+        )
+        assert (
+            emergency_stop(rig_of(world, kinematics), 0.3, 0.5).ticks == 0
+        )  # in the tick of the call
 
     def test_a_supervisor_that_ignores_the_button_is_seen(self, rig, monkeypatch):
         monkeypatch.setattr(Supervisor, "estop", lambda *_: None)
@@ -473,7 +521,9 @@ class TestContacts:
         q = HOME.copy()
         q[0], q[7] = -0.9, 0.9
         world.reset(q)
-        assert any(a.startswith("left_") and b.startswith("right_") for a, b, _ in arm_contacts(world))
+        assert any(
+            a.startswith("left_") and b.startswith("right_") for a, b, _ in arm_contacts(world)
+        )
 
 
 class TestAgreement:
@@ -485,14 +535,24 @@ class TestAgreement:
     def test_a_changed_rotor_inertia_shows_in_the_inertia_alone(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.joint("left_panda_joint1").armature = 0.11
-        found = measure.model_agreement(World(scene, model=spec.compile()), kinematics, np.random.default_rng(0), 2)
+        found = measure.model_agreement(
+            World(scene, model=spec.compile()),
+            kinematics,
+            np.random.default_rng(0),
+            2,
+        )
         assert found["inertia_kg_m2"] == pytest.approx(0.01)
         assert max(found["position_m"], found["bias_nm"]) < 1e-11
 
     def test_a_moved_base_shows_in_the_position(self, scene, kinematics):
         spec = build_spec(scene, visuals=False)
         spec.body("right_panda_link0").pos += [0.001, 0.0, 0.0]
-        found = measure.model_agreement(World(scene, model=spec.compile()), kinematics, np.random.default_rng(0), 2)
+        found = measure.model_agreement(
+            World(scene, model=spec.compile()),
+            kinematics,
+            np.random.default_rng(0),
+            2,
+        )
         assert found["position_m"] == pytest.approx(0.001)
 
     def test_a_changed_mass_shows_in_gravity(self, world):
@@ -526,24 +586,50 @@ class TestLibraries:
             return found[name]
 
         monkeypatch.setattr(installation.importlib.metadata, "version", version)
-        read = {library.name: (library.wanted, library.found, library.fits) for library in required_libraries()}
-        assert read == {"a": ("<2,>=1", "1.5", True), "b": ("~=3.0", "2.0", False), "D": ("", None, False)}
+        read = {
+            library.name: (library.wanted, library.found, library.fits)
+            for library in required_libraries()
+        }
+        assert read == {
+            "a": ("<2,>=1", "1.5", True),
+            "b": ("~=3.0", "2.0", False),
+            "D": ("", None, False),
+        }
 
 
 class TestBill:
     def test_it_names_versions_and_no_private_path(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setenv("HOME", "/home/somebody")
-        assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        assert (
+            run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        )
         out = capsys.readouterr().out
         assert out.startswith("### minidual environment\n")
-        for word in ("| python | 3.12", "| gl renderer | ", "| mujoco | ", "| processor | ", "env-check has not run"):
+        for word in (
+            "| python | 3.12",
+            "| gl renderer | ",
+            "| mujoco | ",
+            "| processor | ",
+            "env-check has not run",
+        ):
             assert word in out
-        for private in (str(tmp_path), str(Path.home()), str(Path(minidual.__file__).parent), f" {platform.node()} "):
+        for private in (
+            str(tmp_path),
+            str(Path.home()),
+            str(Path(minidual.__file__).parent),
+            f" {platform.node()} ",
+        ):
             assert private not in out
         assert list(tmp_path.iterdir()) == []
 
     def test_json_is_the_same_as_a_document(self, tmp_path, capsys):
-        assert run_command_line(["env-check", "--markdown", "--json", "--runs-dir", str(tmp_path)], STAGES) == 0
+        assert (
+            run_command_line(
+                ["env-check", "--markdown", "--json", "--runs-dir", str(tmp_path)],
+                STAGES,
+            )
+            == 0
+        )
         document = json.loads(capsys.readouterr().out)
         assert "mujoco" in {row["name"] for row in document["libraries"]}
         assert document["about"]["minidual"] == minidual.__version__
@@ -553,15 +639,27 @@ class TestBill:
             raise RuntimeError("no EGL")
 
         monkeypatch.setattr("minidual.plant.render.mujoco.Renderer", broken)
-        assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        assert (
+            run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        )
         assert "| gl renderer | none: cannot create" in capsys.readouterr().out
 
     def test_it_marks_what_is_unfit_and_what_failed(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(installation, "required_libraries", lambda: [Library("mujoco", ">=4", "3.9")])
-        verdict = SimpleNamespace(status="fail", finished_at="now", fingerprint=SimpleNamespace(profile="standard"))
+        monkeypatch.setattr(
+            installation,
+            "required_libraries",
+            lambda: [Library("mujoco", ">=4", "3.9")],
+        )
+        verdict = SimpleNamespace(
+            status="fail",
+            finished_at="now",
+            fingerprint=SimpleNamespace(profile="standard"),
+        )
         verdict.failed_checks = all_failing_checks
         monkeypatch.setattr(installation, "read_verdict", lambda _path: (verdict, ""))
-        assert run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        assert (
+            run_command_line(["env-check", "--markdown", "--runs-dir", str(tmp_path)], STAGES) == 0
+        )
         lines = capsys.readouterr().out.splitlines()
         assert "| mujoco | >=4 | 3.9 | **unfit** |" in lines
         assert "env-check: **fail** on now, profile standard" in lines
@@ -569,5 +667,6 @@ class TestBill:
 
 
 def test_the_scene_is_part_of_what_makes_the_verdict_stale():
-    one, other = Config(), Config(scene=SceneConfig(physics=PhysicsConfig(impratio=50.0)))
+    one = Config()
+    other = Config(scene=SceneConfig(physics=PhysicsConfig(impratio=50.0)))
     assert STAGES["env-check"].parameters(one) != STAGES["env-check"].parameters(other)

@@ -48,9 +48,15 @@ RESULT = TrainResult(
 EMITTED = EmittedActions(in_limits=1.0, overshoot_max_rad=0.0, targets_n=16, inference_hz=300.0)
 
 
-def failing(result: dict[str, Any] | None = None, emitted: dict[str, Any] | None = None) -> set[str]:
+def failing(
+    result: dict[str, Any] | None = None,
+    emitted: dict[str, Any] | None = None,
+) -> set[str]:
     checks = train_checks(
-        dataclasses.replace(RESULT, **(result or {})), EMITTED._replace(**(emitted or {})), TrainConfig(), DUAL_PANDA
+        dataclasses.replace(RESULT, **(result or {})),
+        EMITTED._replace(**(emitted or {})),
+        TrainConfig(),
+        DUAL_PANDA,
     )
     return {check.name for check in checks if check.passed is False}
 
@@ -70,7 +76,10 @@ def test_a_sound_training_passes_every_limit() -> None:
         ({"steps": 99}, "steps_done"),
     ],
 )
-def test_a_training_that_learned_nothing_took_too_long_or_was_cut_fails(result: dict[str, Any], name: str) -> None:
+def test_a_training_that_learned_nothing_took_too_long_or_was_cut_fails(
+    result: dict[str, Any],
+    name: str,
+) -> None:
     assert failing(result=result) == {name}
 
 
@@ -93,7 +102,8 @@ class Wide(ChunkPolicy):
     chunk_size = 5
 
     def __init__(self, dim: int, value: float) -> None:
-        self.dim, self.value = dim, value
+        self.dim = dim
+        self.value = value
 
     def predict(self, images: Any, state: Any) -> np.ndarray:
         return np.full((5, self.dim), self.value)
@@ -107,7 +117,11 @@ class Wide(ChunkPolicy):
     ],
 )
 def test_a_checkpoint_is_judged_as_it_predicts(
-    dim: int, value: float, failed: set[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    dim: int,
+    value: float,
+    failed: set[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     demos = learning_world.demonstrations(1, seed=0, every=40)
     if dim != demos.dim:
@@ -122,7 +136,9 @@ class Stage:
     """Runs of train-act in one run folder, interrupted when training number `stop_in` is exercised (0: not)."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.folder, self.said, self.stop_in = folder, list[str](), 0
+        self.folder = folder
+        self.said = list[str]()
+        self.stop_in = 0
         monkeypatch.setattr(train_act, "load_demonstrations", lambda *_, **__: tiny())
         monkeypatch.setattr(train_act, "exercise_checkpoint", self.exercise)
         monkeypatch.setattr(train_act, "draw_loss", lambda *_: None)
@@ -152,10 +168,14 @@ class Stage:
 
     def moved(self) -> list[str]:
         """Names in set-aside, without their times."""
-        return sorted(path.name.partition("-20")[0] for path in (self.folder / "set-aside").glob("*"))
+        return sorted(
+            path.name.partition("-20")[0] for path in (self.folder / "set-aside").glob("*")
+        )
 
     def kept(self) -> list[str]:
-        return sorted(str(path.relative_to(self.folder)) for path in self.folder.glob(".train-act.*"))
+        return sorted(
+            str(path.relative_to(self.folder)) for path in self.folder.glob(".train-act.*")
+        )
 
 
 @pytest.fixture
@@ -197,12 +217,23 @@ def test_a_damaged_file_of_one_seed_leaves_the_others(stage: Stage) -> None:
 
 
 @pytest.mark.torch
-def test_a_training_does_not_go_on_under_other_code(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_does_not_go_on_under_other_code(
+    stage: Stage,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     modules = train_act.code_of(["minidual.policies.act:train"]).modules
-    assert {"minidual.policies.act", "minidual.policies.train", "minidual.policies.batches"} <= modules.keys()
+    assert {
+        "minidual.policies.act",
+        "minidual.policies.train",
+        "minidual.policies.batches",
+    } <= modules.keys()
     with pytest.raises(KeyboardInterrupt):
         stage.run(stop_in=2, seeds_n=2)
-    monkeypatch.setattr(train_act, "code_of", lambda _: Code({**modules, "minidual.policies.batches": "changed"}))
+    monkeypatch.setattr(
+        train_act,
+        "code_of",
+        lambda _: Code({**modules, "minidual.policies.batches": "changed"}),
+    )
     notes = stage.run(seeds_n=2).notes
     assert not any("continued" in note for note in notes)
     assert stage.moved() == ["train-act.progress"] * 2
@@ -211,7 +242,10 @@ def test_a_training_does_not_go_on_under_other_code(stage: Stage, monkeypatch: p
 
 
 @pytest.mark.torch
-def test_a_finished_training_survives_the_emergency_stop(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finished_training_survives_the_emergency_stop(
+    stage: Stage,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(train_act, "draw_loss", lambda *_: emergency.press("test"))
     try:
         with pytest.raises(emergency.EmergencyStop):

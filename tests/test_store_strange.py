@@ -98,11 +98,15 @@ class Run:
     """A run of toys behind the real command line."""
 
     def __init__(self, root: Path, capsys) -> None:
-        self.bench, self._capsys = Bench(root / "runs"), capsys
+        self.bench = Bench(root / "runs")
+        self._capsys = capsys
         self.folder = self.bench.store.folder
 
     def __call__(self, *words: str) -> tuple[int, str, str]:
-        code = run_command_line([*words, "--run", "toys", "--runs-dir", str(self.bench.root)], self.bench.table)
+        code = run_command_line(
+            [*words, "--run", "toys", "--runs-dir", str(self.bench.root)],
+            self.bench.table,
+        )
         out, err = self._capsys.readouterr()
         return code, out, " ".join(err.split())
 
@@ -121,14 +125,17 @@ def run(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", IN_THE_WAY)
 def test_what_is_in_the_way_is_named_before_work_starts(run, name):
-    path, bench = run.folder / name, run.bench
+    path = run.folder / name
+    bench = run.bench
     for make, said in IN_THE_WAY[name].items():
         make(path)
         before = path.lstat()
         with pytest.raises(DataError, match=rf"{name}.*{said}"):
             bench.runner().run("first")
         assert bench.first.contexts == []
-        assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode), "nothing is deleted"
+        assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode), (
+            "nothing is deleted"
+        )
         if name in ("first", ".first.tmp", ".first.old"):
             state = bench.gate().state("first")
             assert state.state == "error"
@@ -165,7 +172,11 @@ def test_no_folder_for_the_runs_is_named(tmp_path, capsys, level):
         path.unlink()
     os.mkfifo(path)
     words = ["--run", "toys", "--runs-dir", str(tmp_path / "runs")]
-    assert [run_command_line([word, *words], STAGES) for word in ("status", "explain", "plan")] == [2, 2, 2]
+    assert [run_command_line([word, *words], STAGES) for word in ("status", "explain", "plan")] == [
+        2,
+        2,
+        2,
+    ]
     assert f"{path} is a FIFO" in capsys.readouterr().err
 
 
@@ -196,7 +207,9 @@ def test_results_elsewhere_by_a_link(tmp_path, capsys, elsewhere, level):
     numbers = run.folder / "first" / "out" / "numbers.txt"
     assert numbers.read_text() == "first 0.0\n"
     assert numbers.resolve().is_relative_to(elsewhere)
-    assert sorted(path.name for path in elsewhere.iterdir()) == ["results"], "nothing is left behind"
+    assert sorted(path.name for path in elsewhere.iterdir()) == ["results"], (
+        "nothing is left behind"
+    )
 
 
 @pytest.mark.parametrize("moment", ["before the new one is in place", "after it is"])
@@ -248,10 +261,17 @@ def forbid(monkeypatch, place: Path) -> None:
         return method
 
     monkeypatch.setattr(Path, "open", refusing(Path.open))
-    monkeypatch.setattr(os, "access", lambda path, mode, real=os.access: Path(path) != place and real(path, mode))
+    monkeypatch.setattr(
+        os,
+        "access",
+        lambda path, mode, real=os.access: Path(path) != place and real(path, mode),
+    )
 
 
-@pytest.mark.parametrize(("name", "state"), [("verdict.json", "error"), ("", "error"), ("out/numbers.txt", "stale")])
+@pytest.mark.parametrize(
+    ("name", "state"),
+    [("verdict.json", "error"), ("", "error"), ("out/numbers.txt", "stale")],
+)
 def test_no_permission_is_named(finished, monkeypatch, name, state):
     place = finished.folder / "first" / name
     (finished.folder / "first" / "out" / "numbers.txt").touch()  # its hash is not the cached one
@@ -299,7 +319,11 @@ def test_a_damaged_verdict_is_named_and_kept(finished):
         path.write_bytes(good)
         damage(path)
         gate = finished.bench.gate()
-        assert [gate.state(name).state for name in finished.bench.table] == ["error", "stale", "stale"]
+        assert [gate.state(name).state for name in finished.bench.table] == [
+            "error",
+            "stale",
+            "stale",
+        ]
         assert str(path) in gate.state("first").reasons[0]
         assert os.path.lexists(path)
         with pytest.raises(GateClosedError, match=str(path)):
@@ -318,7 +342,9 @@ def test_damaged_files_beside_it_are_named(finished, name):
         remove(path)
         make(path)
         state = finished.bench.gate().state("first")
-        said = {"numbers.txt": "artefact out/numbers.txt", "attempt.json": "killed as it began"}[name]
+        said = {"numbers.txt": "artefact out/numbers.txt", "attempt.json": "killed as it began"}[
+            name
+        ]
         assert said in " ".join([*state.reasons, *state.warnings])
     assert finished("run", "--force")[0] == 0
     assert set(finished.bench.states()) == {"pass"}
@@ -327,7 +353,13 @@ def test_damaged_files_beside_it_are_named(finished, name):
 def places(value, at=()):
     """Yield the path of every value in a document."""
     yield at
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    inner = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, item in inner:
         yield from places(item, (*at, key))
 
@@ -339,7 +371,20 @@ def nested(levels: int) -> list:
     return value
 
 
-WRONG = [None, [], {}, "", -1, 10**400, 1e308, True, [1, "a", None], {"a": {"b": None}}, nested(150), "x" * 3000]
+WRONG = [
+    None,
+    [],
+    {},
+    "",
+    -1,
+    10**400,
+    1e308,
+    True,
+    [1, "a", None],
+    {"a": {"b": None}},
+    nested(150),
+    "x" * 3000,
+]
 
 
 def test_wrong_values_in_a_verdict_never_crash(run):
@@ -366,7 +411,10 @@ def test_wrong_values_in_a_verdict_never_crash(run):
         state = run.bench.gate().state("first")
         print_explanation(Console(file=io.StringIO()), run.bench.table["first"], state, {}, str)
         named += state.state in ("error", "stale")
-        assert (state.state == "error") == any(str(path) in reason for reason in state.reasons), (place, wrong)
+        assert (state.state == "error") == any(str(path) in reason for reason in state.reasons), (
+            place,
+            wrong,
+        )
     assert named > 50
 
 
@@ -384,14 +432,17 @@ def test_a_recorded_option_that_is_not_valid_now_is_stale(run):
 
 
 @pytest.mark.parametrize(
-    ("name", "state"), [("note.txt", "pass"), (".hidden", "pass"), ("out/more.txt", "stale"), ("out/link", "stale")]
+    ("name", "state"),
+    [("note.txt", "pass"), (".hidden", "pass"), ("out/more.txt", "stale"), ("out/link", "stale")],
 )
 def test_a_stray_file_is_named(finished, name, state):
     path = finished.folder / "first" / name
     path.symlink_to(path.parent) if name == "out/link" else path.write_text("mine")
     first = finished.stages()["first"]
     assert first["state"] == state
-    assert f"{name} is not one of its artefacts" in " ".join([*first["reasons"], *first["warnings"]])
+    assert f"{name} is not one of its artefacts" in " ".join(
+        [*first["reasons"], *first["warnings"]],
+    )
     assert finished("run", "--force")[0] == 0
     (kept,) = (finished.folder / "set-aside").iterdir()
     assert os.path.lexists(kept / name), "it is not deleted with the old result"
@@ -411,7 +462,8 @@ def test_an_old_result_that_cannot_be_removed_is_set_aside(finished, monkeypatch
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(
-        "minidual.gate.store.remove", lambda path: refusing(path) if path.name == ".first.old" else None
+        "minidual.gate.store.remove",
+        lambda path: refusing(path) if path.name == ".first.old" else None,
     )
     code, _, err = finished("first", "--force")
     assert code == 0
@@ -426,7 +478,11 @@ def test_a_place_of_a_tool_is_checked_too(tmp_path, make):
     (tmp_path / "run").mkdir()
     make(tmp_path / "run" / ".modes.tmp")
     context = ToolContext(
-        config=load_config().config, seed=0, profile="standard", run_folder=tmp_path / "run", name="modes"
+        config=load_config().config,
+        seed=0,
+        profile="standard",
+        run_folder=tmp_path / "run",
+        name="modes",
     )
     with pytest.raises(DataError, match=r"\.modes\.tmp is a"):
         context.begin()

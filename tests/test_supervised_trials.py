@@ -69,8 +69,16 @@ def _steps(method: Any, limit: int) -> int:
     return limit
 
 
-@pytest.mark.parametrize(("config", "reflex"), [(FRAIL, "joint_velocity"), (SupervisorConfig(), "")])
-def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config: SupervisorConfig, reflex: str) -> None:
+@pytest.mark.parametrize(
+    ("config", "reflex"),
+    [(FRAIL, "joint_velocity"), (SupervisorConfig(), "")],
+)
+def test_a_reflex_ends_the_trial_of_a_policy(
+    world: World,
+    trial: Trial,
+    config: SupervisorConfig,
+    reflex: str,
+) -> None:
     runtime: Any = Still(0.3)
     supervisor = trial_supervisor(config, world.dt, DUAL_PANDA)
     stack = ControlStack(world, Kinematics(), supervisor=supervisor)
@@ -86,16 +94,29 @@ def test_a_reflex_ends_the_trial_of_a_policy(world: World, trial: Trial, config:
 
 def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
     planner = Planner()
-    stack = ControlStack(world, Kinematics(), supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA))
+    stack = ControlStack(
+        world,
+        Kinematics(),
+        supervisor=trial_supervisor(FRAIL, world.dt, DUAL_PANDA),
+    )
     carry = PlannedCarry(stack, planner, TASK, trial, SEED)
     assert _steps(carry, 2000) < 2000
     assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
 
 
-def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: World, trial: Trial) -> None:
+def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
+    world: World,
+    trial: Trial,
+) -> None:
     planner = Planner()
     supervisor = trial_supervisor(SupervisorConfig(), world.dt, DUAL_PANDA)
-    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, SEED)
+    carry = PlannedCarry(
+        ControlStack(world, Kinematics(), supervisor=supervisor),
+        planner,
+        TASK,
+        trial,
+        SEED,
+    )
     assert carry.solution is not None
     distance = arm_distance(DUAL_PANDA)
     gaps = [distance(q)[1] for segment in carry.solution.segments for q in segment.trajectory.q]
@@ -104,18 +125,37 @@ def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(world: W
     # What no plan keeps is said, and nothing moves.
     world.reset(poses=trial.start)
     wide = trial_supervisor(SupervisorConfig(self_collision_min_m=0.14), world.dt, DUAL_PANDA)
-    carry = PlannedCarry(ControlStack(world, Kinematics(), supervisor=wide), planner, TASK, trial, SEED)
+    carry = PlannedCarry(
+        ControlStack(world, Kinematics(), supervisor=wide),
+        planner,
+        TASK,
+        trial,
+        SEED,
+    )
     assert carry.done
     assert "they must keep 145" in (carry.aborted or "")
 
 
-@pytest.mark.parametrize(("config", "ended_by"), [(FRAIL, "reflex"), (SupervisorConfig(), "leader")])
-def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, ended_by: str) -> None:
+@pytest.mark.parametrize(
+    ("config", "ended_by"),
+    [(FRAIL, "reflex"), (SupervisorConfig(), "leader")],
+)
+def test_a_reflex_ends_a_demonstration(
+    world: World,
+    config: SupervisorConfig,
+    ended_by: str,
+) -> None:
     trial = sample_trial(world.scene, SEED, "demonstrations", 0)
-    stack = ControlStack(world, Kinematics(), supervisor=trial_supervisor(config, world.dt, DUAL_PANDA))
+    stack = ControlStack(
+        world,
+        Kinematics(),
+        supervisor=trial_supervisor(config, world.dt, DUAL_PANDA),
+    )
     session = TeleopSession(stack, TeleopConfig())
     result = session.run(
-        carry_task(world.scene), trial, ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED))
+        carry_task(world.scene),
+        trial,
+        ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED)),
     )
     assert result.ended_by == ended_by
     assert result.reason.startswith("reflex joint_velocity" if ended_by == "reflex" else "")
@@ -124,7 +164,8 @@ def test_a_reflex_ends_a_demonstration(world: World, config: SupervisorConfig, e
 
 def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world: World) -> None:
     config = Config().model_copy(update={"supervisor": SupervisorConfig(velocity_scale=0.3)})
-    bench, phases = Bench("impedance", MethodInputs(config, SEED)), set[str]()
+    bench = Bench("impedance", MethodInputs(config, SEED))
+    phases = set[str]()
     trial = sample_trial(config.scene, SEED, "benchmark", 0)
     result, _ = bench.run(trial, on_step=lambda _, method: phases.add(method.phase))
     assert not result.success
@@ -136,7 +177,10 @@ def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world:
 
 
 @pytest.mark.parametrize("method", ["moveit", "impedance"])
-def test_every_method_is_built_with_a_supervisor(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_method_is_built_with_a_supervisor(
+    method: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     calls: list[Callable[..., Any]] = []
     guard = Supervisor.guard
 

@@ -34,10 +34,17 @@ class Timed(GuardedArms):
 
     phase = 0
 
-    def __init__(self, world: World, supervisor: Supervisor, begins: Onset = lambda t, q, v: t > T0 - 1e-4) -> None:
+    def __init__(
+        self,
+        world: World,
+        supervisor: Supervisor,
+        begins: Onset = lambda t, q, v: t > T0 - 1e-4,
+    ) -> None:
         super().__init__(world, supervisor)
-        self.begins, self.onset_s = begins, np.nan
-        self.guard, supervisor.guard = supervisor.guard, self._guard  # type: ignore[method-assign]
+        self.begins = begins
+        self.onset_s = np.nan
+        self.guard = supervisor.guard  # type: ignore[method-assign]
+        supervisor.guard = self._guard
         supervisor._next_slow = supervisor._next_ahead = self.phase
         supervisor._next_feel += self.phase % EVERY
 
@@ -48,16 +55,25 @@ class Timed(GuardedArms):
 
     def latency_ms(self, name: str) -> float:
         assert self.error is not None
-        names = {name, "joint_contact"} if name == "joint_stuck" else {name}  # it has to come to a stand first
+        names = (
+            {name, "joint_contact"} if name == "joint_stuck" else {name}
+        )  # it has to come to a stand first
         assert self.error.reflex.name in names, self.error.message
-        return 1e3 * (self.world.time - self.world.dt - self.onset_s)  # one step was made after the reflex
+        return 1e3 * (
+            self.world.time - self.world.dt - self.onset_s
+        )  # one step was made after the reflex
 
 
 def turned(ramp: float, joint: int) -> Array:
     return ramp * np.eye(DOF)[joint]
 
 
-def timed(world: World, begins: Onset | None = None, watches: dict[str, Any] | None = None, **config: Any) -> Timed:
+def timed(
+    world: World,
+    begins: Onset | None = None,
+    watches: dict[str, Any] | None = None,
+    **config: Any,
+) -> Timed:
     supervisor = Supervisor(SupervisorConfig(**config), **(watches or {}))
     return Timed(world, supervisor, *([] if begins is None else [begins]))
 
@@ -96,7 +112,10 @@ def torque_rate(world: World) -> Timed:
 
 def torque_saturation(world: World) -> Timed:
     arms = timed(world)
-    arms.run(0.3, torque=lambda t, tau: np.where((np.arange(DOF) == 7) & (late(t) > 0.0), TAU_MAX, tau))
+    arms.run(
+        0.3,
+        torque=lambda t, tau: np.where((np.arange(DOF) == 7) & (late(t) > 0.0), TAU_MAX, tau),
+    )
     return arms
 
 
@@ -126,7 +145,8 @@ def tcp_speed(world: World) -> Timed:
 
 def pushed(body: str, force: tuple[float, float, float]) -> Callable[[World], Timed]:
     def make(world: World) -> Timed:
-        arms, row = timed(world), world.model.body(body).id
+        arms = timed(world)
+        row = world.model.body(body).id
 
         def act(t: float) -> None:
             world.data.xfrc_applied[row, :3] = late(t) * np.array(force)
@@ -140,7 +160,8 @@ def pushed(body: str, force: tuple[float, float, float]) -> Callable[[World], Ti
 
 def joint_stuck(world: World) -> Timed:
     world = World(world.scene, model=copy.copy(world.model))
-    arms, dof = timed(world), world.joints.qvel[1]
+    arms = timed(world)
+    dof = world.joints.qvel[1]
 
     def block(t: float) -> None:
         world.model.dof_damping[dof] = 1e5 if late(t) else 0.1
@@ -161,7 +182,10 @@ def tracking_error(world: World) -> Timed:
 
 def gripper_opened(world: World) -> Timed:
     arms = timed(world)
-    arms.supervisor.expected = lambda: Expected("closed hands", hand_fault="0 of 60 N" if late(world.time) else "")
+    arms.supervisor.expected = lambda: Expected(
+        "closed hands",
+        hand_fault="0 of 60 N" if late(world.time) else "",
+    )
     arms.run(0.2)
     return arms
 
@@ -170,7 +194,8 @@ def workspace(world: World) -> Timed:
     kinematics = Kinematics()
 
     def ahead(_t: float, q: Array, v: Array) -> bool:
-        T, J = kinematics.tcp_poses(q)[0], kinematics.tcp_jacobians(q)[0]
+        T = kinematics.tcp_poses(q)[0]
+        J = kinematics.tcp_jacobians(q)[0]
         return float(T[1, 3] + 0.02 * (J @ v)[1]) > 0.4
 
     arms = timed(world, ahead, workspace_m=((-0.7, 1.1), (-1.1, 0.4), (-0.005, 1.3)))
@@ -192,7 +217,8 @@ def self_collision(world: World) -> Timed:
 
 
 def stopping_distance(world: World) -> Timed:
-    clearance, own = SceneClearance(DUAL_PANDA), SceneClearance(DUAL_PANDA)
+    clearance = SceneClearance(DUAL_PANDA)
+    own = SceneClearance(DUAL_PANDA)
     arms = timed(world, watches={"clearance": clearance})
     stop = Supervisor()._stop
 
@@ -210,7 +236,8 @@ def stopping_distance(world: World) -> Timed:
 
 
 def emergency_stop(world: World) -> Timed:
-    arms, pressed = timed(world), []
+    arms = timed(world)
+    pressed = []
 
     def press(t: float) -> None:
         if late(t) and not pressed:
@@ -221,7 +248,9 @@ def emergency_stop(world: World) -> Timed:
     return arms
 
 
-def measured(change: Callable[[float, Array, Array], tuple[Array, Array]]) -> Callable[[World], Timed]:
+def measured(
+    change: Callable[[float, Array, Array], tuple[Array, Array]],
+) -> Callable[[World], Timed]:
     def make(world: World) -> Timed:
         arms = timed(world)
         arms.run(0.2, senses=change)
@@ -239,7 +268,8 @@ def jumps(t: float, q: Array, v: Array) -> tuple[Array, Array]:
 
 
 def stale_measurement(world: World) -> Timed:
-    arms, kept = timed(world), (0.0, HOME, np.zeros(DOF))
+    arms = timed(world)
+    kept = (0.0, HOME, np.zeros(DOF))
     for _ in range(200):
         if not late(world.time):
             kept = world.time, world.q, world.v
@@ -248,7 +278,8 @@ def stale_measurement(world: World) -> Timed:
         try:
             tau = arms.supervisor.guard(world.time, q, v, tau, None, stamp_s)
         except ReflexError as error:
-            arms.error, tau = error, error.tau
+            arms.error = error
+            tau = error.tau
         arms._apply(tau)
         if arms.error is not None:
             break
@@ -298,8 +329,18 @@ MOST_MS = {
     **dict.fromkeys(REFLEXES, 0.0),  # in the tick that has the value
     **dict.fromkeys(("joint_position", "tcp_speed", "workspace"), 10.0),
     **dict.fromkeys(("joint_contact", "joint_stuck"), 10.0),
-    **{"cartesian_contact": 30.0, "tracking_error": 54.0, "gripper_opened": 4.0, "stopping_distance": -10.0},
-    **{"torque_rate": 51.0, "torque_saturation": 21.0, "stale_measurement": 21.0, "stale_command": 101.0},
+    **{
+        "cartesian_contact": 30.0,
+        "tracking_error": 54.0,
+        "gripper_opened": 4.0,
+        "stopping_distance": -10.0,
+    },
+    **{
+        "torque_rate": 51.0,
+        "torque_saturation": 21.0,
+        "stale_measurement": 21.0,
+        "stale_command": 101.0,
+    },
 }
 
 
@@ -309,12 +350,16 @@ def told_ms(page: str, name: str) -> list[float]:
     assert cell, f"no row of {name}"
     numbers = [float(number) for number in re.findall(r"\d+", cell[1])] or [0.0]
     assert (numbers == [0.0]) == (cell[1] == "same tick")
-    return sorted((-1.0 if "before" in cell[1] else 1.0) * number for number in (numbers[0], numbers[-1]))
+    return sorted(
+        (-1.0 if "before" in cell[1] else 1.0) * number for number in (numbers[0], numbers[-1])
+    )
 
 
 @pytest.mark.parametrize("name", REFLEXES)
 def test_a_reflex_comes_within_its_time_and_the_page_tells_it(
-    world: World, monkeypatch: pytest.MonkeyPatch, name: str
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
 ) -> None:
     found = []
     for phase in PHASES:
@@ -327,9 +372,11 @@ def test_a_reflex_comes_within_its_time_and_the_page_tells_it(
 
 
 def test_a_row_that_is_missing_or_wrong_is_seen() -> None:
-    page = (
-        "| `clock` | x | same tick | y |\n| `torque_rate` | x | 5 to 50 ms | y |\n| `a` | x | 18 to 10 ms before | y |"
-    )
-    assert [told_ms(page, name) for name in ("clock", "torque_rate", "a")] == [[0.0, 0.0], [5.0, 50.0], [-18.0, -10.0]]
+    page = "| `clock` | x | same tick | y |\n| `torque_rate` | x | 5 to 50 ms | y |\n| `a` | x | 18 to 10 ms before | y |"
+    assert [told_ms(page, name) for name in ("clock", "torque_rate", "a")] == [
+        [0.0, 0.0],
+        [5.0, 50.0],
+        [-18.0, -10.0],
+    ]
     with pytest.raises(AssertionError, match="no row of tcp_speed"):
         told_ms(page, "tcp_speed")

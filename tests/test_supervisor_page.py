@@ -57,21 +57,32 @@ def test_a_flag_that_is_missing_or_named_twice_is_seen() -> None:
     )
 
 
-STOPPED = "reflex at 3.10 s: reflex joint_contact at 3.100 s: an arm touches something: left_panda_joint2"
+STOPPED = (
+    "reflex at 3.10 s: reflex joint_contact at 3.100 s: an arm touches something: left_panda_joint2"
+)
 
 
 def test_the_lines_of_the_page_count_the_stops_of_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     carry = {"method": "impedance", "condition": "clean"}
     for table, rows in {
         "carry/trials.csv": [{**carry, "aborted": ""}, {**carry, "aborted": STOPPED}],
         "teleop-record/quality.csv": [
-            *({"trial": 0, "reason": ""}, {"trial": 1, "reason": "reflex torque_rate at 2.000 s: a controller"}),
+            *(
+                {"trial": 0, "reason": ""},
+                {"trial": 1, "reason": "reflex torque_rate at 2.000 s: a controller"},
+            ),
             {"trial": 2, "reason": "RMS jerk 900 rad/s^3, limit 800"},
         ],
         "deploy/trials.csv": [
-            {"method": "act", "condition": "held_out", "aborted": "oscillation: the target of joint 1"},
+            {
+                "method": "act",
+                "condition": "held_out",
+                "aborted": "oscillation: the target of joint 1",
+            },
             {"method": "act", "condition": "training", "aborted": ""},
             {"method": "act", "condition": "object hidden", "aborted": "frozen_picture: camera"},
         ],
@@ -95,5 +106,10 @@ def test_the_lines_of_the_page_count_the_stops_of_a_run(
         "deploy/trials.csv act training": (0, 1),
         "benchmark/benchmark.csv handover impedance clean": (1, 1),
     }
-    for why in ("'reflex joint_contact': 1", "'reflex torque_rate': 1", "'oscillation': 1", "'slip': 1"):
+    for why in (
+        "'reflex joint_contact': 1",
+        "'reflex torque_rate': 1",
+        "'oscillation': 1",
+        "'slip': 1",
+    ):
         assert why in said

@@ -31,7 +31,10 @@ from minidual.stages.env_check.tracking import sine_reference
 REACH = Reach(Kinematics())
 
 
-def _after_20_ms(rows: dict[int, slice], reading: Callable[[np.ndarray], Any]) -> Callable[[], Senses]:
+def _after_20_ms(
+    rows: dict[int, slice],
+    reading: Callable[[np.ndarray], Any],
+) -> Callable[[], Senses]:
     """Return a maker of senses that replace q (row 0), v (row 1) of some joints; `reading` gets the last good one."""
 
     def make() -> Senses:
@@ -49,8 +52,11 @@ def _after_20_ms(rows: dict[int, slice], reading: Callable[[np.ndarray], Any]) -
     return make
 
 
-_ALL, _LEFT, _ONE = slice(0, DOF), slice(0, 7), slice(1, 2)
-_NAN, _SAME = (lambda good: np.full(DOF, np.nan)), (lambda good: good)
+_ALL = slice(0, DOF)
+_LEFT = slice(0, 7)
+_ONE = slice(1, 2)
+_NAN = lambda good: np.full(DOF, np.nan)
+_SAME = lambda good: good
 LOSSES = {
     "one encoder": _after_20_ms({0: _ONE}, _NAN),
     "one velocity": _after_20_ms({1: _ONE}, _NAN),
@@ -60,7 +66,10 @@ LOSSES = {
 }
 LIES = {
     "position of left_panda_joint2: unchanged": _after_20_ms({0: _ONE}, _SAME),
-    "position and velocity of left_panda_joint1: unchanged": _after_20_ms({0: _LEFT, 1: _LEFT}, _SAME),
+    "position and velocity of left_panda_joint1: unchanged": _after_20_ms(
+        {0: _LEFT, 1: _LEFT},
+        _SAME,
+    ),
     "position of left_panda_joint2: they differ by 0.0500 rad": lambda: _jump,
 }
 
@@ -83,7 +92,8 @@ def arms(world):
     """Return a maker of guarded arms: `arms(field=value, ...)` changes the supervisor's configuration."""
 
     def make(self_distance=None, on_reflex=None, clearance=None, **changes):
-        config, watched = SupervisorConfig(**changes), {"self_distance": self_distance, "clearance": clearance}
+        config = SupervisorConfig(**changes)
+        watched = {"self_distance": self_distance, "clearance": clearance}
         return GuardedArms(world, Supervisor(config, on_reflex=on_reflex, **watched))
 
     return make
@@ -109,23 +119,38 @@ def must_trip(error: ReflexError | None, name: str, where: str = "") -> Reflex:
 class TestReflexes:
     def test_joint_position_before_the_limit_is_reached_too_fast(self, arms):
         set_up = arms()
-        reflex = must_trip(set_up.run(2.0, accelerate(3, 4.0, until_s=0.4)), "joint_position", "joint4")
+        reflex = must_trip(
+            set_up.run(2.0, accelerate(3, 4.0, until_s=0.4)),
+            "joint_position",
+            "joint4",
+        )
         assert reflex.value > Q_UPPER[3] == reflex.bound
         assert set_up.world.q[3] < Q_UPPER[3]  # it looks ahead: the joint is still inside
         set_up.go_on(0.5)
         assert set_up.world.q[3] < Q_UPPER[3]
 
     def test_joint_position_at_the_margin(self, arms):
-        reflex = must_trip(arms(position_margin_rad=0.2).run(4.0, accelerate(5, -0.5)), "joint_position", "joint6")
+        reflex = must_trip(
+            arms(position_margin_rad=0.2).run(4.0, accelerate(5, -0.5)),
+            "joint_position",
+            "joint6",
+        )
         assert reflex.bound == pytest.approx(Q_LOWER[5] + 0.2)
 
     def test_joint_velocity(self, arms):
         set_up = arms()
-        reflex = must_trip(set_up.run(1.0, accelerate(6, 12.0)), "joint_velocity", "left_panda_joint7")
+        reflex = must_trip(
+            set_up.run(1.0, accelerate(6, 12.0)),
+            "joint_velocity",
+            "left_panda_joint7",
+        )
         assert V_MAX[6] < reflex.value < V_MAX[6] + 0.1
 
     def test_torque_range(self, arms):
-        reflex = must_trip(arms().run(0.1, torque=lambda t, tau: tau + 200.0 * np.eye(DOF)[8]), "torque_range")
+        reflex = must_trip(
+            arms().run(0.1, torque=lambda t, tau: tau + 200.0 * np.eye(DOF)[8]),
+            "torque_range",
+        )
         assert reflex.where == JOINT_NAMES[8]
         assert reflex.value > reflex.bound == TAU_MAX[8]
 
@@ -158,7 +183,11 @@ class TestReflexes:
         assert abs(reflex.value) == pytest.approx(10_000.0)
 
     def test_tcp_speed(self, arms):
-        reflex = must_trip(arms(tcp_speed_max_m_per_s=0.3).run(1.0, accelerate(0, 3.0)), "tcp_speed", "left")
+        reflex = must_trip(
+            arms(tcp_speed_max_m_per_s=0.3).run(1.0, accelerate(0, 3.0)),
+            "tcp_speed",
+            "left",
+        )
         assert 0.3 < reflex.value < 0.35
 
     def test_joint_contact_where_something_pushes_the_forearm(self, arms):
@@ -166,7 +195,10 @@ class TestReflexes:
         for newtons in (10.0, 100.0):
             set_up = arms()
             set_up.world.reset()
-            error = set_up.run(0.2, before=_push(set_up.world, "left_panda_link5", (0.0, newtons, 0.0)))
+            error = set_up.run(
+                0.2,
+                before=_push(set_up.world, "left_panda_link5", (0.0, newtons, 0.0)),
+            )
             assert (error is not None) == (newtons > 50.0)
         reflex = must_trip(error, "joint_contact", "free motion")
         assert 0.1 < reflex.time_s <= 0.112
@@ -193,29 +225,44 @@ class TestReflexes:
         for newtons in (15.0, 22.0):
             set_up = arms()
             set_up.world.reset()
-            error = set_up.run(0.3, before=_push(set_up.world, "right_panda_hand", (0.0, 0.0, newtons)))
+            error = set_up.run(
+                0.3,
+                before=_push(set_up.world, "right_panda_hand", (0.0, 0.0, newtons)),
+            )
             assert (error is not None) == (newtons > 20.0)
         reflex = must_trip(error, "cartesian_contact", "the right hand, free motion")
         assert reflex.value > reflex.bound == 20.0
 
     def test_tracking_error_of_a_joint_without_drive(self, arms):
-        set_up, moved = arms(), accelerate(5, 2.0)
+        set_up = arms()
+        moved = accelerate(5, 2.0)
         set_up.supervisor.expected = lambda: Expected(reference=moved(set_up.world.time)[0])
         gravity = set_up.supervisor._kinematics.gravity(HOME).copy()
-        error = set_up.run(0.5, moved, torque=lambda t, tau: np.where(np.arange(DOF) == 5, gravity, tau))
+        error = set_up.run(
+            0.5,
+            moved,
+            torque=lambda t, tau: np.where(np.arange(DOF) == 5, gravity, tau),
+        )
         reflex = must_trip(error, "tracking_error", "left_panda_joint6, free motion")
         assert abs(reflex.value) > reflex.bound == 0.05
         assert 0.2 < reflex.time_s < 0.3
 
     def test_gripper_opened(self, arms):
         set_up = arms()
-        set_up.supervisor.expected = lambda: Expected("closed hands", hand_fault="the left hand: 0 of 60 N")
+        set_up.supervisor.expected = lambda: Expected(
+            "closed hands",
+            hand_fault="the left hand: 0 of 60 N",
+        )
         assert must_trip(set_up.run(0.1), "gripper_opened", "the left hand").time_s < 0.005
 
     def test_contact_expects_more_of_hands_that_hold(self, arms):
         """25 N on a hand: a reflex in free motion, none with closed hands, and none where the law expects half of it."""
         torque = Kinematics().tcp_jacobians(HOME)[0][1] * 25.0
-        for expected in (Expected(), Expected("closed hands"), Expected("held object", 0.6 * torque)):
+        for expected in (
+            Expected(),
+            Expected("closed hands"),
+            Expected("held object", 0.6 * torque),
+        ):
             set_up = arms()
             world = set_up.world
             world.reset()
@@ -251,14 +298,24 @@ class TestReflexes:
         assert 0.02 < reflex.value < 0.03
         for _ in range(100):
             set_up.go_on(0.01)
-            assert not any(a.startswith(("left", "right")) for a, _, _ in set_up.world.contact_pairs())
+            assert not any(
+                a.startswith(("left", "right")) for a, _, _ in set_up.world.contact_pairs()
+            )
 
     def test_stopping_distance_to_the_table(self, arms):
         set_up = arms(clearance=SceneClearance(DUAL_PANDA))
-        reflex = must_trip(set_up.run(2.0, accelerate(1, 3.0, until_s=0.3)), "stopping_distance", "with table")
+        reflex = must_trip(
+            set_up.run(2.0, accelerate(1, 3.0, until_s=0.3)),
+            "stopping_distance",
+            "with table",
+        )
         assert reflex.value < reflex.bound
         set_up.go_on(1.0)
-        assert not any("table" in pair for *pair, _ in set_up.world.contact_pairs() if pair[0].startswith("left"))
+        assert not any(
+            "table" in pair
+            for *pair, _ in set_up.world.contact_pairs()
+            if pair[0].startswith("left")
+        )
 
     def test_emergency_stop_from_another_thread_takes_effect_in_the_next_tick(self, arms):
         set_up = arms()
@@ -269,14 +326,20 @@ class TestReflexes:
                 presser.start()
                 presser.join()
 
-        reflex = must_trip(set_up.run(1.0, accelerate(0, 2.0), before=press), "emergency_stop", "red button")
+        reflex = must_trip(
+            set_up.run(1.0, accelerate(0, 2.0), before=press),
+            "emergency_stop",
+            "red button",
+        )
         assert reflex.time_s == pytest.approx(0.3)
 
     @pytest.mark.parametrize("what", ["torque", "position", "velocity"])
     def test_not_finite(self, arms, what):
         set_up = arms()
         set_up.run(0.05)
-        q, v, tau = set_up.world.q, set_up.world.v, np.zeros(DOF)
+        q = set_up.world.q
+        v = set_up.world.v
+        tau = np.zeros(DOF)
         {"torque": tau, "position": q, "velocity": v}[what][4] = np.nan
         with pytest.raises(ReflexError) as caught:
             set_up.supervisor.guard(set_up.world.time, q, v, tau)
@@ -291,11 +354,17 @@ class TestReflexes:
     def test_controller_failed(self, arms):
         set_up = arms()
         set_up.run(0.05)
-        world, supervisor = set_up.world, set_up.supervisor
+        world = set_up.world
+        supervisor = set_up.supervisor
         with pytest.raises(ReflexError) as caught:
             supervisor.fail(world.time, world.q, world.v, "the law is singular")
         must_trip(caught.value, "controller_failed", "the law is singular")
-        tau = supervisor.fail(world.time + 0.001, world.q, world.v, "again")  # once: then the soft stop
+        tau = supervisor.fail(
+            world.time + 0.001,
+            world.q,
+            world.v,
+            "again",
+        )  # once: then the soft stop
         assert np.abs(tau - caught.value.tau).max() <= TAU_RATE_MAX * 1e-3 + 1e-9
 
     def test_stale_command(self, arms):
@@ -311,16 +380,27 @@ class TestReflexes:
 
     def test_stale_measurement(self, arms):
         set_up = arms()
-        world, supervisor = set_up.world, set_up.supervisor
+        world = set_up.world
+        supervisor = set_up.supervisor
         begin_swing(world)
         stopped = None
         for _ in range(1000):
             if world.time < 0.0205:  # from then on nothing new is measured
-                t, q, v = world.time, world.q, world.v
+                t = world.time
+                q = world.q
+                v = world.v
             try:
-                tau = supervisor.guard(world.time, q, v, set_up.controller.torque(q, v, *swing(world.time)), None, t)
+                tau = supervisor.guard(
+                    world.time,
+                    q,
+                    v,
+                    set_up.controller.torque(q, v, *swing(world.time)),
+                    None,
+                    t,
+                )
             except ReflexError as error:
-                stopped, tau = error, error.tau
+                stopped = error
+                tau = error.tau
             set_up._apply(tau)
             assert np.abs(world.v).max() < 1.3  # 31 rad/s before
         reflex = must_trip(stopped, "stale_measurement")
@@ -342,7 +422,11 @@ class TestReflexes:
 
     def test_every_row_of_the_table_is_triggered_here(self):
         """Read from the tests themselves: which worker runs which of them is not known here."""
-        calls = [n for n in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
+        calls = [
+            n
+            for n in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8")))
+            if isinstance(n, ast.Call)
+        ]
         named = {
             ast.literal_eval(call.args[1])
             for call in calls
@@ -354,7 +438,11 @@ class TestReflexes:
 class TestStop:
     def test_arms_come_to_rest_softly_and_stay_latched(self, arms):
         set_up = arms()
-        set_up.run(0.5, accelerate(0, 3.0), before=lambda t: set_up.supervisor.estop() if 0.3995 < t < 0.4005 else None)
+        set_up.run(
+            0.5,
+            accelerate(0, 3.0),
+            before=lambda t: set_up.supervisor.estop() if 0.3995 < t < 0.4005 else None,
+        )
         assert np.abs(set_up.world.v).max() > 1.0
         set_up.go_on(1.0)  # the controller asks for NaN all the while
         assert np.abs(set_up.world.v).max() < 1e-3
@@ -376,9 +464,15 @@ class TestStop:
         start = HOME - 0.9 * np.eye(DOF)[1]
         set_up.world.reset(start)
         stop = set_up.supervisor.estop
-        set_up.run(0.4, accelerate(1, 6.0, until_s=0.35, q0=start), before=lambda t: stop() if t >= 0.35 else None)
+        set_up.run(
+            0.4,
+            accelerate(1, 6.0, until_s=0.35, q0=start),
+            before=lambda t: stop() if t >= 0.35 else None,
+        )
         assert set_up.world.v[1] == pytest.approx(2.1, abs=0.02)
-        q, began, count = set_up.world.q, set_up.world.time, len(set_up.applied)
+        q = set_up.world.q
+        began = set_up.world.time
+        count = len(set_up.applied)
         while np.abs(set_up.world.v).max() > 0.01 and set_up.world.time < began + 1.0:
             set_up.go_on(1e-3)
         assert set_up.world.time - began < 0.4
@@ -391,8 +485,13 @@ class TestStop:
         set_up = arms()
         robot = set_up.world.robot
         stop = SupervisedStop(Kinematics(robot), set_up.supervisor.config, 1e-3)
-        q, v = HOME.copy(), np.zeros(DOF)
-        v[1], v[6], q[6] = 2.1, 1.0, robot.q_upper[6] - 0.1  # the two would stop together after 0.2 rad of joint 7
+        q = HOME.copy()
+        v = np.zeros(DOF)
+        v[1], v[6], q[6] = (
+            2.1,
+            1.0,
+            robot.q_upper[6] - 0.1,
+        )  # the two would stop together after 0.2 rad of joint 7
         stop.begin(q, v, np.zeros(DOF))
         way = q.copy()
         for _ in range(600):
@@ -416,10 +515,15 @@ class TestStop:
         seeing.run(0.02, swing, before=lambda t: seeing.supervisor.estop() if t > 0.0185 else None)
         plain_speed, plain_way = seeing.go_on(1.0)
         assert plain_speed == pytest.approx([0.9, 0.9], abs=0.01)
-        set_up, senses = arms(), {**LOSSES, **LIES}[what]()
+        set_up = arms()
+        senses = {**LOSSES, **LIES}[what]()
         begin_swing(set_up.world)
         error = set_up.run(0.1, swing, senses=senses)
-        must_trip(error, "not_finite") if what in LOSSES else must_trip(error, "implausible_measurement", what)
+        must_trip(error, "not_finite") if what in LOSSES else must_trip(
+            error,
+            "implausible_measurement",
+            what,
+        )
         speed, way = set_up.go_on(1.0, senses=senses)
         assert speed.max() <= 0.93
         assert way.max() <= plain_way.max() + 0.02
@@ -443,9 +547,14 @@ class TestStop:
         set_up.supervisor.estop("red button")
         set_up.go_on(0.5)
         set_up.supervisor.reset()
-        error, set_up.error = set_up.error, None
+        error = set_up.error
+        set_up.error = None
         rest = set_up.world.q
-        must_trip(set_up.run(0.1, lambda t: (rest, np.zeros(DOF), np.zeros(DOF))), "emergency_stop", "red")
+        must_trip(
+            set_up.run(0.1, lambda t: (rest, np.zeros(DOF), np.zeros(DOF))),
+            "emergency_stop",
+            "red",
+        )
         assert set_up.error is not error
         set_up.supervisor.reset()  # now it is the one that was reported
         set_up.error = None
@@ -478,7 +587,11 @@ class TestStop:
         set_up.supervisor.estop()
         error = set_up.run(0.1)
         copy = pickle.loads(pickle.dumps(error))
-        assert (copy.reflex, copy.message, copy.remedy) == (error.reflex, error.message, error.remedy)
+        assert (copy.reflex, copy.message, copy.remedy) == (
+            error.reflex,
+            error.message,
+            error.remedy,
+        )
         assert (copy.tau == error.tau).all()
 
 
@@ -502,10 +615,12 @@ class TestLegalMotion:
 
     @pytest.mark.parametrize(("joint", "way"), [(0, 1.0), (3, 1.0), (5, -1.0), (6, 1.5)])
     def test_a_far_target_through_the_filter_arrives(self, world, kinematics, joint, way):
-        loop, supervisor = JointLoop(world, kinematics), Supervisor()
+        loop = JointLoop(world, kinematics)
+        supervisor = Supervisor()
         command = world.command
         world.command = lambda tau, fingers: command(
-            supervisor.guard(world.time, world.q, world.v, tau, loop.reference.a), fingers
+            supervisor.guard(world.time, world.q, world.v, tau, loop.reference.a),
+            fingers,
         )
         target = HOME + way * np.eye(DOF)[joint]
         for _ in range(1500):
@@ -518,11 +633,22 @@ class TestLegalMotion:
         ids=["streamed", "without the ramp", "jumps"],
     )
     def test_targets_that_step_do_not_stop_the_arms(
-        self, world, kinematics, monkeypatch, every, by, ramp_s, least_nm, most_nm
+        self,
+        world,
+        kinematics,
+        monkeypatch,
+        every,
+        by,
+        ramp_s,
+        least_nm,
+        most_nm,
     ):
         monkeypatch.setattr("minidual.control.joint_control._RAMP_S", ramp_s)
-        loop, supervisor = JointLoop(world, kinematics), Supervisor()
-        command, asked, applied = world.command, [], []
+        loop = JointLoop(world, kinematics)
+        supervisor = Supervisor()
+        command = world.command
+        asked = []
+        applied = []
 
         def guarded(tau, fingers):
             asked.append(tau.copy())
@@ -538,13 +664,19 @@ class TestLegalMotion:
         step = np.abs(np.diff(asked, axis=0)).max()
         assert least_nm < step < most_nm
         assert np.abs(np.diff(applied, axis=0)).max() <= 1.0 + 1e-9
-        assert np.array_equal(asked, applied) == (step <= 1.0), "what the motors can follow is not changed"
+        assert np.array_equal(asked, applied) == (step <= 1.0), (
+            "what the motors can follow is not changed"
+        )
         assert np.abs(world.q - target).max() < 1e-4
 
     def test_a_joint_may_go_to_its_very_limit(self, world, kinematics):
-        loop, supervisor = JointLoop(world, kinematics), Supervisor()
+        loop = JointLoop(world, kinematics)
+        supervisor = Supervisor()
         command = world.command
-        world.command = lambda tau, fingers: command(supervisor.guard(world.time, world.q, world.v, tau), fingers)
+        world.command = lambda tau, fingers: command(
+            supervisor.guard(world.time, world.q, world.v, tau),
+            fingers,
+        )
         target = HOME.copy()
         target[[6, 13]] = Q_UPPER[6], Q_LOWER[13]
         for _ in range(2500):
@@ -557,10 +689,16 @@ class TestBounds:
         import mujoco
 
         rng = np.random.default_rng(0)
-        model, data = world.model, world.data
-        moving = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name.startswith("left_")]
+        model = world.model
+        data = world.data
+        moving = [
+            g
+            for g in range(model.ngeom)
+            if model.body(model.geom_bodyid[g]).name.startswith("left_")
+        ]
         for _ in range(30):
-            q, joint = rng.uniform(Q_LOWER, Q_UPPER), int(rng.integers(7))
+            q = rng.uniform(Q_LOWER, Q_UPPER)
+            joint = int(rng.integers(7))
             corners = []
             for step in (0.0, 1e-5):
                 data.qpos[world.joints.qpos] = q + step * np.eye(DOF)[joint]
@@ -569,11 +707,12 @@ class TestBounds:
                     np.array(
                         [
                             data.geom_xpos[g]
-                            + data.geom_xmat[g].reshape(3, 3) @ (model.geom_aabb[g, :3] + model.geom_aabb[g, 3:] * s)
+                            + data.geom_xmat[g].reshape(3, 3)
+                            @ (model.geom_aabb[g, :3] + model.geom_aabb[g, 3:] * s)
                             for g in moving
                             for s in np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
-                        ]
-                    )
+                        ],
+                    ),
                 )
             fastest = np.linalg.norm(corners[1] - corners[0], axis=1).max() / 1e-5
             assert fastest <= REACH.m[joint]
@@ -582,16 +721,21 @@ class TestBounds:
     def test_no_gap_closes_before_its_safe_time(self):
         rng = np.random.default_rng(0)
         for _ in range(200):
-            v, gap = rng.uniform(-V_MAX, V_MAX), float(rng.uniform(0.0, 0.2))
+            v = rng.uniform(-V_MAX, V_MAX)
+            gap = float(rng.uniform(0.0, 0.2))
             h = REACH.safe_time_s(v, gap)
             assert h * (REACH.m @ (np.abs(v) + A_MAX * h)) == pytest.approx(gap, abs=1e-12)
         assert REACH.safe_time_s(v, -0.01) == 0.0
 
-    @pytest.mark.parametrize(("distance_m", "every"), [(0.0101, 1), (0.02, 8), (0.15, 30), (9.0, 30)])
+    @pytest.mark.parametrize(
+        ("distance_m", "every"),
+        [(0.0101, 1), (0.02, 8), (0.15, 30), (9.0, 30)],
+    )
     def test_the_nearer_the_arms_the_oftener_they_are_looked_at(self, distance_m, every):
         looks = []
         supervisor = Supervisor(self_distance=lambda q: looks.append(k) or ("a with b", distance_m))
-        q, tau = DUAL_PANDA.home, Kinematics().gravity(DUAL_PANDA.home)
+        q = DUAL_PANDA.home
+        tau = Kinematics().gravity(DUAL_PANDA.home)
         for k in range(200):
             supervisor.guard(0.001 * k, q, np.zeros(DOF), tau)
         assert set(np.diff(looks)) == {every}

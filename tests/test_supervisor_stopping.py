@@ -16,7 +16,8 @@ from minidual.robot.pair import DUAL_PANDA, Array, pose
 from minidual.skills.supervised import SceneClearance, arm_distance, trial_supervisor
 
 BOTH = np.eye(DOF)[:7] - np.eye(DOF)[7:]
-APART, HIGH = HOME + 0.3 * BOTH[0], HOME - 0.5 * (np.eye(DOF)[1] + np.eye(DOF)[8])
+APART = HOME + 0.3 * BOTH[0]
+HIGH = HOME - 0.5 * (np.eye(DOF)[1] + np.eye(DOF)[8])
 ALONE = HOME + 1.5 * np.eye(DOF)[0] - 1.2 * np.eye(DOF)[7]
 FOLDED = np.r_[1.5, -0.57, -1.59, -1.46, 2.53, 0.46, -0.49, ALONE[7:]]
 """The left hand is in its own forearm; the right arm is out of its way."""
@@ -36,7 +37,10 @@ def towards(start: Array, way: Array, speed: float) -> Reference:
 
 def guarded(world: World, start: Array, clearance: SceneClearance | None) -> GuardedArms:
     world.reset(start)
-    return GuardedArms(world, Supervisor(self_distance=arm_distance(DUAL_PANDA), clearance=clearance))
+    return GuardedArms(
+        world,
+        Supervisor(self_distance=arm_distance(DUAL_PANDA), clearance=clearance),
+    )
 
 
 def touches(arms: GuardedArms, seconds: float = 1.0) -> set[tuple[str, str]]:
@@ -44,7 +48,9 @@ def touches(arms: GuardedArms, seconds: float = 1.0) -> set[tuple[str, str]]:
     found: set[tuple[str, str]] = set()
     for _ in range(round(seconds / 0.005)):
         arms.go_on(0.005)
-        found |= {(a, b) for a, b, _ in arms.world.contact_pairs() if a.startswith(("left", "right"))}
+        found |= {
+            (a, b) for a, b, _ in arms.world.contact_pairs() if a.startswith(("left", "right"))
+        }
     assert np.abs(arms.world.v).max() < 0.02
     return found
 
@@ -56,10 +62,24 @@ FOLD = (ALONE, FOLDED - ALONE, {"left_panda_hand", "left_panda_link5"})
 
 @pytest.mark.parametrize(
     ("start", "way", "parts", "speed"),
-    [(*INWARDS, 0.3), (*INWARDS, 0.73), (*INWARDS, 2.0), (*DOWN, 0.73), (*DOWN, 2.0), (*FOLD, 0.73), (*FOLD, 2.0)],
+    [
+        (*INWARDS, 0.3),
+        (*INWARDS, 0.73),
+        (*INWARDS, 2.0),
+        (*DOWN, 0.73),
+        (*DOWN, 2.0),
+        (*FOLD, 0.73),
+        (*FOLD, 2.0),
+    ],
     ids=["arms-0.3", "arms-0.73", "arms-2", "table-0.73", "table-2", "own-0.73", "own-2"],
 )
-def test_the_arms_rest_before_they_touch(world: World, start: Array, way: Array, parts: set[str], speed: float) -> None:
+def test_the_arms_rest_before_they_touch(
+    world: World,
+    start: Array,
+    way: Array,
+    parts: set[str],
+    speed: float,
+) -> None:
     arms = guarded(world, start, SceneClearance(DUAL_PANDA))
     error = arms.run(7.0, towards(start, way, speed))
     assert error is not None
@@ -122,7 +142,9 @@ def test_a_fast_descent_with_an_object_stops_above_the_table(world: World) -> No
 
     held.supervisor.reset()
     world.reset(HIGH)
-    assert held.supervisor._clearance(HIGH + 0.6 * np.eye(DOF)[1])[0] == "none", "a reset forgets what was held"
+    assert held.supervisor._clearance(HIGH + 0.6 * np.eye(DOF)[1])[0] == "none", (
+        "a reset forgets what was held"
+    )
 
 
 def test_a_clearance_that_fails_is_named_and_the_arms_stop(world: World) -> None:

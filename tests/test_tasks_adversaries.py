@@ -28,7 +28,10 @@ from minidual.tasks.task import Task, Trial, make_task, placement
 
 GRIP = 30.0
 """Enough for every object, too little to break one [N]."""
-BOTH, LEFT, RIGHT, NONE = (GRIP, GRIP), (GRIP, 0.0), (0.0, GRIP), (0.0, 0.0)
+BOTH = (GRIP, GRIP)
+LEFT = (GRIP, 0.0)
+RIGHT = (0.0, GRIP)
+NONE = (0.0, 0.0)
 
 
 def rod_task(item: str = "rod", motion: str = "straight") -> Task:
@@ -40,7 +43,9 @@ TASKS: dict[str, Callable[[], Task]] = {
     f"{item} {motion}": cache(lambda item=item, motion=motion: rod_task(item, motion))
     for item in OBJECTS
     for motion in MOTIONS
-} | {name: cache(lambda name=name: make_task(Config(task=name))) for name in ("handover", "pot_lift")}
+} | {
+    name: cache(lambda name=name: make_task(Config(task=name))) for name in ("handover", "pot_lift")
+}
 
 
 class Felt(NamedObject):
@@ -49,7 +54,8 @@ class Felt(NamedObject):
     grips = NONE
 
     def look(self):
-        seen, (left, right) = super().look(), self.grips
+        seen = super().look()
+        (left, right) = self.grips
         seen[6:14] = 0.0, 0.1 * left, 0.0, 0.0, -0.1 * right, 0.0, left, right
         return seen
 
@@ -72,14 +78,19 @@ class Script:
     """Moves the object of a puppet in steps of 10 ms, judged at each."""
 
     def __init__(self, name: str, trial: Trial | None = None) -> None:
-        self.task, self.world = TASKS[name](), puppet(name)
+        self.task = TASKS[name]()
+        self.world = puppet(name)
         self.name = self.task.carried
         self.trial = trial or self.task.trial(1, "adversary", 0)
         self.judge = begin(self.world, self.task, self.trial)
-        self.start, self.goal = (placement(place[self.name]) for place in (self.trial.start, self.trial.goal))
+        self.start, self.goal = (
+            placement(place[self.name]) for place in (self.trial.start, self.trial.goal)
+        )
         self.now = np.array([*self.start[:2], 0.0, self.start[2]])  # x, y, height, yaw
         self.hand_over = self.task.name == "handover"
-        self.rests = self.task.scene.objects[self.name].rest_height_m - 1e-4  # sunk in: a contact with the table
+        self.rests = (
+            self.task.scene.objects[self.name].rest_height_m - 1e-4
+        )  # sunk in: a contact with the table
         self.go(NONE, steps=2)
 
     def go(self, grips=None, *, xy=None, height=None, yaw=None, steps: int = 25) -> None:
@@ -244,7 +255,9 @@ CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
 @pytest.mark.parametrize("name", ["rod straight", "pot_lift", "handover"])
 def test_with_one_arm_frozen_no_draw_succeeds(name: str) -> None:
     """256 draws, each with one arm frozen, a handover from either side. The script's free hand reaches everywhere."""
-    task, won, sides = TASKS[name](), Counter[str](), Counter[bool]()
+    task = TASKS[name]()
+    won = Counter[str]()
+    sides = Counter[bool]()
     taken = (LEFT, RIGHT) if name == "handover" else (BOTH, BOTH)
     for index in range(256):
         trial = task.trial(3, "frozen", index)
@@ -276,7 +289,9 @@ def test_a_scripted_cheat_is_refused(name: str, cheat: Callable[[Script], None])
     if outcome.success:
         return
     assert failure in failures(outcome)
-    assert first(outcome) in {failure, "clear"}, outcome.failures  # a long board meets the obstacle first
+    assert first(outcome) in {failure, "clear"}, (
+        outcome.failures
+    )  # a long board meets the obstacle first
 
 
 TRIAL = Trial("adversary", 0, {"rod": (0.5, 0.25, 0.0)}, {"rod": (0.5, -0.25, 0.0)})
@@ -299,7 +314,8 @@ class Hands:
 
     def __init__(self, trial: Trial = TRIAL) -> None:
         name = "pot_lift" if trial is POT else "rod straight"
-        self.task, self.world = TASKS[name](), real_world(name)
+        self.task = TASKS[name]()
+        self.world = real_world(name)
         self.judge = begin(self.world, self.task, trial)
         kinematics = Kinematics()
         self.solvers = [*solvers(kinematics.robot).values()]
@@ -483,7 +499,11 @@ OPPOSITE = Trial("adversary", 0, TRIAL.start, {"rod": (0.5, -0.25, np.radians(-1
         (lifts_the_pot_with_one_hand, POT, "held"),
     ],
 )
-def test_real_hands_succeed_only_by_carrying(does: Callable[[Hands], None], trial: Trial, failure: str) -> None:
+def test_real_hands_succeed_only_by_carrying(
+    does: Callable[[Hands], None],
+    trial: Trial,
+    failure: str,
+) -> None:
     hands = Hands(trial)
     does(hands)
     outcome = hands.end()

@@ -34,16 +34,22 @@ def test_every_task_is_an_environment_that_pays_at_the_goal(name):
         observation, reward, *_ = made.step(action())
         assert made.observation_space.contains(observation)
         assert np.isfinite(reward)
-        trial, task = info["trial"], made._task
+        trial = info["trial"]
+        task = made._task
         body = task.objects[task.carried].body
         goal = pose_of(body, trial.goal[task.carried])
 
         made._world.reset(poses={**trial.start, task.carried: goal})
-        tips = dict(zip(made._world.robot.sides, made._kinematics.tcp_poses(made._world.q), strict=True))
+        tips = dict(
+            zip(made._world.robot.sides, made._kinematics.tcp_poses(made._world.q), strict=True),
+        )
         grasps = task.objects[task.carried].grasps
         away = [np.linalg.norm((goal @ T - tips[arm])[:3, 3]) for arm, T in grasps.items()]
         # at the goal only the hands' way to their grasps is left
-        assert made._measure_potential(trial) == pytest.approx(-np.mean(away) if away else 0.0, abs=1e-6)
+        assert made._measure_potential(trial) == pytest.approx(
+            -np.mean(away) if away else 0.0,
+            abs=1e-6,
+        )
     finally:
         made.close()
 
@@ -78,7 +84,8 @@ def test_gymnasiums_own_checker_passes_with_images_and_rendering():
 
 def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, kinematics):
     _, info = env.reset(seed=5)
-    total, done = 0.0, False
+    total = 0.0
+    done = False
     for step in carry_script(env.scene, kinematics, info["trial"]):
         observation, reward, done, truncated, info = env.step(step.astype(np.float32))
         assert env.observation_space.contains(observation)

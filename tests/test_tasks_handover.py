@@ -29,7 +29,9 @@ from minidual.tasks.task import Step, Task, Trial, make_task, pose_of
 
 TASK = make_task(Config(task="handover"))
 MIRRORED = {index: TASK.trial(1, "plan", index).start["bottle"][1] < 0.0 for index in range(8)}
-TO_THE_LEFT, TO_THE_RIGHT = (next(i for i, mirrored in MIRRORED.items() if mirrored is way) for way in (True, False))
+TO_THE_LEFT, TO_THE_RIGHT = (
+    next(i for i, mirrored in MIRRORED.items() if mirrored is way) for way in (True, False)
+)
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +57,22 @@ def bench() -> Slack:
 
 
 def run(
-    world: Slack, planner: Planner, index: int, kind: type[PlannedCarry] = PlannedCarry
+    world: Slack,
+    planner: Planner,
+    index: int,
+    kind: type[PlannedCarry] = PlannedCarry,
 ) -> tuple[Outcome, PlannedCarry]:
     trial = TASK.trial(1, "plan", index)
     judge = begin(world, TASK, trial)
     shape = thing_of(TASK.objects[TASK.carried].body).shape
     supervisor = trial_supervisor(TASK.config.supervisor, world.dt, world.robot, shapes=[shape])
-    carry = kind(ControlStack(world, Kinematics(), supervisor=supervisor), planner, TASK, trial, index)
+    carry = kind(
+        ControlStack(world, Kinematics(), supervisor=supervisor),
+        planner,
+        TASK,
+        trial,
+        index,
+    )
     return drive(world, judge, carry), carry
 
 
@@ -72,30 +83,50 @@ def drive(world: World, judge, method: Drive) -> Outcome:
     return judge.outcome(world)
 
 
-def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(bench: Slack, planner: Planner) -> None:
+def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(
+    bench: Slack,
+    planner: Planner,
+) -> None:
     outcome, carry = run(bench, planner, TO_THE_LEFT)
     assert outcome.success, (outcome.reason, carry.aborted)
     assert outcome.measured["goal_error_m"] < 0.02
     names = [stage.name for stage in carry.solution.record.stages]
-    assert names[3:8] == ["carry right", "approach left", "descend left", "close left", "open right"]
+    assert names[3:8] == [
+        "carry right",
+        "approach left",
+        "descend left",
+        "close left",
+        "open right",
+    ]
 
 
 def test_a_hand_closes_as_long_as_its_fingers_need_to_the_bottle(planner: Planner) -> None:
     """Before, as long as to one another, 0.83 s more: nothing tells a policy how long a closed hand waits."""
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
-    start = State(DUAL_PANDA.home, {"bottle": pose_of(TASK.objects["bottle"].body, trial.start["bottle"])})
-    closing = [s.trajectory.duration_s for s in solve(TASK, trial, start, planner).segments if s.phase == "close"]
+    start = State(
+        DUAL_PANDA.home,
+        {"bottle": pose_of(TASK.objects["bottle"].body, trial.start["bottle"])},
+    )
+    closing = [
+        s.trajectory.duration_s
+        for s in solve(TASK, trial, start, planner).segments
+        if s.phase == "close"
+    ]
     way_m = DUAL_PANDA.hand.travel_m - TASK.objects["bottle"].body.half_width_m
     assert way_m == pytest.approx(0.015)
     assert closing[::2] == [pytest.approx(way_m / 0.03 + 0.2)] * 2
 
 
-def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(bench: Slack, planner: Planner) -> None:
+def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(
+    bench: Slack,
+    planner: Planner,
+) -> None:
     """Before, the giver sagged by 4 mm under the bottle, beside which the taker then closed."""
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     begin(bench, TASK, trial)
     carry = PlannedCarry(ControlStack(bench, Kinematics()), planner, TASK, trial, TO_THE_RIGHT)
-    segments, borne_n = carry.solution.segments, carry.stack.payload.force_n
+    segments = carry.solution.segments
+    borne_n = carry.stack.payload.force_n
 
     def until(segment: Segment) -> None:
         while not carry.done and (carry._left[0] is not segment or not carry._under_way):
@@ -115,10 +146,15 @@ def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(bench: 
     until(settle)
     assert bench.object_pose()[2, 3] < 0.105
     until(opens)
-    assert borne_n == [0.0, pytest.approx(0.0, abs=2.0)], "it presses the bottle on the table before it opens"
+    assert borne_n == [0.0, pytest.approx(0.0, abs=2.0)], (
+        "it presses the bottle on the table before it opens"
+    )
 
 
-def test_a_hand_that_closes_on_nothing_is_told_no_weight_and_lifts_nothing(bench: Slack, planner: Planner) -> None:
+def test_a_hand_that_closes_on_nothing_is_told_no_weight_and_lifts_nothing(
+    bench: Slack,
+    planner: Planner,
+) -> None:
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     begin(bench, TASK, trial)
     carry = PlannedCarry(ControlStack(bench, Kinematics()), planner, TASK, trial, TO_THE_RIGHT)
@@ -138,7 +174,8 @@ def test_a_hand_that_closes_on_nothing_is_told_no_weight_and_lifts_nothing(bench
 
 def test_what_both_hands_hold_is_told_to_neither(planner: Planner) -> None:
     task = make_task(Config())
-    world, trial = World(task.scene), task.trial(1, "plan", 0)
+    world = World(task.scene)
+    trial = task.trial(1, "plan", 0)
     begin(world, task, trial)
     carry = PlannedCarry(ControlStack(world, Kinematics()), planner, task, trial, 0)
     while not carry.done and carry.phase not in ("lift", "carry"):
@@ -151,7 +188,9 @@ def test_what_both_hands_hold_is_told_to_neither(planner: Planner) -> None:
 
 @pytest.mark.slow
 def test_by_impedance_the_taker_is_soft_until_the_giver_has_let_go_and_where_it_stands_the_bottle(
-    bench: Slack, planner: Planner, monkeypatch: pytest.MonkeyPatch
+    bench: Slack,
+    planner: Planner,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taken: list[tuple[str, tuple[str, ...]]] = []
     drive_by = CompliantCarry._take_control
@@ -176,7 +215,12 @@ def test_the_giver_keeps_what_the_taker_does_not_hold(bench: Slack, planner: Pla
         outcome, carry = run(bench, planner, TO_THE_RIGHT)
         assert carry.aborted.startswith("missed_grasp at ")
         assert "the right hand feels no grip after 1.0 s" in carry.aborted
-        assert {fault.name for fault in outcome.failures} == {"exchanged", "arrived", "released", "at_rest"}
+        assert {fault.name for fault in outcome.failures} == {
+            "exchanged",
+            "arrived",
+            "released",
+            "at_rest",
+        }
         for _ in range(300):
             carry.stack.step()
         left, right = bench.truth().pinch()
@@ -200,16 +244,22 @@ def test_each_end_is_out_of_the_other_hand_s_reach(planner: Planner) -> None:
     assert len(grasps) == 4
     for hand in SIDES:
         phases = ("descend", "close", "lift", "carry", "lower", "open")
-        alone = (Step("approach", (hand,), grasps=grasps), *(Step(phase, (hand,)) for phase in phases))
+        alone = (
+            Step("approach", (hand,), grasps=grasps),
+            *(Step(phase, (hand,)) for phase in phases),
+        )
         with pytest.raises(TaskFailedError, match="cannot reach"):
             planned(dataclasses.replace(TASK, steps=alone, arrange=None), TO_THE_RIGHT, planner)
 
 
 def test_only_one_arm_reaches_a_corner_of_either_range() -> None:
     """By inverse kinematics with 25 starts a grasp, for the grasps and turns that the task offers."""
-    asked, rng = TASK.scene.task, np.random.default_rng(0)
+    asked = TASK.scene.task
+    rng = np.random.default_rng(0)
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
-    steps = list(next(iter(TASK.arrange(TASK, trial, {"bottle": pose(np.eye(3), (0.42, 0.62, 0.1))}))))
+    steps = list(
+        next(iter(TASK.arrange(TASK, trial, {"bottle": pose(np.eye(3), (0.42, 0.62, 0.1))}))),
+    )
     grasps = [grasp for step in steps for grasp in step.grasps]
     goals = next(step.places for step in reversed(steps) if step.places)
 
@@ -245,7 +295,9 @@ def test_the_giver_grasps_anew_where_no_exchange_is_reachable(planner: Planner) 
     def arrange(task: Task, trial: Trial, seen):
         direct, anew = TASK.arrange(task, trial, seen)
         away = pose(np.eye(3), (1.6, 0.0, 0.3))
-        yield tuple(dataclasses.replace(s, places=(away,)) if s.phase == "carry" else s for s in direct)
+        yield tuple(
+            dataclasses.replace(s, places=(away,)) if s.phase == "carry" else s for s in direct
+        )
         yield anew
 
     solution = planned(dataclasses.replace(TASK, arrange=arrange), TO_THE_RIGHT, planner)
@@ -254,13 +306,18 @@ def test_the_giver_grasps_anew_where_no_exchange_is_reachable(planner: Planner) 
     assert names[6:9] == ["approach left (2)", "descend left (2)", "close left (2)"]
 
 
-def test_a_bottle_that_is_put_down_for_another_grasp_is_handed_over_too(bench: Slack, planner: Planner) -> None:
+def test_a_bottle_that_is_put_down_for_another_grasp_is_handed_over_too(
+    bench: Slack,
+    planner: Planner,
+) -> None:
     """Driven and judged, as if no direct exchange had been found."""
     anew = dataclasses.replace(TASK, arrange=lambda *given: list(TASK.arrange(*given))[1:])
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     judge = begin(bench, anew, trial)
     stack = ControlStack(
-        bench, Kinematics(), supervisor=trial_supervisor(TASK.config.supervisor, bench.dt, bench.robot)
+        bench,
+        Kinematics(),
+        supervisor=trial_supervisor(TASK.config.supervisor, bench.dt, bench.robot),
     )
     carry = PlannedCarry(stack, planner, anew, trial, TO_THE_RIGHT)
     outcome = drive(bench, judge, carry)

@@ -32,7 +32,9 @@ from minidual.trials.runner import Bench
 TASK = make_task(Config(task="insertion"))
 DRAWS = [TASK.trial(2, "draws", k) for k in range(256)]
 BODIES = {name: item.body for name, item in TASK.objects.items()}
-MOUTH_M, AIM_M, BEFORE_M = 0.085, 0.036, 0.045
+MOUTH_M = 0.085
+AIM_M = 0.036
+BEFORE_M = 0.045
 """From the socket's centre to the mouth of its bore, and the depth to which a plan drives the peg."""
 
 
@@ -65,9 +67,13 @@ def test_both_hands_reach_every_draw() -> None:
     for draw in DRAWS:
         ends = {**draw.goal, PEG: draw.goal[SOCKET] @ in_socket(y=-BEFORE_M)}
         for name, side in HAND_OF.items():
-            grasp, solver = TASK.objects[name].grasps[side], solvers(DUAL_PANDA)[side]
+            grasp = TASK.objects[name].grasps[side]
+            solver = solvers(DUAL_PANDA)[side]
             start = start_of(draw)[name]
-            postures = (DUAL_PANDA.home, *(np.concatenate(pair) for pair in DUAL_PANDA.arm.postures.values()))
+            postures = (
+                DUAL_PANDA.home,
+                *(np.concatenate(pair) for pair in DUAL_PANDA.arm.postures.values()),
+            )
             over = pose(np.eye(3), (0.0, 0.0, 0.08)) @ start @ grasp
             tries = (solver.solve(over, q[solver.joints]) for q in postures)
             found = next(solution for solution in tries if solution.reached)
@@ -90,7 +96,12 @@ def floating() -> World:
     return world
 
 
-def pressed(world: World, T_socket_peg: np.ndarray, force_n: tuple[float, float, float], seconds: float) -> np.ndarray:
+def pressed(
+    world: World,
+    T_socket_peg: np.ndarray,
+    force_n: tuple[float, float, float],
+    seconds: float,
+) -> np.ndarray:
     """Return where the tip comes when a force acts on the peg."""
     T_socket = pose(np.eye(3), (0.5, 0.0, 0.4))
     world.reset(poses={SOCKET: T_socket, PEG: T_socket @ T_socket_peg})
@@ -99,7 +110,11 @@ def pressed(world: World, T_socket_peg: np.ndarray, force_n: tuple[float, float,
         world.data.xfrc_applied[peg.body, :3] = np.array(force_n) - 20.0 * peg.qvel[:3]
         world.step()
     world.data.xfrc_applied[peg.body] = 0.0
-    return (np.linalg.inv(T_socket) @ world.object_pose(PEG))[:3, 3] + [0.0, BODIES[PEG].length_m / 2 + MOUTH_M, 0.0]
+    return (np.linalg.inv(T_socket) @ world.object_pose(PEG))[:3, 3] + [
+        0.0,
+        BODIES[PEG].length_m / 2 + MOUTH_M,
+        0.0,
+    ]
 
 
 @pytest.mark.parametrize("axis", [0, 2])
@@ -113,9 +128,15 @@ def test_the_peg_has_the_documented_play_across_the_bore(floating: World, axis: 
 
 
 @pytest.mark.parametrize(
-    ("x", "z", "enters"), [(0.0, 0.0, True), (0.0006, -0.0006, True), (0.0018, 0.0, False), (0.0, 0.03, False)]
+    ("x", "z", "enters"),
+    [(0.0, 0.0, True), (0.0006, -0.0006, True), (0.0018, 0.0, False), (0.0, 0.03, False)],
 )
-def test_a_peg_pressed_beside_the_bore_does_not_go_in(floating: World, x: float, z: float, enters: bool) -> None:
+def test_a_peg_pressed_beside_the_bore_does_not_go_in(
+    floating: World,
+    x: float,
+    z: float,
+    enters: bool,
+) -> None:
     deep = pressed(floating, in_socket(x, -0.004, z), (0.0, 20.0, 0.0), 0.4)[1]
     assert deep > 0.04 if enters else abs(deep) < 0.002
 
@@ -130,11 +151,16 @@ def test_a_frozen_hand_is_away_from_its_object_wherever_the_task_is_done() -> No
     """
     (held,) = (condition for condition in TASK.success(TASK, DRAWS[0]) if condition.name == "held")
     assert {part.object: part.hand for part in held.parts} == {SOCKET: 0, PEG: 1}
-    tolerance, play = TASK.scene.task.goal_tolerance_m, AIM_M - DEPTH_M + 0.01
+    tolerance = TASK.scene.task.goal_tolerance_m
+    play = AIM_M - DEPTH_M + 0.01
     tips = dict(zip(SIDES, Kinematics(DUAL_PANDA).tcp_poses(DUAL_PANDA.home), strict=True))
     for draw in DRAWS:
         for name, side in HAND_OF.items():
-            ends = [part.position_m[1] + way * part.half_m[1] for part in BODIES[name].solids for way in (-1.0, 1.0)]
+            ends = [
+                part.position_m[1] + way * part.half_m[1]
+                for part in BODIES[name].solids
+                for way in (-1.0, 1.0)
+            ]
             along = np.linspace(min(ends), max(ends), 50)
             axis = draw.goal[name] @ np.c_[np.zeros(50), along, np.zeros(50), np.ones(50)].T
             gap = np.linalg.norm(axis[:2].T - tips[side][:2, 3], axis=1).min()
@@ -152,7 +178,10 @@ class Thing:
     """What the judge reads of one object."""
 
     def __init__(self, body: ObjectConfig, T: np.ndarray) -> None:
-        self.body, self.T, self.pinch, self.force = body, T, NONE, 0.0
+        self.body = body
+        self.T = T
+        self.pinch = NONE
+        self.force = 0.0
 
     def pose(self) -> np.ndarray:
         return self.T
@@ -165,15 +194,31 @@ class Thing:
         return [(part.position_m, part.half_m) for part in parts]
 
     def look(self) -> np.ndarray:
-        T, yaw = self.T, np.arctan2(-self.T[0, 1], self.T[1, 1])
-        return np.r_[T[:3, 3], T[2, :3], 0.0, self.force, 0.0, 0.0, self.force, 0.0, self.pinch, 0.0, yaw]
+        T = self.T
+        yaw = np.arctan2(-self.T[0, 1], self.T[1, 1])
+        return np.r_[
+            T[:3, 3],
+            T[2, :3],
+            0.0,
+            self.force,
+            0.0,
+            0.0,
+            self.force,
+            0.0,
+            self.pinch,
+            0.0,
+            yaw,
+        ]
 
 
 class Script:
     """Moves peg and socket, judged at each step."""
 
     def __init__(self, trial: Trial = DRAWS[0], step_s: float = 0.01) -> None:
-        self.trial, self.time, self.step_s, self.judge = trial, 0.0, step_s, Judge(TASK, trial)
+        self.trial = trial
+        self.time = 0.0
+        self.step_s = step_s
+        self.judge = Judge(TASK, trial)
         self.things = {name: Thing(BODIES[name], T) for name, T in start_of(trial).items()}
         self.wait(0.02)
 
@@ -185,7 +230,8 @@ class Script:
 
     def go(self, ends: dict[str, np.ndarray], seconds: float = 0.2) -> None:
         """Move on straight lines; the last step has the end's rotation."""
-        begin, steps = {name: self.things[name].T for name in ends}, max(1, round(seconds / self.step_s))
+        begin = {name: self.things[name].T for name in ends}
+        steps = max(1, round(seconds / self.step_s))
         for k in range(1, steps + 1):
             for name, T in ends.items():
                 now = T.copy()
@@ -200,7 +246,12 @@ class Script:
         self.wait(0.05)
 
     def both(self, height: float) -> None:
-        self.go({name: pose(thing.T[:3, :3], [*thing.T[:2, 3], height]) for name, thing in self.things.items()})
+        self.go(
+            {
+                name: pose(thing.T[:3, :3], [*thing.T[:2, 3], height])
+                for name, thing in self.things.items()
+            },
+        )
 
     def at(self, *offset: float) -> dict[str, np.ndarray]:
         """Return both goals, the tip at an offset from the centre of the mouth."""
@@ -352,7 +403,12 @@ def away_from_the_goal(s: Script) -> None:
     s.pinch()
     s.both(0.2)
     s.insert()
-    s.go({name: pose(T[:3, :3], T[:3, 3] + [0.03, 0.0, 0.0]) for name, T in s.at(0.0, AIM_M, 0.0).items()})
+    s.go(
+        {
+            name: pose(T[:3, :3], T[:3, 3] + [0.03, 0.0, 0.0])
+            for name, T in s.at(0.0, AIM_M, 0.0).items()
+        },
+    )
     s.wait(0.5)
 
 
@@ -440,7 +496,11 @@ def test_peg_and_socket_may_touch_in_the_last_move_only() -> None:
             assert segment.scene.why_unchecked(PEG, SOCKET) == allowed
     np.testing.assert_allclose(solution.states[-1].objects[PEG], draw.goal[PEG])
     tips = Kinematics(DUAL_PANDA).tcp_poses(solution.segments[-1].trajectory.q[-1])
-    np.testing.assert_allclose(tips[1], draw.goal[PEG] @ TASK.objects[PEG].grasps["right"], atol=1e-3)
+    np.testing.assert_allclose(
+        tips[1],
+        draw.goal[PEG] @ TASK.objects[PEG].grasps["right"],
+        atol=1e-3,
+    )
 
 
 def test_the_supervisor_knows_what_each_hand_holds() -> None:
@@ -448,8 +508,14 @@ def test_the_supervisor_knows_what_each_hand_holds() -> None:
     clearance = SceneClearance(DUAL_PANDA, *shapes)
     low = DUAL_PANDA.home.copy()
     solver = solvers(DUAL_PANDA)["right"]
-    low[solver.joints] = solver.solve(pose(rot_z(np.pi / 2) @ rot_x(np.pi), (0.45, -0.28, 0.10)), low[solver.joints]).q
-    clearance.hold(1, pose(rot_x(np.pi / 2), (0.0, 0.0, 0.0)))  # the peg points down, into the table
+    low[solver.joints] = solver.solve(
+        pose(rot_z(np.pi / 2) @ rot_x(np.pi), (0.45, -0.28, 0.10)),
+        low[solver.joints],
+    ).q
+    clearance.hold(
+        1,
+        pose(rot_x(np.pi / 2), (0.0, 0.0, 0.0)),
+    )  # the peg points down, into the table
     pair, distance, _ = clearance(low)
     assert "peg in the right hand" in pair
     assert "table" in pair
@@ -479,7 +545,10 @@ def soft() -> Bench:
     return Bench("impedance", MethodInputs(TASK.config, TASK.config.seed))
 
 
-def controllers_of(bench: Bench, trial: Trial) -> tuple[Any, dict[str, set[tuple[str, ...]]], float]:
+def controllers_of(
+    bench: Bench,
+    trial: Trial,
+) -> tuple[Any, dict[str, set[tuple[str, ...]]], float]:
     """Return a trial's result, the controllers of each phase, and the largest force of the right hand in the last ones."""
     active: dict[str, set[tuple[str, ...]]] = {}
     forces = [0.0]
@@ -500,12 +569,18 @@ def test_by_impedance_the_right_hand_alone_is_soft_and_presses_little(soft: Benc
     assert result.success, result.text
     assert result.measured["depth_m"] > AIM_M
     assert force_n < 5.0
-    by_position = {phase: {("both_arms",)} for phase in ("approach", "descend", "close", "lift", "carry")}
+    by_position = {
+        phase: {("both_arms",)} for phase in ("approach", "descend", "close", "lift", "carry")
+    }
     by_force = {phase: {("left_arm", "right_hand")} for phase in ("insert", "settle")}
-    assert {"settle": by_force["settle"]} | active == by_position | by_force  # it may be deep enough before it settles
+    assert {
+        "settle": by_force["settle"],
+    } | active == by_position | by_force  # it may be deep enough before it settles
 
 
-def test_a_peg_that_lies_further_back_than_it_seems_is_pushed_deep_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_peg_that_lies_further_back_than_it_seems_is_pushed_deep_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The camera of trial 2 is off; pushed to 6 mm beyond the aim, the peg would stay 7 mm short."""
     bench = Bench("impedance", MethodInputs(TASK.config, TASK.config.seed), "randomised")
     trial = TASK.trial(TASK.config.seed, "benchmark", 2)
@@ -513,7 +588,10 @@ def test_a_peg_that_lies_further_back_than_it_seems_is_pushed_deep_enough(monkey
     assert found.success, found.text
     monkeypatch.setattr(hands, "_DRIVEN_M", 0.006)
     missed, _ = bench.run(trial)
-    assert (missed.failure, missed.measured["depth_m"]) == ("mated", pytest.approx(0.023, abs=0.002))
+    assert (missed.failure, missed.measured["depth_m"]) == (
+        "mated",
+        pytest.approx(0.023, abs=0.002),
+    )
 
 
 def stiff_joint(method: str) -> Bench:
@@ -531,9 +609,12 @@ def test_by_impedance_the_peg_goes_in_where_the_search_of_moveit_fails() -> None
 
 
 @pytest.mark.slow
-def test_the_search_finds_a_bore_that_a_straight_move_misses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_finds_a_bore_that_a_straight_move_misses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """With a stiff joint, the tip of trial 40 meets the rim."""
-    bench, trial = stiff_joint("moveit"), TASK.trial(TASK.config.seed, "benchmark", 40)
+    bench = stiff_joint("moveit")
+    trial = TASK.trial(TASK.config.seed, "benchmark", 40)
     found, _ = bench.run(trial)
     assert found.success, found.text
     monkeypatch.setattr(hands, "_spiral", lambda T: ())
@@ -546,12 +627,19 @@ def test_the_search_finds_a_bore_that_a_straight_move_misses(monkeypatch: pytest
 @pytest.mark.parametrize("kind", [PlannedCarry, CompliantCarry])
 def test_with_the_left_arm_frozen_the_right_one_wins_nothing(kind: type[PlannedCarry]) -> None:
     """It does all it can: it puts the peg into the socket that lies on the table."""
-    trial = dataclasses.replace(DRAWS[0], start={PEG: (0.45, -0.12, 0.0), SOCKET: (0.45, 0.16, 0.0)})
+    trial = dataclasses.replace(
+        DRAWS[0],
+        start={PEG: (0.45, -0.12, 0.0), SOCKET: (0.45, 0.16, 0.0)},
+    )
     before, *way = (start_of(trial)[SOCKET] @ in_socket(y=y) for y in (-BEFORE_M, 0.0015, AIM_M))
     right = ("right",)
     steps = [Step(phase, right, (PEG,)) for phase in ("approach", "descend", "close", "lift")]
-    steps += [Step("carry", right, (PEG,), ({PEG: before},)), Step("insert", right, (PEG, SOCKET), tuple(way))]
-    task, world = dataclasses.replace(TASK, arrange=None, steps=tuple(steps)), World(TASK.scene)
+    steps += [
+        Step("carry", right, (PEG,), ({PEG: before},)),
+        Step("insert", right, (PEG, SOCKET), tuple(way)),
+    ]
+    task = dataclasses.replace(TASK, arrange=None, steps=tuple(steps))
+    world = World(TASK.scene)
     judge = begin(world, TASK, trial)
     carry = kind(ControlStack(world, Kinematics()), Planner(), task, trial, 1)
     assert carry.solution is not None

@@ -29,7 +29,8 @@ from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
 TASK = make_task(Config(task="pot_lift"))
-POT, ASKED = TASK.scene.object, TASK.scene.task
+POT = TASK.scene.object
+ASKED = TASK.scene.task
 DRAWS = [TASK.trial(seed, "reach", 0) for seed in range(256)]
 
 
@@ -61,15 +62,27 @@ def test_starts_span_20_by_20_cm_and_60_degrees_and_goals_vary() -> None:
 
 def test_both_hands_reach_the_handles_of_every_draw_and_corner() -> None:
     """Over the handles, at them, and lifted; one search each, from the posture before."""
-    (x, y), r, turn = ASKED.start_xy_m, ASKED.start_range_m, ASKED.start_range_rad
+    (x, y) = ASKED.start_xy_m
+    r = ASKED.start_range_m
+    turn = ASKED.start_range_rad
     corners = [(x + a * r, y + b * r, c * turn) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]
-    places = corners + [placement(where["pot"]) for draw in DRAWS for where in (draw.start, draw.goal)]
+    places = corners + [
+        placement(where["pot"]) for draw in DRAWS for where in (draw.start, draw.goal)
+    ]
     for x, y, yaw in places:
         q = DUAL_PANDA.home
         for height in (0.08, 0.0, ASKED.lift_height_m):  # raises where a hand does not reach
-            q = grasp_posture(TASK.scene, DUAL_PANDA, level_pose(x, y, POT.rest_height_m + height, yaw), q)
+            q = grasp_posture(
+                TASK.scene,
+                DUAL_PANDA,
+                level_pose(x, y, POT.rest_height_m + height, yaw),
+                q,
+            )
         hands = Kinematics(DUAL_PANDA).tcp_poses(q)
-        assert np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3]) == pytest.approx(2.0 * POT.grasp_offset_m, abs=1e-3)
+        assert np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3]) == pytest.approx(
+            2.0 * POT.grasp_offset_m,
+            abs=1e-3,
+        )
 
 
 def test_force_control_begins_far_from_singular_postures() -> None:
@@ -78,7 +91,9 @@ def test_force_control_begins_far_from_singular_postures() -> None:
 
     def condition(q: Array) -> float:
         jacobians = kinematics.tcp_jacobians(q)
-        return max(np.linalg.cond(J[:, DUAL_PANDA.joints_of(arm)]) for arm, J in enumerate(jacobians))
+        return max(
+            np.linalg.cond(J[:, DUAL_PANDA.joints_of(arm)]) for arm, J in enumerate(jacobians)
+        )
 
     for x, y, yaw, bent in ((0.441, 0.112, 0.505, True), (0.48, 0.12, 0.0, False)):
         level = level_pose(x, y, POT.rest_height_m, yaw)
@@ -111,20 +126,24 @@ def test_every_part_is_in_the_model_and_inside_the_planners_shape() -> None:
     assert body.mass[0] == pytest.approx(POT.mass_kg)
     assert np.allclose(body.ipos, 0.0)
     assert np.allclose(sorted(body.inertia), sorted(POT.inertia_kg_m2), rtol=1e-9)
-    solid = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body.id and model.geom_contype[g]]
+    solid = [
+        g for g in range(model.ngeom) if model.geom_bodyid[g] == body.id and model.geom_contype[g]
+    ]
     assert len(solid) == len(POT.solids) == 5
     shape = thing_of(POT).shape
     assert isinstance(shape, Mesh)
     for geom, part, corners in zip(solid, POT.solids, shape.vertices(), strict=True):
         assert np.allclose(model.geom_pos[geom], part.position_m)
-        points, directions = surface(part), np.random.default_rng(1).standard_normal((200, 3))
+        points = surface(part)
+        directions = np.random.default_rng(1).standard_normal((200, 3))
         grown = (corners @ directions.T).max(axis=0) - (points @ directions.T).max(axis=0)
         assert grown.min() > -1e-9
         assert (grown / np.linalg.norm(directions, axis=1)).max() < 0.02 * max(part.half_m)
 
 
 def test_clearance_is_that_of_the_lowest_part(world: World) -> None:
-    truth, points = Truth(TASK.scene.objects), np.vstack([surface(part) for part in POT.solids])
+    truth = Truth(TASK.scene.objects)
+    points = np.vstack([surface(part) for part in POT.solids])
     for roll, pitch in ((0.0, 0.0), (0.1, -0.2), (1.2, 0.3), (-1.0, 1.0), (math.pi, 0.0)):
         T = pose(rot_z(pitch) @ rot_x(pitch) @ rot_z(0.4) @ rot_x(roll), (0.5, 0.0, 0.3))
         put_at(world, "pot", T)
@@ -136,7 +155,9 @@ def test_clearance_is_that_of_the_lowest_part(world: World) -> None:
 def test_the_plate_stands_at_the_goal_of_the_trial(world: World) -> None:
     for draw in DRAWS[:3]:
         begin(world, TASK, draw)
-        assert tuple(world.model.geom("goal_mark").pos[:2]) == pytest.approx(placement(draw.goal["pot"])[:2])
+        assert tuple(world.model.geom("goal_mark").pos[:2]) == pytest.approx(
+            placement(draw.goal["pot"])[:2],
+        )
 
 
 @pytest.mark.parametrize(
@@ -163,7 +184,9 @@ def test_a_planned_lift_carries_all_parts_to_the_goal() -> None:
     assert carry.verification is not None
     goal = pose_of(POT, draw.goal["pot"])
     hands = zip(SIDES, Kinematics(DUAL_PANDA).tcp_poses(carry.trajectory.q[-1]), strict=True)
-    assert all(np.allclose(T, goal @ TASK.objects["pot"].grasps[side], atol=1e-3) for side, T in hands)
+    assert all(
+        np.allclose(T, goal @ TASK.objects["pot"].grasps[side], atol=1e-3) for side, T in hands
+    )
 
 
 def test_the_pot_is_lifted_under_object_impedance_and_put_on_the_plate() -> None:
@@ -180,11 +203,22 @@ def test_the_pot_is_lifted_under_object_impedance_and_put_on_the_plate() -> None
 
 def test_where_the_arms_reach_no_higher_the_pot_is_lifted_as_high_as_the_task_asks() -> None:
     far = {"start_xy_m": (0.68, 0.12), "goal_xy_m": (0.68, -0.1), "lift_height_m": 0.4}
-    task = make_task(changed(Config(task="pot_lift"), {f"scene.task.{name}": value for name, value in far.items()}))
+    task = make_task(
+        changed(
+            Config(task="pot_lift"),
+            {f"scene.task.{name}": value for name, value in far.items()},
+        ),
+    )
     trial = task.trial(20260, "benchmark", 102)
-    start = State(DUAL_PANDA.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
-    segments, kinematics = solve(task, trial, start, Planner()).segments, Kinematics(DUAL_PANDA)
+    start = State(
+        DUAL_PANDA.home,
+        {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()},
+    )
+    segments = solve(task, trial, start, Planner()).segments
+    kinematics = Kinematics(DUAL_PANDA)
     carried = next(segment for segment in segments if segment.phase in ("lift", "carry"))
-    begin, *heights = ([T[2, 3] for T in kinematics.tcp_poses(q)] for q in carried.trajectory.q[::20])
+    begin, *heights = (
+        [T[2, 3] for T in kinematics.tcp_poses(q)] for q in carried.trajectory.q[::20]
+    )
     risen_m = min(max(h[arm] for h in heights) - begin[arm] for arm in range(2))
     assert task.scene.task.clear_height_m < risen_m < 0.2

@@ -49,7 +49,10 @@ def test_every_draw_has_cubes_apart_outside_the_bins_and_one_on_the_wrong_side()
         trial = TASK.trial(3, "draws", k)
         for a, b in itertools.combinations(trial.start.values(), 2):
             assert math.dist(a[:2], b[:2]) >= 0.10
-        assert all(abs(y) + 1.5 * HALF_M < MARKS["red_bin"].xy_m[1] - 0.09 for _, y, _ in trial.start.values())
+        assert all(
+            abs(y) + 1.5 * HALF_M < MARKS["red_bin"].xy_m[1] - 0.09
+            for _, y, _ in trial.start.values()
+        )
         wrong.append(sum(WAY[side_of(name)] * y < -0.15 for name, (_, y, _) in trial.start.items()))
         assert set(trial.goal) == set(TASK.objects)
         for name, (x, y, _) in trial.goal.items():
@@ -73,9 +76,12 @@ def test_of_one_colour_the_cube_nearer_its_bin_is_the_first() -> None:
 
 def test_no_posture_brings_a_hand_to_a_cube_in_the_other_arms_bin() -> None:
     """Shoulder to elbow to wrist to tool centre: the three lengths do not change, and their sum is too short."""
-    kinematics, rng = Kinematics(), np.random.default_rng(0)
-    model, data = kinematics.model, kinematics.data
-    lengths, shoulders = [], []
+    kinematics = Kinematics()
+    rng = np.random.default_rng(0)
+    model = kinematics.model
+    data = kinematics.data
+    lengths = []
+    shoulders = []
     for _ in range(50):
         q = rng.uniform(DUAL_PANDA.q_lower, DUAL_PANDA.q_upper)
         pin.forwardKinematics(model, data, q)
@@ -89,7 +95,9 @@ def test_no_posture_brings_a_hand_to_a_cube_in_the_other_arms_bin() -> None:
     reach = float(np.sum(lengths[0]))
     mark = MARKS[bin_of("blue")]
     corner = np.array([mark.xy_m[0] - mark.size_m[0] / 2, mark.xy_m[1] + mark.size_m[1] / 2, 0.0])
-    nearest = corner + np.array([HALF_M, -HALF_M, HALF_M])  # centre of a cube inside, nearest to the left arm
+    nearest = corner + np.array(
+        [HALF_M, -HALF_M, HALF_M],
+    )  # centre of a cube inside, nearest to the left arm
     grip = np.hypot(HALF_M, HALF_M)  # the tool centre is in the cube when the fingers pinch it
     assert np.linalg.norm(nearest - shoulders[0]) > reach + grip
     # so with one arm frozen, the two cubes of the other colour never come into their bin, whatever the draw
@@ -111,7 +119,10 @@ def one_armed(arm: str, *names: str) -> Task:
 @pytest.mark.parametrize(("arm", "name"), [("left", "blue_1"), ("right", "red_1")])
 def test_one_arm_alone_finds_no_plan(arm: str, name: str) -> None:
     others = {other: (0.44, 0.4 - 0.2 * k, 0.0) for k, other in enumerate(TASK.objects)}
-    trial = dataclasses.replace(TASK.trial(4, "frozen", 0), start=others | {name: (0.54, -0.1, 0.0)})
+    trial = dataclasses.replace(
+        TASK.trial(4, "frozen", 0),
+        start=others | {name: (0.54, -0.1, 0.0)},
+    )
     with pytest.raises(TaskFailedError, match=r"the goal: .*cannot reach"):
         solve(one_armed(arm, name), trial, State(DUAL_PANDA.home, start_of(trial)), Planner())
 
@@ -168,19 +179,31 @@ def test_a_draw_is_planned_with_the_other_cubes_as_obstacles() -> None:
 
 
 def test_by_force_what_is_put_down_is_lowered_by_soft_hands_before_it_is_let_go() -> None:
-    trial, kinematics, let_go = TASK.trial(7, "plan", 0), Kinematics(), 0
-    segments = solve(TASK, trial, State(DUAL_PANDA.home, start_of(trial)), Planner(), by_force=True).segments
+    trial = TASK.trial(7, "plan", 0)
+    kinematics = Kinematics()
+    let_go = 0
+    segments = solve(
+        TASK,
+        trial,
+        State(DUAL_PANDA.home, start_of(trial)),
+        Planner(),
+        by_force=True,
+    ).segments
     for lower, settle, opens in zip(segments, segments[1:], segments[2:], strict=False):
         if opens.phase != "open" or opens.kept_by:
             continue
         let_go += 1
         assert (lower.phase, settle.phase) == ("lower", "settle")
         assert set(lower.soft) == set(settle.soft) == set(opens.soft) != set()
-        from_m, to_m = (np.array(kinematics.tcp_poses(lower.trajectory.q[k]))[:, 2, 3] for k in (0, -1))
+        from_m, to_m = (
+            np.array(kinematics.tcp_poses(lower.trajectory.q[k]))[:, 2, 3] for k in (0, -1)
+        )
         arms = [SIDES.index(arm) for arm in opens.soft]
         assert (from_m - to_m)[arms] == pytest.approx(0.004, abs=1e-5)
         assert settle.scene is not None
-        assert {shape.link[:4] for shape in settle.scene.attached}.isdisjoint(arm[:4] for arm in opens.soft)
+        assert {shape.link[:4] for shape in settle.scene.attached}.isdisjoint(
+            arm[:4] for arm in opens.soft
+        )
     assert let_go >= 1
 
 
@@ -204,7 +227,12 @@ class Cube:
     """What the judge reads of one cube."""
 
     def __init__(self, x: float, y: float, yaw: float) -> None:
-        self.x, self.y, self.yaw, self.height, self.pinch, self.speed = x, y, yaw, 0.0, (0.0, 0.0), 0.0
+        self.x = x
+        self.y = y
+        self.yaw = yaw
+        self.height = 0.0
+        self.pinch = (0.0, 0.0)
+        self.speed = 0.0
 
     def pose(self) -> np.ndarray:
         return pose(rot_z(self.yaw), (self.x, self.y, HALF_M + self.height))
@@ -216,8 +244,21 @@ class Cube:
         return [(part.position_m, part.half_m) for part in parts]
 
     def look(self) -> np.ndarray:
-        T, (left, right) = self.pose(), self.pinch
-        return np.r_[T[:3, 3], T[2, :3], 0.0, left, 0.0, 0.0, -right, 0.0, self.pinch, 0.0, self.yaw]
+        T = self.pose()
+        (left, right) = self.pinch
+        return np.r_[
+            T[:3, 3],
+            T[2, :3],
+            0.0,
+            left,
+            0.0,
+            0.0,
+            -right,
+            0.0,
+            self.pinch,
+            0.0,
+            self.yaw,
+        ]
 
 
 class Script:
@@ -225,7 +266,8 @@ class Script:
 
     def __init__(self, trial: Trial | None = None) -> None:
         self.trial = TRIAL if trial is None else trial
-        self.time, self.judge = 0.0, Judge(TASK, self.trial)
+        self.time = 0.0
+        self.judge = Judge(TASK, self.trial)
         self.cubes = {name: Cube(*place) for name, place in self.trial.start.items()}
         self.go("red_1", steps=2)
 
@@ -364,7 +406,10 @@ def late(s: Script) -> None:
 def tipped(s: Script) -> None:
     cube = s.cubes["red_1"]
     s.go("red_1", pinch=GRIP["left"], height=0.1)
-    cube.pose = lambda: pose(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), (cube.x, cube.y, HALF_M + cube.height))
+    cube.pose = lambda: pose(
+        np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        (cube.x, cube.y, HALF_M + cube.height),
+    )
     s.go("red_1", xy=TRIAL.goal["red_1"][:2])
     s.go("red_1", height=0.0)
     s.go("red_1", pinch=(0.0, 0.0))
@@ -389,7 +434,9 @@ CHEATS: dict[Callable[[Script], None], str] = {
 
 
 @pytest.mark.parametrize("cheat", CHEATS, ids=lambda cheat: cheat.__name__)
-def test_a_cheat_with_one_cube_is_refused_though_the_others_are_sorted(cheat: Callable[[Script], None]) -> None:
+def test_a_cheat_with_one_cube_is_refused_though_the_others_are_sorted(
+    cheat: Callable[[Script], None],
+) -> None:
     script = Script()
     script.sort("blue_1", "blue_2", "red_2")
     assert script.judge.stages[-1] == "placed_3"
@@ -426,7 +473,8 @@ def test_a_camera_that_sees_cubes_too_high_makes_nobody_drop_them(method: str) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("arm", "kind"), [(SIDES[0], PlannedCarry), (SIDES[1], PlannedCarry), (SIDES[0], CompliantCarry)]
+    ("arm", "kind"),
+    [(SIDES[0], PlannedCarry), (SIDES[1], PlannedCarry), (SIDES[0], CompliantCarry)],
 )
 def test_with_one_arm_frozen_it_sorts_half_at_most(arm: str, kind: type[PlannedCarry]) -> None:
     """The arm does all it can: its own colour, near its side."""

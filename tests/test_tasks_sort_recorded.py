@@ -21,7 +21,10 @@ TASK = make_task(Config(task="sort"))
 
 
 def demonstrated(task: Task, trial: Trial) -> Demonstration:
-    return ScriptedLeader.for_trial(LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED), trial).demonstration
+    return ScriptedLeader.for_trial(
+        LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED),
+        trial,
+    ).demonstration
 
 
 @functools.cache
@@ -48,11 +51,18 @@ def test_hands_err_along_what_they_grasp_until_they_are_down() -> None:
     """Oracle: the same plan without the error. Hands never err across the fingers, where they would touch."""
     task, trial, _ = sorted_cubes()
     exact, erring = (
-        demonstrated(make_task(changed(task.config, {"teleop.operator.along_noise_m": noise_m})), trial)
+        demonstrated(
+            make_task(changed(task.config, {"teleop.operator.along_noise_m": noise_m})),
+            trial,
+        )
         for noise_m in (0.0, 0.03)
     )
     tips = [np.array([Kinematics().tcp_poses(q) for q in demo.q]) for demo in (exact, erring)]
-    off = np.einsum("thij,thi->thj", tips[0][:, :, :3, :3], tips[1][:, :, :3, 3] - tips[0][:, :, :3, 3])
+    off = np.einsum(
+        "thij,thi->thj",
+        tips[0][:, :, :3, :3],
+        tips[1][:, :, :3, 3] - tips[0][:, :, :3, 3],
+    )
     assert np.abs(off[:, :, 1:]).max() < 1e-6, "only along"
     assert np.all(np.abs(off[:, :, 0]).max(axis=0) > 0.002), "both hands"
     held = np.minimum(exact.gripper[1:], exact.gripper[:-1]) < 1.0

@@ -20,7 +20,8 @@ from minidual.tasks.success import Exchanged, Held, ObjectTruth, Turned
 from minidual.tasks.task import make_task
 
 RADIUS = 0.00887
-START, GOAL = (0.5, 0.25), (0.5, -0.25)
+START = (0.5, 0.25)
+GOAL = (0.5, -0.25)
 TRIAL = rod_trial("test", 0, (*START, 0.0), (*GOAL, 0.0))
 DT = 0.01
 
@@ -53,8 +54,21 @@ class Instant:
         return [(part.position_m, part.half_m) for part in parts]
 
     def look(self):
-        T, (left, right) = self.pose(), self.pinches if self.touch is None else self.touch
-        return np.r_[T[:3, 3], T[2, :3], 0.0, 0.0, left, 0.0, 0.0, right, self.pinches, self.squeeze, self.yaw]
+        T = self.pose()
+        (left, right) = self.pinches if self.touch is None else self.touch
+        return np.r_[
+            T[:3, 3],
+            T[2, :3],
+            0.0,
+            0.0,
+            left,
+            0.0,
+            0.0,
+            right,
+            self.pinches,
+            self.squeeze,
+            self.yaw,
+        ]
 
     def on_table(self, name=None):
         return self.height < 1e-3 if self.rests is None else self.rests
@@ -68,7 +82,9 @@ def cycle(**held: object) -> list[Instant]:
     instants += [Instant(height=0.1 * k / 100, speed=0.1, **grip) for k in range(1, 101)]
     y = np.linspace(START[1], GOAL[1], 200)
     instants += [Instant(xy=(0.5, float(v)), height=0.1, speed=0.25, **grip) for v in y]
-    instants += [Instant(xy=GOAL, height=0.1 * (1 - k / 100), speed=0.1, **grip) for k in range(1, 101)]
+    instants += [
+        Instant(xy=GOAL, height=0.1 * (1 - k / 100), speed=0.1, **grip) for k in range(1, 101)
+    ]
     instants += [Instant(xy=GOAL, **grip) for _ in range(20)]
     instants += [Instant(xy=GOAL) for _ in range(30)]
     for k, instant in enumerate(instants):
@@ -116,7 +132,10 @@ def test_one_that_rises_too_little_did_not_rise(scene):
     assert outcome.number("rise_m") == pytest.approx(0.03)
 
 
-@pytest.mark.parametrize(("pinch", "hand"), [((60.0, 0.0), "right"), ((0.0, 60.0), "left"), ((20.0, 60.0), "left")])
+@pytest.mark.parametrize(
+    ("pinch", "hand"),
+    [((60.0, 0.0), "right"), ((0.0, 60.0), "left"), ((20.0, 60.0), "left")],
+)
 def test_one_hand_alone_does_not_hold(scene, pinch, hand):
     _, outcome = judge(cycle(pinches=pinch), scene)
     assert faults(outcome) == {"held"}
@@ -134,7 +153,8 @@ def test_a_grip_lost_for_an_instant_in_the_air_counts(scene):
 @pytest.mark.parametrize("height", [0.004, 0.01, 0.02])
 def test_a_grip_lost_low_over_the_table_counts(scene, height):
     low = [
-        replace(i, height=min(i.height, height), pinches=(60.0, 3.0)) if k == 260 else i for k, i in enumerate(cycle())
+        replace(i, height=min(i.height, height), pinches=(60.0, 3.0)) if k == 260 else i
+        for k, i in enumerate(cycle())
     ]
     assert "held" in faults(judge(low, scene)[1])
 
@@ -148,13 +168,18 @@ def test_tilt_over_five_degrees_is_refused_and_just_under_is_not(scene):
 
 
 def test_one_end_lifted_with_the_other_on_the_table_does_not_count_as_lifted(scene):
-    levered = [replace(i, height=0.15 * np.sin(0.3), tilt=0.3) if i.height > 0.05 else i for i in cycle()]
+    levered = [
+        replace(i, height=0.15 * np.sin(0.3), tilt=0.3) if i.height > 0.05 else i for i in cycle()
+    ]
     levered = [i if i.tilt else replace(i, height=0.0) for i in levered]
     _, outcome = judge(levered, scene)
     assert {"level", "rose"} <= faults(outcome)
 
 
-@pytest.mark.parametrize(("off_m", "missed"), [(0.019, set()), (0.021, {"arrived"}), (0.03, {"arrived"})])
+@pytest.mark.parametrize(
+    ("off_m", "missed"),
+    [(0.019, set()), (0.021, {"arrived"}), (0.03, {"arrived"})],
+)
 def test_two_centimetres_beside_the_goal_is_not_there(scene, off_m, missed):
     away = [replace(i, xy=(i.xy[0] + off_m, i.xy[1])) for i in cycle()]
     _, outcome = judge(away, scene)
@@ -225,7 +250,12 @@ def test_a_dropped_rod_is_named_by_the_hold_first(scene):
     dropped = cycle()[:350]
     t = dropped[-1].time
     dropped += [
-        Instant(time=t + k * DT, xy=dropped[-1].xy, height=max(0.0, 0.1 - 4.9 * (k * DT) ** 2), speed=1.0)
+        Instant(
+            time=t + k * DT,
+            xy=dropped[-1].xy,
+            height=max(0.0, 0.1 - 4.9 * (k * DT) ** 2),
+            speed=1.0,
+        )
         for k in range(1, 30)
     ]
     _, outcome = judge(dropped, scene)
@@ -233,7 +263,10 @@ def test_a_dropped_rod_is_named_by_the_hold_first(scene):
     assert {"held", "arrived", "at_rest"} <= faults(outcome)
 
 
-@pytest.mark.parametrize(("yaw_deg", "missed"), [(4.9, set()), (5.1, {"turned"}), (86.0, {"turned"}), (178.0, set())])
+@pytest.mark.parametrize(
+    ("yaw_deg", "missed"),
+    [(4.9, set()), (5.1, {"turned"}), (86.0, {"turned"}), (178.0, set())],
+)
 def test_a_rod_must_point_where_the_task_asks_and_its_ends_are_equal(scene, yaw_deg, missed):
     referee, outcome = judge([replace(i, yaw=np.radians(yaw_deg)) for i in cycle()], scene)
     assert faults(outcome) == missed
@@ -256,7 +289,8 @@ def _rolled(angle_deg: float):
 def test_a_board_on_its_edge_is_as_low_as_its_edge(scene):
     board = scene.object.model_copy(update={"shape": "box", "width_m": 0.05, "height_m": 0.03})
     truth = ObjectTruth("rod", board)
-    rolled, upright = _rolled(90.0), rot_z(0.3)
+    rolled = _rolled(90.0)
+    upright = rot_z(0.3)
     for R, lowest in ((upright, 0.015), (rolled, 0.025), (_rolled(45.0), 0.04 / np.sqrt(2.0))):
         world = Instant()
         world.pose = lambda R=R, lowest=lowest: pose(R, (0.0, 0.0, lowest))
@@ -268,14 +302,21 @@ def test_a_board_on_its_edge_is_as_low_as_its_edge(scene):
 def test_the_error_of_a_direction_is_the_short_way_round(scene):
     around = rod_trial("test", 0, (*START, 0.0), (*GOAL, 3.1))
     referee = rod_judge(scene, around)
-    assert referee.outcome(Instant(yaw=-3.1)).number("yaw_error_rad") == pytest.approx(2 * np.pi - 6.2)
+    assert referee.outcome(Instant(yaw=-3.1)).number("yaw_error_rad") == pytest.approx(
+        2 * np.pi - 6.2,
+    )
 
 
 def test_a_broken_object_stays_broken(scene):
-    glass = scene.model_copy(update={"object": scene.object.model_copy(update={"break_pinch_n": 65.0})})
+    glass = scene.model_copy(
+        update={"object": scene.object.model_copy(update={"break_pinch_n": 65.0})},
+    )
     assert judge(cycle(), glass)[1].success
     instants = cycle()
-    instants[120] = replace(instants[120], pinches=(66.0, 60.0))  # for an instant, while it is lifted
+    instants[120] = replace(
+        instants[120],
+        pinches=(66.0, 60.0),
+    )  # for an instant, while it is lifted
     _, outcome = judge(instants, glass)
     assert faults(outcome) == {"whole"}
     assert outcome.failures[0].at_s == pytest.approx(1.2)
@@ -284,7 +325,9 @@ def test_a_broken_object_stays_broken(scene):
 def test_touching_the_obstacle_counts_where_there_is_one(scene):
     from minidual.config.scene import ObstacleConfig
 
-    blocked = scene.model_copy(update={"task": scene.task.model_copy(update={"obstacle": ObstacleConfig()})})
+    blocked = scene.model_copy(
+        update={"task": scene.task.model_copy(update={"obstacle": ObstacleConfig()})},
+    )
 
     @dataclass
     class Near(Instant):
@@ -302,7 +345,10 @@ def test_touching_the_obstacle_counts_where_there_is_one(scene):
 
 def judged(instants: list[Instant], scene, *conditions) -> Judge:
     """Judge instants by these conditions alone."""
-    referee = Judge(dataclasses.replace(carry_task(scene), success=lambda task, trial: conditions), TRIAL)
+    referee = Judge(
+        dataclasses.replace(carry_task(scene), success=lambda task, trial: conditions),
+        TRIAL,
+    )
     for instant in instants:
         referee.observe(instant)
     return referee
@@ -313,7 +359,10 @@ def test_one_hand_is_enough_where_the_task_says_so_and_none_is_not(scene):
     assert judged(instants, scene, Held("rod", 20.0, both=False)).failures == {}
     assert [*judged(instants, scene, Held("rod", 20.0)).failures] == ["held"]
     assert (
-        "firmer hand" in judged(cycle(pinches=(5.0, 1.0)), scene, Held("rod", 20.0, both=False)).failures["held"].detail
+        "firmer hand"
+        in judged(cycle(pinches=(5.0, 1.0)), scene, Held("rod", 20.0, both=False))
+        .failures["held"]
+        .detail
     )
 
 
@@ -352,7 +401,10 @@ def test_the_goal_is_drawn_about_its_nominal_place_and_the_start_stays(scene):
     fixed, drawn = (t.trial(3, "goals", 0) for t in (task, carry_task(scene)))
     assert fixed.start == drawn.start
     assert fixed.goal == {"rod": (*GOAL, 0.0)} == task.trial(3, "goals", 1).goal
-    goals = np.array([carry_task(scene).trial(3, "goals", k).goal["rod"] for k in range(300)]) - (*GOAL, 0.0)
+    goals = np.array([carry_task(scene).trial(3, "goals", k).goal["rod"] for k in range(300)]) - (
+        *GOAL,
+        0.0,
+    )
     bound = np.array([0.05, 0.05, np.radians(15.0)])
     assert np.all(np.abs(goals) <= bound + 1e-5)
     assert np.all(np.ptp(goals, axis=0) > 1.9 * bound)
@@ -360,7 +412,8 @@ def test_the_goal_is_drawn_about_its_nominal_place_and_the_start_stays(scene):
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.4, 2.9])
 def test_the_yaw_that_is_judged_is_that_of_the_bodys_y_axis(scene: SceneConfig, yaw: float) -> None:
-    world, item = World(scene), ObjectTruth(scene.object.name, scene.object)
+    world = World(scene)
+    item = ObjectTruth(scene.object.name, scene.object)
     world.reset(poses={scene.object.name: pose(rot_z(yaw) @ rot_x(0.3), (0.5, 0.0, 0.4))})
     item.refresh(world)
     along = world.object_pose()[:3, 1]

@@ -27,7 +27,10 @@ HOME = DUAL_PANDA.home
 def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None:
     leader = HOME.copy()
     leader[10] += 0.25
-    with pytest.raises(UsageError, match=r"\+0\.250 rad away from the follower at right_panda_joint4") as error:
+    with pytest.raises(
+        UsageError,
+        match=r"\+0\.250 rad away from the follower at right_panda_joint4",
+    ) as error:
         check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
     assert "joint order" in (error.value.remedy or "")
     leader[10] = HOME[10] + 0.09
@@ -55,13 +58,19 @@ def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
     np.testing.assert_allclose(reading[0], HOME, atol=1e-6)
     assert not leader.finished(5.0)
     assert leader.finished(8.7)
-    with pytest.raises(UsageError, match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'"):
+    with pytest.raises(
+        UsageError,
+        match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'",
+    ):
         LEADERS["keybord"]
     assert sorted(LEADERS) == ["keyboard", "scripted"]
 
 
 def test_the_keyboard_needs_a_terminal(tmp_path: Path) -> None:
-    with (tmp_path / "no_terminal").open("w") as file, pytest.raises(EnvironmentMissingError, match="terminal"):
+    with (
+        (tmp_path / "no_terminal").open("w") as file,
+        pytest.raises(EnvironmentMissingError, match="terminal"),
+    ):
         KeyboardLeader(Kinematics(), descriptor=file.fileno())
 
 
@@ -108,11 +117,14 @@ def test_keys_jog_the_hands_and_the_terminal_is_given_back(terminal: tuple[int, 
     assert termios.tcgetattr(screen) == before
 
 
-def test_a_key_held_down_moves_at_a_bounded_speed_and_stops_at_the_reach(terminal: tuple[int, int]) -> None:
+def test_a_key_held_down_moves_at_a_bounded_speed_and_stops_at_the_reach(
+    terminal: tuple[int, int],
+) -> None:
     keys, screen = terminal
     leader = KeyboardLeader(Kinematics(), descriptor=screen)
     os.write(keys, b"w" * 200)  # two metres
-    kinematics, last = Kinematics(), None
+    kinematics = Kinematics()
+    last = None
     for k in range(1, 150):
         reading = leader.read(k / 50)
         assert reading is not None

@@ -40,7 +40,10 @@ def test_the_minimum_jerk_profile_starts_and_ends_at_rest() -> None:
 
 
 @pytest.mark.parametrize("index", range(4))
-def test_targets_start_at_home_and_respect_the_joints(operator: ScriptedOperator, index: int) -> None:
+def test_targets_start_at_home_and_respect_the_joints(
+    operator: ScriptedOperator,
+    index: int,
+) -> None:
     trial = sample_trial(operator.scene, SEED, "demonstrations", index, widen=1.3)
     demo = operator.plan(trial, seed=SEED)
     np.testing.assert_allclose(demo.q[0], HOME, atol=1e-6)
@@ -53,7 +56,8 @@ def test_targets_start_at_home_and_respect_the_joints(operator: ScriptedOperator
 
 
 def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator) -> None:
-    scene, kinematics = operator.scene, Kinematics()
+    scene = operator.scene
+    kinematics = Kinematics()
     trial = rod_trial("t", 0, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
     demo = operator.plan(trial, seed=SEED)
     left_grasp, right_grasp = grasp_offsets(scene)
@@ -68,15 +72,25 @@ def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator
     # Between the two the hands must not pull at the rod: their distance is the rod's all the way.
     for tick in range(_tick(operator, "descend"), _tick(operator, "open"), 10):
         left, right = kinematics.tcp_poses(demo.q[tick])
-        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(2 * scene.object.grasp_offset_m, abs=1e-6)
+        assert np.linalg.norm(left[:3, 3] - right[:3, 3]) == pytest.approx(
+            2 * scene.object.grasp_offset_m,
+            abs=1e-6,
+        )
 
 
 def test_a_box_is_grasped_at_the_height_at_which_it_rests() -> None:
-    scene = SceneConfig.model_validate({"object": {"shape": "box", "length_m": 0.3, "width_m": 0.06, "height_m": 0.06}})
-    operator, place = ScriptedOperator(scene), (0.5, 0.25, 0.0)
+    scene = SceneConfig.model_validate(
+        {"object": {"shape": "box", "length_m": 0.3, "width_m": 0.06, "height_m": 0.06}},
+    )
+    operator = ScriptedOperator(scene)
+    place = (0.5, 0.25, 0.0)
     demo = operator.plan(rod_trial("t", 0, place, (0.5, -0.25, 0.0)), seed=SEED)
     left, _ = Kinematics().tcp_poses(demo.q[_tick(operator, "descend")])
-    np.testing.assert_allclose(left, level_pose(*place[:2], 0.03, 0.0) @ grasp_offsets(scene)[0], atol=1e-5)
+    np.testing.assert_allclose(
+        left,
+        level_pose(*place[:2], 0.03, 0.0) @ grasp_offsets(scene)[0],
+        atol=1e-5,
+    )
 
 
 def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
@@ -88,28 +102,42 @@ def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
     assert len(closed) == closed[-1] - closed[0] + 1
 
 
-def test_the_approach_errs_across_before_and_along_while_the_hands_go_down(operator: ScriptedOperator) -> None:
+def test_the_approach_errs_across_before_and_along_while_the_hands_go_down(
+    operator: ScriptedOperator,
+) -> None:
     """Over the object, the place of the hands must not tell where along it the grasp is; across, fingers need room."""
     plain = {"approach_noise_m": 0.0, "along_noise_m": 0.0, "approach_noise_rad": 0.0}
     exact = ScriptedOperator(operator.scene, OperatorConfig(**plain))
     trial = rod_trial("t", 3, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
-    erring, clean = operator.plan(trial, seed=SEED), exact.plan(trial, seed=SEED)
+    erring = operator.plan(trial, seed=SEED)
+    clean = exact.plan(trial, seed=SEED)
     across, along, _ = operator.approach_error(SEED, trial)
     assert min(abs(across), abs(along)) > 1e-3
-    arrived, corrected, down = (_tick(operator, phase) for phase in ("approach", "correct", "descend"))
+    arrived, corrected, down = (
+        _tick(operator, phase) for phase in ("approach", "correct", "descend")
+    )
     arrived -= round(operator.config.overlap_s * 50.0)  # the correction begins here
-    kinematics, middles = Kinematics(), []
+    kinematics = Kinematics()
+    middles = []
     for demo in (erring, clean):
         middles.append([sum(T[:3, 3] for T in kinematics.tcp_poses(q)) / 2 for q in demo.q])
-    wrong = (np.array(middles[0]) - np.array(middles[1])) @ level_pose(0.0, 0.0, 0.0, 0.2)[:3, :2]  # across, along
-    assert np.all(wrong[arrived] / (across, along) > 0.8)  # nearly there, and nearly all of it wrong
+    wrong = (np.array(middles[0]) - np.array(middles[1])) @ level_pose(0.0, 0.0, 0.0, 0.2)[
+        :3,
+        :2,
+    ]  # across, along
+    assert np.all(
+        wrong[arrived] / (across, along) > 0.8,
+    )  # nearly there, and nearly all of it wrong
     assert abs(wrong[corrected, 0]) < 1e-3
     assert wrong[corrected, 1] / along > 0.7  # a third of the way down in time
     np.testing.assert_allclose(erring.q[down:], clean.q[down:], atol=1e-4)
 
 
 @pytest.mark.parametrize("index", range(8))
-def test_the_hands_never_stand_still_before_the_grasp(operator: ScriptedOperator, index: int) -> None:
+def test_the_hands_never_stand_still_before_the_grasp(
+    operator: ScriptedOperator,
+    index: int,
+) -> None:
     demo = operator.plan(sample_trial(operator.scene, SEED, "demonstrations", index), seed=SEED)
     speed = np.abs(np.diff(demo.q, axis=0)).max(axis=1) * 50.0
     moving = speed[5 : _tick(operator, "descend") - 5]
@@ -118,8 +146,15 @@ def test_the_hands_never_stand_still_before_the_grasp(operator: ScriptedOperator
 
 def test_operators_differ_in_pace_pauses_and_grasp() -> None:
     """Each in its bounds, drawn for each trial; a plain operator's episodes all last as long."""
-    config = OperatorConfig(speed_spread=0.2, pause_s=0.5, grasp_spread_m=0.02, approach_noise_m=0.0, along_noise_m=0.0)
-    plain, varied = ScriptedOperator(SceneConfig()), ScriptedOperator(SceneConfig(), config)
+    config = OperatorConfig(
+        speed_spread=0.2,
+        pause_s=0.5,
+        grasp_spread_m=0.02,
+        approach_noise_m=0.0,
+        along_noise_m=0.0,
+    )
+    plain = ScriptedOperator(SceneConfig())
+    varied = ScriptedOperator(SceneConfig(), config)
     trials = [sample_trial(plain.scene, SEED, "demonstrations", i) for i in range(20)]
     assert len({plain.phases(plain.style(SEED, trial))["rest"][1] for trial in trials}) == 1
     lengths = [varied.phases(varied.style(SEED, trial))["rest"][1] for trial in trials]
@@ -128,7 +163,8 @@ def test_operators_differ_in_pace_pauses_and_grasp() -> None:
     assert all(0.8 <= factor <= 1.2 for style in styles for factor in style.pace.values())
     assert max(pause for style in styles for pause in style.pauses_s.values()) > 0.3
     assert max(abs(shift) for style in styles for shift in style.shifts_m) > 0.01
-    demo, phases = varied.plan(trials[0], seed=SEED), varied.phases(styles[0])
+    demo = varied.plan(trials[0], seed=SEED)
+    phases = varied.phases(styles[0])
     q = demo.q[round(phases["lift"][0] * 50.0) - 1]
     left, right = Kinematics().tcp_poses(q)
     apart = 2 * plain.scene.object.grasp_offset_m + styles[0].shifts_m[0] - styles[0].shifts_m[1]
@@ -144,7 +180,9 @@ def test_a_trial_is_demonstrated_alike_whatever_came_before(operator: ScriptedOp
     operator.plan(trials[0], seed=SEED)
     np.testing.assert_array_equal(operator.plan(trials[1], seed=SEED).q, first.q)
     other_seed = operator.plan(trials[1], seed=SEED + 1)
-    assert np.abs(other_seed.q - first.q).max() > 1e-4, "the error of the approach belongs to the seed"
+    assert np.abs(other_seed.q - first.q).max() > 1e-4, (
+        "the error of the approach belongs to the seed"
+    )
 
 
 def test_the_posture_depends_on_the_hands_alone() -> None:
@@ -156,7 +194,11 @@ def test_the_posture_depends_on_the_hands_alone() -> None:
     reference = posture_at(DUAL_PANDA, (left, right), HOME, HOME)
     for _ in range(5):
         start = HOME + rng.uniform(-0.3, 0.3, 14)
-        np.testing.assert_allclose(posture_at(DUAL_PANDA, (left, right), start, HOME), reference, atol=1e-4)
+        np.testing.assert_allclose(
+            posture_at(DUAL_PANDA, (left, right), start, HOME),
+            reference,
+            atol=1e-4,
+        )
     reached = kinematics.tcp_poses(reference)
     np.testing.assert_allclose(reached[0], left, atol=1e-6)
     np.testing.assert_allclose(reached[1], right, atol=1e-6)

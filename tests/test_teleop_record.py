@@ -71,7 +71,9 @@ def _job(folder: Path, **teleop: Any) -> Job:
 def test_good_numbers_pass() -> None:
     checks = record_checks(GOOD, TeleopConfig())
     assert all(c.passed for c in checks if c.op)
-    assert {"episodes", "schema_ok", "jerk_rms_max", "latency_p99_s", "episodes_per_min"} <= {c.name for c in checks}
+    assert {"episodes", "schema_ok", "jerk_rms_max", "latency_p99_s", "episodes_per_min"} <= {
+        c.name for c in checks
+    }
 
 
 @pytest.mark.parametrize(
@@ -99,7 +101,11 @@ def _contents(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with h5py.File(path) as file:
         found["attributes"] = {k: str(v) for k, v in file.attrs.items()}
-        file.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+        file.visititems(
+            lambda name, item: found.update(
+                {name: item[()]} if isinstance(item, h5py.Dataset) else {},
+            ),
+        )
     return found
 
 
@@ -119,13 +125,20 @@ def shared_model(visual_model: mujoco.MjModel) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory, shared_model: None) -> tuple[Job, RecordedAttempts]:
+def recorded(
+    tmp_path_factory: pytest.TempPathFactory,
+    shared_model: None,
+) -> tuple[Job, RecordedAttempts]:
     """Two demonstrations recorded in this process."""
     real = _job(tmp_path_factory.mktemp("recorded"))
     return real, record(real, workers=1)
 
 
-def test_episodes_take_turns_in_the_rooms(tmp_path: Path, shared_model: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_episodes_take_turns_in_the_rooms(
+    tmp_path: Path,
+    shared_model: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Each episode is led in a room of its own, the same for the same trial; afterwards the model is as before."""
     job = dataclasses.replace(_job(tmp_path), rooms=rooms(["clean", "room"]))
     rig = Rig(job, ())
@@ -142,7 +155,11 @@ def test_episodes_take_turns_in_the_rooms(tmp_path: Path, shared_model: None, mo
     assert same(look(), before)
 
 
-def test_an_episode_may_change_rooms(tmp_path: Path, shared_model: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_episode_may_change_rooms(
+    tmp_path: Path,
+    shared_model: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Every 0.2 s, ten ticks, the next room, drawn anew; at the end the model is as before."""
     job = _job(tmp_path)
     teleop = job.teleop.model_copy(update={"room_change_s": 0.2})
@@ -166,7 +183,10 @@ def test_an_episode_may_change_rooms(tmp_path: Path, shared_model: None, monkeyp
     assert look() == before
 
 
-def test_the_goal_mark_stays_when_the_room_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_goal_mark_stays_when_the_room_changes(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     job = _job(tmp_path)
     teleop = job.teleop.model_copy(update={"room_change_s": 0.2})
     rig = Rig(dataclasses.replace(job, teleop=teleop, rooms=rooms(["room", "clean", "room"])), ())
@@ -186,13 +206,18 @@ def test_the_goal_mark_stays_when_the_room_changes(tmp_path: Path, monkeypatch: 
 
 
 def test_only_what_changes_the_model_can_be_recorded_under() -> None:
-    with pytest.raises(UsageError, match=r"cannot be recorded under 'push \+x'; there are clean, .*room"):
+    with pytest.raises(
+        UsageError,
+        match=r"cannot be recorded under 'push \+x'; there are clean, .*room",
+    ):
         rooms(["clean", "push +x"])
     with pytest.raises(UsageError, match=r"no condition 'rom'.*room"):
         rooms(["rom"])
 
 
-def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, RecordedAttempts]) -> None:
+def test_a_recording_holds_sound_demonstrations_only(
+    recorded: tuple[Job, RecordedAttempts],
+) -> None:
     real, recording = recorded
     assert [a.trial.index for a in recording.kept] == [0, 1]
     assert sorted(p.name for p in real.folder.rglob("*")) == [
@@ -211,36 +236,59 @@ def test_a_recording_holds_sound_demonstrations_only(recorded: tuple[Job, Record
         assert episode.meta.success
         assert episode.meta.trial == attempt.trial.index
         assert episode.images["high"].shape == (len(episode), 32, 48, 3)
-        assert episode.meta.extra["start_x_y_yaw"] == list(real.trial(attempt.trial.index).start["rod"])
+        assert episode.meta.extra["start_x_y_yaw"] == list(
+            real.trial(attempt.trial.index).start["rod"],
+        )
         assert set(np.unique(episode.action_gripper)) == {0.0, 1.0}
-        assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, "measured openings, not commands"
+        assert 0.05 < episode.gripper.min() < 0.5 < episode.gripper.max() <= 1.001, (
+            "measured openings, not commands"
+        )
     rows = sum(len(read_episode(path, cameras=())) for path in [a.path for a in recording.kept])
     numbers = recording.numbers() | {"dataset_rows": rows, "dataset_episodes": 2}
-    checks = record_checks(numbers, real.teleop.model_copy(update={"latency_max_s": 1.0, "episodes_per_min": 0.0}))
+    checks = record_checks(
+        numbers,
+        real.teleop.model_copy(update={"latency_max_s": 1.0, "episodes_per_min": 0.0}),
+    )
     assert [c.sentence() for c in checks if c.passed is False] == []
     columns = list(recording.attempts[0].row())
-    assert columns[:7] == ["trial", "start_x_m", "start_y_m", "start_yaw_rad", "success", "kept", "reason"]
+    assert columns[:7] == [
+        "trial",
+        "start_x_m",
+        "start_y_m",
+        "start_yaw_rad",
+        "success",
+        "kept",
+        "reason",
+    ]
 
 
 def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, RecordedAttempts]) -> None:
     first, second = recorded[1].attempts
-    broken = dataclasses.replace(second, faults=("cameras_swapped: ...",), sync_error_max_s=float("nan"))
+    broken = dataclasses.replace(
+        second,
+        faults=("cameras_swapped: ...",),
+        sync_error_max_s=float("nan"),
+    )
     first, broken = (dataclasses.replace(a, wall_s=40.0) for a in (first, broken))
     numbers = RecordedAttempts((first, broken), workers=2).numbers(60.0)
     assert numbers["schema_ok"] is False
     assert np.isnan(numbers["sync_error_max_s"]), "an unknown value must not vanish"
     assert numbers["recorded_per_min"] == pytest.approx(3.0)
     assert numbers["episodes_per_min"] == pytest.approx(2.0), "whatever kept it waiting counts"
-    before, again = dataclasses.replace(first, adopted=True), dataclasses.replace(broken, wall_s=0.0)
+    before = dataclasses.replace(first, adopted=True)
+    again = dataclasses.replace(broken, wall_s=0.0)
     numbers = RecordedAttempts((before, again), workers=1).numbers(20.0)
-    assert numbers["episodes_per_min"] == pytest.approx(2.0), "the time before an interruption counts, too"
+    assert numbers["episodes_per_min"] == pytest.approx(2.0), (
+        "the time before an interruption counts, too"
+    )
 
 
 def test_images_taken_after_the_joints_are_counted_and_refused(tmp_path: Path) -> None:
     """A camera that delivers 25 ms after the joints were read."""
     rig = ToyRig(job(tmp_path), ())
     rig.late_s = 0.025
-    attempt, sound = rig.record(0), ToyRig(job(tmp_path / "sound"), ()).record(0)
+    attempt = rig.record(0)
+    sound = ToyRig(job(tmp_path / "sound"), ()).record(0)
     assert (attempt.success, attempt.kept, sound.kept) == (True, False, True)
     assert "out_of_sync" in attempt.reason
     late = RecordedAttempts((sound, attempt), 1).numbers()["sync_error_max_s"]
@@ -250,7 +298,8 @@ def test_images_taken_after_the_joints_are_counted_and_refused(tmp_path: Path) -
 
 
 def test_a_file_that_reads_back_with_a_fault_is_no_demonstration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     real = EpisodeWriter.finish
 
@@ -267,7 +316,10 @@ def test_a_file_that_reads_back_with_a_fault_is_no_demonstration(
     assert list(tmp_path.glob("*/*.hdf5")) == [attempt.path]
 
 
-def test_failed_attempts_are_set_aside_with_their_reason(tmp_path: Path, shared_model: None) -> None:
+def test_failed_attempts_are_set_aside_with_their_reason(
+    tmp_path: Path,
+    shared_model: None,
+) -> None:
     # Hands that close 12 cm beside the rod: nothing is lifted.
     rig = Rig(_job(tmp_path), ("high",))
     real = rig.world.reset
@@ -303,7 +355,8 @@ def _fake(patch: pytest.MonkeyPatch, outcomes: list[bool], calls: list[list[int]
 
 
 def test_failures_are_made_up_for_in_a_way_that_no_worker_can_change(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     calls: list[list[int]] = []
     outcomes = [True, False, True, False, False, True, True]
@@ -314,23 +367,38 @@ def test_failures_are_made_up_for_in_a_way_that_no_worker_can_change(
 
 
 def test_attempts_are_bounded_and_their_commonest_reason_reported(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     calls: list[list[int]] = []
     _fake(monkeypatch, [False] * 50, calls)
-    config = CONFIG.model_copy(update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 4})})
-    with pytest.raises(NothingEvaluatedError, match=r"none of 6 attempts.*6 x held at 3\.00 s: left hand"):
+    config = CONFIG.model_copy(
+        update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 4})},
+    )
+    with pytest.raises(
+        NothingEvaluatedError,
+        match=r"none of 6 attempts.*6 x held at 3\.00 s: left hand",
+    ):
         run(StageContext(folder=tmp_path, config=config, seed=config.seed, profile="standard"))
     assert sum(map(len, calls)) == 6
     assert (tmp_path / "quality.csv").read_text().count("left hand") == 6
 
 
 def test_a_recording_without_a_demonstration_is_set_aside_so_that_the_command_tries_again(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, toys: None
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    toys: None,
 ) -> None:
     monkeypatch.setattr(ToyRig, "late_s", 1.0)
-    config = CONFIG.model_copy(update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 2})})
-    context = StageContext(folder=tmp_path / "tmp", config=config, seed=config.seed, profile="standard")
+    config = CONFIG.model_copy(
+        update={"teleop": CONFIG.teleop.model_copy(update={"episodes_n": 2})},
+    )
+    context = StageContext(
+        folder=tmp_path / "tmp",
+        config=config,
+        seed=config.seed,
+        profile="standard",
+    )
     context.folder.mkdir()
     for earlier in (0, 1):
         assert len(list(tmp_path.glob("set-aside/*/attempts"))) == earlier
@@ -346,7 +414,8 @@ def test_an_unknown_leader_is_refused_before_anything_is_built(tmp_path: Path) -
 
 
 def test_an_interrupted_recording_is_continued_to_the_bit(
-    recorded: tuple[Job, RecordedAttempts], tmp_path: Path
+    recorded: tuple[Job, RecordedAttempts],
+    tmp_path: Path,
 ) -> None:
     """One episode is adopted, the other is recorded again by a worker process."""
     cut = _job(tmp_path / "again")
@@ -358,7 +427,8 @@ def test_an_interrupted_recording_is_continued_to_the_bit(
     for first, second in zip(recorded[1].kept, again.kept, strict=True):
         assert first.path is not None
         assert second.path is not None
-        a, b = _contents(first.path), _contents(second.path)
+        a = _contents(first.path)
+        b = _contents(second.path)
         assert a.keys() == b.keys()
         for key, value in a.items():
             np.testing.assert_array_equal(value, b[key], err_msg=key)
@@ -373,7 +443,9 @@ def toys(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.glob("*/*.hdf5"))}
+    return {
+        str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.glob("*/*.hdf5"))
+    }
 
 
 def _killed_after(seconds: float, job: Job) -> bool:
@@ -393,22 +465,32 @@ def test_25_kills_at_random_instants_lose_no_finished_episode(tmp_path: Path, to
     uninterrupted = record(whole, workers=1)
     lasts_s = time.perf_counter() - began
     assert [a.trial.index for a in uninterrupted.kept] == [0, 2, 3, 4, 6, 7, 8, 10, 11, 12, 14, 15]
-    rng, kills, rounds, interrupted = np.random.default_rng(25), 0, 0, 0
+    rng = np.random.default_rng(25)
+    kills = 0
+    rounds = 0
+    interrupted = 0
     while kills < 25:
-        cut, rounds = job(tmp_path / f"cut{rounds}", episodes_n=12), rounds + 1
+        cut = job(tmp_path / f"cut{rounds}", episodes_n=12)
+        rounds = rounds + 1
         cut.folder.mkdir()
         finished: dict[Path, tuple[int, int]] = {}
         ended = False
         while not ended and kills < 25:
             claim(cut.folder, {"seed": 11}, "old")
-            ended, kills = _killed_after(rng.uniform(0.0, 0.3) * lasts_s, cut), kills + 1
+            ended = _killed_after(rng.uniform(0.0, 0.3) * lasts_s, cut)
+            kills = kills + 1
             interrupted += not ended
-            now = {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in cut.folder.rglob("[!.]*.hdf5")}
+            now = {
+                path: (path.stat().st_ino, path.stat().st_mtime_ns)
+                for path in cut.folder.rglob("[!.]*.hdf5")
+            }
             assert finished.items() <= now.items(), "a finished episode is never written again"
             finished = now
         claim(cut.folder, {"seed": 11}, "old")
         recording = record(cut, workers=1)
-        assert [a.trial.index for a in recording.kept] == [a.trial.index for a in uninterrupted.kept]
+        assert [a.trial.index for a in recording.kept] == [
+            a.trial.index for a in uninterrupted.kept
+        ]
         assert [a.row() for a in recording.attempts] == [a.row() for a in uninterrupted.attempts]
         assert _files(cut.folder) == _files(whole.folder), "no half-written file either"
         adopted = {a.path for a in recording.attempts if a.adopted}
@@ -430,9 +512,14 @@ def test_a_damaged_file_is_set_aside_and_recorded_again(tmp_path: Path, toys: No
     assert len(list((tmp_path / "episodes" / "set-aside").glob("episode_000000.hdf5-*"))) == 1
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff{", b"[1]", b'{"success": true, "path": "../../elsewhere"}'])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\xff{", b"[1]", b'{"success": true, "path": "../../elsewhere"}'],
+)
 def test_a_damaged_attempt_is_set_aside_with_its_episode_and_recorded_again(
-    tmp_path: Path, toys: None, content: bytes
+    tmp_path: Path,
+    toys: None,
+    content: bytes,
 ) -> None:
     task = job(tmp_path, episodes_n=2)
     before = record(task, workers=1)
@@ -473,7 +560,10 @@ def test_a_recording_of_other_inputs_is_set_aside_and_named(tmp_path: Path, toys
     left.parent.mkdir()
     left.touch()
     note = claim(folder, {"seed": 1, "code": {"a": "2"}}, "old")
-    assert "demonstrations so far: 0; removed .episode_000009.hdf5.999999999.partial, which is half-written" in note
+    assert (
+        "demonstrations so far: 0; removed .episode_000009.hdf5.999999999.partial, which is half-written"
+        in note
+    )
     assert not left.exists()
 
 
@@ -482,8 +572,12 @@ def test_what_determines_a_recording_is_what_its_verdict_depends_on() -> None:
     entry = STAGES["teleop-record"]
     assert set(entry.parameters(CONFIG)) == set(READS) == inputs.keys() - {"seed", "code"}
     assert entry.keeps == PARTS
-    assert {"minidual.demos.session", "minidual.skills.operator", "minidual.plant.world"} <= inputs["code"].keys()
-    assert not any(name.startswith("minidual.show") for name in inputs["code"]), "a new figure changes no episode"
+    assert {"minidual.demos.session", "minidual.skills.operator", "minidual.plant.world"} <= inputs[
+        "code"
+    ].keys()
+    assert not any(name.startswith("minidual.show") for name in inputs["code"]), (
+        "a new figure changes no episode"
+    )
 
 
 def test_a_recording_depends_on_the_planner_of_its_leader(tmp_path: Path) -> None:
@@ -491,13 +585,15 @@ def test_a_recording_depends_on_the_planner_of_its_leader(tmp_path: Path) -> Non
     other = changed(CONFIG, {"plan.planner.padding_m": 0.01, "plan.queries_n": 7})
     claim(tmp_path, recording_inputs(CONFIG), "old")
     (tmp_path / "episodes").mkdir()
-    assert "is continued" in claim(tmp_path, recording_inputs(changed(CONFIG, {"plan.queries_n": 7})), "old")
+    assert "is continued" in claim(
+        tmp_path,
+        recording_inputs(changed(CONFIG, {"plan.queries_n": 7})),
+        "old",
+    )
     assert "with other inputs (plan.planner)" in claim(tmp_path, recording_inputs(other), "old")
 
 
-_TYPED = (
-    "teleop-record --profile smoke --episodes 3 --workers 1 --set teleop.episodes_per_min=0 --waive-gate toy --runs-dir"
-)
+_TYPED = "teleop-record --profile smoke --episodes 3 --workers 1 --set teleop.episodes_per_min=0 --waive-gate toy --runs-dir"
 
 
 def _wait_for(folder: Path, pattern: str) -> None:
@@ -508,10 +604,15 @@ def _wait_for(folder: Path, pattern: str) -> None:
 
 
 def test_the_command_typed_again_after_a_kill_goes_on(
-    tmp_path: Path, toys: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    toys: None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Killed in the fourth trial, then while the dataset is made."""
-    folder, published = (tmp_path / "smoke" / name for name in (".teleop-record.tmp", "teleop-record"))
+    folder, published = (
+        tmp_path / "smoke" / name for name in (".teleop-record.tmp", "teleop-record")
+    )
     typed = [*_TYPED.split(), str(tmp_path)]
     process = subprocess.Popen(
         [sys.executable, str(Path(__file__).with_name("recording_toys.py")), *typed],
@@ -521,10 +622,15 @@ def test_the_command_typed_again_after_a_kill_goes_on(
     _wait_for(folder, "episodes/episode_000002.hdf5")
     process.kill()
     process.wait()
-    finished = {path.name: path.stat().st_mtime_ns for path in sorted(folder.glob("episodes/*.hdf5"))}
+    finished = {
+        path.name: path.stat().st_mtime_ns for path in sorted(folder.glob("episodes/*.hdf5"))
+    }
     assert list(finished) == ["episode_000000.hdf5", "episode_000002.hdf5"]
 
-    monkeypatch.setattr("minidual.stages.teleop_record.film_demonstration", lambda job, index, path: path.touch())
+    monkeypatch.setattr(
+        "minidual.stages.teleop_record.film_demonstration",
+        lambda job, index, path: path.touch(),
+    )
     child = os.fork()
     if child == 0:
         lerobot_adapter.convert = hang_in_conversion

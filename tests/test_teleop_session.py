@@ -30,18 +30,30 @@ def _session(world: World, **teleop: float) -> TeleopSession:
     return TeleopSession(ControlStack(world, Kinematics(), rate_hz=config.rate_hz), config)
 
 
-def _run(session: TeleopSession, index: int, length: int | None = None) -> tuple[SessionResult, list[Tick]]:
+def _run(
+    session: TeleopSession,
+    index: int,
+    length: int | None = None,
+) -> tuple[SessionResult, list[Tick]]:
     scene = session.world.scene
     trial = sample_trial(scene, SEED, "demonstrations", index, widen=1.3)
     ticks: list[Tick] = []
     demonstration = ScriptedOperator(scene).plan(trial, seed=SEED)
     if length is not None:
         demonstration = dataclasses.replace(demonstration, q=demonstration.q[:length])
-    result = session.run(carry_task(session.world.scene), trial, ScriptedLeader(demonstration), on_tick=ticks.append)
+    result = session.run(
+        carry_task(session.world.scene),
+        trial,
+        ScriptedLeader(demonstration),
+        on_tick=ticks.append,
+    )
     return result, ticks
 
 
-def test_joints_and_pictures_bear_the_times_of_their_reading(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_joints_and_pictures_bear_the_times_of_their_reading(
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     _, ticks = _run(_session(world), 0, length=5)
     assert ticks[0].image_timestamps == ticks[0].timestamps
     monkeypatch.setattr(World, "stamp_s", property(lambda world: world.time - 0.025))
@@ -73,11 +85,20 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
 
 
 @pytest.mark.parametrize("what", ["leader", "writer"])
-def test_an_error_in_a_leader_or_a_writer_is_raised_when_the_arms_rest(world: World, what: str) -> None:
+def test_an_error_in_a_leader_or_a_writer_is_raised_when_the_arms_rest(
+    world: World,
+    what: str,
+) -> None:
     """Before, it was raised in the middle of the motion, and no torque was computed any more."""
     config = TeleopConfig()
-    stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz, supervisor=Supervisor(dt_s=world.dt))
-    session, trial = TeleopSession(stack, config), sample_trial(world.scene, SEED, "demonstrations", 0, widen=1.3)
+    stack = ControlStack(
+        world,
+        Kinematics(),
+        rate_hz=config.rate_hz,
+        supervisor=Supervisor(dt_s=world.dt),
+    )
+    session = TeleopSession(stack, config)
+    trial = sample_trial(world.scene, SEED, "demonstrations", 0, widen=1.3)
     fast: list[float] = []
 
     class Unplugged(ScriptedLeader):

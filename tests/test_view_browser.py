@@ -26,7 +26,8 @@ from minidual.show.view.web import WebView
 
 BROWSER = find_browser()
 pytestmark = pytest.mark.skipif(
-    BROWSER is None, reason="no browser: none of chromium, chromium-browser, google-chrome is in PATH"
+    BROWSER is None,
+    reason="no browser: none of chromium, chromium-browser, google-chrome is in PATH",
 )
 Picture = npt.NDArray[np.uint8]
 
@@ -41,7 +42,9 @@ class QuietHandler(SimpleHTTPRequestHandler):
 def shows_scene(picture: Picture) -> bool:
     """Return whether a picture has the rod's orange, the goal's green, a grey-blue table and white arms."""
     p = picture[60:, :370].astype(int)  # below the browser's notice, beside the panel
-    r, g, b = p[..., 0], p[..., 1], p[..., 2]
+    r = p[..., 0]
+    g = p[..., 1]
+    b = p[..., 2]
     orange = ((r > 190) & (g > 70) & (g < 190) & (b < 110) & (r - b > 100)).mean()
     green = ((g - r > 50) & (g - b > 30)).mean()
     table = ((b - r > 8) & (b - r < 50) & (g > 90) & (g < 190)).mean()
@@ -51,7 +54,11 @@ def shows_scene(picture: Picture) -> bool:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with Browser(BROWSER, tmp_path_factory.mktemp("browser"), size=(720, 420)) as made:  # drawn in software
+    with Browser(
+        BROWSER,
+        tmp_path_factory.mktemp("browser"),
+        size=(720, 420),
+    ) as made:  # drawn in software
         yield made
 
 
@@ -81,7 +88,10 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pop
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored under a background job
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT,
+            signal.SIG_DFL,
+        ),  # ignored under a background job
     )
     yield process
     if process.poll() is None:
@@ -93,7 +103,10 @@ def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pop
 def address(process: subprocess.Popen[str]) -> str:
     """Return the address that `minidual view` printed."""
     assert process.stderr is not None
-    found = next((found for line in process.stderr if (found := re.match(r"view: (\S+)", line))), None)
+    found = next(
+        (found for line in process.stderr if (found := re.match(r"view: (\S+)", line))),
+        None,
+    )
     assert found, "the command printed no address"
     return found[1]
 
@@ -117,7 +130,8 @@ def test_pages_without_the_scene_do_not_pass(browser: Browser) -> None:
 
 
 def test_a_page_of_another_program_on_this_machine_is_refused_though_it_has_the_cookie(
-    browser: Browser, tmp_path: Path
+    browser: Browser,
+    tmp_path: Path,
 ) -> None:
     """Cookies know no ports: the browser sends the view's cookie along, and Origin tells the pages apart."""
     said: list[str] = []
@@ -145,13 +159,23 @@ def test_a_page_of_another_program_on_this_machine_is_refused_though_it_has_the_
 
 
 @pytest.mark.timeout(400)  # drawn in software, on a busy machine, a picture can take half a minute
-def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(browser: Browser, address: str) -> None:
+def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
+    browser: Browser,
+    address: str,
+) -> None:
     browser.requests.clear()
     browser.go(address)
     picture = browser.wait(shows_scene, limit_s=60.0)
     assert shows_scene(picture)
     words = browser.text()
-    for text in ("the scene", "source in control", "sliders", "x real time", "pinch, left hand", "right arm"):
+    for text in (
+        "the scene",
+        "source in control",
+        "sliders",
+        "x real time",
+        "pinch, left hand",
+        "right arm",
+    ):
         assert text in words
     seconds = re.compile(r"simulated time\s+([\d.]+) s")
     before = seconds.search(browser.text())
@@ -163,7 +187,10 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(browser: Bro
     foreign = [
         asked[:100]
         for asked in browser.requests
-        if not re.match(r"(https?|ws)://127\.0\.0\.1:\d+/|data:|blob:http://127\.0\.0\.1:|chrome:|about:", asked)
+        if not re.match(
+            r"(https?|ws)://127\.0\.0\.1:\d+/|data:|blob:http://127\.0\.0\.1:|chrome:|about:",
+            asked,
+        )
     ]
     assert browser.requests
     assert foreign == []
@@ -171,9 +198,13 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(browser: Bro
 
 @pytest.mark.timeout(400)  # as above
 def test_a_closed_page_stops_nothing_and_ctrl_c_is_a_clean_end(
-    browser: Browser, process: subprocess.Popen[str], address: str
+    browser: Browser,
+    process: subprocess.Popen[str],
+    address: str,
 ) -> None:
-    browser.go(address)  # another worker than that of the test above has a command of its own, which still loads
+    browser.go(
+        address,
+    )  # another worker than that of the test above has a command of its own, which still loads
     assert shows_scene(browser.wait(shows_scene, limit_s=60.0))
     browser.go("about:blank")
     time.sleep(0.5)

@@ -58,12 +58,19 @@ def test_a_view_is_handed_on_and_leaves_the_fingerprint_as_it_is(tmp_path: Path)
     assert not Runner(_table(toy), RunStore(tmp_path, "watched"), loaded).run("alpha").ran
 
 
-def test_wrong_words_are_refused_before_anything_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_words_are_refused_before_anything_runs(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     table = _table(Toy("alpha"))
     common = ["--profile", "smoke", "--runs-dir", str(tmp_path)]
     for words, code, said in (
         (["--view", "wbe"], ExitCode.USAGE, "did you mean 'web'?"),
-        (["--view-port", "9000"], ExitCode.USAGE, "--view-port goes with --view web, not with --view none"),
+        (
+            ["--view-port", "9000"],
+            ExitCode.USAGE,
+            "--view-port goes with --view web, not with --view none",
+        ),
         (["--view", "web", "--view-port", "99999"], ExitCode.USAGE, "view.port"),
         (["--view", "web", "--view-host", "203.0.113.7"], ExitCode.USAGE, "cannot bind interface"),
     ):
@@ -73,14 +80,20 @@ def test_wrong_words_are_refused_before_anything_runs(tmp_path: Path, capsys: py
     assert run_command_line(["alpha", "--view", "none", *common], table) == ExitCode.PASS
 
 
-def test_a_command_that_moves_nothing_takes_no_view(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_that_moves_nothing_takes_no_view(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     table = _table(Toy("alpha"), watchable=False)
     arguments = ["alpha", "--view", "web", "--profile", "smoke", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, table) == ExitCode.USAGE
     assert "--view" in capsys.readouterr().err
 
 
-def test_a_fresh_stage_has_nothing_to_show_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fresh_stage_has_nothing_to_show_and_says_so(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     arguments = ["alpha", "--profile", "smoke", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, _table(Toy("alpha"))) == ExitCode.PASS
     capsys.readouterr()
@@ -91,16 +104,25 @@ def test_a_fresh_stage_has_nothing_to_show_and_says_so(tmp_path: Path, capsys: p
     assert json.loads(shown.out)["ran"] is False
 
 
-def test_the_scene_shows_itself_for_the_time_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_scene_shows_itself_for_the_time_asked_for(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     common = ["--runs-dir", str(tmp_path), "--view-port", str(unused_port())]
-    assert run_command_line(["view", "--for-s", "0.6", "--json", *common], STAGES, TOOLS) == ExitCode.PASS
+    assert (
+        run_command_line(["view", "--for-s", "0.6", "--json", *common], STAGES, TOOLS)
+        == ExitCode.PASS
+    )
     shown = capsys.readouterr()
     document = json.loads(shown.out)
     assert document["url"].startswith("http://127.0.0.1:")
     assert f"view: {document['url']}" in shown.err
     assert 0.6 <= document["wall_s"] < 5.0
     assert 0.0 < document["simulated_s"] <= document["wall_s"] + 0.05  # never faster than life
-    for words, said in ((["--for-s", "-1"], "--for-s is -1"), (["--view", "none"], "--view-port goes with")):
+    for words, said in (
+        (["--for-s", "-1"], "--for-s is -1"),
+        (["--view", "none"], "--view-port goes with"),
+    ):
         assert run_command_line(["view", *words, *common], STAGES, TOOLS) == ExitCode.USAGE
         err = capsys.readouterr().err
         assert said in err
@@ -111,7 +133,11 @@ def test_the_scene_shows_itself_for_the_time_asked_for(tmp_path: Path, capsys: p
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_scene_of_every_task_is_shown(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_scene_of_every_task_is_shown(
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     shown: list[World] = []
 
     def world(*given: Any) -> World:
@@ -119,14 +145,27 @@ def test_the_scene_of_every_task_is_shown(name: str, tmp_path: Path, monkeypatch
         return shown[-1]
 
     monkeypatch.setattr(scene_view, "World", world)
-    words = ["view", "--task", name, "--for-s", "0.1", "--runs-dir", str(tmp_path), "--view-port", str(unused_port())]
+    words = [
+        "view",
+        "--task",
+        name,
+        "--for-s",
+        "0.1",
+        "--runs-dir",
+        str(tmp_path),
+        "--view-port",
+        str(unused_port()),
+    ]
     assert run_command_line(words, STAGES, TOOLS) == ExitCode.PASS
     (scene,) = shown
     assert scene.time > 0.0
     assert set(scene.objects) == set(make_task(Config(task=name)).objects)
 
 
-def test_an_aside_that_shows_nothing_refuses_a_view(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_aside_that_shows_nothing_refuses_a_view(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     arguments = ["carry", "--tune", "--view", "web", "--runs-dir", str(tmp_path)]
     assert run_command_line(arguments, STAGES, TOOLS) == ExitCode.USAGE
     assert "--view goes with --perturb of carry, not with --tune" in capsys.readouterr().err

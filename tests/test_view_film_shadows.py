@@ -21,7 +21,8 @@ def world() -> World:
 def specks(picture: npt.NDArray[np.uint8]) -> int:
     """Return the dark pixels between two light ones on the floor right of the table, where nothing casts a shadow."""
     brightness = picture[225:480, 540:].astype(int).sum(axis=2)
-    lit, dark = brightness > 560, brightness < 450
+    lit = brightness > 560
+    dark = brightness < 450
     between = np.roll(lit, 1, 0) & np.roll(lit, -1, 0) | np.roll(lit, 1, 1) & np.roll(lit, -1, 1)
     return int((dark & between).sum())
 
@@ -31,7 +32,8 @@ def short_reach(world: World) -> Iterator[None]:
     """MuJoCo's own reach of shadows and a smaller map."""
     vis = world.model.vis
     kept = float(vis.map.shadowclip), int(vis.quality.shadowsize)
-    vis.map.shadowclip, vis.quality.shadowsize = 1.0, 1024
+    vis.map.shadowclip = 1.0
+    vis.quality.shadowsize = 1024
     yield
     vis.map.shadowclip, vis.quality.shadowsize = kept
 
@@ -49,14 +51,19 @@ def recorded(world: World) -> list[bytes]:
 def test_the_floor_of_a_film_is_not_speckled(world: World) -> None:
     picture = film(world)
     assert specks(picture) == 0
-    assert (picture[260:330, 90:200].astype(int).sum(axis=2) < 200).mean() > 0.1  # the arm's shadow is there
+    assert (
+        picture[260:330, 90:200].astype(int).sum(axis=2) < 200
+    ).mean() > 0.1  # the arm's shadow is there
 
 
 def test_the_floor_is_speckled_without_the_longer_reach(world: World, short_reach: None) -> None:
     assert specks(film(world)) > 20
 
 
-def test_the_cameras_that_are_recorded_see_no_shadows(world: World, request: pytest.FixtureRequest) -> None:
+def test_the_cameras_that_are_recorded_see_no_shadows(
+    world: World,
+    request: pytest.FixtureRequest,
+) -> None:
     before = recorded(world)
     assert len(set(before)) == len(CAMERAS)
     request.getfixturevalue("short_reach")

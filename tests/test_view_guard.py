@@ -43,7 +43,11 @@ def _view(**words: object) -> tuple[WebView, list[str]]:
     said: list[str] = []
     view = make_view("web", ViewConfig(port=unused_port(), **words), say=said.append)  # type: ignore[arg-type]
     assert isinstance(view, WebView)
-    view.open(mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='0.1'/></worldbody></mujoco>"))
+    view.open(
+        mujoco.MjModel.from_xml_string(
+            "<mujoco><worldbody><geom size='0.1'/></worldbody></mujoco>"
+        ),
+    )
     view.panel.offer([Slider("a", "x", -1.0, 1.0, 0.25)])
     return view, said
 
@@ -61,7 +65,10 @@ def _token(view: WebView) -> str:
 
 def _status(address: str, **headers: str) -> int:
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=30) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(address, headers=headers),
+            timeout=30,
+        ) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         return error.code
@@ -70,9 +77,20 @@ def _status(address: str, **headers: str) -> int:
 def _socket_status(address: str, headers: dict[str, str]) -> bytes:
     """Ask for a WebSocket with headers that the client library does not send."""
     where = urlsplit(address)
-    asked = {"Host": where.netloc, "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
-    asked |= {"Sec-WebSocket-Key": f"{'A' * 22}==", "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"} | headers
-    lines = [f"GET {where.path}?{where.query} HTTP/1.1", *(f"{name}: {value}" for name, value in asked.items())]
+    asked = {
+        "Host": where.netloc,
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
+    }
+    asked |= {
+        "Sec-WebSocket-Key": f"{'A' * 22}==",
+        "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+    } | headers
+    lines = [
+        f"GET {where.path}?{where.query} HTTP/1.1",
+        *(f"{name}: {value}" for name, value in asked.items()),
+    ]
     with socket.create_connection((where.hostname, where.port), timeout=30) as wire:
         wire.sendall("\r\n".join([*lines, "", ""]).encode())
         return wire.recv(12).split()[1]
@@ -85,7 +103,11 @@ def _connect(address: str, **words: object) -> ClientConnection:
 
 def _move(view: WebView, client: ClientConnection, value: object, **more: object) -> None:
     """Send what the page sends when its slider moves."""
-    message = {"type": "GuiUpdateMessage", "uuid": view.panel._sliders[0][0]._impl.uuid, "updates": {"value": value}}
+    message = {
+        "type": "GuiUpdateMessage",
+        "uuid": view.panel._sliders[0][0]._impl.uuid,
+        "updates": {"value": value},
+    }
     client.send(msgspec.msgpack.encode(message | more))
 
 
@@ -96,9 +118,12 @@ def _soon(holds: Callable[[], bool], limit_s: float = 20.0) -> bool:
     return holds()
 
 
-def test_a_page_without_the_printed_address_is_refused_by_name(shown: tuple[WebView, list[str]]) -> None:
+def test_a_page_without_the_printed_address_is_refused_by_name(
+    shown: tuple[WebView, list[str]],
+) -> None:
     view, said = shown
-    base, token = f"http://127.0.0.1:{view.port}/", _token(view)
+    base = f"http://127.0.0.1:{view.port}/"
+    token = _token(view)
     assert len(token) >= 32
     assert _status(str(view.url)) == 200
     assert _socket_status(str(view.url), {}) == b"101"
@@ -118,7 +143,10 @@ def test_a_page_without_the_printed_address_is_refused_by_name(shown: tuple[WebV
         (str(view.url), {"Host": ""}),
         (str(view.url), {"Origin": "http://evil.example"}),
         (str(view.url), {"Origin": "null"}),
-        (str(view.url), {"Origin": f"http://127.0.0.1:{view.port + 1}"}),  # another program's page on this machine
+        (
+            str(view.url),
+            {"Origin": f"http://127.0.0.1:{view.port + 1}"},
+        ),  # another program's page on this machine
         (str(view.url), {"Origin": f"https://127.0.0.1:{view.port}"}),
     ):
         assert _status(address, **headers) == 403, (address, headers)
@@ -127,9 +155,12 @@ def test_a_page_without_the_printed_address_is_refused_by_name(shown: tuple[WebV
     assert "lacks the token" in said[2]
 
 
-def test_a_port_of_an_ssh_tunnel_and_the_cookie_are_as_good_as_the_address(shown: tuple[WebView, list[str]]) -> None:
+def test_a_port_of_an_ssh_tunnel_and_the_cookie_are_as_good_as_the_address(
+    shown: tuple[WebView, list[str]],
+) -> None:
     view, said = shown
-    base, cookie = f"http://127.0.0.1:{view.port}/", f"other=1; minidual-{view.port}={_token(view)}"
+    base = f"http://127.0.0.1:{view.port}/"
+    cookie = f"other=1; minidual-{view.port}={_token(view)}"
     for host in ("127.0.0.1:9000", "localhost:9000", "localhost", "[::1]:9000"):
         assert _status(str(view.url), Host=host, Origin=f"http://{host}") == 200
     with urllib.request.urlopen(str(view.url), timeout=30) as answer:
@@ -143,7 +174,9 @@ def test_a_port_of_an_ssh_tunnel_and_the_cookie_are_as_good_as_the_address(shown
     assert said[2:] == []
 
 
-def test_pages_on_other_machines_only_look_unless_they_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_on_other_machines_only_look_unless_they_are_allowed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     real = guard.is_loopback
     monkeypatch.setattr(guard, "is_loopback", lambda host: host != AWAY and real(host))
     for allowed in (False, True):
@@ -156,11 +189,18 @@ def test_pages_on_other_machines_only_look_unless_they_are_allowed(monkeypatch: 
                 _move(view, client, 0.5)
                 assert _soon(lambda view=view: bool(view._server.get_clients()))  # it sees
                 client.send(msgspec.msgpack.encode(CAMERA))
-                assert _soon(lambda view=view: view.panel.values()[0] == 0.5, 20.0 if allowed else 0.3) == allowed
+                assert (
+                    _soon(lambda view=view: view.panel.values()[0] == 0.5, 20.0 if allowed else 0.3)
+                    == allowed
+                )
             with _connect(str(view.url)) as client:  # this machine, and what comes through ssh
                 _move(view, client, -0.75)
                 assert _soon(lambda view=view: view.panel.values()[0] == -0.75)
-            for host, code in ((socket.gethostname(), 200), ("192.0.2.1", 200), ("evil.example", 403)):
+            for host, code in (
+                (socket.gethostname(), 200),
+                ("192.0.2.1", 200),
+                ("evil.example", 403),
+            ):
                 assert _status(str(view.url), Host=f"{host}:{view.port}") == code
             assert _status(f"http://127.0.0.1:{view.port}/", Host=f"127.0.0.1:{view.port}") == 403
         finally:
@@ -168,11 +208,19 @@ def test_pages_on_other_machines_only_look_unless_they_are_allowed(monkeypatch: 
 
 
 def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
-    shown: tuple[WebView, list[str]], capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    shown: tuple[WebView, list[str]],
+    capfd: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     view, said = shown
     rng = np.random.default_rng(7)
-    for probe in (b"", b"\x16\x03\x01\x02\x00\x01\x00", b"SSH-2.0-x\r\n", b"HEAD / HTTP/1.0\r\n\r\n", b"GET /\r\n" * 9):
+    for probe in (
+        b"",
+        b"\x16\x03\x01\x02\x00\x01\x00",
+        b"SSH-2.0-x\r\n",
+        b"HEAD / HTTP/1.0\r\n\r\n",
+        b"GET /\r\n" * 9,
+    ):
         with socket.create_connection(("127.0.0.1", view.port), timeout=30) as wire:
             wire.sendall(probe)
     for _ in range(10):
@@ -214,7 +262,9 @@ def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
     assert view.panel._sliders[0][0]._impl.removed is False
     shown_text = capfd.readouterr()
     assert (shown_text.out, shown_text.err) == ("", "")
-    assert {record.name for record in caplog.records if record.levelname != "DEBUG"} <= {guard._LOGGER.name}
+    assert {record.name for record in caplog.records if record.levelname != "DEBUG"} <= {
+        guard._LOGGER.name,
+    }
     assert len(said[2:]) <= 1
 
 
@@ -225,7 +275,9 @@ def test_what_the_terminal_shows_of_a_refusal_is_short(shown: tuple[WebView, lis
     assert len(said[2]) < 250
 
 
-def test_a_viser_that_starts_its_server_in_another_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viser_that_starts_its_server_in_another_way_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stopped: list[str] = []
 
     class Other:
@@ -236,7 +288,10 @@ def test_a_viser_that_starts_its_server_in_another_way_is_refused(monkeypatch: p
             stopped.append("stopped")
 
     monkeypatch.setattr(web, "_Server", Other)
-    with pytest.raises(EnvironmentMissingError, match="the view cannot check who opens it") as caught:
+    with pytest.raises(
+        EnvironmentMissingError,
+        match="the view cannot check who opens it",
+    ) as caught:
         _view()
     assert caught.value.exit_code == ExitCode.ENVIRONMENT
     assert stopped == ["stopped"]

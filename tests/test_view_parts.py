@@ -33,7 +33,9 @@ class Clock:
         self.now += seconds
 
 
-def test_the_brake_holds_simulated_time_to_the_clock_and_forgives_lost_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_brake_holds_simulated_time_to_the_clock_and_forgives_lost_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     clock = Clock()
     monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=clock, sleep=clock.sleep))
     brake = watch.Brake(2.0)
@@ -91,7 +93,8 @@ def test_meshes_are_where_the_model_has_its_geoms() -> None:
         ]
         boxes = []
         for g in geoms:
-            centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
+            centre = model.geom_aabb[g, :3]
+            half = model.geom_aabb[g, 3:]
             corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
             R = np.empty(9)
             mujoco.mju_quat2Mat(R, model.geom_quat[g])
@@ -100,11 +103,15 @@ def test_meshes_are_where_the_model_has_its_geoms() -> None:
         assert (points.min(axis=0) >= found.min(axis=0) - 1e-3).all(), model.body(body).name
         assert (points.max(axis=0) <= found.max(axis=0) + 1e-3).all(), model.body(body).name
         if len(geoms) == 1:  # the box of a turned geom is larger than the geom; its diagonal is not
-            assert np.linalg.norm(np.ptp(points, axis=0)) <= 2.0 * np.linalg.norm(model.geom_aabb[geoms[0], 3:]) * 1.01
+            assert (
+                np.linalg.norm(np.ptp(points, axis=0))
+                <= 2.0 * np.linalg.norm(model.geom_aabb[geoms[0], 3:]) * 1.01
+            )
 
 
 def test_collision_shapes_are_not_shown() -> None:
-    with_visuals, without = visual_model(SceneConfig()), build_model(SceneConfig(), visuals=False)
+    with_visuals = visual_model(SceneConfig())
+    without = build_model(SceneConfig(), visuals=False)
     arms = [b for b in range(without.nbody) if "panda" in without.body(b).name]
     assert not {m.body for m in body_meshes(without)} & set(arms)
     assert {m.body for m in body_meshes(with_visuals)} & set(arms)
@@ -125,14 +132,18 @@ def test_the_moving_bodies_are_those_that_move() -> None:
 
 def test_the_model_with_visuals_has_the_bodies_and_joints_of_the_one_without() -> None:
     """The view shows the poses of a model that it was not opened on, by the numbers of their bodies."""
-    a, b = visual_model(SceneConfig()), build_model(SceneConfig(), visuals=False)
+    a = visual_model(SceneConfig())
+    b = build_model(SceneConfig(), visuals=False)
     assert [a.body(i).name for i in range(a.nbody)] == [b.body(i).name for i in range(b.nbody)]
     assert np.array_equal(a.jnt_qposadr, b.jnt_qposadr)
     assert a.nq == b.nq
 
 
 def test_words_are_escaped_and_what_is_not_known_is_not_shown() -> None:
-    shown = table_html(Overlay(1.25, title="<script>x</script>", mode="policy", source="policy"), 0.98)
+    shown = table_html(
+        Overlay(1.25, title="<script>x</script>", mode="policy", source="policy"),
+        0.98,
+    )
     assert "<script>" not in shown
     assert "&lt;script&gt;" in shown
     assert "0.98 x real time" in shown

@@ -64,7 +64,12 @@ def _connects(host: str, port: int) -> bool:
 
 def test_only_the_loopback_interface_answers(view: WebView, lines: list[str]) -> None:
     assert _connects("127.0.0.1", view.port)
-    mine = {a.address for items in psutil.net_if_addrs().values() for a in items if a.family == socket.AF_INET}
+    mine = {
+        a.address
+        for items in psutil.net_if_addrs().values()
+        for a in items
+        if a.family == socket.AF_INET
+    }
     others = sorted((mine | {"127.0.0.2"}) - {"127.0.0.1"})  # every other address of this machine
     assert others
     assert not any(_connects(host, view.port) for host in others)
@@ -86,7 +91,8 @@ def test_another_interface_must_be_asked_for_and_is_warned_of() -> None:
 
 
 def test_page_and_socket_answer_and_the_port_is_free_afterwards(
-    view: WebView, capfd: pytest.CaptureFixture[str]
+    view: WebView,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     with urllib.request.urlopen(str(view.url), timeout=30) as answer:
         page = answer.read().decode()
@@ -105,7 +111,9 @@ def test_page_and_socket_answer_and_the_port_is_free_afterwards(
     assert capfd.readouterr().out == ""  # stdout is for data
 
 
-def test_a_spare_connection_without_a_request_does_not_hold_up_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_spare_connection_without_a_request_does_not_hold_up_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A browser opens one ahead of its next request; with the library's 10 s, Ctrl-C took 6 s."""
     monkeypatch.setattr("minidual.show.view.guard._OPEN_S", 0.2)
     view = make_view("web", ViewConfig(port=unused_port()), say=lambda _line: None)
@@ -153,7 +161,10 @@ def test_forces_and_plans_are_drawn_and_taken_away(view: WebView) -> None:
     ghost = world.data.qpos.copy()
     ghost[model.joint("left_panda_joint6").qposadr[0]] += 0.5
     preview = Preview((line,), (ghost,))
-    arrows = (Arrow(np.zeros(3), np.array([0.0, 40.0, 0.0]), (1, 2, 3)), Arrow(np.ones(3), np.zeros(3), (1, 2, 3)))
+    arrows = (
+        Arrow(np.zeros(3), np.array([0.0, 40.0, 0.0]), (1, 2, 3)),
+        Arrow(np.ones(3), np.zeros(3), (1, 2, 3)),
+    )
     _show(view, world, arrows=arrows, preview=preview, pinch_n=(1.0, 2.0), internal_n=3.0)
     assert view.alive
     assert scene._arrows.visible
@@ -166,7 +177,9 @@ def test_forces_and_plans_are_drawn_and_taken_away(view: WebView) -> None:
 
 
 def test_what_breaks_in_the_view_is_said_once_and_stays_there(
-    view: WebView, lines: list[str], monkeypatch: pytest.MonkeyPatch
+    view: WebView,
+    lines: list[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     world = World(CONFIG.scene)
     view.open(visual_model(CONFIG.scene))
@@ -191,7 +204,7 @@ def test_clients_that_vanish_do_not_hold_the_run_up(view: WebView) -> None:
             if k % 150 == 0:
                 clients.append(socket.create_connection(("127.0.0.1", view.port)))
                 clients.append(
-                    connect(_socket(view), subprotocols=[SUBPROTOCOL], max_size=None)  # type: ignore[list-item]
+                    connect(_socket(view), subprotocols=[SUBPROTOCOL], max_size=None),  # type: ignore[list-item]
                 )
             if k % 200 == 199:
                 gone = clients.pop()
@@ -208,7 +221,11 @@ def test_sliders_give_their_values(view: WebView) -> None:
     assert view.panel.values().tolist() == [0.25, 1.0]
     view.panel._sliders[0][0].value = -0.5
     assert view.panel.values().tolist() == [-0.5, 1.0]
-    for sent, kept in ((float("nan"), -0.5), (float("inf"), -0.5), (1e9, None)):  # anybody can send anything
+    for sent, kept in (
+        (float("nan"), -0.5),
+        (float("inf"), -0.5),
+        (1e9, None),
+    ):  # anybody can send anything
         view.panel._sliders[0][0].value = sent
         value = view.panel.values()[0]
         assert value == kept if kept is not None else value <= 10.0
@@ -229,9 +246,12 @@ def _keeping(run: Any, logs: list[TrialLog]) -> Any:
 
 
 def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(
-    view: WebView, monkeypatch: pytest.MonkeyPatch
+    view: WebView,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scene = CONFIG.scene.model_copy(update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 1.5})})
+    scene = CONFIG.scene.model_copy(
+        update={"task": CONFIG.scene.task.model_copy(update={"time_limit_s": 1.5})},
+    )
     config = CONFIG.model_copy(update={"scene": scene})
     inputs = MethodInputs(config, 5)
     trials = [sample_trial(scene, 5, "view-test", 0)]
@@ -248,7 +268,12 @@ def test_a_watched_trial_ends_as_an_unwatched_one_to_the_last_bit(
     assert seen == plain
     assert np.array_equal(log.q, logs[0].q)
     assert np.array_equal(log.tau, logs[0].tau)
-    slower = sample_trial(scene, 5, "view-test", 1)  # another start is another trial: the comparison can fail
+    slower = sample_trial(
+        scene,
+        5,
+        "view-test",
+        1,
+    )  # another start is another trial: the comparison can fail
     (other,) = run_trials("impedance", inputs, [slower], workers=1)
     assert other != plain
 
@@ -280,4 +305,9 @@ def test_the_overlay_says_what_the_world_says() -> None:
     assert words.time_s == world.time
     assert words.pinch_n == tuple(world.truth().pinch())
     assert words.internal_n == world.truth().internal_force()
-    assert (words.title, words.mode, words.source, words.state) == ("a title", "moveit", "moveit", "active")
+    assert (words.title, words.mode, words.source, words.state) == (
+        "a title",
+        "moveit",
+        "moveit",
+        "active",
+    )

@@ -16,7 +16,9 @@ from minidual.workers import in_workers
 
 
 def test_results_come_in_order_and_one_worker_is_this_process() -> None:
-    assert list(in_workers(lambda item: (item, os.getpid()), [3, 1, 2], 1)) == [(n, os.getpid()) for n in (3, 1, 2)]
+    assert list(in_workers(lambda item: (item, os.getpid()), [3, 1, 2], 1)) == [
+        (n, os.getpid()) for n in (3, 1, 2)
+    ]
     assert list(in_workers(lambda item: 2 * item, [], 4)) == []
 
 
@@ -65,12 +67,20 @@ cli.main()
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_group_that_is_interrupted_at_any_time_ends_in_130_without_traceback(number: int, tmp_path: Path) -> None:
+def test_a_group_that_is_interrupted_at_any_time_ends_in_130_without_traceback(
+    number: int,
+    tmp_path: Path,
+) -> None:
     for delay_s in (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 3.0):
         folder = tmp_path / str(delay_s)
         folder.mkdir()
         command = [sys.executable, "-c", INTERRUPTED, str(folder)]
-        with subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True) as starter:
+        with subprocess.Popen(
+            command,
+            start_new_session=True,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as starter:
             _until((folder / "begun").exists, 30.0)
             time.sleep(delay_s)
             children = psutil.Process(starter.pid).children(recursive=True)
@@ -94,7 +104,10 @@ list(in_workers(work, [0, 1], 2))
 
 
 def test_workers_end_when_their_starter_is_killed(tmp_path: Path) -> None:
-    with subprocess.Popen([sys.executable, "-c", PROGRAM, str(tmp_path)], start_new_session=True) as starter:
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(tmp_path)],
+        start_new_session=True,
+    ) as starter:
         _until(lambda: len(list(tmp_path.iterdir())) == 2, 30.0)
         starter.send_signal(signal.SIGKILL)
     workers = [int(path.name) for path in tmp_path.iterdir()]

@@ -25,7 +25,9 @@ from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 BLOCK = 50
 STEP_RATIO_MAX = 3.0
 """A whole step of a trial over bare physics."""
-TICK_RATIO_MAX, MEAN_RATIO_MAX, WATCHED_RATIO_MAX = 0.5, 0.75, 1.0
+TICK_RATIO_MAX = 0.5
+MEAN_RATIO_MAX = 0.75
+WATCHED_RATIO_MAX = 1.0
 """A tick of the supervisor over bare physics: its median, its mean with the slow looks, and with all distances."""
 _FINGERS_M = np.full(2, 0.04)
 
@@ -36,7 +38,11 @@ def measure(inputs: BenchInputs) -> BenchTable:
     world = World(inputs.config.scene)
     watched = trial_supervisor(inputs.config.supervisor, world.dt, world.robot)
     for name, supervisor, limits in (
-        ("supervisor: joints and hands", Supervisor(), {"ratio": TICK_RATIO_MAX, "mean_ratio": MEAN_RATIO_MAX}),
+        (
+            "supervisor: joints and hands",
+            Supervisor(),
+            {"ratio": TICK_RATIO_MAX, "mean_ratio": MEAN_RATIO_MAX},
+        ),
         ("supervisor: and stopping distances", watched, {"mean_ratio": WATCHED_RATIO_MAX}),
     ):
         rows.append(tick(name, world, supervisor, limits, inputs.repeats_n))
@@ -53,14 +59,22 @@ def measure(inputs: BenchInputs) -> BenchTable:
     )
 
 
-def tick(name: str, world: World, supervisor: Supervisor, limits: dict[str, float], steps_n: int) -> BenchRow:
+def tick(
+    name: str,
+    world: World,
+    supervisor: Supervisor,
+    limits: dict[str, float],
+    steps_n: int,
+) -> BenchRow:
     """Time `guard` on arms that swing."""
     controller = ComputedTorque(Kinematics(world.robot))
     bare = _Bare(world)
     world.reset(sine_reference(world.robot, 0.3, 0.5, 0.0)[0])
-    guard_ns, bare_ns = [], []
+    guard_ns = []
+    bare_ns = []
     for k in range(steps_n):
-        q, v = world.q, world.v
+        q = world.q
+        v = world.v
         tau = controller.torque(q, v, *sine_reference(world.robot, 0.3, 0.5, world.time))
         began = time.perf_counter_ns()
         tau = supervisor.guard(world.time, q, v, tau)
@@ -76,18 +90,33 @@ def trials(inputs: BenchInputs) -> list[BenchRow]:
     """Time all steps of one trial of each task by each method that plans or senses, and those with the object held."""
     rows = []
     for task, method in itertools.product(TASKS, ("impedance", "moveit")):
-        bench = Bench(method, MethodInputs(make_task(changed(inputs.config, {"task": task})).config, inputs.seed))
+        bench = Bench(
+            method,
+            MethodInputs(make_task(changed(inputs.config, {"task": task})).config, inputs.seed),
+        )
         whole, physics, carried, text = _steps(bench, inputs.seed)
         inputs.advance(f"{task}, {method}: {text}")
-        rows.append(_row(f"{task}, {method}", whole.tolist(), physics.tolist(), {"ratio": STEP_RATIO_MAX}))
+        rows.append(
+            _row(f"{task}, {method}", whole.tolist(), physics.tolist(), {"ratio": STEP_RATIO_MAX}),
+        )
         if carried.any():
-            rows.append(_row(f"{task}, {method}, while held", whole[carried].tolist(), physics[carried].tolist(), {}))
+            rows.append(
+                _row(
+                    f"{task}, {method}, while held",
+                    whole[carried].tolist(),
+                    physics[carried].tolist(),
+                    {},
+                ),
+            )
     return rows
 
 
 def _steps(bench: Bench, seed: int) -> tuple[Array, Array, NDArray[np.bool_], str]:
     """Return each step's time [ns] and that of bare physics beside it, whether it belongs to a carry, and the result."""
-    bare, step_ns, bare_ns, held = _Bare(bench.world), list[int](), list[int](), list[bool]()
+    bare = _Bare(bench.world)
+    step_ns = list[int]()
+    bare_ns = list[int]()
+    held = list[bool]()
     ended_ns = 0
 
     def on_step(world: World, method: Method) -> None:
@@ -108,7 +137,8 @@ class _Bare:
     """Physics alone, on from the state of a world."""
 
     def __init__(self, world: World) -> None:
-        self._world, self._data = world, mujoco.MjData(world.model)
+        self._world = world
+        self._data = mujoco.MjData(world.model)
 
     def block(self) -> list[int]:
         """Return the times [ns] of BLOCK steps."""
@@ -123,8 +153,15 @@ class _Bare:
 
 def _row(name: str, times_ns: list[int], bare_ns: list[int], limits: dict[str, float]) -> BenchRow:
     blocks = np.sort([np.mean(times_ns[k : k + BLOCK]) for k in range(0, len(times_ns), BLOCK)])
-    median, bare = float(np.median(times_ns)) / 1e3, float(np.median(bare_ns)) / 1e3
+    median = float(np.median(times_ns)) / 1e3
+    bare = float(np.median(bare_ns)) / 1e3
     mean = float(blocks[: max(1, len(blocks) // 10)].mean()) / 1e3
-    numbers = {"median_us": median, "mean_us": mean, "bare_us": bare, "ratio": median / bare, "mean_ratio": mean / bare}
+    numbers = {
+        "median_us": median,
+        "mean_us": mean,
+        "bare_us": bare,
+        "ratio": median / bare,
+        "mean_ratio": mean / bare,
+    }
     numbers["tenth_ratio"] = float(np.percentile(times_ns, 10) / np.percentile(bare_ns, 10))
     return BenchRow(name, numbers, limits)

@@ -14,10 +14,20 @@ from scripts.bench.scenes import BenchScene, JointSample, free_scene, held_scene
 from scripts.bench.step import Step, StepCost, step_cost
 from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
-JOINT_RATIO_MAX, OBJECT_RATIO_MAX = 1.5, 2.0
+JOINT_RATIO_MAX = 1.5
+OBJECT_RATIO_MAX = 2.0
 """A whole step of joint control, and of object impedance, over bare physics."""
 
-COLUMNS = ("step_us", "p99_us", "bare_us", "ratio", "real_time", "read_us", "dynamics_us", "algebra_us")
+COLUMNS = (
+    "step_us",
+    "p99_us",
+    "bare_us",
+    "ratio",
+    "real_time",
+    "read_us",
+    "dynamics_us",
+    "algebra_us",
+)
 
 
 @dataclass(frozen=True)
@@ -57,16 +67,27 @@ def trajectory_14(scene: BenchScene) -> Case:
 
 def trajectory_7(scene: BenchScene) -> Case:
     """Controller B: the left arm follows a trajectory of 7 joints, the right one is held."""
-    loop, arm = _loop(scene), scene.world.robot.groups["left_arm"]
-    q, v, a = scene.q_rest.copy(), np.zeros(len(scene.q_rest)), np.zeros(len(scene.q_rest))
-    q_arm, v_arm, a_arm = q[arm], v[arm], a[arm]
+    loop = _loop(scene)
+    arm = scene.world.robot.groups["left_arm"]
+    q = scene.q_rest.copy()
+    v = np.zeros(len(scene.q_rest))
+    a = np.zeros(len(scene.q_rest))
+    q_arm = q[arm]
+    v_arm = v[arm]
+    a_arm = a[arm]
     now = _Latest[JointSample]((q[arm], v[arm], a[arm]) for q, v, a in scene.joint_samples())
 
     def step() -> None:
         q_arm[:], v_arm[:], a_arm[:] = now.value
         loop.follow(q, v, a, scene.gripper)
 
-    return Case("B trajectory, 7 joints of one arm", step, now.take, _joint_parts(scene), JOINT_RATIO_MAX)
+    return Case(
+        "B trajectory, 7 joints of one arm",
+        step,
+        now.take,
+        _joint_parts(scene),
+        JOINT_RATIO_MAX,
+    )
 
 
 def targets_14(scene: BenchScene) -> Case:
@@ -84,7 +105,9 @@ def targets_14(scene: BenchScene) -> Case:
 
 def object_impedance(scene: BenchScene) -> Case:
     """Controller C: contacts and pose are read, the law is evaluated, hands and arms commanded."""
-    world, law, grippers = scene.world, scene.law, scene.grippers()
+    world = scene.world
+    law = scene.law
+    grippers = scene.grippers()
     now = _Latest[ObjectState](scene.object_samples())
     squeeze_n = scene.squeeze_n
 
@@ -94,19 +117,28 @@ def object_impedance(scene: BenchScene) -> Case:
         world.command(tau, grippers.step(scene.gripper))
         world.step()
 
-    hands, kinematics, rest = Hands(scene.kinematics), scene.kinematics, np.zeros(len(scene.q_rest))
+    hands = Hands(scene.kinematics)
+    kinematics = scene.kinematics
+    rest = np.zeros(len(scene.q_rest))
 
     def dynamics() -> None:
         hands.update(scene.q_rest)
         kinematics.rnea(scene.q_rest, rest, rest)
 
-    tau, targets = np.zeros(len(scene.q_rest)), np.zeros(2)
+    tau = np.zeros(len(scene.q_rest))
+    targets = np.zeros(2)
 
     def read() -> None:
         scene.sense()
         _read_and_write(scene, tau, targets)
 
-    return Case("C object impedance", step, now.take, {"read": read, "dynamics": dynamics}, OBJECT_RATIO_MAX)
+    return Case(
+        "C object impedance",
+        step,
+        now.take,
+        {"read": read, "dynamics": dynamics},
+        OBJECT_RATIO_MAX,
+    )
 
 
 CASES: tuple[MakeCase, ...] = (trajectory_14, trajectory_7, targets_14, object_impedance)
@@ -142,7 +174,11 @@ def measure_case(scene: BenchScene, make: MakeCase, steps_n: int) -> BenchRow:
     cost = step_cost(scene.world, case.step, steps_n, parts=case.parts, before=case.before)
     # Beside free physics even a perfect law fails: nobody impedes an object that is not there.
     limited = not (scene.virtual and case.ratio_max == OBJECT_RATIO_MAX)
-    return BenchRow(f"{case.name}, {scene.name}", _numbers(cost), {"ratio": case.ratio_max} if limited else {})
+    return BenchRow(
+        f"{case.name}, {scene.name}",
+        _numbers(cost),
+        {"ratio": case.ratio_max} if limited else {},
+    )
 
 
 class _Latest[T]:
@@ -163,9 +199,15 @@ def _loop(scene: BenchScene) -> JointLoop:
 
 
 def _joint_parts(scene: BenchScene) -> dict[str, Step]:
-    kinematics, q, rest = scene.kinematics, scene.q_rest, np.zeros(len(scene.q_rest))
-    tau, targets = np.zeros(len(scene.q_rest)), np.zeros(2)
-    return {"read": lambda: _read_and_write(scene, tau, targets), "dynamics": lambda: kinematics.rnea(q, rest, rest)}
+    kinematics = scene.kinematics
+    q = scene.q_rest
+    rest = np.zeros(len(scene.q_rest))
+    tau = np.zeros(len(scene.q_rest))
+    targets = np.zeros(2)
+    return {
+        "read": lambda: _read_and_write(scene, tau, targets),
+        "dynamics": lambda: kinematics.rnea(q, rest, rest),
+    }
 
 
 def _read_and_write(scene: BenchScene, tau: np.ndarray, targets: np.ndarray) -> None:

@@ -39,7 +39,8 @@ RUNS = (
     "off_grasp",
 )
 BUDGET_S = 10.0
-_ARRIVED_M, _ARRIVED_RAD = 1e-3, 1e-3
+_ARRIVED_M = 1e-3
+_ARRIVED_RAD = 1e-3
 _NOTES = (
     "drawn = infeasible (proven) + no_posture (inverse kinematics found no free one at an end) + solved + timed_out",
     f"timed_out: no timed path within {BUDGET_S:g} s of processor time; early: of these, ended before 90 % of that:",
@@ -67,8 +68,12 @@ def measure(inputs: BenchInputs) -> BenchTable:
     """Plan `repeats_n` draws of every set."""
     planner = Planner(config=inputs.config.plan.planner.model_copy(update={"budget_s": BUDGET_S}))
     planner.plan_to_joints(GROUP, planner.robot.home, planner.robot.home + 0.05)  # compiles
-    planners: dict[str, PlanAll] = {"minidual": plan_minidual, "minidual, to hand poses": plan_to_poses}
-    title, notes = "hard planning queries", _NOTES
+    planners: dict[str, PlanAll] = {
+        "minidual": plan_minidual,
+        "minidual, to hand poses": plan_to_poses,
+    }
+    title = "hard planning queries"
+    notes = _NOTES
     if inputs.peers:
         planners["OMPL, MuJoCo, toppra"] = plan_ompl
         try:
@@ -76,10 +81,13 @@ def measure(inputs: BenchInputs) -> BenchTable:
         except EnvironmentMissingError as error:
             missing = f"{error.message}. Type: {error.remedy}"
             inputs.advance(missing)
-            title, notes = f"{title}, WITHOUT roboplan", (*notes, missing)
+            title = f"{title}, WITHOUT roboplan"
+            notes = (*notes, missing)
     rows = []
     for name, of in SETS.items():
-        queries = [posed(draw(of, inputs.seed, index), planner) for index in range(inputs.repeats_n)]
+        queries = [
+            posed(draw(of, inputs.seed, index), planner) for index in range(inputs.repeats_n)
+        ]
         rows.append(BenchRow(name, counted(queries), {}))
         inputs.advance(f"{name}: {rows[-1].numbers}")
         plannable = [query for query in queries if query.plannable]
@@ -102,9 +110,14 @@ def counted(queries: Sequence[PosedQuery]) -> dict[str, float]:
     return {"drawn": len(queries), "infeasible": infeasible, "no_posture": no_posture}
 
 
-def judged(queries: Sequence[PosedQuery], runs: Sequence[Run], planner: Planner) -> dict[str, float]:
+def judged(
+    queries: Sequence[PosedQuery],
+    runs: Sequence[Run],
+    planner: Planner,
+) -> dict[str, float]:
     """Return the numbers of one planner on plannable queries."""
-    times, found = [], []
+    times = []
+    found = []
     for query, run in zip(queries, runs, strict=True):
         if run.trajectory is None:
             continue
@@ -126,7 +139,8 @@ def judged(queries: Sequence[PosedQuery], runs: Sequence[Run], planner: Planner)
 
 def look(drawn: DrawnQuery, trajectory: Trajectory, planner: Planner) -> Found:
     """Sample a timed path of a query every 0.002 rad."""
-    Q, tips = collision_samples(trajectory), planner.kinematics.tcp_poses
+    Q = collision_samples(trajectory)
+    tips = planner.kinematics.tcp_poses
     arrives = all(
         _same(T, asked[arm])
         for q, asked in ((Q[0], drawn.start), (Q[-1], drawn.goal))
@@ -155,7 +169,10 @@ def jerk_ratio(trajectory: Trajectory, robot: Robot) -> float:
 
 
 def _same(T: Array, other: Array) -> bool:
-    apart = np.linalg.norm(T[:3, 3] - other[:3, 3]), np.linalg.norm(pin.log3(T[:3, :3].T @ other[:3, :3]))
+    apart = (
+        np.linalg.norm(T[:3, 3] - other[:3, 3]),
+        np.linalg.norm(pin.log3(T[:3, :3].T @ other[:3, :3])),
+    )
     return bool(apart[0] <= _ARRIVED_M and apart[1] <= _ARRIVED_RAD)
 
 
@@ -174,8 +191,10 @@ def plan_to_poses(queries: Sequence[PosedQuery], planner: Planner, budget_s: flo
 def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) -> Run:
     assert query.q_start is not None
     assert query.q_goal is not None
-    q_start, q_goal = query.q_start, query.q_goal
-    drawn, held = query.drawn, HeldPlanner(planner)
+    q_start = query.q_start
+    q_goal = query.q_goal
+    drawn = query.drawn
+    held = HeldPlanner(planner)
     planner.engines(drawn.scene)
 
     def plan() -> PlanResult | Trajectory:
@@ -189,5 +208,7 @@ def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) 
         return planner.plan_to_joints(GROUP, q_start, q_goal, **how)
 
     attempt = attempted(plan)
-    trajectory = attempt.result.trajectory if isinstance(attempt.result, PlanResult) else attempt.result
+    trajectory = (
+        attempt.result.trajectory if isinstance(attempt.result, PlanResult) else attempt.result
+    )
     return Run(trajectory, attempt.cpu_s, attempt.message)

@@ -61,7 +61,8 @@ class Run:
 
 def core_share() -> float:
     """Return the share of a core that this process gets at the moment."""
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     while time.process_time() < cpu + _SHARE_S:
         pass
     return min(1.0, (time.process_time() - cpu) / (time.perf_counter() - wall))
@@ -87,7 +88,8 @@ def _ompl(query: PosedQuery, planner: Planner, budget_s: float) -> Run:
     engine = planner.engines(query.drawn.scene).engine("mujoco")
     began = time.process_time()
     seeded(query.drawn.seed)
-    space, held = bounded_space(robot.q_lower, robot.q_upper), query.drawn.T_world_rod is not None
+    space = bounded_space(robot.q_lower, robot.q_upper)
+    held = query.drawn.T_world_rod is not None
     if held:
         left, right = rod_grasps().values()
         grasp = GraspConstraint(inverse(left) @ right, planner.kinematics)
@@ -128,12 +130,17 @@ def _timed(points: Array, robot: Robot, config: PlannerConfig) -> Trajectory | N
     points = points[moved]
     s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     limits = [
-        constraint.JointVelocityConstraint(config.velocity_scale * np.stack([-robot.v_max, robot.v_max], axis=1)),
+        constraint.JointVelocityConstraint(
+            config.velocity_scale * np.stack([-robot.v_max, robot.v_max], axis=1),
+        ),
         constraint.JointAccelerationConstraint(
-            config.acceleration_scale * np.stack([-robot.a_max, robot.a_max], axis=1)
+            config.acceleration_scale * np.stack([-robot.a_max, robot.a_max], axis=1),
         ),
     ]
-    motion: Any = algorithm.TOPPRA(limits, toppra.SplineInterpolator(s, points)).compute_trajectory(0.0, 0.0)
+    motion: Any = algorithm.TOPPRA(limits, toppra.SplineInterpolator(s, points)).compute_trajectory(
+        0.0,
+        0.0,
+    )
     if motion is None:
         return None
     times = np.append(np.arange(0.0, motion.duration, DT_S), motion.duration)
@@ -152,7 +159,10 @@ class Roboplan:
         done = None
         if python.is_file():
             done = subprocess.run(
-                [python, "-c", "import roboplan.rrt, roboplan.toppra"], capture_output=True, env=_clean(), check=False
+                [python, "-c", "import roboplan.rrt, roboplan.toppra"],
+                capture_output=True,
+                env=_clean(),
+                check=False,
             )
         if done is None or done.returncode != 0:
             raise EnvironmentMissingError(
@@ -171,15 +181,32 @@ class Roboplan:
             return []
         with _job(queries, planner, budget_s / core_share()) as job:  # it goes by the wall clock
             command = [self._python, Path(__file__).with_name("roboplan_worker.py")]
-            done = subprocess.run(command, input=json.dumps(job), capture_output=True, text=True, env=_clean())
+            done = subprocess.run(
+                command,
+                input=json.dumps(job),
+                capture_output=True,
+                text=True,
+                env=_clean(),
+            )
         if done.returncode != 0:
             raise RuntimeError(f"roboplan's process failed: {done.stderr[-2000:]}")
         runs = []
-        for query, asked, line in zip(queries, job["queries"], done.stdout.splitlines(), strict=True):
+        for query, asked, line in zip(
+            queries,
+            job["queries"],
+            done.stdout.splitlines(),
+            strict=True,
+        ):
             answer = json.loads(line)
-            seen = planner.engines(query.drawn.scene).engine("mujoco").collisions(np.array(asked["states"]))
+            seen = (
+                planner.engines(query.drawn.scene)
+                .engine("mujoco")
+                .collisions(np.array(asked["states"]))
+            )
             if np.mean(seen != answer["contacts"]) > _OTHER_SHARE:
-                raise RuntimeError(f"roboplan and MuJoCo see other contacts in query {query.drawn.index}")
+                raise RuntimeError(
+                    f"roboplan and MuJoCo see other contacts in query {query.drawn.index}",
+                )
             timed = None
             if not answer["reason"]:
                 timed = evenly(*(np.array(answer[name]) for name in ("times", "q", "v", "a")))
@@ -188,21 +215,35 @@ class Roboplan:
 
 
 def _clean() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "VIRTUAL_ENV")
+    }
 
 
 @contextmanager
-def _job(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> Iterator[dict[str, Any]]:
+def _job(
+    queries: Sequence[PosedQuery],
+    planner: Planner,
+    budget_s: float,
+) -> Iterator[dict[str, Any]]:
     """Yield what the worker reads; its meshes exist within the block."""
-    robot, config = planner.robot, planner.config
+    robot = planner.robot
+    config = planner.config
     with tempfile.TemporaryDirectory() as folder:
         root = ET.fromstring(pair_urdf(robot))
         for index, mesh in enumerate(root.iter("mesh")):
             # The hulls that the other planners use: roboplan would take the triangles of the meshes.
-            hull, file = trimesh.load(mesh.attrib["filename"], force="mesh").convex_hull, f"{folder}/{index}.stl"
+            hull = trimesh.load(mesh.attrib["filename"], force="mesh").convex_hull
+            file = f"{folder}/{index}.stl"
             hull.export(file)
             mesh.set("filename", file)
-        limits = {"max_velocity": robot.v_max, "max_acceleration": robot.a_max, "max_jerk": robot.jerk_max}
+        limits = {
+            "max_velocity": robot.v_max,
+            "max_acceleration": robot.a_max,
+            "max_jerk": robot.jerk_max,
+        }
         yield {
             "urdf": ET.tostring(root, encoding="unicode"),
             "joint_names": robot.joint_names,
@@ -225,9 +266,13 @@ def _job(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> It
 def _query(query: PosedQuery, kinematics: Kinematics) -> dict[str, Any]:
     assert query.q_start is not None
     assert query.q_goal is not None
-    drawn, model = query.drawn, kinematics.model
-    scene, robot = drawn.scene, kinematics.robot
-    shapes = [_shape(s.shape, "", s.shape.T_parent_shape) for s in scene.solids if s.link == "world"]
+    drawn = query.drawn
+    model = kinematics.model
+    scene = drawn.scene
+    robot = kinematics.robot
+    shapes = [
+        _shape(s.shape, "", s.shape.T_parent_shape) for s in scene.solids if s.link == "world"
+    ]
     for held in scene.attached:
         # roboplan 0.7.0 places a shape relative to the joint that moves the link, not to the link.
         T_joint_link = model.frames[model.getFrameId(held.link)].placement.homogeneous
@@ -243,7 +288,11 @@ def _query(query: PosedQuery, kinematics: Kinematics) -> dict[str, Any]:
         "q_start": query.q_start.tolist(),
         "q_goal": query.q_goal.tolist(),
         "shapes": shapes,
-        "unchecked": [pair for pair in itertools.combinations(scene.names, 2) if frozenset(pair) not in checked],
+        "unchecked": [
+            pair
+            for pair in itertools.combinations(scene.names, 2)
+            if frozenset(pair) not in checked
+        ],
         "states": np.clip(query.q_start + near, robot.q_lower, robot.q_upper).tolist(),
         "T_left_right": T_left_right,
     }

@@ -28,7 +28,8 @@ from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
 
 COLUMNS = ("median_ms", "p95_ms", "worst_ms", "solved_pct", "free_pct")
 GOALS_MS = {"left_arm": 10.0, "right_arm": 10.0, "both_arms": 15.0}
-NEW_SCENE_MAX_MS, COLD_START_MAX_MS = 10.0, 2000.0
+NEW_SCENE_MAX_MS = 10.0
+COLD_START_MAX_MS = 2000.0
 _BUDGET_S = 5.0
 _BARE_CHECKS_N = 200_000
 _COLD_STARTS_N = 3
@@ -65,14 +66,19 @@ def measure(inputs: BenchInputs) -> BenchTable:
         inputs.advance(rows[-1].name)
     rows.append(_row("new scene", scenes, limit_ms=NEW_SCENE_MAX_MS))
     with tempfile.TemporaryDirectory() as folder:
-        starts = [_cold_start_s(folder) for _ in range(1 + _COLD_STARTS_N)][1:]  # the first one writes the byte code
+        starts = [_cold_start_s(folder) for _ in range(1 + _COLD_STARTS_N)][
+            1:
+        ]  # the first one writes the byte code
     rows.append(_row("cold start", starts, limit_ms=COLD_START_MAX_MS))
     inputs.advance(rows[-1].name)
     return BenchTable("planning: goal in to trajectory out", COLUMNS, tuple(rows), _NOTES)
 
 
 def _row(
-    name: str, times_s: Sequence[float], free: Sequence[bool] | None = None, limit_ms: float | None = None
+    name: str,
+    times_s: Sequence[float],
+    free: Sequence[bool] | None = None,
+    limit_ms: float | None = None,
 ) -> BenchRow:
     """Return a row; `free` says of each solved query whether its trajectory is."""
     times = np.array(times_s) * 1e3
@@ -89,7 +95,11 @@ def _row(
 
 
 def _planner_row(
-    group: str, plan: PlanConfig, queries: Sequence[Query], goal_ms: float, scenes: list[float]
+    group: str,
+    plan: PlanConfig,
+    queries: Sequence[Query],
+    goal_ms: float,
+    scenes: list[float],
 ) -> BenchRow:
     planner = Planner(config=plan.planner.model_copy(update={"budget_s": _BUDGET_S}))
     planner.plan_to_joints("both_arms", planner.robot.home, planner.robot.home + 0.05)  # compiles
@@ -109,7 +119,8 @@ def _planner_row(
 
 def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRow:
     """Return the row of RRTConnect as it is often used; goals are joints."""
-    config, planner = plan.planner, Planner()
+    config = plan.planner
+    planner = Planner()
     times: list[float] = []
     free: list[bool] = []
     for query in queries:
@@ -117,7 +128,8 @@ def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRo
         began = time.perf_counter()
         checker = EdgeChecker(engines, 0.0, (), config.edge_step_rad)
         checker.allow(_BARE_CHECKS_N, began + _BUDGET_S)
-        ends, joints = np.array([query.q_start, query.q_goal]), planner.robot.groups[group]
+        ends = np.array([query.q_start, query.q_goal])
+        joints = planner.robot.groups[group]
         path = search(checker, ends, joints, seed=query.seed, range_rad=config.range_rad)
         trajectory = None
         if path is not None:

@@ -61,8 +61,10 @@ class Region:
     def draw(self, rng: np.random.Generator, *, mirrored: bool) -> Array:
         """Return a pose (4, 4)."""
         position = rng.uniform(self.low_m, self.high_m)
-        about, turn = rng.uniform(-np.pi, np.pi), rng.uniform(-self.turn_rad, self.turn_rad)
-        R, tilt = _FACING[self.facing], rng.uniform(0.0, self.tilt_rad)
+        about = rng.uniform(-np.pi, np.pi)
+        turn = rng.uniform(-self.turn_rad, self.turn_rad)
+        R = _FACING[self.facing]
+        tilt = rng.uniform(0.0, self.tilt_rad)
         lean = rot_z(about) @ rot_x(tilt) @ rot_z(-about)
         if mirrored:
             position[1] = -position[1]
@@ -83,7 +85,8 @@ class Boxes:
         """Return the boxes of one query."""
         shapes = []
         for k in range(self.standing_n + self.floating_n):
-            size, place = rng.uniform(*self.size_m, 3), rng.uniform(self.low_m, self.high_m)
+            size = rng.uniform(*self.size_m, 3)
+            place = rng.uniform(self.low_m, self.high_m)
             half_yaw = rng.uniform(-np.pi / 4, np.pi / 4)
             if k < self.standing_n:
                 place[2] = 0.5 * size[2]
@@ -154,7 +157,9 @@ def _sets() -> dict[str, QuerySet]:
     content = rows_beside(__file__)
     regions = {name: Region(**row) for name, row in content["regions"].items()}
     found = {}
-    of_tasks = {name: {**content["each_task"], "task": name} for name in TASKS if name != "rod_carry"}
+    of_tasks = {
+        name: {**content["each_task"], "task": name} for name in TASKS if name != "rod_carry"
+    }
     for name, row in {**content["sets"], **of_tasks}.items():
         ends = {end: tuple(regions[region] for region in row.pop(end)) for end in ("start", "goal")}
         boxes = Boxes(**row.pop("boxes")) if "boxes" in row else None
@@ -174,7 +179,12 @@ def rod_grasps() -> dict[str, Array]:
 def _standing(file: Path, *, rod: bool) -> PlanningScene:
     scene = load_scene(file)[0]
     if rod:
-        scene = scene_holding(scene, thing_of(SceneConfig().object).shape, rod_grasps(), rests_on=())
+        scene = scene_holding(
+            scene,
+            thing_of(SceneConfig().object).shape,
+            rod_grasps(),
+            rests_on=(),
+        )
     return scene
 
 
@@ -183,18 +193,29 @@ def _task(name: str) -> Task:
     return make_task(Config(task=name))
 
 
-def first_grasps(task: Task, trial: Trial, objects: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+def first_grasps(
+    task: Task,
+    trial: Trial,
+    objects: Mapping[str, Array],
+    rng: np.random.Generator,
+) -> dict[str, Array]:
     """Return T_world_tcp (4, 4) over the grasp of each hand that takes an object off the table."""
     steps = task.steps if task.arrange is None else next(iter(task.arrange(task, trial, objects)))
-    over, taken = dict[str, Array](), set[str]()
+    over = dict[str, Array]()
+    taken = set[str]()
     for step in (step for step in steps if step.phase == "approach"):
         names = step.objects or (task.carried,) * len(step.hands)
         reached = [
-            (hand, name) for hand, name in zip(step.hands, names, strict=False) if not {hand, name} & {*over, *taken}
+            (hand, name)
+            for hand, name in zip(step.hands, names, strict=False)
+            if not {hand, name} & {*over, *taken}
         ]
         for hand, name in reached:
             grasps = step.grasps or (task.objects[name].grasps[hand],)
-            over[hand] = raised(objects[name] @ grasps[rng.integers(len(grasps))], PHASES["approach"].rise_m)
+            over[hand] = raised(
+                objects[name] @ grasps[rng.integers(len(grasps))],
+                PHASES["approach"].rise_m,
+            )
         taken |= {name for _, name in reached}
     return over
 
@@ -216,8 +237,11 @@ def draw(of: QuerySet, seed: int, index: int) -> DrawnQuery:
     if of.task:
         task = _task(of.task)
         trial = task.trial(seed, f"bench/{of.name}", index)
-        objects = {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()}
-        scene, over = _standing_in(task, objects), first_grasps(task, trial, objects, rng)
+        objects = {
+            name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()
+        }
+        scene = _standing_in(task, objects)
+        over = first_grasps(task, trial, objects, rng)
     else:
         scene = _standing(of.scene_file, rod=of.rod)
     if of.boxes is not None:
@@ -229,9 +253,22 @@ def draw(of: QuerySet, seed: int, index: int) -> DrawnQuery:
             T_world_rod = regions[rng.integers(len(regions))].draw(rng, mirrored=False)
             ends.append({arm: T_world_rod @ grasp for arm, grasp in rod_grasps().items()})
         else:
-            ends.append({arm: regions[rng.integers(len(regions))].draw(rng, mirrored=arm == "right") for arm in SIDES})
+            ends.append(
+                {
+                    arm: regions[rng.integers(len(regions))].draw(rng, mirrored=arm == "right")
+                    for arm in SIDES
+                },
+            )
     goal = {**ends[1], **over}
-    return DrawnQuery(of, index, subseed(seed, f"bench/{of.name}/plan", index), scene, ends[0], goal, T_world_rod)
+    return DrawnQuery(
+        of,
+        index,
+        subseed(seed, f"bench/{of.name}/plan", index),
+        scene,
+        ends[0],
+        goal,
+        T_world_rod,
+    )
 
 
 def posed(drawn: DrawnQuery, planner: Planner) -> PosedQuery:
@@ -241,8 +278,11 @@ def posed(drawn: DrawnQuery, planner: Planner) -> PosedQuery:
         why = out_of_reach(targets, planner.kinematics) or hands.inside(targets)
         if why:
             return PosedQuery(drawn, f"at the {end} {why}")
-    engines, near, found = planner.engines(drawn.scene), planner.robot.home, []
-    rng, restarts_n = stream(drawn.seed, "bench/postures"), _RESTARTS_SCALE * planner.config.ik_restarts_n
+    engines = planner.engines(drawn.scene)
+    near = planner.robot.home
+    found = []
+    rng = stream(drawn.seed, "bench/postures")
+    restarts_n = _RESTARTS_SCALE * planner.config.ik_restarts_n
     for targets in (drawn.start, drawn.goal):
         try:
             near = pose_goals(GROUP, near, targets, engines, rng, restarts_n)[0]
@@ -258,13 +298,16 @@ def out_of_reach(targets: Mapping[str, Array], kinematics: Kinematics) -> str:
     The tcp fixes the origin of the last joint. The first joint's origin stands still. Between both lie the fixed
     distances from each joint to the next, so their sum bounds how far they can be apart.
     """
-    model, n = kinematics.model, kinematics.robot.dof_per_arm
+    model = kinematics.model
+    n = kinematics.robot.dof_per_arm
     for arm, T in targets.items():
         first = 1 + n * SIDES.index(arm)
         tip = model.frames[kinematics.tcp_ids[SIDES.index(arm)]].placement
         last = (T @ tip.inverse().homogeneous)[:3, 3]
         away = float(np.linalg.norm(last - model.jointPlacements[first].translation))
-        length = sum(float(np.linalg.norm(model.jointPlacements[first + k].translation)) for k in range(1, n))
+        length = sum(
+            float(np.linalg.norm(model.jointPlacements[first + k].translation)) for k in range(1, n)
+        )
         if away > length:
             return f"the {arm} hand's last joint is {away:.3f} m from the shoulder; the arm bridges {length:.3f} m"
     return ""
@@ -274,9 +317,13 @@ class RigidHands:
     """What moves with the tcps whatever the arms do: the last links, the hands, what they hold."""
 
     def __init__(self, scene: PlanningScene) -> None:
-        robot, links = scene.robot, links_of(scene.robot)
-        engine, q = CoalEngine(scene), scene.robot.home
-        self._items, self._names, geometry = engine.items, (), engine.geometry
+        robot = scene.robot
+        links = links_of(scene.robot)
+        engine = CoalEngine(scene)
+        q = scene.robot.home
+        self._items = engine.items
+        self._names = ()
+        geometry = engine.geometry
         data = engine.model.createData()
         placed = pin.GeometryData(geometry)
         pin.updateGeometryPlacements(engine.model, data, geometry, placed, q)
@@ -284,8 +331,14 @@ class RigidHands:
         self._places = [place.homogeneous for place in placed.oMg]
         tips = Kinematics(robot).tcp_poses(q)
         self._T_tcp_world = {arm: inverse(T) for arm, T in zip(SIDES, tips, strict=True)}
-        last = {name: link.side for name, link in links.items() if link.joints_before == robot.dof_per_arm}
-        self._arm_of = last | {held.name: last[held.link] for held in scene.attached if held.link in last}
+        last = {
+            name: link.side
+            for name, link in links.items()
+            if link.joints_before == robot.dof_per_arm
+        }
+        self._arm_of = last | {
+            held.name: last[held.link] for held in scene.attached if held.link in last
+        }
         still = {shape.name for shape in scene.obstacles}
         known = self._arm_of.keys() | still
         self._pairs = [(a, b) for a, b in scene.checked_pairs if a in known and b in known]
@@ -296,7 +349,14 @@ class RigidHands:
             for (first, at_first), (second, at_second) in (
                 (x, y) for x in self._placed(a, targets) for y in self._placed(b, targets)
             ):
-                deep = -coal.distance(first, at_first, second, at_second, coal.DistanceRequest(), coal.DistanceResult())
+                deep = -coal.distance(
+                    first,
+                    at_first,
+                    second,
+                    at_second,
+                    coal.DistanceRequest(),
+                    coal.DistanceResult(),
+                )
                 if deep > _INSIDE_M:
                     return f"{a} is {deep * 1e3:.1f} mm inside {b}"
         return ""

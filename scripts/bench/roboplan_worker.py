@@ -78,11 +78,22 @@ def plan(job: dict[str, Any], query: dict[str, Any]) -> dict[str, Any]:
     """Return a plan: contacts at the job's states, processor time, and the timed path or why there is none."""
     scene = scene_of(job, query)
     contacts = contacts_of(scene, job, query)
-    search = RRTOptions(group_name=GROUP, max_nodes=_NODES_MAX, max_planning_time=job["budget_s"], rrt_connect=True)
+    search = RRTOptions(
+        group_name=GROUP,
+        max_nodes=_NODES_MAX,
+        max_planning_time=job["budget_s"],
+        rrt_connect=True,
+    )
     shorten = PathShortcuttingOptions(group_name=GROUP, seed=query["seed"])
-    limits = {"velocity_scale": job["velocity_scale"], "acceleration_scale": job["acceleration_scale"]}
+    limits = {
+        "velocity_scale": job["velocity_scale"],
+        "acceleration_scale": job["acceleration_scale"],
+    }
     timing = TOPPRAOptions(dt=job["dt_s"], mode=SplineFittingMode.Adaptive, **limits)
-    start, goal = (JointConfiguration(job["joint_names"], np.array(query[end])) for end in ("q_start", "q_goal"))
+    start, goal = (
+        JointConfiguration(job["joint_names"], np.array(query[end]))
+        for end in ("q_start", "q_goal")
+    )
     constraints = [] if query["T_left_right"] is None else [_grasp(scene, job, query)]
     began = time.process_time()
     try:
@@ -97,7 +108,13 @@ def plan(job: dict[str, Any], query: dict[str, Any]) -> dict[str, Any]:
     cpu_s = time.process_time() - began
     columns = {"q": motion.positions, "v": motion.velocities, "a": motion.accelerations}
     samples = {name: np.array(rows).tolist() for name, rows in columns.items()}
-    return {"contacts": contacts, "cpu_s": cpu_s, "reason": "", "times": list(motion.times), **samples}
+    return {
+        "contacts": contacts,
+        "cpu_s": cpu_s,
+        "reason": "",
+        "times": list(motion.times),
+        **samples,
+    }
 
 
 def _grasp(scene: Any, job: dict[str, Any], query: dict[str, Any]) -> Any:
@@ -118,7 +135,8 @@ def _grasp(scene: Any, job: dict[str, Any], query: dict[str, Any]) -> Any:
 
 def bounded(job: dict[str, Any], query: dict[str, Any]) -> dict[str, Any]:
     """Return `plan` of a process of its own, or that it did not end."""
-    fork, limit_s = multiprocessing.get_context("fork"), _PATIENCE * job["budget_s"]
+    fork = multiprocessing.get_context("fork")
+    limit_s = _PATIENCE * job["budget_s"]
     receiver, sender = fork.Pipe(duplex=False)
     child = fork.Process(target=lambda: sender.send(plan(job, query)))
     child.start()

@@ -25,14 +25,19 @@ from minidual.skills.carry_motions import grasp_posture, held_object
 from minidual.stages.env_check.tracking import sine_reference
 from minidual.tasks.task import level_part
 
-_OPEN, _CLOSED = np.ones(2), np.zeros(2)
+_OPEN = np.ones(2)
+_CLOSED = np.zeros(2)
 _AT_REST = np.zeros(6)
 _CLOSE_STEPS = 900
-_LIFT_S, _LIFT_M, _STILL_S = 0.6, 0.1, 0.3
-_SWING_RAD, _SWING_HZ = 0.1, 0.5
+_LIFT_S = 0.6
+_LIFT_M = 0.1
+_STILL_S = 0.3
+_SWING_RAD = 0.1
+_SWING_HZ = 0.5
 _SWAY_RAD = 0.001
 """Swing of the joints while the rod is held: any more and the arms, a closed chain, would fight."""
-_SWAY_M, _SWAY_HZ = 0.01, 0.5
+_SWAY_M = 0.01
+_SWAY_HZ = 0.5
 _PERIOD_S = 2.0
 TARGET_STEPS = 20
 """Steps for which a joint target of teleoperation or the policy stands: 50 Hz."""
@@ -104,10 +109,13 @@ class BenchScene:
 
     def object_samples(self) -> Iterator[ObjectState]:
         """Yield what the object should do at 1 kHz for ever: a slow sway to one side and back."""
-        w, k = 2.0 * np.pi * _SWAY_HZ, 0
+        w = 2.0 * np.pi * _SWAY_HZ
+        k = 0
         while True:
             t = k * self.world.dt
-            T, twist, acceleration = self.rest.copy(), np.zeros(6), np.zeros(6)
+            T = self.rest.copy()
+            twist = np.zeros(6)
+            acceleration = np.zeros(6)
             T[0, 3] += _SWAY_M * (1.0 - np.cos(w * t))
             twist[0] = _SWAY_M * w * np.sin(w * t)
             acceleration[0] = _SWAY_M * w**2 * np.cos(w * t)
@@ -116,9 +124,12 @@ class BenchScene:
 
     def sense(self) -> tuple[ObjectState, float]:
         """Return object and squeeze [N] as the controller senses them: both are read, even if one is imagined."""
-        T, twist, squeeze = self.world.object_pose(), self.world.truth().twist(), self.world.truth().internal_force()
+        T = self.world.object_pose()
+        twist = self.world.truth().twist()
+        squeeze = self.world.truth().internal_force()
         if self.virtual:
-            T, twist = self.rest, _AT_REST
+            T = self.rest
+            twist = _AT_REST
         return ObjectState(T, twist, _AT_REST), squeeze
 
     @property
@@ -129,7 +140,8 @@ class BenchScene:
 
 def free_scene(scene: SceneConfig, gains: ImpedanceConfig) -> BenchScene:
     """Return arms near home with open hands, nothing touched."""
-    world, kinematics = World(scene), Kinematics()
+    world = World(scene)
+    kinematics = Kinematics()
     world.reset(sine_reference(world.robot, _SWING_RAD, _SWING_HZ, 0.0)[0])
     left, right = kinematics.tcp_poses(world.q)
     rest = pose(np.eye(3), 0.5 * (left[:3, 3] + right[:3, 3]))
@@ -144,15 +156,21 @@ def held_scene(scene: SceneConfig, gains: ImpedanceConfig) -> BenchScene:
     Raises:
         GraspFailedError: The rod was not lifted.
     """
-    world, kinematics = World(scene), Kinematics()
+    world = World(scene)
+    kinematics = Kinematics()
     q_grasp = grasp_posture(scene, world.robot, level_part(world.object_pose()), world.robot.home)
     world.reset(q_grasp)
     loop = JointLoop(world, kinematics)
     for _ in range(_CLOSE_STEPS):
         loop.step(q_grasp, _CLOSED)
 
-    T_world_rod, level = world.object_pose(), level_part(world.object_pose())
-    law = ObjectImpedance(kinematics, held_object(scene, T_world_rod, kinematics.tcp_poses(world.q)), gains)
+    T_world_rod = world.object_pose()
+    level = level_part(world.object_pose())
+    law = ObjectImpedance(
+        kinematics,
+        held_object(scene, T_world_rod, kinematics.tcp_poses(world.q)),
+        gains,
+    )
     law.engage(world.q)
     x, y, z = T_world_rod[:3, 3]
     yaw = float(np.arctan2(level[1, 0], level[0, 0]))

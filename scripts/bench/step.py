@@ -77,7 +77,8 @@ def step_cost(
     clock = time.perf_counter_ns
     parts = {} if parts is None else parts
     bare_data = mujoco.MjData(world.model)
-    whole, bare = np.empty(steps_n), np.empty(steps_n)
+    whole = np.empty(steps_n)
+    bare = np.empty(steps_n)
     ratios: list[float] = []
     split: dict[str, Array] = {name: np.empty(steps_n) for name in parts}
     for start in range(0, steps_n, block):
@@ -97,7 +98,11 @@ def step_cost(
                 began = clock()
                 part()
                 split[name][k] = clock() - began
-        ratios.append(float(np.median(whole[turn.start : turn.stop]) / np.median(bare[turn.start : turn.stop])))
+        ratios.append(
+            float(
+                np.median(whole[turn.start : turn.stop]) / np.median(bare[turn.start : turn.stop]),
+            ),
+        )
     return StepCost(
         _median_us(whole),
         float(np.percentile(whole, 99)) / 1e3,

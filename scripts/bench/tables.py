@@ -47,7 +47,9 @@ class BenchRow:
     @property
     def exceeded(self) -> tuple[str, ...]:
         """Columns over their limits; a number that is not finite is."""
-        return tuple(column for column, limit in self.limits.items() if not self.numbers[column] <= limit)
+        return tuple(
+            column for column, limit in self.limits.items() if not self.numbers[column] <= limit
+        )
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,20 @@ class BenchTable:
         cells = [["", *self.columns]]
         for row in self.rows:
             marks = set(row.exceeded)
-            cells.append([row.name, *(self._cell(row, column, over=column in marks) for column in self.columns)])
+            cells.append(
+                [
+                    row.name,
+                    *(self._cell(row, column, over=column in marks) for column in self.columns),
+                ],
+            )
         widths = [max(len(line[i]) for line in cells) for i in range(len(cells[0]))]
         rows = [
-            "  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True))])
+            "  ".join(
+                [
+                    line[0].ljust(widths[0]),
+                    *(c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True)),
+                ],
+            )
             for line in cells
         ]
         return [self.title, "", *(row.rstrip() for row in rows), "", *self.notes]

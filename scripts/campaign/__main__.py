@@ -30,22 +30,39 @@ ROOT = Path(__file__).resolve().parents[2]
 def main(words: list[str]) -> int:
     """Run the kinds that are named, all if none is; return 1 if an outcome was forbidden."""
     parser = argparse.ArgumentParser(prog="make campaign ARGS=", description=__doc__)
-    parser.add_argument("kinds", nargs="*", help=f"what to try: {', '.join(KINDS)} (default: everything)")
+    parser.add_argument(
+        "kinds",
+        nargs="*",
+        help=f"what to try: {', '.join(KINDS)} (default: everything)",
+    )
     parser.add_argument("--small", action="store_true", help="the part for every build")
-    parser.add_argument("--share", type=float, default=1.0, help="of the cases of each kind, drawn with the seed")
+    parser.add_argument(
+        "--share",
+        type=float,
+        default=1.0,
+        help="of the cases of each kind, drawn with the seed",
+    )
     parser.add_argument("--list", action="store_true", help="say how many cases there are")
     parser.add_argument("--only", default="", help="only cases whose name contains this")
     parser.add_argument("--seed", type=int, default=20261)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--source", type=Path, default=Path(os.environ.get("MINIDUAL_RUNS") or ROOT / "runs") / "smoke")
-    parser.add_argument("--log", type=Path, help="one JSON line a case; a campaign that was stopped goes on from it")
+    parser.add_argument(
+        "--source",
+        type=Path,
+        default=Path(os.environ.get("MINIDUAL_RUNS") or ROOT / "runs") / "smoke",
+    )
+    parser.add_argument(
+        "--log",
+        type=Path,
+        help="one JSON line a case; a campaign that was stopped goes on from it",
+    )
     options = parser.parse_args(words)
     unknown = [kind for kind in options.kinds if kind not in KINDS]
     if unknown:
         parser.error(f"no kind {unknown[0]}; there are {', '.join(KINDS)}")
     if stale := _fresh(options.source):
         parser.error(
-            f"{options.source} is no finished smoke run of this code ({stale[0]}): minidual run --profile smoke"
+            f"{options.source} is no finished smoke run of this code ({stale[0]}): minidual run --profile smoke",
         )
     with tempfile.TemporaryDirectory(prefix="campaign-source-") as folder:
         source = Path(folder) / "smoke"
@@ -61,20 +78,31 @@ class Campaign:
     """Runs cases, keeps the log and prints the table."""
 
     def __init__(self, source: Path, options: argparse.Namespace) -> None:
-        self.source, self.options = source, options
+        self.source = source
+        self.options = options
         self.known: dict[tuple[str, str], dict] = {}
         self.rows: dict[str, Row] = {}
         self._digest = _tree_digest(source)
         commit = circumstances_now(())["commit"]
-        self.head = {"seed": options.seed, "small": options.small, "share": options.share, "commit": commit}
+        self.head = {
+            "seed": options.seed,
+            "small": options.small,
+            "share": options.share,
+            "commit": commit,
+        }
         if options.log and options.log.is_file():
-            head, *lines = [json.loads(line) for line in options.log.read_text(encoding="utf-8").splitlines()]
+            head, *lines = [
+                json.loads(line) for line in options.log.read_text(encoding="utf-8").splitlines()
+            ]
             if head == self.head:
                 self.known = {(line["kind"], line["name"]): line for line in lines}
         if options.log:
             options.log.parent.mkdir(parents=True, exist_ok=True)
             kept = [self.head, *self.known.values()]
-            options.log.write_text("".join(f"{json.dumps(line)}\n" for line in kept), encoding="utf-8")
+            options.log.write_text(
+                "".join(f"{json.dumps(line)}\n" for line in kept),
+                encoding="utf-8",
+            )
 
     def run(self, name: str, kind: Kind) -> None:
         """Run one kind."""
@@ -83,7 +111,9 @@ class Campaign:
         chosen = list(enumerate(cases))
         count = math.ceil(self.options.share * min(count, len(cases)))
         if count < len(cases):
-            picked = stream(self.options.seed, f"campaign.{name}.drawn").permutation(len(cases))[:count]
+            picked = stream(self.options.seed, f"campaign.{name}.drawn").permutation(len(cases))[
+                :count
+            ]
             chosen = [(int(index), cases[index]) for index in sorted(picked)]
         row = self.rows[name] = Row()
         if self.options.list:
@@ -119,7 +149,9 @@ class Campaign:
         print(f"{'kind':16s} {'cases':>6s} {'forbidden':>10s} {'took':>8s}  outcomes")
         for name, row in self.rows.items():
             seen = ", ".join(f"{text} {n}" for text, n in row.outcomes.most_common(8))
-            print(f"{name:16s} {row.cases:6d} {len(row.forbidden):10d} {row.seconds:6.0f} s  {seen}")
+            print(
+                f"{name:16s} {row.cases:6d} {len(row.forbidden):10d} {row.seconds:6.0f} s  {seen}",
+            )
         cases = sum(row.cases for row in self.rows.values())
         forbidden = sum(len(row.forbidden) for row in self.rows.values())
         seconds = sum(row.seconds for row in self.rows.values())
@@ -131,7 +163,8 @@ class Row:
     """Sums of one kind."""
 
     def __init__(self) -> None:
-        self.cases, self.seconds = 0, 0.0
+        self.cases = 0
+        self.seconds = 0.0
         self.forbidden: list[str] = []
         self.outcomes: Counter[str] = Counter()
 
@@ -145,7 +178,12 @@ class Row:
 def _fresh(source: Path) -> list[str]:
     """Return the stages of a run that do not pass and are fresh under this code."""
     with tempfile.TemporaryDirectory() as folder:
-        ran = command(Place(Path(folder), source, stream(0, "campaign.warm")), "status", "--json", *_selecting(source))
+        ran = command(
+            Place(Path(folder), source, stream(0, "campaign.warm")),
+            "status",
+            "--json",
+            *_selecting(source),
+        )
     return [row["name"] for row in ran.document()["stages"] if row["state"] != "pass"]
 
 

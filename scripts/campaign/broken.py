@@ -32,7 +32,11 @@ def broken_cases(source: Path) -> Iterator[Case]:
     ):
         for what, change in breaks.items():
             for number in range(_DRAWS if what.endswith(_DRAWN) else 1):
-                yield Case(f"{kind} {what} {number}", partial(broken, kind, name, change), limit_s=40.0)
+                yield Case(
+                    f"{kind} {what} {number}",
+                    partial(broken, kind, name, change),
+                    limit_s=40.0,
+                )
 
 
 def broken(kind: str, name: str, change: Break, place: Place, result: Result) -> None:

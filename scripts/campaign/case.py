@@ -31,7 +31,10 @@ _MEMORY_BYTES = 8 << 30
 _PR_SET_PDEATHSIG = 1
 WAIT = 4.0
 """Other work on the machine may slow a case down by so much."""
-_TRACEBACK = re.compile(r"Traceback \(most recent call last\)|^\s+File \".*\", line \d+", re.MULTILINE)
+_TRACEBACK = re.compile(
+    r"Traceback \(most recent call last\)|^\s+File \".*\", line \d+",
+    re.MULTILINE,
+)
 
 
 @dataclass
@@ -73,7 +76,9 @@ class Place:
         runs = self.folder / "runs"
         if not runs.exists():
             shutil.copytree(self.source, runs / "smoke", copy_function=os.link, symlinks=True)
-            (runs / "smoke" / ".lock").unlink(missing_ok=True)  # a linked lock would be shared by all cases
+            (runs / "smoke" / ".lock").unlink(
+                missing_ok=True,
+            )  # a linked lock would be shared by all cases
         return runs
 
     def options(self) -> tuple[str, ...]:
@@ -130,7 +135,10 @@ def judge(result: Result, what: str, ran: Ran, allowed: Iterable[int]) -> bool:
     before = len(result.forbidden)
     last = (ran.err.strip().splitlines() or [""])[-1][:160]
     if ran.code == ExitCode.INTERNAL:
-        where = next((line for line in ran.err.splitlines() if "error:" in line or "crashed" in line), last)
+        where = next(
+            (line for line in ran.err.splitlines() if "error:" in line or "crashed" in line),
+            last,
+        )
         result.forbidden.append(f"{what}: exit 70: {where[:200]}")
     elif ran.code not in (*allowed,):
         result.forbidden.append(f"{what}: exit {ran.code} is not one of {sorted(allowed)}: {last}")
@@ -140,15 +148,25 @@ def judge(result: Result, what: str, ran: Ran, allowed: Iterable[int]) -> bool:
 
 
 def run_cases(
-    cases: Sequence[tuple[int, Case]], source: Path, seed: int, kind: str, workers: int, done: Callable
+    cases: Sequence[tuple[int, Case]],
+    source: Path,
+    seed: int,
+    kind: str,
+    workers: int,
+    done: Callable,
 ) -> None:
     """Run each (index, case) in a child process; `done(index, case, result, seconds)` is called as they end."""
-    waiting, running = list(reversed(cases)), dict[int, _Child]()
+    waiting = list(reversed(cases))
+    running = dict[int, _Child]()
     try:
         while waiting or running:
             while waiting and len(running) < workers:
                 index, case = waiting.pop()
-                child = _Child(index, case, Place(_folder(), source, stream(seed, f"campaign.{kind}", index)))
+                child = _Child(
+                    index,
+                    case,
+                    Place(_folder(), source, stream(seed, f"campaign.{kind}", index)),
+                )
                 running[child.pipe] = child
             first = min(child.deadline for child in running.values())
             ready, _, _ = select.select(list(running), [], [], max(0.0, first - time.monotonic()))
@@ -156,7 +174,9 @@ def run_cases(
                 if running[pipe].read():
                     child = running.pop(pipe)
                     done(child.index, child.case, child.result(hang=False), child.seconds())
-            for pipe in [pipe for pipe, child in running.items() if child.deadline <= time.monotonic()]:
+            for pipe in [
+                pipe for pipe, child in running.items() if child.deadline <= time.monotonic()
+            ]:
                 child = running.pop(pipe)
                 done(child.index, child.case, child.result(hang=True), child.seconds())
     finally:
@@ -172,8 +192,11 @@ class _Child:
     """A forked process that runs one case and writes its result into a pipe."""
 
     def __init__(self, index: int, case: Case, place: Place) -> None:
-        self.index, self.case, self.folder = index, case, place.folder
-        self._began, self._text = time.monotonic(), b""
+        self.index = index
+        self.case = case
+        self.folder = place.folder
+        self._began = time.monotonic()
+        self._text = b""
         self.deadline = self._began + WAIT * case.limit_s
         self.pipe, theirs = os.pipe()
         self.pid = os.fork()
@@ -211,14 +234,25 @@ class _Child:
 
 def _innermost(path: Path) -> str:
     """Return where a process hung, of what faulthandler wrote."""
-    lines = [line.strip() for line in path.read_text().splitlines() if "File " in line] if path.is_file() else []
-    return f", {lines[0]}, from {'; '.join(line for line in lines[1:] if 'minidual' in line)[:300]}" if lines else ""
+    lines = (
+        [line.strip() for line in path.read_text().splitlines() if "File " in line]
+        if path.is_file()
+        else []
+    )
+    return (
+        f", {lines[0]}, from {'; '.join(line for line in lines[1:] if 'minidual' in line)[:300]}"
+        if lines
+        else ""
+    )
 
 
 def _live(case: Case, place: Place, pipe: int) -> None:
     """Run the case in the forked child and leave it."""
     os.setpgid(0, 0)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a campaign that is killed leaves nothing behind
+    ctypes.CDLL(None).prctl(
+        _PR_SET_PDEATHSIG,
+        signal.SIGKILL,
+    )  # a campaign that is killed leaves nothing behind
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     spent = resource.getrusage(resource.RUSAGE_SELF)
     limit = int(spent.ru_utime + spent.ru_stime + case.limit_s) + 1
@@ -230,7 +264,10 @@ def _live(case: Case, place: Place, pipe: int) -> None:
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     result = Result()
-    faulthandler.dump_traceback_later(0.9 * WAIT * case.limit_s, file=(place.folder / ".hang").open("w"))
+    faulthandler.dump_traceback_later(
+        0.9 * WAIT * case.limit_s,
+        file=(place.folder / ".hang").open("w"),
+    )
     try:
         case.body(place, result)
     except BaseException as error:

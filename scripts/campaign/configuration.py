@@ -67,7 +67,9 @@ def _overrides(path: str, place: Place, result: Result) -> None:
             if divisor or value == "1e300":
                 result.forbidden.append(f"a silent pass: {path}={value} is taken")
     if path.rsplit("_", 1)[-1] in ("share", "fraction") or "rate_min" in path:
-        result.forbidden += [f"a silent pass: {path}={value}, of a rate" for value in ("-1", "2") if value in taken]
+        result.forbidden += [
+            f"a silent pass: {path}={value}, of a rate" for value in ("-1", "2") if value in taken
+        ]
 
 
 def _value(loaded: LoadedConfig, path: str) -> Any:
@@ -116,7 +118,13 @@ def _check_taken(what: str, loaded: LoadedConfig, place: Place, result: Result) 
 def _numbers(value: Any) -> Iterator[float]:
     if isinstance(value, float | int):
         yield value
-    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
+    for inner in (
+        value.values()
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, list | tuple)
+        else ()
+    ):
         yield from _numbers(inner)
 
 
@@ -164,7 +172,9 @@ HOSTILE_FILES: dict[str, Callable[[Path], object]] = {
     "null": _text("null"),
     "two documents": _text("seed: 1\n---\nseed: 2\n"),
     "tabs": _text("plan:\n\tqueries_n: 3\n"),
-    "Python object": _text("seed: !!python/object/apply:os.system ['touch /tmp/campaign-was-here']\n"),
+    "Python object": _text(
+        "seed: !!python/object/apply:os.system ['touch /tmp/campaign-was-here']\n",
+    ),
     "number as key": _text("plan: {1: 2}\n1: 3\n"),
     "null as key": _text("~: 1\n? [a, b]\n: 2\n"),
     "date": _text("seed: 2020-01-01\nplan: {queries_n: 12:30:45}\n"),
@@ -198,7 +208,10 @@ def _hostile(name: str, words: tuple[str, ...], place: Place, result: Result) ->
     judge(result, " ".join(words), ran, [ExitCode.PASS, ExitCode.USAGE])
     if time.monotonic() - began > 4.0:
         result.forbidden.append(f"{name}: took {time.monotonic() - began:.1f} s")
-    if any(ord(sign) < 32 and sign not in "\n\t" for sign in ran.out + ran.err) or "\u202e" in ran.out + ran.err:
+    if (
+        any(ord(sign) < 32 and sign not in "\n\t" for sign in ran.out + ran.err)
+        or "\u202e" in ran.out + ran.err
+    ):
         result.forbidden.append("an escape sequence of the file reaches the terminal")
     if Path("/tmp/campaign-was-here").exists():
         result.forbidden.append("the file ran a program")
@@ -210,13 +223,20 @@ def _hostile(name: str, words: tuple[str, ...], place: Place, result: Result) ->
 def _broken(place: Place, result: Result) -> None:
     """Change bytes of a shipped profile."""
     rng = place.rng
-    content = bytearray((SHIPPED_FOLDER / str(rng.choice(["standard.yaml", "smoke.yaml", "gpu.yaml"]))).read_bytes())
+    content = bytearray(
+        (
+            SHIPPED_FOLDER / str(rng.choice(["standard.yaml", "smoke.yaml", "gpu.yaml"]))
+        ).read_bytes(),
+    )
     for _ in range(int(rng.integers(1, 8))):
-        at, kind = int(rng.integers(len(content))), int(rng.integers(4))
+        at = int(rng.integers(len(content)))
+        kind = int(rng.integers(4))
         if kind == 0:
             content[at] ^= 1 << int(rng.integers(8))
         elif kind == 1:
-            content[at:at] = bytes(rng.choice(list(b"{}[]:&*!|>'\"%@`#,-? \n\t0e."), size=3).tolist())
+            content[at:at] = bytes(
+                rng.choice(list(b"{}[]:&*!|>'\"%@`#,-? \n\t0e."), size=3).tolist(),
+            )
         elif kind == 2:
             del content[at : at + int(rng.integers(1, 30))]
         else:

@@ -42,7 +42,12 @@ def _full(name: str, room: int, place: Place, result: Result) -> None:
         return shlex.join([sys.executable, "-m", "minidual.cli", *words, *selecting])
 
     stage = typed(name, "--force", "--yes", *STAGES_S[name][1])
-    script = _SCRIPT.format(runs=shlex.quote(str(place.runs)), room=room, stage=stage, status=typed("status", "--json"))
+    script = _SCRIPT.format(
+        runs=shlex.quote(str(place.runs)),
+        room=room,
+        stage=stage,
+        status=typed("status", "--json"),
+    )
     with (place.folder / ".stdout").open("wb") as out, (place.folder / ".stderr").open("wb") as err:
         process = subprocess.Popen(
             ["unshare", "--map-root-user", "--mount", "bash", "-c", script],
@@ -65,6 +70,11 @@ def _full(name: str, room: int, place: Place, result: Result) -> None:
     enough = () if room == 0 else (ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED)
     judge(result, name, said(place, code), [ExitCode.ENVIRONMENT, *enough])
     result.saw(f"exit {code}")
-    rows = {row["name"]: row for row in json.loads((place.folder / "status.json").read_bytes())["stages"]}
+    rows = {
+        row["name"]: row
+        for row in json.loads((place.folder / "status.json").read_bytes())["stages"]
+    }
     if code == ExitCode.ENVIRONMENT and rows[name]["state"] != "pass":
-        result.forbidden.append(f"a lost finished result: {name} is {rows[name]['state']} {rows[name]['reasons']}")
+        result.forbidden.append(
+            f"a lost finished result: {name} is {rows[name]['state']} {rows[name]['reasons']}",
+        )

@@ -64,7 +64,10 @@ ARRAY_CHANGES: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def _one(array: np.ndarray, value: float, rng: np.random.Generator) -> np.ndarray:
-    changed = np.array(array, dtype=float if array.dtype != np.int64 or not np.isfinite(value) else None)
+    changed = np.array(
+        array,
+        dtype=float if array.dtype != np.int64 or not np.isfinite(value) else None,
+    )
     if changed.size:
         with np.errstate(all="ignore"):
             changed.flat[int(rng.integers(changed.size))] = (
@@ -92,7 +95,13 @@ def warm_scenes(place: Place) -> None:
 
 def warm_readers(place: Place) -> None:
     """Import what the readers need; nothing is read here, since that would start threads."""
-    for name in ("demos.episode", "demos.lerobot_reader", "policies.act", "policies.demonstrations", "policies.kinds"):
+    for name in (
+        "demos.episode",
+        "demos.lerobot_reader",
+        "policies.act",
+        "policies.demonstrations",
+        "policies.kinds",
+    ):
         importlib.import_module(f"minidual.{name}")
 
 
@@ -106,10 +115,18 @@ def recording_cases(source: Path) -> Iterator[Case]:
     header = json.loads(arrays["header"].tobytes())
     for path in _paths(header):
         for change in HEADER_CHANGES:
-            yield Case(f"header {'.'.join(path)} {change}", partial(_header, path, change), limit_s=25.0)
+            yield Case(
+                f"header {'.'.join(path)} {change}",
+                partial(_header, path, change),
+                limit_s=25.0,
+            )
     for change in BYTES:
         for number in range(6):
-            yield Case(f"bytes {change.__name__} {number}", partial(_recording_bytes, change), limit_s=25.0)
+            yield Case(
+                f"bytes {change.__name__} {number}",
+                partial(_recording_bytes, change),
+                limit_s=25.0,
+            )
     for name in ("pickle", "bomb", "sparse", "empty zip", "wrong suffix"):
         yield Case(f"file {name}", partial(_recording_file, name), limit_s=25.0)
 
@@ -145,7 +162,11 @@ def _array(name: str, change: str, place: Place, result: Result) -> None:
     before = arrays.pop(name)
     if change:
         arrays[name] = after = ARRAY_CHANGES[change](before, place.rng)
-        same = after.shape == before.shape and after.dtype.kind in "fi" and np.array_equal(after, before)
+        same = (
+            after.shape == before.shape
+            and after.dtype.kind in "fi"
+            and np.array_equal(after, before)
+        )
     else:
         same = False
     path = place.folder / "case.npz"
@@ -166,8 +187,19 @@ def _header(where: tuple[str, ...], change: str, place: Place, result: Result) -
     path = place.folder / "case.npz"
     np.savez(path, **arrays)
     _replay(place, path, result, changed="")
-    ran = command(place, "replay", str(path), "--to-s", "0.05", "--runs-dir", str(place.folder / "none"))
-    if any(ord(sign) < 32 and sign not in "\n\t" for sign in ran.out + ran.err) or "\u202e" in ran.out + ran.err:
+    ran = command(
+        place,
+        "replay",
+        str(path),
+        "--to-s",
+        "0.05",
+        "--runs-dir",
+        str(place.folder / "none"),
+    )
+    if (
+        any(ord(sign) < 32 and sign not in "\n\t" for sign in ran.out + ran.err)
+        or "\u202e" in ran.out + ran.err
+    ):
         result.forbidden.append("an escape sequence of the file reaches the terminal")
 
 
@@ -185,9 +217,15 @@ def _recording_file(name: str, place: Place, result: Result) -> None:
         arrays["controls"] = np.array([{"a": 1}], dtype=object)
         np.savez(path, **arrays)
     elif name == "bomb":
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("controls.npy", "w") as stream:
+        with (
+            zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+            archive.open("controls.npy", "w") as stream,
+        ):
             shape = (1 << 40, 16)
-            np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
+            np.lib.format.write_array_header_1_0(
+                stream,
+                {"descr": "<f8", "fortran_order": False, "shape": shape},
+            )
             stream.write(bytes(1 << 20))
     elif name == "sparse":
         with path.open("wb") as stream:
@@ -201,17 +239,40 @@ def _recording_file(name: str, place: Place, result: Result) -> None:
 
 # ---- scenes and goals ------------------------------------------------------------------------------------------------
 
-STRANGE = (None, [], {}, -1, 0, 1e-300, 1e300, float("nan"), float("inf"), "text", True, [[]], [1] * 5000, "x" * 9000)
+STRANGE = (
+    None,
+    [],
+    {},
+    -1,
+    0,
+    1e-300,
+    1e300,
+    float("nan"),
+    float("inf"),
+    "text",
+    True,
+    [[]],
+    [1] * 5000,
+    "x" * 9000,
+)
 
 
 def scene_cases(source: Path) -> Iterator[Case]:
     """Scene and goal files with values replaced, and their bytes broken."""
-    for name, words in (("bench-scene", "--acm --scene {}"), ("beside-post", "--to {}"), ("straight-down", "--to {}")):
+    for name, words in (
+        ("bench-scene", "--acm --scene {}"),
+        ("beside-post", "--to {}"),
+        ("straight-down", "--to {}"),
+    ):
         tree = yaml.safe_load((ROOT / "examples" / f"{name}.yaml").read_text(encoding="utf-8"))
         for path in _places(tree):
             for number in range(len(STRANGE)):
                 text = ".".join(map(str, path))
-                yield Case(f"{name} {text} {number}", partial(_scene_value, name, words, path, number), limit_s=30.0)
+                yield Case(
+                    f"{name} {text} {number}",
+                    partial(_scene_value, name, words, path, number),
+                    limit_s=30.0,
+                )
         for change in BYTES:
             for number in range(4):
                 case = partial(_scene_bytes, name, words, change)
@@ -221,7 +282,13 @@ def scene_cases(source: Path) -> Iterator[Case]:
 def _places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     if path:
         yield path
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    items = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, inner in items:
         yield from _places(inner, (*path, key))
 
@@ -234,7 +301,9 @@ def _plan(words: str, path: Path, place: Place, result: Result) -> None:
     judge(result, "plan", ran, [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED, *REFUSED])
     if any(ord(sign) < 32 and sign not in "\n\t" for sign in ran.err):
         result.forbidden.append("an escape sequence of the file reaches the terminal")
-    if ran.code == ExitCode.PASS and not all(np.isfinite(number) for number in _numbers(json.loads(ran.out))):
+    if ran.code == ExitCode.PASS and not all(
+        np.isfinite(number) for number in _numbers(json.loads(ran.out))
+    ):
         result.forbidden.append("a silent pass: a number of the plan is not finite")
     result.saw("taken" if ran.code == 0 else "no plan" if ran.code == 1 else "refused")
 
@@ -242,7 +311,9 @@ def _plan(words: str, path: Path, place: Place, result: Result) -> None:
 def _numbers(value: Any) -> Iterator[float]:
     if isinstance(value, float | int):
         yield value
-    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+    for inner in (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    ):
         yield from _numbers(inner)
 
 
@@ -253,7 +324,14 @@ def _copied_scene(name: str, place: Place) -> Path:
     return place.folder / f"{name}.yaml"
 
 
-def _scene_value(name: str, words: str, where: tuple[Any, ...], number: int, place: Place, result: Result) -> None:
+def _scene_value(
+    name: str,
+    words: str,
+    where: tuple[Any, ...],
+    number: int,
+    place: Place,
+    result: Result,
+) -> None:
     path = _copied_scene(name, place)
     tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     inner = tree
@@ -264,7 +342,13 @@ def _scene_value(name: str, words: str, where: tuple[Any, ...], number: int, pla
     _plan(words, path, place, result)
 
 
-def _scene_bytes(name: str, words: str, change: Callable[..., None], place: Place, result: Result) -> None:
+def _scene_bytes(
+    name: str,
+    words: str,
+    change: Callable[..., None],
+    place: Place,
+    result: Result,
+) -> None:
     path = _copied_scene(name, place)
     change(path, place.rng)
     _plan(words, path, place, result)
@@ -275,26 +359,45 @@ def _scene_bytes(name: str, words: str, change: Callable[..., None], place: Plac
 
 def library_cases(source: Path) -> Iterator[Case]:
     """Files of a recording, of its dataset and of a checkpoint broken byte by byte, read by what reads them."""
-    episodes = [f"teleop-record/episodes/{path.name}" for path in sorted((source / "teleop-record/episodes").iterdir())]
+    episodes = [
+        f"teleop-record/episodes/{path.name}"
+        for path in sorted((source / "teleop-record/episodes").iterdir())
+    ]
     dataset = _files(source, "teleop-record/lerobot")
     checkpoint = _files(source, "train-act/checkpoint")
-    for kind, names in (("episode", episodes[:1]), ("dataset", dataset), ("checkpoint", checkpoint)):
+    for kind, names in (
+        ("episode", episodes[:1]),
+        ("dataset", dataset),
+        ("checkpoint", checkpoint),
+    ):
         for name in names:
             for change in BYTES:
                 for number in range(12 if kind == "episode" else 2):
                     case = partial(_read, kind, name, change)
-                    yield Case(f"{kind} {Path(name).name} {change.__name__} {number}", case, limit_s=40.0)
+                    yield Case(
+                        f"{kind} {Path(name).name} {change.__name__} {number}",
+                        case,
+                        limit_s=40.0,
+                    )
             if name.endswith(".json"):
                 record = json.loads((source / name).read_bytes())
                 for path in list(_places(record))[:60]:
                     for strange in (None, -1, "\x1b[2J", [], {}, 1e300):
                         text = ".".join(map(str, path))
                         case = partial(_json_value, kind, name, path, strange)
-                        yield Case(f"{kind} {Path(name).name} {text} {strange!r}", case, limit_s=40.0)
+                        yield Case(
+                            f"{kind} {Path(name).name} {text} {strange!r}",
+                            case,
+                            limit_s=40.0,
+                        )
 
     for file in ("policy_preprocessor.json", "policy_postprocessor.json"):
         for number in range(len(PROGRAMS)):
-            yield Case(f"checkpoint {file} program {number}", partial(_program, file, number), limit_s=40.0)
+            yield Case(
+                f"checkpoint {file} program {number}",
+                partial(_program, file, number),
+                limit_s=40.0,
+            )
     yield Case("checkpoint weights as pickle", _pickled, limit_s=40.0)
 
 
@@ -302,7 +405,11 @@ PROGRAMS: tuple[dict[str, Any], ...] = (
     {"class": "os.system", "config": {"command": "touch {}"}},
     {"class": "subprocess.Popen", "config": {"args": ["touch", "{}"]}},
     {"class": "builtins.exec", "config": {"source": "open('{}', 'w')"}},
-    {"registry_name": "rename_observations_processor", "class": "os.system", "config": {"command": "touch {}"}},
+    {
+        "registry_name": "rename_observations_processor",
+        "class": "os.system",
+        "config": {"command": "touch {}"},
+    },
     {"registry_name": "os.system", "config": {"command": "touch {}"}},
 )
 """Steps of a processor that would make a file."""
@@ -339,7 +446,9 @@ def _pickled(place: Place, result: Result) -> None:
 
 
 def _files(source: Path, name: str) -> list[str]:
-    return sorted(p.relative_to(source).as_posix() for p in (source / name).rglob("*") if p.is_file())
+    return sorted(
+        p.relative_to(source).as_posix() for p in (source / name).rglob("*") if p.is_file()
+    )
 
 
 def _read(kind: str, name: str, change: Callable[..., None], place: Place, result: Result) -> None:
@@ -347,7 +456,14 @@ def _read(kind: str, name: str, change: Callable[..., None], place: Place, resul
     look(kind, name, place, result)
 
 
-def _json_value(kind: str, name: str, where: tuple[Any, ...], strange: Any, place: Place, result: Result) -> None:
+def _json_value(
+    kind: str,
+    name: str,
+    where: tuple[Any, ...],
+    strange: Any,
+    place: Place,
+    result: Result,
+) -> None:
     path = place.runs / "smoke" / name
     record = json.loads(path.read_bytes())
     inner = record
@@ -380,7 +496,10 @@ def look(kind: str, name: str, place: Place, result: Result) -> None:
 
             policy = load_policy(run / "train-act" / "checkpoint", threads=1)
             rng = stream(0, "campaign.pictures")
-            images = {camera: rng.integers(0, 255, (*size, 3), np.uint8) for camera, size in policy.cameras.items()}
+            images = {
+                camera: rng.integers(0, 255, (*size, 3), np.uint8)
+                for camera, size in policy.cameras.items()
+            }
             chunk = policy.predict(images, np.zeros(policy.dim, np.float32))
             if not np.isfinite(chunk).all():
                 result.forbidden.append("a silent pass: an action is not finite")
@@ -396,7 +515,15 @@ def look(kind: str, name: str, place: Place, result: Result) -> None:
 
 def cache_cases(source: Path) -> Iterator[Case]:
     """The cache of allowed collisions with rows added, broken bytes and strange files."""
-    for name in ("rows added", "rows removed", "rows edited", "empty", "not JSON", "other robot", "digest of old"):
+    for name in (
+        "rows added",
+        "rows removed",
+        "rows edited",
+        "empty",
+        "not JSON",
+        "other robot",
+        "digest of old",
+    ):
         yield Case(name, partial(_cache, name), limit_s=40.0)
     for change in BYTES:
         for number in range(3):
@@ -411,7 +538,9 @@ def warm_caches(place: Place) -> None:
     """Build the cache once."""
     os.environ["MINIDUAL_CACHE"] = str(place.folder / "cache")
     _PAIRS.update(_allowed(place))
-    _BUILT.update({path.name: path.read_bytes() for path in (place.folder / "cache").glob("acm-*.json")})
+    _BUILT.update(
+        {path.name: path.read_bytes() for path in (place.folder / "cache").glob("acm-*.json")},
+    )
 
 
 def _cached(place: Place) -> tuple[Path, set[tuple[str, str]]]:
@@ -430,7 +559,11 @@ def _allowed(place: Place, result: Result | None = None) -> set[tuple[str, str]]
     ran = command(place, "plan", "--acm", "--json", "--runs-dir", str(place.folder / "none"))
     if result is not None:
         judge(result, "plan --acm", ran, [ExitCode.PASS])
-    return {(row["first"], row["second"]) for row in ran.document()["allowed"]} if ran.code == 0 else set()
+    return (
+        {(row["first"], row["second"]) for row in ran.document()["allowed"]}
+        if ran.code == 0
+        else set()
+    )
 
 
 def _cache(name: str, place: Place, result: Result) -> None:

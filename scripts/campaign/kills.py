@@ -16,7 +16,16 @@ from minidual.gate.store import RunStore
 from scripts.campaign.case import Case, Place, Result, command, judge
 from scripts.campaign.processes import ended, orphans, start
 
-_EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.truncate", "shutil.rmtree"}
+_EVENTS = {
+    "open",
+    "os.rename",
+    "os.remove",
+    "os.mkdir",
+    "os.rmdir",
+    "os.link",
+    "os.truncate",
+    "shutil.rmtree",
+}
 _FILES = 6
 STEPS = 110
 """Steps of publishing at which a process is killed; past the last one it ends by itself."""
@@ -31,9 +40,15 @@ def publish_cases(source: Path) -> Iterator[Case]:
     """A toy stage killed before its n-th access to a file, and at random instants."""
     for again in (False, True):
         for step in range(1, STEPS):
-            yield Case(f"{'replace' if again else 'first'} step {step}", partial(_publish, again, step))
+            yield Case(
+                f"{'replace' if again else 'first'} step {step}",
+                partial(_publish, again, step),
+            )
         for number in range(25):
-            yield Case(f"{'replace' if again else 'first'} random {number}", partial(_publish, again, None))
+            yield Case(
+                f"{'replace' if again else 'first'} random {number}",
+                partial(_publish, again, None),
+            )
     for step in range(1, 400, 4):
         yield Case(f"recording step {step}", partial(_recording, step))
 
@@ -81,7 +96,11 @@ def _publish(again: bool, step: int | None, place: Place, result: Result) -> Non
     if again:
         bench.runner().run("first")
         round_of[0] = 1
-    finished = _dies(lambda: bench.runner().run("first", force=True), step, float(place.rng.uniform(0.0, 0.03)))
+    finished = _dies(
+        lambda: bench.runner().run("first", force=True),
+        step,
+        float(place.rng.uniform(0.0, 0.03)),
+    )
     result.saw("ended before" if finished else "killed")
     state = Bench(place.folder / "runs").gate().state("first")
     if state.state == "pass" and not _whole(bench.store):
@@ -122,7 +141,9 @@ def _recording(step: int, place: Place, result: Result) -> None:
     if not kept.items() <= now.items():
         result.forbidden.append("a lost finished episode")
     if [attempt.trial.index for attempt in recorded.kept] != [0, 2, 3]:
-        result.forbidden.append(f"other episodes than without the kill: {[a.trial.index for a in recorded.kept]}")
+        result.forbidden.append(
+            f"other episodes than without the kill: {[a.trial.index for a in recorded.kept]}",
+        )
     if left := [path.name for path in task.folder.rglob("*.partial")]:
         result.forbidden.append(f"left behind: {', '.join(left)}")
 
@@ -132,7 +153,10 @@ STAGES_S = {
     "env-check": (11.0, ()),
     "plan": (14.0, ("--queries", "2")),
     "teleop-record": (20.0, ("--episodes", "2")),
-    "train-act": (20.0, ("--set", "train.threads=1")),  # two at once on two cores: more threads wait for each other
+    "train-act": (
+        20.0,
+        ("--set", "train.threads=1"),
+    ),  # two at once on two cores: more threads wait for each other
     "deploy": (20.0, ("--trials", "2")),
 }
 """Stages that are killed: how long they take at most [s] and their options."""
@@ -140,7 +164,13 @@ STAGES_S = {
 
 def stage_cases(source: Path) -> Iterator[Case]:
     """A real stage replaces its result and is killed at a random instant."""
-    for name, times in (("report", 30), ("env-check", 14), ("plan", 10), ("teleop-record", 8), ("train-act", 5)):
+    for name, times in (
+        ("report", 30),
+        ("env-check", 14),
+        ("plan", 10),
+        ("teleop-record", 8),
+        ("train-act", 5),
+    ):
         for number in range(times):
             yield Case(f"{name} {number}", partial(_stage, name), limit_s=90.0)
     for number in range(5):
@@ -163,10 +193,17 @@ def _stage(name: str, place: Place, result: Result) -> None:
     rows = {row["name"]: row for row in ran.document()["stages"]}
     # The options differ from those of the smoke run, so a finished replacement makes the stages above it stale.
     if rows[name]["state"] not in ("pass", "fail"):
-        result.forbidden.append(f"a lost finished result: {name} is {rows[name]['state']} {rows[name]['reasons']}")
+        result.forbidden.append(
+            f"a lost finished result: {name} is {rows[name]['state']} {rows[name]['reasons']}",
+        )
     result.saw(f"then {rows[name]['state']}")
     if name == "report" and place.rng.random() < 0.5:
         again = command(place, name, "--force", *place.options())
-        judge(result, "typed again", again, [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED])  # 1: results of other code
+        judge(
+            result,
+            "typed again",
+            again,
+            [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED],
+        )  # 1: results of other code
         if (place.runs / "smoke" / f".{name}.tmp").exists():
             result.forbidden.append("the command typed again leaves a temporary folder")

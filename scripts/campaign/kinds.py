@@ -39,19 +39,48 @@ class Kind:
 KINDS = {
     "links": Kind("scripts.campaign.links:link_cases", 10, warm="scripts.campaign.links:warm"),
     "recordings": Kind(
-        "scripts.campaign.files:recording_cases", 15, 600, warm="scripts.campaign.files:warm_recordings"
+        "scripts.campaign.files:recording_cases",
+        15,
+        600,
+        warm="scripts.campaign.files:warm_recordings",
     ),
-    "scenes": Kind("scripts.campaign.files:scene_cases", 15, 300, warm="scripts.campaign.files:warm_scenes"),
-    "readers": Kind("scripts.campaign.files:library_cases", 10, 300, warm="scripts.campaign.files:warm_readers"),
-    "broken-files": Kind("scripts.campaign.broken:broken_cases", 6, warm="scripts.campaign.files:warm_readers"),
-    "caches": Kind("scripts.campaign.files:cache_cases", 2, warm="scripts.campaign.files:warm_caches"),
-    "publish-kills": Kind("scripts.campaign.kills:publish_cases", 25, warm="scripts.campaign.kills:warm"),
+    "scenes": Kind(
+        "scripts.campaign.files:scene_cases",
+        15,
+        300,
+        warm="scripts.campaign.files:warm_scenes",
+    ),
+    "readers": Kind(
+        "scripts.campaign.files:library_cases",
+        10,
+        300,
+        warm="scripts.campaign.files:warm_readers",
+    ),
+    "broken-files": Kind(
+        "scripts.campaign.broken:broken_cases",
+        6,
+        warm="scripts.campaign.files:warm_readers",
+    ),
+    "caches": Kind(
+        "scripts.campaign.files:cache_cases",
+        2,
+        warm="scripts.campaign.files:warm_caches",
+    ),
+    "publish-kills": Kind(
+        "scripts.campaign.kills:publish_cases",
+        25,
+        warm="scripts.campaign.kills:warm",
+    ),
     "stage-kills": Kind("scripts.campaign.kills:stage_cases", 3),
     "full-disks": Kind("scripts.campaign.disks:disk_cases", 1),
     "signals": Kind("scripts.campaign.processes:signal_cases", 4),
     "streams": Kind("scripts.campaign.processes:stream_cases", 4, 120),
     "configuration": Kind("scripts.campaign.configuration:override_cases", 17),
     "profiles": Kind("scripts.campaign.configuration:profile_cases", 60),
-    "tampering": Kind("scripts.campaign.tampering:tamper_cases", 60, warm="scripts.campaign.links:warm"),
+    "tampering": Kind(
+        "scripts.campaign.tampering:tamper_cases",
+        60,
+        warm="scripts.campaign.links:warm",
+    ),
     "verdicts": Kind("scripts.campaign.tampering:verdict_cases", 10, 600),
 }

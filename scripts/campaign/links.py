@@ -92,7 +92,9 @@ def _strange(where: str, what: str, place: Place, result: Result) -> None:
     for time_ in ("first", "second"):
         ran = toys("third", "--force")
         allowed = [ExitCode.PASS, ExitCode.USAGE, ExitCode.ENVIRONMENT]
-        allowed += [ExitCode.GATE_CLOSED] if "upstream" in where or where == "old of another" else []
+        allowed += (
+            [ExitCode.GATE_CLOSED] if "upstream" in where or where == "old of another" else []
+        )
         judge(result, f"{time_} time", ran, allowed)
         codes.append(ran.code)
         if where in ("upstream", "upstream verdict") and ran.code == ExitCode.PASS:
@@ -108,7 +110,9 @@ def _strange(where: str, what: str, place: Place, result: Result) -> None:
 def _elsewhere(name: str, place: Place, result: Result) -> None:
     """Results on another disk: what is linked works as if it lay here, and the link stays."""
     run, toys = _toys(place)
-    path = {"run": run, "runs": run.parent, "stage": run / "third", "upstream": run / "second"}[name]
+    path = {"run": run, "runs": run.parent, "stage": run / "third", "upstream": run / "second"}[
+        name
+    ]
     target = place.folder / "other disk" / path.name
     target.parent.mkdir()
     path.rename(target)

@@ -39,13 +39,19 @@ def start(place: Place, words: Sequence[str], **options: Any) -> subprocess.Pope
     )
 
 
-def ended(process: subprocess.Popen[bytes], idle_s: float = 30.0, busy_s: float = 90.0) -> int | None:
+def ended(
+    process: subprocess.Popen[bytes],
+    idle_s: float = 30.0,
+    busy_s: float = 90.0,
+) -> int | None:
     """Return the exit code, or None after killing what hangs: no CPU time in `idle_s`, or more than `busy_s` of it."""
-    used_s, moved = 0.0, time.monotonic()
+    used_s = 0.0
+    moved = time.monotonic()
     while (code := process.poll()) is None:
         now_s = _cpu_s(process.pid)
         if now_s > used_s:
-            used_s, moved = now_s, time.monotonic()
+            used_s = now_s
+            moved = time.monotonic()
         if time.monotonic() - moved > idle_s or used_s > busy_s:
             process.kill()
             process.wait()
@@ -67,7 +73,8 @@ def _cpu_s(session: int) -> float:
 def said(place: Place, code: int) -> Ran:
     """Return what a process from `start` wrote."""
     texts = [
-        (place.folder / f".{name}").read_bytes().decode("utf-8", errors="replace") for name in ("stdout", "stderr")
+        (place.folder / f".{name}").read_bytes().decode("utf-8", errors="replace")
+        for name in ("stdout", "stderr")
     ]
     return Ran(code, *texts)
 
@@ -119,14 +126,22 @@ def signal_cases(source: Path) -> Iterator[Case]:
     for name in SIGNALLED:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             for time_ in range(6):
-                yield Case(f"{name} {number.name} {time_}", partial(_signalled, name, number), limit_s=60.0)
+                yield Case(
+                    f"{name} {number.name} {time_}",
+                    partial(_signalled, name, number),
+                    limit_s=60.0,
+                )
 
 
 def _signalled(name: str, number: signal.Signals, place: Place, result: Result) -> None:
     longest, words = SIGNALLED[name]
     selecting = () if words[0] in ("--help", "config") else place.options()
     process = start(place, [*words, *selecting])
-    delay = float(place.rng.uniform(0.02, longest) if place.rng.random() < 0.6 else place.rng.uniform(0.02, 0.8))
+    delay = float(
+        place.rng.uniform(0.02, longest)
+        if place.rng.random() < 0.6
+        else place.rng.uniform(0.02, 0.8),
+    )
     time.sleep(delay)
     was_running = process.poll() is None
     process.send_signal(number)
@@ -140,7 +155,9 @@ def _signalled(name: str, number: signal.Signals, place: Place, result: Result) 
         result.forbidden.append(f"a hang after {number.name} at {delay:.2f} s")
         return
     if time.monotonic() - began > 20.0:
-        result.forbidden.append(f"ends {time.monotonic() - began:.1f} s after {number.name} at {delay:.2f} s")
+        result.forbidden.append(
+            f"ends {time.monotonic() - began:.1f} s after {number.name} at {delay:.2f} s",
+        )
     ran = said(place, code)
     allowed: list[int] = [ExitCode.PASS, ExitCode.INTERRUPTED]
     if twice and "minidual: interrupted" in ran.err:
@@ -157,9 +174,15 @@ def _signalled(name: str, number: signal.Signals, place: Place, result: Result) 
         if judge(result, "status", ran, [ExitCode.PASS]):
             row = next(row for row in ran.document()["stages"] if row["name"] == words[0])
             if row["state"] not in ("pass", "fail"):
-                result.forbidden.append(f"a lost finished result: {words[0]} is {row['state']} {row['reasons']}")
+                result.forbidden.append(
+                    f"a lost finished result: {words[0]} is {row['state']} {row['reasons']}",
+                )
             warned = any("interrupted" in text for text in row["warnings"])
-            if code == ExitCode.INTERRUPTED and (place.runs / "smoke" / f".{words[0]}.tmp").exists() and not warned:
+            if (
+                code == ExitCode.INTERRUPTED
+                and (place.runs / "smoke" / f".{words[0]}.tmp").exists()
+                and not warned
+            ):
                 result.forbidden.append("an attempt was interrupted and status does not say so")
 
 
@@ -217,7 +240,11 @@ def _streams(name: str, environment: str, place: Place, result: Result) -> None:
     script = f"set -o pipefail; {ENVIRONMENTS[environment].format(line)}"
     with (place.folder / ".stdout").open("wb") as out, (place.folder / ".stderr").open("wb") as err:
         process = subprocess.Popen(
-            ["bash", "-c", script], stdout=out, stderr=err, start_new_session=True, cwd=place.folder
+            ["bash", "-c", script],
+            stdout=out,
+            stderr=err,
+            start_new_session=True,
+            cwd=place.folder,
         )
     code = ended(process)
     if code is None:
@@ -226,7 +253,14 @@ def _streams(name: str, environment: str, place: Place, result: Result) -> None:
         return
     ran = said(place, code)
     allowed = [ExitCode.USAGE] if name == "wrong" else [ExitCode.PASS]
-    if environment in ("stdout full", "both full", "few files", "no file may grow", "TMPDIR nowhere", "no environment"):
+    if environment in (
+        "stdout full",
+        "both full",
+        "few files",
+        "no file may grow",
+        "TMPDIR nowhere",
+        "no environment",
+    ):
         allowed = [ExitCode.USAGE, ExitCode.ENVIRONMENT]
     if environment in (
         "few files",

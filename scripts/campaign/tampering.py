@@ -100,7 +100,12 @@ CHANGES: tuple[Change, ...] = (
 def sealed(source: Path) -> list[str]:
     """Return the files of the stages, relative to the run."""
     stages = [source / name for name in STAGES]
-    return sorted(p.relative_to(source).as_posix() for stage in stages for p in stage.rglob("*") if p.is_file())
+    return sorted(
+        p.relative_to(source).as_posix()
+        for stage in stages
+        for p in stage.rglob("*")
+        if p.is_file()
+    )
 
 
 def tamper_cases(source: Path) -> Iterator[Case]:
@@ -114,7 +119,8 @@ def tamper_cases(source: Path) -> Iterator[Case]:
 
 
 def _tamper(name: str, change: Change, place: Place, result: Result) -> None:
-    stage, path = name.split("/")[0], place.runs / "smoke" / name
+    stage = name.split("/")[0]
+    path = place.runs / "smoke" / name
     is_verdict = path.name == "verdict.json"
     before = json.loads(path.read_bytes()) if is_verdict else None
     change(path, place.rng)
@@ -126,7 +132,9 @@ def _tamper(name: str, change: Change, place: Place, result: Result) -> None:
         return
     states = {row["name"]: row for row in ran.document()["stages"]}
     if states[stage]["state"] == "pass":
-        result.forbidden.append(f"a silent pass: status of {stage} after {change.__name__} of {name}")
+        result.forbidden.append(
+            f"a silent pass: status of {stage} after {change.__name__} of {name}",
+        )
         return
     said = " ".join(states[stage]["reasons"])
     if path.name not in said and states[stage]["state"] not in ("missing", "blocked", "incomplete"):
@@ -181,7 +189,10 @@ def verdict_cases(source: Path) -> Iterator[Case]:
         record = json.loads((source / stage / "verdict.json").read_bytes())
         for path in _fields(record):
             for kind in STRANGE:
-                yield Case(f"{stage} {'.'.join(map(str, path))} = {kind}", partial(_strange, stage, path, kind))
+                yield Case(
+                    f"{stage} {'.'.join(map(str, path))} = {kind}",
+                    partial(_strange, stage, path, kind),
+                )
     for stage in STAGES:
         for kind, text in HOSTILE_JSON.items():
             yield Case(f"{stage} {kind}", partial(_hostile, stage, text))
@@ -205,7 +216,13 @@ def _fields(record: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]
     """Yield the places of values; of a list or a large mapping only the first two."""
     if path:
         yield path
-    items = record.items() if isinstance(record, dict) else enumerate(record) if isinstance(record, list) else ()
+    items = (
+        record.items()
+        if isinstance(record, dict)
+        else enumerate(record)
+        if isinstance(record, list)
+        else ()
+    )
     chosen = list(items)
     for key, value in chosen if len(path) == 0 else chosen[:2]:
         yield from _fields(value, (*path, key))
@@ -246,11 +263,19 @@ def _judged(stage: str, place: Place, result: Result, *, forged: bool = True) ->
         return
     states = {row["name"]: row["state"] for row in ran.document()["stages"]}
     below = list(STAGES)[list(STAGES).index(stage) + 1 :]
-    if states[stage] == "pass" and any(states[name] == "pass" for name in below if stage in STAGES.upstream(name)):
-        result.forbidden.append(f"a silent pass: the changed verdict of {stage} is believed downstream")
+    if states[stage] == "pass" and any(
+        states[name] == "pass" for name in below if stage in STAGES.upstream(name)
+    ):
+        result.forbidden.append(
+            f"a silent pass: the changed verdict of {stage} is believed downstream",
+        )
     if states[stage] == "pass" and not forged:
         result.forbidden.append(f"a silent pass: status of {stage}")
-    result.saw("forged with its digest, passes alone" if states[stage] == "pass" else f"named: {states[stage]}")
+    result.saw(
+        "forged with its digest, passes alone"
+        if states[stage] == "pass"
+        else f"named: {states[stage]}",
+    )
     judge(result, "explain", command(place, "explain", stage, *place.options()), [ExitCode.PASS])
     text = command(place, "status", *place.options())
     judge(result, "status as text", text, [ExitCode.PASS])

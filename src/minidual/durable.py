@@ -17,7 +17,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from minidual.errors import DataError, EnvironmentMissingError, MinidualError, NothingEvaluatedError, UsageError
+from minidual.errors import (
+    DataError,
+    EnvironmentMissingError,
+    MinidualError,
+    NothingEvaluatedError,
+    UsageError,
+)
 
 JSON_BYTES_MAX = 2**24
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -56,7 +62,8 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]], *, missing: str 
     """
     if not rows:
         raise NothingEvaluatedError(f"no rows for {path}: nothing was evaluated")
-    text, names = io.StringIO(), list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, fieldnames=names, restval=missing, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
@@ -133,25 +140,33 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        refused = UsageError(f"cannot make the folder {path}: {error}", remedy="choose another folder")
+        refused = UsageError(
+            f"cannot make the folder {path}: {error}",
+            remedy="choose another folder",
+        )
         raise disk_error(error, path) or refused from error
 
 
 def unwritten(error: Exception, path: Path, remedy: str) -> MinidualError:
     """Return the error of what could not be written at `path`: that of the disk, or DataError with `remedy`."""
-    return disk_error(error, path) or DataError(f"{path} could not be written: {error}", remedy=remedy)
+    return disk_error(error, path) or DataError(
+        f"{path} could not be written: {error}",
+        remedy=remedy,
+    )
 
 
 def disk_error(error: BaseException, path: Path) -> EnvironmentMissingError | None:
     """Return the error of a full disk or missing permission at `path`, or None if `error` is another."""
-    code, what = getattr(error, "errno", None), getattr(error, "filename", None) or path
+    code = getattr(error, "errno", None)
+    what = getattr(error, "filename", None) or path
     # Errors of HDF5, Arrow and safetensors carry the system's text but not always its number.
     code = next((full for full in _FULL if os.strerror(full) in str(error)), code)
     if code in _FULL:
         message = f"no space left on the disk of {path} (writing {what}: {os.strerror(code)})"
         remedy = "free some space"
     elif code in _FORBIDDEN:
-        message, remedy = f"no permission for {what}: {os.strerror(code)}", "change its permissions"
+        message = f"no permission for {what}: {os.strerror(code)}"
+        remedy = "change its permissions"
     else:
         return None
     remedy += ", or point --runs-dir or MINIDUAL_RUNS at another disk or folder, then run the command again"
@@ -192,7 +207,10 @@ def require(path: Path, kind: str) -> None:
     """Raise DataError unless nothing or a readable `kind` ("file", "folder") is at `path`."""
     found = kind_of(path)
     if found not in ("", kind):
-        raise DataError(f"{path} is a {found}; minidual keeps a {kind} there", remedy="move it away or delete it")
+        raise DataError(
+            f"{path} is a {found}; minidual keeps a {kind} there",
+            remedy="move it away or delete it",
+        )
     if found and not os.access(path, os.R_OK | (os.X_OK if kind == "folder" else 0)):
         raise DataError(f"no permission to read {path}", remedy="change its permissions")
 
@@ -217,7 +235,10 @@ def reading(what: Path | str, remedy: str) -> Generator[None]:
         raise
     except Exception as error:  # libraries raise anything over it
         said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise DataError(f"{what} is missing, cut or corrupt, and cannot be read: {said:.300}", remedy=remedy) from error
+        raise DataError(
+            f"{what} is missing, cut or corrupt, and cannot be read: {said:.300}",
+            remedy=remedy,
+        ) from error
 
 
 def read_json(path: Path, bytes_max: int = JSON_BYTES_MAX) -> Any:

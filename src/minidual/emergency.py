@@ -40,7 +40,9 @@ def release() -> None:
 def check() -> None:
     """Raise EmergencyStop if it was pressed."""
     if _reason:
-        raise EmergencyStop(f"emergency stop ({_reason}): the arms were stopped and the command ended")
+        raise EmergencyStop(
+            f"emergency stop ({_reason}): the arms were stopped and the command ended",
+        )
 
 
 @functools.cache
@@ -56,7 +58,9 @@ def listen() -> None:
 def _wait() -> None:
     while True:
         seen = signal.sigtimedwait({SIGNAL}, _AGAIN_S)
-        if seen is not None and seen.si_signo == SIGNAL:  # CPython returns another after Ctrl-Z and fg
+        if (
+            seen is not None and seen.si_signo == SIGNAL
+        ):  # CPython returns another after Ctrl-Z and fg
             press("signal SIGUSR1")
         elif _reason:  # a worker may have started since
             _tell_children()

@@ -5,7 +5,9 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from enum import IntEnum
 
-_UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
+_UNSEEN = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]",
+)
 """Control, zero-width and direction characters but newline and tab, and half surrogates."""
 
 
@@ -29,7 +31,8 @@ class MinidualError(Exception):
 
     def __init__(self, message: str, *, remedy: str | None = None) -> None:
         super().__init__(message)
-        self.message, self.remedy = message, remedy
+        self.message = message
+        self.remedy = remedy
 
     def __str__(self) -> str:
         return self.message if self.remedy is None else f"{self.message}\n  remedy: {self.remedy}"
@@ -83,7 +86,11 @@ def printable(text: str) -> str:
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     """Return an error that lists the known names and suggests the closest."""
     names = sorted(known)
-    close = [n for n in names if name and n.startswith(name)] or difflib.get_close_matches(name, names, n=1)
+    close = [n for n in names if name and n.startswith(name)] or difflib.get_close_matches(
+        name,
+        names,
+        n=1,
+    )
     remedy = f"did you mean '{close[0]}'?" if close else None
     return UsageError(f"no {kind} '{name}'; there are {', '.join(names) or 'none'}", remedy=remedy)
 

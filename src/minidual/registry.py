@@ -23,8 +23,15 @@ class Registry[T](Mapping[str, T]):
         group: Entry point group of further rows ("minidual.tasks"), or None.
     """
 
-    def __init__(self, kind: str, rows: Mapping[str, T | str] | None = None, *, group: str | None = None) -> None:
-        self.kind, self._group = kind, group
+    def __init__(
+        self,
+        kind: str,
+        rows: Mapping[str, T | str] | None = None,
+        *,
+        group: str | None = None,
+    ) -> None:
+        self.kind = kind
+        self._group = group
         self._rows: dict[str, T | str] = dict(rows or {})
         self._plugged = group is None
 
@@ -52,7 +59,9 @@ class Registry[T](Mapping[str, T]):
                 value = rows[name] = load_target(value)
             except Exception as error:  # another distribution's module raises anything
                 what = f"{type(error).__name__}: {error}"
-                raise UsageError(f"{self.kind} '{name}' cannot be loaded from {value}: {what}") from error
+                raise UsageError(
+                    f"{self.kind} '{name}' cannot be loaded from {value}: {what}",
+                ) from error
         return value
 
     def __iter__(self) -> Iterator[str]:
@@ -81,7 +90,11 @@ class Registry[T](Mapping[str, T]):
         Raises:
             UsageError: Unknown, repeated or no name.
         """
-        if not (names := [n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()]):
+        if not (
+            names := [
+                n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()
+            ]
+        ):
             raise UsageError(f"no {self.kind} named", remedy=f"name some of {', '.join(self)}")
         for name in names:
             check_name(self.kind, name, self)
@@ -104,4 +117,7 @@ def rows_beside(module_file: str, name: str = "") -> Any:
     """Return the YAML beside a module, by default of its name."""
     path = Path(module_file)
     text = (path.parent / (name or f"{path.stem}.yaml")).read_text(encoding="utf-8")
-    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the compiled one is ten times faster
+    return yaml.load(
+        text,
+        getattr(yaml, "CSafeLoader", yaml.SafeLoader),
+    )  # the compiled one is ten times faster

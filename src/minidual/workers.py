@@ -22,7 +22,11 @@ _GROWTH_MAX_BYTES = 2_000_000_000
 """A worker that grows by more is replaced. By default 300 MB: so much is imported with the first policy."""
 
 
-def in_workers[Item, Out](function: Callable[[Item], Out], items: Sequence[Item], workers: int) -> Iterator[Out]:
+def in_workers[Item, Out](
+    function: Callable[[Item], Out],
+    items: Sequence[Item],
+    workers: int,
+) -> Iterator[Out]:
     """Yield function(item) in the order of the items; with one worker, in this process."""
     # More than one numeric thread per process: they wait for each other on a busy machine.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -9,7 +9,16 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 import minidual
-from minidual.cli.commands import Body, config_body, explain_body, run_body, run_stage, run_tool, status_body, stop_body
+from minidual.cli.commands import (
+    Body,
+    config_body,
+    explain_body,
+    run_body,
+    run_stage,
+    run_tool,
+    status_body,
+    stop_body,
+)
 from minidual.cli.session import OPTIONS, Session, Typed
 from minidual.errors import UsageError, check_name
 from minidual.gate.table import Option, StageTable, ToolEntry
@@ -26,14 +35,25 @@ def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:
         default, shown = (False, " ") if option.kind is bool else (None, option.metavar)
         if option.argument:
             default = None if option.optional else inspect.Parameter.empty
-            declared: Any = typer.Argument(metavar=option.metavar or option.name.upper(), help=option.help)
+            declared: Any = typer.Argument(
+                metavar=option.metavar or option.name.upper(),
+                help=option.help,
+            )
         else:
             declared = typer.Option(f"--{option.name}", metavar=shown, help=option.help)
-        found[option.key] = default, Annotated[kind if default is not None else kind | None, declared]
+        found[option.key] = (
+            default,
+            Annotated[kind if default is not None else kind | None, declared],
+        )
     hints = get_type_hints(Typed, include_extras=True)
     found |= {field.name: (field.default, hints[field.name]) for field in fields(Typed)}
     return [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=default,
+            annotation=annotation,
+        )
         for name, (default, annotation) in found.items()
     ]
 
@@ -54,9 +74,17 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         rich_markup_mode="rich",
     )
     config = typer.Typer(help="The resolved configuration.")
-    watching, running = OPTIONS["watching"], OPTIONS["running"]
+    watching = OPTIONS["watching"]
+    running = OPTIONS["running"]
 
-    def add(name: str, summary: str, examples: Sequence[str], body: Body, own: Iterable[Option], panel: str) -> None:
+    def add(
+        name: str,
+        summary: str,
+        examples: Sequence[str],
+        body: Body,
+        own: Iterable[Option],
+        panel: str,
+    ) -> None:
         parameters = _parameters(own)
 
         def command(**values: Any) -> None:
@@ -67,11 +95,19 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         epilog = "\n\n".join(["Examples:", *(f"minidual {example}" for example in examples)])
         owner = config if name == "show" else app
-        owner.command(name, help=f"{summary}.", epilog=epilog if examples else None, rich_help_panel=panel)(command)
+        owner.command(
+            name,
+            help=f"{summary}.",
+            epilog=epilog if examples else None,
+            rich_help_panel=panel,
+        )(command)
 
     @app.callback()
     def root(  # pyright: ignore[reportUnusedFunction] - registered by the decorator
-        version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
+        version: Annotated[
+            bool,
+            typer.Option("--version", callback=_show_version, is_eager=True),
+        ] = False,
     ) -> None:
         del version
 
@@ -79,8 +115,20 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
         commands = (*entry.asides, entry)
         own = [option for command in commands for option in command.options]
         own += [*(watching if any(command.watchable for command in commands) else ()), *running]
-        add(entry.name, entry.summary, entry.examples, partial(run_stage, entry), own, "Stages, in order")
-    bodies: dict[str, Body] = {"run": run_body, "status": status_body, "explain": explain_body, "stop": stop_body}
+        add(
+            entry.name,
+            entry.summary,
+            entry.examples,
+            partial(run_stage, entry),
+            own,
+            "Stages, in order",
+        )
+    bodies: dict[str, Body] = {
+        "run": run_body,
+        "status": status_body,
+        "explain": explain_body,
+        "stop": stop_body,
+    }
     for name, body in {**bodies, "show": config_body}.items():
         own = (*OPTIONS.get(name, ()), *((*watching, *running) if name == "run" else ()))
         summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()
@@ -88,11 +136,22 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     app.add_typer(config, name="config", rich_help_panel="The run")
     for tool in tools:
         own = (*tool.options, *(watching if tool.watchable else ()))
-        add(tool.name, tool.summary, tool.examples, partial(run_tool, tool), own, "Tools, without gate and verdict")
+        add(
+            tool.name,
+            tool.summary,
+            tool.examples,
+            partial(run_tool, tool),
+            own,
+            "Tools, without gate and verdict",
+        )
     return app
 
 
-def run_command_line(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry] = ()) -> int:
+def run_command_line(
+    arguments: Sequence[str],
+    table: StageTable,
+    tools: Sequence[ToolEntry] = (),
+) -> int:
     """Run one command and return its exit code."""
     first = arguments[0].split("=")[0] if arguments else "--help"
 

@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from minidual import emergency
-from minidual.cli.console import ConsoleProgress, print_explanation, print_lowest, print_outcome, print_status
+from minidual.cli.console import (
+    ConsoleProgress,
+    print_explanation,
+    print_lowest,
+    print_outcome,
+    print_status,
+)
 from minidual.cli.session import Session
 from minidual.durable import disk_errors
 from minidual.errors import DataError, EnvironmentMissingError, ExitCode, UsageError
@@ -33,25 +39,46 @@ def run_stage(entry: StageEntry, session: Session, values: Mapping[str, Any]) ->
     if not values["yes"]:
         session.spare_finished([entry.name], {entry.name: options}, values["force"])
     with session.view(values) as view:
-        outcome = session.runner(view).run(entry.name, options, force=values["force"], waiver=values["waive_gate"])
+        outcome = session.runner(view).run(
+            entry.name,
+            options,
+            force=values["force"],
+            waiver=values["waive_gate"],
+        )
     if view is not None and not outcome.ran:
         session.say(f"nothing to watch: {entry.name} is passing and fresh; --force runs it again")
     following = session.following()
     print_outcome(session.people, outcome, following)
-    session.finish({**_outcome_json(outcome), "next": following}, [session.store.verdict_path(entry.name)])
+    session.finish(
+        {**_outcome_json(outcome), "next": following},
+        [session.store.verdict_path(entry.name)],
+    )
     return outcome.exit_code
 
 
 def run_tool(tool: ToolEntry, session: Session, values: Mapping[str, Any]) -> ExitCode:
     """Run a tool and print its result."""
-    typed = {option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])}
-    config, folder = session.loaded.with_overrides(overrides(tool.options, typed)).config, session.store.folder
+    typed = {
+        option.name: values[option.key] for option in tool.options if _was_typed(values[option.key])
+    }
+    config = session.loaded.with_overrides(overrides(tool.options, typed)).config
+    folder = session.store.folder
     own = f"-{os.getpid()}" if tool.shared else ""
     found_by_stop = folder, session.typed.command(tool.name), f".{tool.name}{own}.lock"
     lock = run_lock(*found_by_stop) if tool.moves else nullcontext()
     with session.view(values, tool.view_default) as view, disk_errors(folder), lock:
-        about: Any = {"config": config, "seed": config.seed, "profile": session.loaded.profile, "name": tool.name}
-        about |= {"options": typed, "view": view, "run_folder": folder, "command": session.typed.command}
+        about: Any = {
+            "config": config,
+            "seed": config.seed,
+            "profile": session.loaded.profile,
+            "name": tool.name,
+        }
+        about |= {
+            "options": typed,
+            "view": view,
+            "run_folder": folder,
+            "command": session.typed.command,
+        }
         context = ToolContext(
             **about,
             progress=ConsoleProgress(session.people),
@@ -74,8 +101,13 @@ def _was_typed(value: Any) -> bool:
     return value is not None and value is not False
 
 
-def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Mapping[str, Any]) -> None:
-    chosen, typed = aside or entry, [f"--{item.trigger}" for item in entry.asides if _was_typed(values[item.trigger])]
+def _refuse_loose_options(
+    entry: StageEntry,
+    aside: ToolEntry | None,
+    values: Mapping[str, Any],
+) -> None:
+    chosen = aside or entry
+    typed = [f"--{item.trigger}" for item in entry.asides if _was_typed(values[item.trigger])]
     if len(typed) > 1:
         raise UsageError(f"{' and '.join(typed)} exclude each other; type one of them")
     takers: dict[str, list[StageEntry | ToolEntry]] = {}
@@ -85,18 +117,31 @@ def _refuse_loose_options(entry: StageEntry, aside: ToolEntry | None, values: Ma
                 takers.setdefault(f"--{option.name}", []).append(command)
     if values.get("view") not in (None, "none"):
         takers["--view"] = [command for command in (entry, *entry.asides) if command.watchable]
-    takers |= {f"--{name.replace('_', '-')}": [entry] for name in ("force", "waive_gate", "yes") if values[name]}
+    takers |= {
+        f"--{name.replace('_', '-')}": [entry]
+        for name in ("force", "waive_gate", "yes")
+        if values[name]
+    }
     for flag, commands in takers.items():
         if chosen not in commands:
-            triggers = " or ".join(f"--{aside.trigger}" for aside in entry.asides if aside in commands)
-            with_what = f"{triggers} of {entry.name}" if triggers else f"the stage {entry.name} itself"
+            triggers = " or ".join(
+                f"--{aside.trigger}" for aside in entry.asides if aside in commands
+            )
+            with_what = (
+                f"{triggers} of {entry.name}" if triggers else f"the stage {entry.name} itself"
+            )
             without = f", not with --{aside.trigger}" if aside else ""
             raise UsageError(f"{flag} goes with {with_what}{without}")
 
 
 def _outcome_json(outcome: StageOutcome) -> dict[str, Any]:
     state = _state_json(outcome.state)
-    return {"stage": state["name"], "ran": outcome.ran, **state, "verdict": outcome.verdict.to_json()}
+    return {
+        "stage": state["name"],
+        "ran": outcome.ran,
+        **state,
+        "verdict": outcome.verdict.to_json(),
+    }
 
 
 def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
@@ -106,7 +151,9 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     run --until carry --profile smoke
     run --sign ~/.ssh/id_ed25519
     """
-    until, force, key = values["until"], values["force"], values["sign"]
+    until = values["until"]
+    force = values["force"]
+    key = values["sign"]
     if key is not None:
         signature(key, b"")  # a key that cannot sign is told before the work
     names = session.table.until(until)
@@ -114,18 +161,29 @@ def run_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
         session.spare_finished(names, {}, force)
     outcomes: list[StageOutcome] = []
     with session.view(values) as view:
-        for outcome in session.runner(view).run_until(until, force=force, waiver=values["waive_gate"]):
+        for outcome in session.runner(view).run_until(
+            until,
+            force=force,
+            waiver=values["waive_gate"],
+        ):
             outcomes.append(outcome)
             if outcome.ran:
                 print_outcome(session.people, outcome, "")
             else:
                 session.say(f"{outcome.state.name}: pass, fresh")
     code = next((o.exit_code for o in outcomes if o.exit_code != ExitCode.PASS), ExitCode.PASS)
-    gate, store = session.gate(), session.store
+    gate = session.gate()
+    store = session.store
     print_status(session.people, gate, f"run {store.run}", session.following(gate))
     if key is not None:
-        session.say("not signed: a stage does not pass" if code else f"signed: {sign(gate, names, key)}")
-    document = {"run": store.run, "exit_code": int(code), "stages": [_outcome_json(o) for o in outcomes]}
+        session.say(
+            "not signed: a stage does not pass" if code else f"signed: {sign(gate, names, key)}",
+        )
+    document = {
+        "run": store.run,
+        "exit_code": int(code),
+        "stages": [_outcome_json(o) for o in outcomes],
+    }
     session.finish(document, [store.verdict_path(outcome.state.name) for outcome in outcomes])
     return code
 
@@ -141,9 +199,11 @@ def status_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
 
 
 def _show_status(session: Session, *, explained: bool, key: Path | None = None) -> ExitCode:
-    gate, store = session.gate(), session.store
+    gate = session.gate()
+    store = session.store
     changed = None if key is None else unverified(gate, key)
-    following, lowest = session.following(gate, explained=explained), gate.lowest()
+    following = session.following(gate, explained=explained)
+    lowest = gate.lowest()
     _, writer = held_by(store.folder / LOCK_FILE) or (0, None)
     if not session.typed.json:
         title = f"run {store.run} (profile {session.loaded.profile}, {store.folder})"
@@ -154,8 +214,16 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
             session.say(f"being written by {writer}")
     for line in ["the verdicts and artefacts are as signed"] if changed == [] else changed or ():
         session.say(f"signature: {line}", "bold red" if changed else "green")
-    document = {"run": store.run, "folder": store.folder, "profile": session.loaded.profile, "writer": writer}
-    document |= {"stages": [_state_json(gate.state(name)) for name in session.table], "lowest": lowest and lowest.name}
+    document = {
+        "run": store.run,
+        "folder": store.folder,
+        "profile": session.loaded.profile,
+        "writer": writer,
+    }
+    document |= {
+        "stages": [_state_json(gate.state(name)) for name in session.table],
+        "lowest": lowest and lowest.name,
+    }
     document |= {"because": lowest.because() if lowest else (), "next": following}
     document |= {"signature": {"key": key, "changed": changed} if key else None}
     session.finish(document, ())
@@ -165,7 +233,10 @@ def _show_status(session: Session, *, explained: bool, key: Path | None = None) 
 def _state_json(state: StageState) -> dict[str, Any]:
     verdict = state.verdict
     return {
-        **{name: getattr(state, name) for name in ("name", "state", "reasons", "warnings", "folder")},
+        **{
+            name: getattr(state, name)
+            for name in ("name", "state", "reasons", "warnings", "folder")
+        },
         "status": verdict.status if verdict else None,
         "acceptance": verdict.acceptance if verdict else False,
         "failed": [check.to_json() for check in verdict.failed_checks()] if verdict else [],
@@ -182,15 +253,22 @@ def explain_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     """
     if values["stage"] is None:
         return _show_status(session, explained=True)
-    entry, gate = session.table[values["stage"]], session.gate()
+    entry = session.table[values["stage"]]
+    gate = session.gate()
     state = gate.state(entry.name)
-    upstream, lowest = {name: gate.state(name).state for name in entry.requires}, gate.lowest()
+    upstream = {name: gate.state(name).state for name in entry.requires}
+    lowest = gate.lowest()
     if not session.typed.json:
         print_explanation(session.data, entry, state, upstream, session.in_this_run)
         if state.state == "pass":
             session.say(f"to run it again: {session.typed.command(f'{entry.name} --force')}")
         else:
-            print_lowest(session.data, lowest, session.following(gate, explained=True), session.in_this_run)
+            print_lowest(
+                session.data,
+                lowest,
+                session.following(gate, explained=True),
+                session.in_this_run,
+            )
     document = {
         **_state_json(state),
         "summary": entry.summary,
@@ -208,21 +286,33 @@ def stop_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
     stop
     stop standard
     """
-    root, named, typed = session.root, values["name"], session.typed
+    root = session.root
+    named = values["name"]
+    typed = session.typed
     run = session.store.run if typed.run is not None or typed.profile != "standard" else None
     if named == "" or (named is not None and run not in (None, named)):
-        twice = f"two runs are named, '{named}' and '{run}'" if named else "the name of the run is empty"
+        twice = (
+            f"two runs are named, '{named}' and '{run}'"
+            if named
+            else "the name of the run is empty"
+        )
         raise UsageError(twice, remedy="minidual stop RUN stops one run, minidual stop every run")
     wanted = named or run
     runs = sorted(root.glob("*/"))
-    holders = lock_holders(root / wanted) if wanted else {k: v for run in runs for k, v in _holders(run).items()}
+    holders = (
+        lock_holders(root / wanted)
+        if wanted
+        else {k: v for run in runs for k, v in _holders(run).items()}
+    )
     for pid in holders:
         with suppress(ProcessLookupError):  # it has just ended
             os.kill(pid, emergency.SIGNAL)
     if not holders:
         where = f"run '{wanted}' of {root}" if wanted else f"the runs in {root}"
         where += "" if root.is_dir() else ", which is no folder"
-        remedy = "--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process"
+        remedy = (
+            "--runs-dir DIR names another folder of runs; kill -USR1 PID stops any minidual process"
+        )
         if others := ", ".join(folder.name for folder in runs if _holders(folder)):
             remedy = f"a command is working in {others}; minidual stop, without a name, stops all"
         raise UsageError(f"nothing to stop: no command is working in {where}", remedy=remedy)
@@ -250,6 +340,11 @@ def config_body(session: Session, values: Mapping[str, Any]) -> ExitCode:
             with suppress(EnvironmentMissingError):  # the run's machine may have it
                 entry.resolved(loaded.config, checked=True)
     texts = [item.text for item in loaded.overrides]
-    document = {"profile": loaded.profile, "sources": loaded.sources, "overrides": texts, "config": loaded.config}
+    document = {
+        "profile": loaded.profile,
+        "sources": loaded.sources,
+        "overrides": texts,
+        "config": loaded.config,
+    }
     session.finish(document, loaded.to_yaml().splitlines())
     return ExitCode.PASS

@@ -6,7 +6,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.progress import Progress as RichBars
 from rich.segment import Segment
 from rich.table import Column, Table
@@ -20,14 +26,24 @@ from minidual.gate.stage import Progress, ProgressTask
 from minidual.gate.table import StageEntry
 from minidual.gate.verdict import Verdict
 
-_STYLES = {"pass": "bold green", "fail": "bold red", "error": "bold red", "stale": "yellow", "incomplete": "yellow"}
+_STYLES = {
+    "pass": "bold green",
+    "fail": "bold red",
+    "error": "bold red",
+    "stale": "yellow",
+    "incomplete": "yellow",
+}
 _SHOWN_ARTEFACTS = 8
 
 
 class SafeConsole(Console):
     """Shows no control sequence of what it prints; its own colours and bars stay."""
 
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+    def render(
+        self,
+        renderable: RenderableType,
+        options: ConsoleOptions | None = None,
+    ) -> Iterable[Segment]:
         """Yield segments without control and direction characters."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=printable(segment.text))
@@ -68,13 +84,17 @@ class ConsoleProgress(Progress):
     """Bars on a terminal, plain lines elsewhere."""
 
     def __init__(self, console: Console) -> None:
-        super().__init__(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
+        super().__init__(
+            lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True),
+        )
         self._console = console
 
     def task(self, description: str, total: float | None = None) -> ProgressTask:
         """Begin a bar or plain lines."""
         bars = self._console.is_terminal
-        return BarTask(self._console, description, total) if bars else super().task(description, total)
+        return (
+            BarTask(self._console, description, total) if bars else super().task(description, total)
+        )
 
 
 def state_text(state: str) -> Text:
@@ -90,15 +110,34 @@ def checks_table(checks: Sequence[Check], title: str, explained: Wording | None 
     """Return a table; with why and remedy if `explained`."""
     table = Table(title=title, title_justify="left", show_lines=explained is not None)
     for header in ("check", "observed", "limit", "margin", "result"):
-        table.add_column(header, justify="left" if header in ("check", "result") else "right", overflow="fold")
+        table.add_column(
+            header,
+            justify="left" if header in ("check", "result") else "right",
+            overflow="fold",
+        )
     if explained:
         table.add_column("why, and what to do", overflow="fold", ratio=1)
-    result = {True: Text("pass", "green"), False: Text("FAIL", "bold red"), None: Text("reported", "dim")}
+    result = {
+        True: Text("pass", "green"),
+        False: Text("FAIL", "bold red"),
+        None: Text("reported", "dim"),
+    }
     for check in checks:
         limit = f"{check.op} {with_unit(check.limit, check.unit)}" if check.op else ""
-        row = [check.name, with_unit(check.observed, check.unit), limit, check.margin_text(), result[check.passed]]
+        row = [
+            check.name,
+            with_unit(check.observed, check.unit),
+            limit,
+            check.margin_text(),
+            result[check.passed],
+        ]
         if explained:
-            row.append(explained(check.why + (f"\n{check.remedy}" if check.passed is False and check.remedy else "")))
+            row.append(
+                explained(
+                    check.why
+                    + (f"\n{check.remedy}" if check.passed is False and check.remedy else ""),
+                ),
+            )
         table.add_row(*row)
     return table
 
@@ -106,9 +145,15 @@ def checks_table(checks: Sequence[Check], title: str, explained: Wording | None 
 def label(verdict: Verdict) -> str:
     """Return why a verdict is no acceptance; empty if it is."""
     profile = verdict.fingerprint.profile
-    words = [] if verdict.acceptance_profile else [f"profile '{profile}': wiring only, never acceptance"]
+    words = (
+        []
+        if verdict.acceptance_profile
+        else [f"profile '{profile}': wiring only, never acceptance"]
+    )
     if verdict.weakened:
-        words.append(f"NO ACCEPTANCE, it asks for less than the profile: {'; '.join(verdict.weakened)}")
+        words.append(
+            f"NO ACCEPTANCE, it asks for less than the profile: {'; '.join(verdict.weakened)}",
+        )
     words += [f"GATE WAIVED at {waiver.stage}: {waiver.reason}" for waiver in verdict.waivers]
     return "; ".join(words)
 
@@ -122,10 +167,16 @@ def print_outcome(console: Console, outcome: StageOutcome, following: str) -> No
 
 
 def print_explanation(
-    console: Console, entry: StageEntry, state: StageState, upstream: Mapping[str, str], wording: Wording
+    console: Console,
+    entry: StageEntry,
+    state: StageState,
+    upstream: Mapping[str, str],
+    wording: Wording,
 ) -> None:
     """Print one stage; `upstream` is {required stage: state}."""
-    console.print(Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."))
+    console.print(
+        Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."),
+    )
     for name, its in upstream.items():
         console.print(Text.assemble("  requires ", name, ": ", state_text(its)))
     if not upstream:
@@ -139,13 +190,18 @@ def print_explanation(
 
 
 def _print_verdict(
-    console: Console, state: StageState, verdict: Verdict, title: str, explained: Wording | None = None
+    console: Console,
+    state: StageState,
+    verdict: Verdict,
+    title: str,
+    explained: Wording | None = None,
 ) -> None:
     console.print(checks_table(verdict.checks, title, explained))
     _lines(console, [label(verdict)], "bold yellow")
     _lines(console, verdict.notes)
     _lines(console, [f"note: {warning}" for warning in state.warnings], "dim")
-    names, folder = list(verdict.artefacts), state.folder
+    names = list(verdict.artefacts)
+    folder = state.folder
     if folder is not None:
         _lines(console, [f"  {folder / name}" for name in names[:_SHOWN_ARTEFACTS]])
         if len(names) > _SHOWN_ARTEFACTS:
@@ -156,24 +212,46 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
     """Print one row per stage."""
     names = [Column(header, no_wrap=True) for header in ("stage", "state")]
     numbers = [Column(header, justify="right") for header in ("checks", "took")]
-    table = Table(*names, *numbers, Column("remarks", overflow="fold"), title=title, title_justify="left")
+    table = Table(
+        *names,
+        *numbers,
+        Column("remarks", overflow="fold"),
+        title=title,
+        title_justify="left",
+    )
     for state in map(gate.state, gate.table):
         verdict = state.verdict
         checks = took = ""
         remarks = [state.why()]
         if verdict is not None:
             results = [check.passed for check in verdict.checks if check.passed is not None]
-            checks, took = f"{sum(results)}/{len(results)}", f"{verdict.duration_s:.1f} s"
+            checks = f"{sum(results)}/{len(results)}"
+            took = f"{verdict.duration_s:.1f} s"
             remarks += [label(verdict), *state.warnings]
-        table.add_row(state.name, state_text(state.state), checks, took, Text("\n".join(filter(None, remarks))))
+        table.add_row(
+            state.name,
+            state_text(state.state),
+            checks,
+            took,
+            Text("\n".join(filter(None, remarks))),
+        )
     console.print(table)
     _lines(console, [following])
 
 
-def print_lowest(console: Console, lowest: StageState | None, following: str, wording: Wording) -> None:
+def print_lowest(
+    console: Console,
+    lowest: StageState | None,
+    following: str,
+    wording: Wording,
+) -> None:
     """Print the first stage that does not pass, why, and the next command."""
     if lowest is not None:
-        _lines(console, [f"look at {lowest.name} first: the lowest stage that does not pass"], "bold")
+        _lines(
+            console,
+            [f"look at {lowest.name} first: the lowest stage that does not pass"],
+            "bold",
+        )
         _lines(console, [f"  {wording(line)}" for line in lowest.because()])
     _lines(console, [following])
 

@@ -70,7 +70,8 @@ class _Interrupt:
                 signal.setitimer(signal.ITIMER_REAL, 0.02)
                 return
             frame = frame.f_back
-        self.asked_s, self.raised = None, True
+        self.asked_s = None
+        self.raised = True
         raise KeyboardInterrupt
 
 
@@ -85,7 +86,10 @@ def main() -> None:
             signal.signal(number, interrupt)
     # Some libraries' docstrings hold invalid escapes, which warn when compiled.
     warnings.simplefilter("ignore", SyntaxWarning)
-    warnings.filterwarnings("ignore", ".* tasks which were still being processed by the workers")  # when interrupted
+    warnings.filterwarnings(
+        "ignore",
+        ".* tasks which were still being processed by the workers",
+    )  # when interrupted
     try:
         code = _run()
         _end()
@@ -95,7 +99,10 @@ def main() -> None:
         code = 130
     sys.stdout.flush()
     lost = getattr(sys.stdout, "lost", None)
-    if lost is not None and not isinstance(lost, BrokenPipeError):  # the reader closed the pipe (`| head`)
+    if lost is not None and not isinstance(
+        lost,
+        BrokenPipeError,
+    ):  # the reader closed the pipe (`| head`)
         print(f"minidual: cannot write the output: {lost.strerror}", file=sys.stderr)
         code = code or 4
     sys.exit(code)
@@ -109,7 +116,10 @@ def _end() -> None:
 
 def _say_interrupted() -> None:
     """Write to the streams themselves: what is half imported may not be used."""
-    for number, text in ((2, "minidual: interrupted\n"), (1, _DOCUMENT if "--json" in sys.argv else "")):
+    for number, text in (
+        (2, "minidual: interrupted\n"),
+        (1, _DOCUMENT if "--json" in sys.argv else ""),
+    ):
         with suppress(OSError):
             os.write(number, text.encode())
 

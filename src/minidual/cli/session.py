@@ -20,7 +20,14 @@ from minidual.cli.console import ConsoleProgress, console
 from minidual.cli.process import interrupt
 from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
-from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, UsageError, printable, unknown_name
+from minidual.errors import (
+    EnvironmentMissingError,
+    ExitCode,
+    MinidualError,
+    UsageError,
+    printable,
+    unknown_name,
+)
 from minidual.gate.canonical import digest, dumps
 from minidual.gate.gate import Gate
 from minidual.gate.runner import Runner
@@ -33,25 +40,41 @@ if TYPE_CHECKING:
 
 _every = partial(typer.Option, rich_help_panel="Every command")
 
-OPTIONS = {command: options_of(rows) for command, rows in rows_beside(__file__, "options.yaml").items()}
+OPTIONS = {
+    command: options_of(rows) for command, rows in rows_beside(__file__, "options.yaml").items()
+}
 
 
 @dataclass(frozen=True)
 class Typed:
     """Options of every command."""
 
-    profile: Annotated[str, _every(help="smoke, standard, gpu, or a profile file ending in .yaml.")] = "standard"
+    profile: Annotated[
+        str,
+        _every(help="smoke, standard, gpu, or a profile file ending in .yaml."),
+    ] = "standard"
     settings: Annotated[
         list[str] | None,
-        _every("--set", metavar="KEY=VALUE", help="Override a configuration value, e.g. plan.queries_n=30."),
+        _every(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a configuration value, e.g. plan.queries_n=30.",
+        ),
     ] = None
     run: Annotated[str | None, _every(help="Name of the run (default: the profile's name).")] = None
     runs_dir: Annotated[
-        str | None, _every(metavar="DIR", help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs).")
+        str | None,
+        _every(metavar="DIR", help="Folder of all runs (default: $MINIDUAL_RUNS or ./runs)."),
     ] = None
     seed: Annotated[int | None, _every(help="The one seed of the run.")] = None
-    workers: Annotated[int | None, _every(help="Processes to use; results do not depend on it.")] = None
-    json: Annotated[bool, _every("--json", metavar=" ", help="Print one JSON document to stdout.")] = False
+    workers: Annotated[
+        int | None,
+        _every(help="Processes to use; results do not depend on it."),
+    ] = None
+    json: Annotated[
+        bool,
+        _every("--json", metavar=" ", help="Print one JSON document to stdout."),
+    ] = False
     debug: Annotated[bool, _every("--debug", metavar=" ", help="Show tracebacks.")] = False
 
     def command(self, words: str) -> str:
@@ -62,36 +85,55 @@ class Typed:
     def flags(self) -> str:
         """Typed options that select run and result, after a space, or empty."""
         profile = None if self.profile == "standard" else self.profile
-        given = [("--profile", profile), ("--run", self.run), ("--runs-dir", self.runs_dir), ("--seed", self.seed)]
+        given = [
+            ("--profile", profile),
+            ("--run", self.run),
+            ("--runs-dir", self.runs_dir),
+            ("--seed", self.seed),
+        ]
         given += [("--set", setting) for setting in self.settings or ()]
-        return "".join(f" {flag} {shlex.quote(str(value))}" for flag, value in given if value is not None)
+        return "".join(
+            f" {flag} {shlex.quote(str(value))}" for flag, value in given if value is not None
+        )
 
 
 class Session:
     """Objects of a command; console `people` is on stderr, `data` on stdout (`status`, `explain`)."""
 
     def __init__(self, typed: Typed, table: StageTable) -> None:
-        self.typed, self.table = typed, table
-        self.people, self.data = console(stderr=True), console(stderr=False)
+        self.typed = typed
+        self.table = table
+        self.people = console(stderr=True)
+        self.data = console(stderr=False)
 
     @cached_property
     def loaded(self) -> LoadedConfig:
         """Resolved configuration."""
         numbers = [("seed", self.typed.seed), ("workers", self.typed.workers)]
-        typed = [Override(name, value, f"--{name} {value}") for name, value in numbers if value is not None]
+        typed = [
+            Override(name, value, f"--{name} {value}")
+            for name, value in numbers
+            if value is not None
+        ]
         return load_config(self.typed.profile, [*(self.typed.settings or ()), *typed])
 
     @property
     def root(self) -> Path:
         """Folder of all runs."""
         if self.typed.runs_dir == "":
-            raise UsageError("--runs-dir is empty", remedy="name a folder, or leave it out for ./runs")
+            raise UsageError(
+                "--runs-dir is empty",
+                remedy="name a folder, or leave it out for ./runs",
+            )
         return expanded(self.typed.runs_dir or os.environ.get("MINIDUAL_RUNS") or "runs")
 
     @property
     def store(self) -> RunStore:
         """The run's folder."""
-        return RunStore(self.root, self.loaded.profile if self.typed.run is None else self.typed.run)
+        return RunStore(
+            self.root,
+            self.loaded.profile if self.typed.run is None else self.typed.run,
+        )
 
     def begin(self, reads: bool) -> Session:
         """Return itself.
@@ -103,9 +145,16 @@ class Session:
         try:
             Path.cwd()
         except FileNotFoundError:
-            raise EnvironmentMissingError("the working directory was deleted", remedy="cd to another one") from None
+            raise EnvironmentMissingError(
+                "the working directory was deleted",
+                remedy="cd to another one",
+            ) from None
         if reads and self.typed.run is not None and not self.store.folder.exists():
-            raise unknown_name("run", self.typed.run, (folder.name for folder in self.root.glob("[!.]*/")))
+            raise unknown_name(
+                "run",
+                self.typed.run,
+                (folder.name for folder in self.root.glob("[!.]*/")),
+            )
         return self
 
     def gate(self, options: Mapping[str, Mapping[str, Any]] | None = None) -> Gate:
@@ -117,7 +166,15 @@ class Session:
         progress = ConsoleProgress(self.people)
         if view is not None and self.loaded.config.workers > 1:
             progress.note("what is watched runs in this process: one worker for this run")
-        return Runner(self.table, self.store, self.loaded, progress, self.typed.command, view, lambda: interrupt.raised)
+        return Runner(
+            self.table,
+            self.store,
+            self.loaded,
+            progress,
+            self.typed.command,
+            view,
+            lambda: interrupt.raised,
+        )
 
     @contextmanager
     def view(self, values: Mapping[str, Any], default: str = "none") -> Generator[View | None]:
@@ -128,35 +185,59 @@ class Session:
         """
         from minidual.show.view import make_view
 
-        name, watching = values.get("view") or default, OPTIONS["watching"]
+        name = values.get("view") or default
+        watching = OPTIONS["watching"]
         typed = overrides(watching, {option.name: values.get(option.key) for option in watching})
         if typed and name != "web":
-            raise UsageError(f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}")
+            raise UsageError(
+                f"{typed[0].text.split()[0]} goes with --view web, not with --view {name}",
+            )
         view = make_view(name, self.loaded.with_overrides(typed).config.view, say=self.say)
         with nullcontext() if view is None else closing(view):
             yield view
 
-    def spare_finished(self, names: Sequence[str], options: Mapping[str, Mapping[str, Any]], force: bool) -> None:
+    def spare_finished(
+        self,
+        names: Sequence[str],
+        options: Mapping[str, Mapping[str, Any]],
+        force: bool,
+    ) -> None:
         """Switch to another run if the command would replace stages finished with other options.
 
         Stages that stay the same are hard-linked.
         """
-        for name in self.gate(options).rerun(names, force):  # before another run is begun for what is misspelt
-            self.table[name].resolved(self.gate(options).effective(name, None)[1].config, checked=True)
+        for name in self.gate(options).rerun(
+            names,
+            force,
+        ):  # before another run is begun for what is misspelt
+            self.table[name].resolved(
+                self.gate(options).effective(name, None)[1].config,
+                checked=True,
+            )
         while replaced := (gate := self.gate(options)).replaced(names, force):
-            base, first = self.store, next(iter(replaced))
+            base = self.store
+            first = next(iter(replaced))
             self.typed = replace(self.typed, run=self._own_run(base.run, *options.values()))
             more = f" (and of {', '.join(list(replaced)[1:])})" if len(replaced) > 1 else ""
             self.say(f"run '{base.run}' keeps its finished {first}{more}: {replaced[first]}")
-            self.say(f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'")
-            kept = {up for name in names for up in (*self.table.upstream(name), name)} - {*gate.rerun(names, force)}
+            self.say(
+                f"working in run '{self.store.run}' instead; --yes would replace it in '{base.run}'",
+            )
+            kept = {up for name in names for up in (*self.table.upstream(name), name)} - {
+                *gate.rerun(names, force),
+            }
             for name in self.table:
-                if name in kept and gate.state(name).state in ("pass", "fail"):  # a waiver works on a failed one
+                if name in kept and gate.state(name).state in (
+                    "pass",
+                    "fail",
+                ):  # a waiver works on a failed one
                     self.store.link(name, base)
 
     def _own_run(self, run: str, *options: Mapping[str, Any]) -> str:
         typed = self.typed
-        words = [] if typed.profile == "standard" or typed.run is None else [Path(typed.profile).stem]
+        words = (
+            [] if typed.profile == "standard" or typed.run is None else [Path(typed.profile).stem]
+        )
         for name, value in (pair for given in options for pair in given.items()):
             words.append(value if isinstance(value, str) else f"{name}-{value}")
         words += [setting.replace("=", "-") for setting in typed.settings or ()]
@@ -198,7 +279,12 @@ class Session:
                 message += f"; traceback in {self.store.write_crash('cli', error)}"
             except Exception:  # the crash may be in the very code that finds the run folder
                 _print_error("".join(traceback.format_exception(error)))
-            return self._fail(error, message, "please report it with the traceback", ExitCode.INTERNAL)
+            return self._fail(
+                error,
+                message,
+                "please report it with the traceback",
+                ExitCode.INTERNAL,
+            )
 
     def _interrupted(self, error: BaseException, what: str = "") -> int:
         message = f"{what or 'interrupted'}; nothing half-written counts, the same command goes on from here"

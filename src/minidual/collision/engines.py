@@ -25,20 +25,32 @@ class CoalEngine:
     """Checks a scene or `Pairs`; `items`: geometry objects by part."""
 
     def __init__(self, scene: Any) -> None:
-        self.model, self.geometry = Kinematics(scene.robot).model, robot_geometry(scene.robot).copy()
+        self.model = Kinematics(scene.robot).model
+        self.geometry = robot_geometry(scene.robot).copy()
         self.items: dict[str, list[int]] = {}
         for index, item in enumerate(self.geometry.geometryObjects):
             self.items.setdefault(self.model.frames[item.parentFrame].name, []).append(index)
         for solid in scene.solids:
             frame_id = self.model.getFrameId(solid.link)
             frame = self.model.frames[frame_id]
-            place = frame.parentJoint, frame_id, frame.placement * pin.SE3(solid.shape.T_parent_shape)
-            pieces = (pin.GeometryObject(solid.name, *place, piece) for piece in convex_solids(solid.shape))
+            place = (
+                frame.parentJoint,
+                frame_id,
+                frame.placement * pin.SE3(solid.shape.T_parent_shape),
+            )
+            pieces = (
+                pin.GeometryObject(solid.name, *place, piece)
+                for piece in convex_solids(solid.shape)
+            )
             self.items[solid.name] = [*map(self.geometry.addGeometryObject, pieces)]
         for a, b in scene.checked_pairs:
             for pair in itertools.product(self.items[a], self.items[b]):
                 self.geometry.addCollisionPair(pin.CollisionPair(*pair))
-        self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.geometry, 1)
+        self._pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(
+            self.model,
+            self.geometry,
+            1,
+        )
         for request in self._pool.getGeometryData(0).collisionRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
 
@@ -47,7 +59,10 @@ class CoalEngine:
         if len(Q) == 0:
             return np.zeros(0, dtype=bool)
         columns = np.asfortranarray(np.asarray(Q, dtype=float).T)
-        return np.array(pin.computeCollisionsInParallel(1, self._pool, columns, True, False), dtype=bool).ravel()
+        return np.array(
+            pin.computeCollisionsInParallel(1, self._pool, columns, True, False),
+            dtype=bool,
+        ).ravel()
 
 
 @functools.cache
@@ -66,13 +81,19 @@ def robot_geometry(robot: Robot) -> pin.GeometryModel:
 def convex_solids(shape: Shape) -> list[coal.CollisionGeometry]:
     """Return one solid, or one per mesh piece."""
     if isinstance(shape, Mesh):
-        return [coal.ConvexBase.convexHull([*vertices], True, "Qt") for vertices in shape.vertices()]
+        return [
+            coal.ConvexBase.convexHull([*vertices], True, "Qt") for vertices in shape.vertices()
+        ]
     return [_SOLIDS[type(shape)](*shape.lengths())]
 
 
 _CLOSEST_WITHIN_M = 0.1
 _KIND = mujoco.mjtGeom
-_ROUND = {Cylinder: _KIND.mjGEOM_CYLINDER, Capsule: _KIND.mjGEOM_CAPSULE, Sphere: _KIND.mjGEOM_SPHERE}
+_ROUND = {
+    Cylinder: _KIND.mjGEOM_CYLINDER,
+    Capsule: _KIND.mjGEOM_CAPSULE,
+    Sphere: _KIND.mjGEOM_SPHERE,
+}
 
 
 class MujocoEngine:
@@ -85,7 +106,10 @@ class MujocoEngine:
             add_body(spec, spec.body(solid.link), solid.shape)
         _boxes_to_meshes(spec)
         checked = {frozenset(p) for p in scene.checked_pairs}
-        for a, b in itertools.combinations((*collision_links(robot), *(s.name for s in scene.solids)), 2):
+        for a, b in itertools.combinations(
+            (*collision_links(robot), *(s.name for s in scene.solids)),
+            2,
+        ):
             if frozenset((a, b)) not in checked:
                 spec.add_exclude(bodyname1=a, bodyname2=b)
         self.model = spec.compile()
@@ -94,8 +118,11 @@ class MujocoEngine:
         self.data = mujoco.MjData(self.model)
         for joint in robot.finger_joint_names:
             self.data.qpos[self.model.joint(joint).qposadr[0]] = robot.hand.travel_m
-        self._addresses = np.array([int(self.model.joint(name).qposadr[0]) for name in robot.joint_names])
-        self.body_names, self._margin_m = [self.model.body(i).name for i in range(self.model.nbody)], 0.0
+        self._addresses = np.array(
+            [int(self.model.joint(name).qposadr[0]) for name in robot.joint_names],
+        )
+        self.body_names = [self.model.body(i).name for i in range(self.model.nbody)]
+        self._margin_m = 0.0
 
     def contact_count(self, q: Array, margin_m: float = 0.0) -> int:
         """Count contacts at q (n,), and pairs nearer than `margin_m`."""
@@ -137,7 +164,8 @@ class MujocoEngine:
         if not (count := self.contact_count(q, within_m)):
             return "none", within_m, 0.0
         contact = self.data.contact
-        bodies, distances = self.model.geom_bodyid[contact.geom[:count]], contact.dist[:count]
+        bodies = self.model.geom_bodyid[contact.geom[:count]]
+        distances = contact.dist[:count]
         bounds = least_m[bodies[:, 0], bodies[:, 1]]
         k = int((distances - bounds).argmin())
         pair = " with ".join(sorted(self.body_names[body] for body in bodies[k]))
@@ -152,12 +180,21 @@ def _boxes_to_meshes(spec: mujoco.MjSpec) -> None:
     """Replace boxes by meshes: MuJoCo's box-box test gives most separate pairs no distance."""
     for index, geom in enumerate(spec.geoms):
         if geom.type == _KIND.mjGEOM_BOX:
-            geom.meshname = spec.add_mesh(name=f"box_mesh{index}", uservert=(BOX_CORNERS * geom.size).ravel()).name
+            geom.meshname = spec.add_mesh(
+                name=f"box_mesh{index}",
+                uservert=(BOX_CORNERS * geom.size).ravel(),
+            ).name
             geom.type = _KIND.mjGEOM_MESH
             geom.size = np.zeros(3)
 
 
-def add_body(spec: mujoco.MjSpec, parent: mujoco.MjsBody, shape: Shape, prefix: str = "", **look: Any) -> None:
+def add_body(
+    spec: mujoco.MjSpec,
+    parent: mujoco.MjsBody,
+    shape: Shape,
+    prefix: str = "",
+    **look: Any,
+) -> None:
     """Add a shape to a body; `look` holds further geom attributes."""
     name = prefix + shape.name
     body = parent.add_body(name=name, pos=list(shape.position_m), quat=list(shape.quat_wxyz))

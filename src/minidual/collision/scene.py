@@ -82,9 +82,13 @@ class BuiltAcm:
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache, or build them (1 s) if it lacks the model or is damaged."""
     model = model_hash(robot)
-    path = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual") / f"acm-{model[:20]}.json"
+    path = (
+        expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual") / f"acm-{model[:20]}.json"
+    )
     with contextlib.suppress(DataError, OSError, ValueError, TypeError):
-        digest, _, content = regular_file(path, _CACHE_BYTES_MAX).read_text(encoding="utf-8").partition("\n")
+        digest, _, content = (
+            regular_file(path, _CACHE_BYTES_MAX).read_text(encoding="utf-8").partition("\n")
+        )
         if digest == _digest(model, content):
             return BuiltAcm(**json.loads(content))
     built = build_acm(robot)
@@ -99,18 +103,28 @@ def _digest(model: str, content: str) -> str:
     return hashlib.sha256(f"{model}\n{content}".encode()).hexdigest()
 
 
-def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = SAMPLES_MAX) -> BuiltAcm:
+def build_acm(
+    robot: Robot,
+    samples_min: int = SAMPLES_MIN,
+    samples_max: int = SAMPLES_MAX,
+) -> BuiltAcm:
     """Build the matrix."""
     reasons = _structural_pairs(robot)
     pairs = [pair for pair in itertools.combinations(_left_links(robot), 2) if pair not in reasons]
     rows = {frozenset(pair): k for k, pair in enumerate(pairs)}
-    engine: Any = ENGINES["mujoco"](Pairs(robot, tuple(pairs)))  # MuJoCo alone reports which pairs touch
+    engine: Any = ENGINES["mujoco"](
+        Pairs(robot, tuple(pairs)),
+    )  # MuJoCo alone reports which pairs touch
     at_home = np.zeros(len(pairs), dtype=bool)
     at_home[[rows[pair] for pair in engine.touching_pairs(robot.home)]] = True
-    own, rng = robot.groups[f"{SIDES[0]}_arm"], stream(_SEED, "allowed-collisions")
-    counts, kinds = np.zeros(len(pairs), dtype=int), np.full(len(pairs), "", dtype="U7")
+    own = robot.groups[f"{SIDES[0]}_arm"]
+    rng = stream(_SEED, "allowed-collisions")
+    counts = np.zeros(len(pairs), dtype=int)
+    kinds = np.full(len(pairs), "", dtype="U7")
     rounds: list[dict[str, Any]] = []
-    total, quiet, batch = 0, 0, samples_min
+    total = 0
+    quiet = 0
+    batch = samples_min
     while quiet < QUIET_DOUBLINGS and total + batch <= max(samples_max, samples_min):
         Q = np.tile(robot.home, (batch, 1))
         Q[:, own] = rng.uniform(robot.q_lower[own], robot.q_upper[own], (batch, robot.dof_per_arm))
@@ -119,12 +133,17 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
         total += batch
         batch = total
         always = at_home & (counts >= ALWAYS_FRACTION * total)
-        before, kinds = kinds, np.where(counts == 0, "never", np.where(always, "always", "checked"))
+        before = kinds
+        kinds = np.where(counts == 0, "never", np.where(always, "always", "checked"))
         changed = [" + ".join(pairs[k]) for k in np.flatnonzero(kinds != before)] if rounds else []
         quiet = quiet + 1 if rounds and not changed else 0
         rounds.append({"samples_n": total, "changed": changed})
     labels = {"never": f"never in {total} samples", "always": "always"}
-    reasons |= {pair: labels[kind] for pair, kind in zip(pairs, kinds.tolist(), strict=True) if kind in labels}
+    reasons |= {
+        pair: labels[kind]
+        for pair, kind in zip(pairs, kinds.tolist(), strict=True)
+        if kind in labels
+    }
     table = sorted(
         [*sorted(name.replace(SIDES[0], side, 1) for name in pair), reason]
         for side in SIDES
@@ -132,18 +151,31 @@ def build_acm(robot: Robot, samples_min: int = SAMPLES_MIN, samples_max: int = S
     )
     touched = np.flatnonzero(counts)
     rarest = touched[np.argmin(counts[touched])] if len(touched) else 0
-    return BuiltAcm(table, rounds, quiet >= QUIET_DOUBLINGS, " + ".join(pairs[rarest]), int(counts[rarest]))
+    return BuiltAcm(
+        table,
+        rounds,
+        quiet >= QUIET_DOUBLINGS,
+        " + ".join(pairs[rarest]),
+        int(counts[rarest]),
+    )
 
 
 def _left_links(robot: Robot) -> dict[str, int]:
-    return {n: link.joints_before for n, link in links_of(robot).items() if link.collides and link.side == SIDES[0]}
+    return {
+        n: link.joints_before
+        for n, link in links_of(robot).items()
+        if link.collides and link.side == SIDES[0]
+    }
 
 
 def _structural_pairs(robot: Robot) -> dict[tuple[str, str], str]:
     """Return reasons that need no samples, by pair in the order of the links."""
     links = _left_links(robot)
     ruled_out = [{f"{SIDES[0]}_{link}" for link in pair} for pair in robot.arm.never_touch]
-    first: dict[int, str] = {}  # by number of joints before it: the link that the last of them moves
+    first: dict[
+        int,
+        str,
+    ] = {}  # by number of joints before it: the link that the last of them moves
     for name, joints in links.items():
         first.setdefault(joints, name)
     reasons: dict[tuple[str, str], str] = {}
@@ -160,12 +192,15 @@ def _structural_pairs(robot: Robot) -> dict[tuple[str, str], str]:
 
 def model_hash(robot: Robot) -> str:
     """Hash geometry (URDF, meshes), limits and home, without installation paths."""
-    urdf, digest = pair_urdf(robot), hashlib.sha256(_RULE_VERSION.encode())
+    urdf = pair_urdf(robot)
+    digest = hashlib.sha256(_RULE_VERSION.encode())
     digest.update(re.sub(r'filename="[^"]*/([^"/]+)"', r'filename="\1"', urdf).encode())
     for file in sorted(set(re.findall(r'filename="([^"]+)"', urdf))):
         digest.update(Path(file).read_bytes())
     arm = robot.arm
-    digest.update(repr((arm.home, arm.q_lower, arm.q_upper, robot.hand.travel_m, arm.never_touch)).encode())
+    digest.update(
+        repr((arm.home, arm.q_lower, arm.q_upper, robot.hand.travel_m, arm.never_touch)).encode(),
+    )
     return digest.hexdigest()
 
 
@@ -204,8 +239,12 @@ class PlanningScene:
         for attached in self.attached:
             for link in (attached.link, *attached.touch_links):
                 check_name("link", link, known)
-        if not (math.isfinite(self.min_distance_m) and 0.0 <= self.min_distance_m <= MIN_DISTANCE_MAX_M):
-            raise UsageError(f"min_distance_m = {self.min_distance_m}; it must be from 0 to {MIN_DISTANCE_MAX_M} m")
+        if not (
+            math.isfinite(self.min_distance_m) and 0.0 <= self.min_distance_m <= MIN_DISTANCE_MAX_M
+        ):
+            raise UsageError(
+                f"min_distance_m = {self.min_distance_m}; it must be from 0 to {MIN_DISTANCE_MAX_M} m",
+            )
 
     @cached_property
     def solids(self) -> tuple[Attached, ...]:
@@ -216,16 +255,23 @@ class PlanningScene:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Colliding links, obstacles, attached objects."""
-        return (*collision_links(self.robot), *(o.name for o in self.obstacles), *(a.name for a in self.attached))
+        return (
+            *collision_links(self.robot),
+            *(o.name for o in self.obstacles),
+            *(a.name for a in self.attached),
+        )
 
     @cached_property
     def checked_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs that may not touch, in a fixed order."""
-        return tuple(p for p in itertools.combinations(self.names, 2) if self.why_unchecked(*p) is None)
+        return tuple(
+            p for p in itertools.combinations(self.names, 2) if self.why_unchecked(*p) is None
+        )
 
     def why_unchecked(self, a: str, b: str) -> str | None:
         """Return the reason, or None for a checked pair of known names."""
-        moved_a, moved_b = self._moved_by[a], self._moved_by[b]
+        moved_a = self._moved_by[a]
+        moved_b = self._moved_by[b]
         if moved_a[1] == 0 and moved_b[1] == 0:
             return "neither moves"
         for held in self.attached:
@@ -243,7 +289,9 @@ class PlanningScene:
     @cached_property
     def _moved_by(self) -> dict[str, tuple[str, int]]:
         """(side, number of joints that move it) by part; equal within a rigid piece."""
-        moved = {name: (link.side, link.joints_before) for name, link in links_of(self.robot).items()}
+        moved = {
+            name: (link.side, link.joints_before) for name, link in links_of(self.robot).items()
+        }
         moved |= {obstacle.name: ("", 0) for obstacle in self.obstacles}
         return moved | {held.name: moved[held.link] for held in self.attached}
 

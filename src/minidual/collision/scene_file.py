@@ -11,7 +11,17 @@ import pinocchio as pin
 from pydantic import Field, model_validator
 
 from minidual.collision.scene import MIN_DISTANCE_MAX_M, TABLE, Attached, PlanningScene
-from minidual.collision.shapes import IDENTITY, Box, Capsule, Cylinder, Mesh, Quat, Shape, Sphere, Vec3
+from minidual.collision.shapes import (
+    IDENTITY,
+    Box,
+    Capsule,
+    Cylinder,
+    Mesh,
+    Quat,
+    Shape,
+    Sphere,
+    Vec3,
+)
 from minidual.config.base import Coordinate, StrictModel
 from minidual.config.document import Document, read_document
 from minidual.config.loader import validate_document
@@ -36,10 +46,14 @@ class PlaceFields(StrictModel):
     def _one_way(self) -> Self:
         if self.quat_wxyz is not None:
             if self.rpy_rad is not None:
-                raise ValueError("quat_wxyz and rpy_rad are two ways to say one thing; give one of them")
+                raise ValueError(
+                    "quat_wxyz and rpy_rad are two ways to say one thing; give one of them",
+                )
             length = math.hypot(*self.quat_wxyz)
             if abs(length - 1.0) > _LENGTH_TOLERANCE:
-                raise ValueError(f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)")
+                raise ValueError(
+                    f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)",
+                )
         return self
 
     def quaternion(self) -> Quat | None:
@@ -61,7 +75,13 @@ _EXTENT_MIN_M = 1e-4
 
 
 def load_mesh(
-    path: Path, name: str, position_m: Vec3, quat_wxyz: Quat = IDENTITY, *, scale: float = 1.0, separate: bool = False
+    path: Path,
+    name: str,
+    position_m: Vec3,
+    quat_wxyz: Quat = IDENTITY,
+    *,
+    scale: float = 1.0,
+    separate: bool = False,
 ) -> tuple[Mesh, str]:
     """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF); return its cover and a note on its volume.
 
@@ -73,15 +93,24 @@ def load_mesh(
     mesh = _read(path, name)
     mesh.apply_scale(scale)
     if not _EXTENT_MIN_M <= float(np.max(mesh.extents)) <= _EXTENT_MAX_M:
-        size, least, most = " x ".join(f"{v:.4g}" for v in mesh.extents), _EXTENT_MIN_M, _EXTENT_MAX_M
+        size = " x ".join(f"{v:.4g}" for v in mesh.extents)
+        least = _EXTENT_MIN_M
+        most = _EXTENT_MAX_M
         big = f"measures {size} m at scale {scale:g}; its longest side must be from {least} to {most} m"
-        raise UsageError(f"mesh '{name}' ({path.name}) {big}", remedy="a file in millimetres needs scale: 0.001")
+        raise UsageError(
+            f"mesh '{name}' ({path.name}) {big}",
+            remedy="a file in millimetres needs scale: 0.001",
+        )
     pieces = list(mesh.split(only_watertight=False)) if separate else [mesh]
     if len(pieces) > _PIECES_MAX:
-        raise UsageError(f"mesh '{name}' ({path.name}) has {len(pieces)} pieces; at most {_PIECES_MAX} are allowed")
+        raise UsageError(
+            f"mesh '{name}' ({path.name}) has {len(pieces)} pieces; at most {_PIECES_MAX} are allowed",
+        )
     hulls = [_hull(piece) for piece in pieces]
     if None in hulls:
-        raise DataError(f"mesh '{name}' ({path.name}) is flat or has a flat piece, which encloses no volume")
+        raise DataError(
+            f"mesh '{name}' ({path.name}) is flat or has a flat piece, which encloses no volume",
+        )
     held = sum(hull.volume for hull in hulls)
     fit = f"{held / mesh.volume:.2f} times its volume" if mesh.is_watertight else "an open surface"
     blobs = tuple(np.ascontiguousarray(hull.points[hull.vertices]).tobytes() for hull in hulls)
@@ -93,7 +122,9 @@ def _read(path: Path, name: str) -> Any:
     import trimesh
 
     if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"mesh '{name}': {path.name} has extension '{path.suffix}'; known are {', '.join(SUFFIXES)}")
+        raise UsageError(
+            f"mesh '{name}': {path.name} has extension '{path.suffix}'; known are {', '.join(SUFFIXES)}",
+        )
     try:
         regular_file(path, _BYTES_MAX)
     except DataError as error:
@@ -206,13 +237,21 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
     """
     if not (document := read_document(path)).tree:
         remedy = "leave --scene out for the bare table, or write at least 'table: true'"
-        raise ConfigError(f"{path.name}: the scene file is empty; it would mean the bare table", remedy=remedy)
+        raise ConfigError(
+            f"{path.name}: the scene file is empty; it would mean the bare table",
+            remedy=remedy,
+        )
     content = validate_document(document, SceneFile)
     notes: list[str] = []
-    scene = PlanningScene((TABLE,) if content.table else (), min_distance_m=content.min_distance_m, robot=robot)
+    scene = PlanningScene(
+        (TABLE,) if content.table else (),
+        min_distance_m=content.min_distance_m,
+        robot=robot,
+    )
     for index, entry in enumerate(content.obstacles):
         with _told(document, f"obstacles.{index}"):
-            shape, held = _shape(entry, path.parent, notes), entry.held
+            shape = _shape(entry, path.parent, notes)
+            held = entry.held
             if held is None:
                 scene = scene.with_obstacles(shape)
             else:
@@ -238,7 +277,10 @@ def _told(document: Document, path: str) -> Iterator[None]:
 def _shape(entry: _Entries, folder: Path, notes: list[str]) -> Shape:
     place = (entry.name, entry.position_m, entry.quaternion() or IDENTITY)
     if not isinstance(entry, MeshEntry):
-        return _SHAPES[entry.shape](*place, **entry.model_dump(include={"size_m", "radius_m", "length_m"}))
+        return _SHAPES[entry.shape](
+            *place,
+            **entry.model_dump(include={"size_m", "radius_m", "length_m"}),
+        )
     mesh, note = load_mesh(folder / entry.file, *place, scale=entry.scale, separate=entry.separate)
     notes.append(note)
     return mesh

@@ -36,14 +36,18 @@ class _Shape:
         if not all(math.isfinite(v) for v in numbers):
             raise UsageError(f"obstacle '{self.name}' has a number that is not finite: {numbers}")
         if abs(math.fsum(v * v for v in self.quat_wxyz) - 1.0) > 1e-6:
-            raise UsageError(f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1")
+            raise UsageError(
+                f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1",
+            )
         if (least := min(self.lengths())) < LENGTH_MIN_M:
             short = f"obstacle '{self.name}' has length {least} m; every length must be {LENGTH_MIN_M} or more"
             raise UsageError(short)
 
     def lengths(self) -> list[float]:
         """Return all lengths [m]."""
-        return np.hstack([getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m")]).tolist()
+        return np.hstack(
+            [getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m")],
+        ).tolist()
 
     @property
     def T_parent_shape(self) -> Array:
@@ -96,7 +100,9 @@ class Mesh(_Shape):
             raise UsageError(f"obstacle '{self.name}': a mesh needs at least one convex piece")
         for vertices in self.vertices():
             if len(vertices) < 4 or not np.isfinite(vertices).all() or _flat(vertices):
-                raise UsageError(f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices")
+                raise UsageError(
+                    f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices",
+                )
         super().__post_init__()
 
     def lengths(self) -> list[float]:
@@ -109,7 +115,10 @@ class Mesh(_Shape):
 
 
 def _flat(vertices: Array) -> bool:  # libraries of hulls end the process
-    return np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[2] < 1e-6 * np.ptp(vertices, axis=0).max()
+    return (
+        np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[2]
+        < 1e-6 * np.ptp(vertices, axis=0).max()
+    )
 
 
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
@@ -140,7 +149,11 @@ def grown(shape: Shape, by_m: float) -> Shape:
             x, y, z = shape.size_m
             return replace(shape, size_m=(x + 2 * by_m, y + 2 * by_m, z + 2 * by_m))
         case Cylinder():
-            return replace(shape, radius_m=shape.radius_m + by_m, length_m=shape.length_m + 2 * by_m)
+            return replace(
+                shape,
+                radius_m=shape.radius_m + by_m,
+                length_m=shape.length_m + 2 * by_m,
+            )
         case Capsule() | Sphere():
             return replace(shape, radius_m=shape.radius_m + by_m)
         case Mesh():
@@ -172,6 +185,9 @@ class PairDistance(NamedTuple):
 
 ENGINES: Registry[Callable[[Any], Any]] = Registry(
     "collision engine",
-    {"mujoco": "minidual.collision.engines:MujocoEngine", "coal": "minidual.collision.engines:CoalEngine"},
+    {
+        "mujoco": "minidual.collision.engines:MujocoEngine",
+        "coal": "minidual.collision.engines:CoalEngine",
+    },
 )
 """Built from a scene; `collisions(Q)` returns contact (n,) bool for Q (n, dof). Audits ask all."""

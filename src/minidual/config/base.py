@@ -20,14 +20,23 @@ Size = Annotated[float, Field(ge=1e-3, le=10.0)]
 class StrictModel(BaseModel):
     """Frozen; refuses unknown keys, NaN and infinity. `validate_document` adds strict types."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, validate_default=True)
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        strict=False,
+        validate_default=True,
+    )
 
     def demands(self) -> dict[str, Any]:
         """Return what several fields together ask for; less than in the shipped profile is no acceptance."""
         return {}
 
 
-def limits(model: StrictModel, prefix: str = "") -> Iterator[tuple[str, Literal["at least", "at most"], Any]]:
+def limits(
+    model: StrictModel,
+    prefix: str = "",
+) -> Iterator[tuple[str, Literal["at least", "at most"], Any]]:
     """Yield (dotted path, mark, value) of each marked field."""
     for name, field in type(model).model_fields.items():
         value = getattr(model, name)

@@ -207,5 +207,7 @@ class SupervisorConfig(StrictModel):
     def _ranges_in_order(self) -> Self:
         for axis, (low, high) in zip("xyz", self.workspace_m, strict=True):
             if not low < high:
-                raise ValueError(f"workspace_m of {axis} runs from {low} to {high}; it must run upwards")
+                raise ValueError(
+                    f"workspace_m of {axis} runs from {low} to {high}; it must run upwards",
+                )
         return self

@@ -17,13 +17,16 @@ from minidual.durable import regular_file
 from minidual.errors import ConfigError, DataError
 
 _INT = re.compile(r"[-+]?(0|[1-9](_?[0-9])*)")
-_NUMBER = re.compile(r"[-+]?((0|[1-9](_?[0-9])*)(\.([0-9](_?[0-9])*)?)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_NUMBER = re.compile(
+    r"[-+]?((0|[1-9](_?[0-9])*)(\.([0-9](_?[0-9])*)?)?|\.[0-9]+)([eE][-+]?[0-9]+)?",
+)
 _HALF = re.compile("[\ud800-\udfff]")
 _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 _BYTES_MAX = 256 * 1024
 _DEPTH_MAX = 32
 _NODES_MAX = 20_000  # parsed within 1 s
-_MAGNITUDE_MIN, _MAGNITUDE_MAX = 1e-15, 2.0**63
+_MAGNITUDE_MIN = 1e-15
+_MAGNITUDE_MAX = 2.0**63
 """Of numbers other than 0; no quantity here is smaller or larger in its unit."""
 
 
@@ -35,11 +38,15 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose one node and what it contains."""
-        self.depth, self.nodes_n = self.depth + 1, self.nodes_n + 1
+        self.depth = self.depth + 1
+        self.nodes_n = self.nodes_n + 1
         event = cast(Any, self.peek_event())  # pyright: ignore[reportUnknownMemberType]
         for problem, found in (
             ("aliases are not read here; write the value out", type(event) is yaml.AliasEvent),
-            ("half of a surrogate pair is no character", bool(_HALF.search(getattr(event, "value", None) or ""))),
+            (
+                "half of a surrogate pair is no character",
+                bool(_HALF.search(getattr(event, "value", None) or "")),
+            ),
             (f"nested more than {_DEPTH_MAX} levels deep", self.depth > _DEPTH_MAX),
             (f"more than {_NODES_MAX} values", self.nodes_n > _NODES_MAX),
         ):
@@ -74,7 +81,8 @@ def read_document(path: Path) -> Document:
 
 def parse_document(text: str, source: str) -> Document:
     """Parse YAML text; errors call it `source`."""
-    document, node = Document(source, {}), _compose(text, source)
+    document = Document(source, {})
+    node = _compose(text, source)
     if isinstance(node, yaml.MappingNode):
         document.tree = _build(node, "", document)
     elif node is not None:
@@ -116,7 +124,9 @@ def _build(node: yaml.Node, path: str, document: Document) -> Any:
         inner = f"{path}.{key}" if path else key
         if key in mapping:
             first = document.origins[inner]
-            raise ConfigError(f"{where}: {inner}: stands twice (first at {first}); a second value would silently win")
+            raise ConfigError(
+                f"{where}: {inner}: stands twice (first at {first}); a second value would silently win",
+            )
         document.origins[inner] = where
         mapping[key] = _build(value_node, inner, document)
     return mapping

@@ -33,7 +33,10 @@ def parse_override(text: str) -> Override:
     path, equals, value = text.partition("=")
     path = path.strip()
     if not equals or not all(path.split(".")) or not path.isprintable():
-        raise ConfigError(f"--set {text}: not of the form section.key=value", remedy="--set plan.queries_n=30")
+        raise ConfigError(
+            f"--set {text}: not of the form section.key=value",
+            remedy="--set plan.queries_n=30",
+        )
     return Override(path, parse_value(value, f"--set {text}", path), f"--set {text}")
 
 
@@ -50,16 +53,26 @@ class LoadedConfig(NamedTuple):
         """Return a validated copy with values replaced."""
         if not overrides:
             return self
-        document, resolved = copy.deepcopy(self.document), self.config.model_dump(mode="json")
+        document = copy.deepcopy(self.document)
+        resolved = self.config.model_dump(mode="json")
         for override in overrides:
             _apply(document, override, resolved)
         config = validate_document(document, Config)
-        return LoadedConfig(config, self.profile, self.sources, (*self.overrides, *overrides), document)
+        return LoadedConfig(
+            config,
+            self.profile,
+            self.sources,
+            (*self.overrides, *overrides),
+            document,
+        )
 
     @property
     def shipped(self) -> str | None:
         """Name of the shipped profile that this one is or extends."""
-        return next((path.stem for path in reversed(self.sources) if path.parent == SHIPPED_FOLDER), None)
+        return next(
+            (path.stem for path in reversed(self.sources) if path.parent == SHIPPED_FOLDER),
+            None,
+        )
 
     def reference(self) -> Config:
         """Return the shipped profile that this one is held to."""
@@ -67,8 +80,14 @@ class LoadedConfig(NamedTuple):
 
     def to_yaml(self) -> str:
         """Return resolved YAML, valid for --profile."""
-        head = f"# profile: {self.profile}\n" + "".join(f"# {item.text}\n" for item in self.overrides)
-        return head + yaml.safe_dump(self.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+        head = f"# profile: {self.profile}\n" + "".join(
+            f"# {item.text}\n" for item in self.overrides
+        )
+        return head + yaml.safe_dump(
+            self.config.model_dump(mode="json"),
+            sort_keys=False,
+            allow_unicode=True,
+        )
 
 
 def shipped_profiles() -> tuple[str, ...]:
@@ -91,7 +110,8 @@ def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Pa
         return profile, SHIPPED_FOLDER / f"{profile}.yaml"
     path = (relative_to or Path.cwd()) / expanded(profile)
     if (kind := kind_of(path)) != "file":
-        what, shipped = f": it is a {kind}" if kind else "", ", ".join(shipped_profiles())
+        what = f": it is a {kind}" if kind else ""
+        shipped = ", ".join(shipped_profiles())
         raise ConfigError(f"no profile file {path}{what}", remedy=f"shipped profiles are {shipped}")
     if path.resolve().parent == SHIPPED_FOLDER:
         return path.stem, path.resolve()
@@ -101,7 +121,10 @@ def find_profile(profile: str, relative_to: Path | None = None) -> tuple[str, Pa
     return path.stem, path
 
 
-def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | str] = ()) -> LoadedConfig:
+def load_config(
+    profile: str = DEFAULT_PROFILE,
+    overrides: Sequence[Override | str] = (),
+) -> LoadedConfig:
     """Load a profile (shipped name or .yaml file), apply overrides, and validate.
 
     Raises:
@@ -112,7 +135,9 @@ def load_config(profile: str = DEFAULT_PROFILE, overrides: Sequence[Override | s
     document, sources = _read_chain(path, ())
     document.source = path.name
     loaded = LoadedConfig(validate_document(document, Config), name, sources, (), document)
-    return loaded.with_overrides([parse_override(item) if isinstance(item, str) else item for item in overrides])
+    return loaded.with_overrides(
+        [parse_override(item) if isinstance(item, str) else item for item in overrides],
+    )
 
 
 def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Path, ...]]:
@@ -120,7 +145,10 @@ def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Pa
         chain = " -> ".join(item.name for item in (*below, path))
         raise ConfigError(f"{path.name}: profiles extend each other in a circle: {chain}")
     if not (document := read_document(path)).tree:
-        raise ConfigError(f"{path.name} is empty", remedy="begin it with 'extends: standard', then what differs")
+        raise ConfigError(
+            f"{path.name} is empty",
+            remedy="begin it with 'extends: standard', then what differs",
+        )
     if (base_name := document.tree.pop("extends", None)) is None:
         return document, (path,)
     where = document.origins.pop("extends")
@@ -147,9 +175,15 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any], location: tuple[str, .
             base[key] = value
 
 
-def _refuse_regained_acceptance(base: Mapping[str, Any], over: Mapping[str, Any], where: str) -> None:
+def _refuse_regained_acceptance(
+    base: Mapping[str, Any],
+    over: Mapping[str, Any],
+    where: str,
+) -> None:
     if base.get("acceptance") is False and over.get("acceptance", False) is not False:
-        cannot = f"{where}: acceptance: a profile that does not count as acceptance cannot be made to"
+        cannot = (
+            f"{where}: acceptance: a profile that does not count as acceptance cannot be made to"
+        )
         raise ConfigError(cannot, remedy="extend 'standard' instead")
 
 
@@ -184,33 +218,57 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
     try:
         return model.model_validate_json(json.dumps(document.tree), strict=True)
     except ValidationError as error:
-        problems = [_sentence(problem, document, model) for problem in error.errors(include_url=False)]
+        problems = [
+            _sentence(problem, document, model) for problem in error.errors(include_url=False)
+        ]
         hint = next((hint for _, hint in problems if hint), None)
         raise ConfigError("\n".join(text for text, _ in problems), remedy=hint) from None
 
 
 def _sentence(problem: Any, document: Document, model: type[BaseModel]) -> tuple[str, str | None]:
-    kind, value = problem["type"], problem.get("input")
-    location = _typed_location([str(part) for part in problem["loc"]], document.tree, missing=kind == "missing")
-    dotted, where = ".".join(location), _origin(location, document)
+    kind = problem["type"]
+    value = problem.get("input")
+    location = _typed_location(
+        [str(part) for part in problem["loc"]],
+        document.tree,
+        missing=kind == "missing",
+    )
+    dotted = ".".join(location)
+    where = _origin(location, document)
     if kind == "extra_forbidden":
         known = sorted(_keys_at(problem["loc"][:-1], model))
-        remedy, parent = unknown_name("key", location[-1], known).remedy, ".".join(location[:-1]) or "the root"
+        remedy = unknown_name("key", location[-1], known).remedy
+        parent = ".".join(location[:-1]) or "the root"
         return f"{where}: {dotted}: no such key; {parent} has {', '.join(known)}", remedy
     if kind == "value_error":
         return f"{where}: {dotted or 'configuration'}: {problem['ctx']['error']}", None
     text = f"{where}: {dotted}: {problem['msg'][:1].lower()}{problem['msg'][1:]}"
-    text = text.replace("input should", "must").replace("a valid list", "a list").replace("an object", "a section")
+    text = (
+        text.replace("input should", "must")
+        .replace("a valid list", "a list")
+        .replace("an object", "a section")
+    )
     if isinstance(value, str):
         number = kind.startswith(("int", "float"))
-        remedy = "write true or false" if "bool" in kind else "write a number without quotes" if number else None
+        remedy = (
+            "write true or false"
+            if "bool" in kind
+            else "write a number without quotes"
+            if number
+            else None
+        )
         return f"{text}, is the text '{value}'", remedy
-    return text + (f", is {json.dumps(value)}" if isinstance(value, bool | int | float | None) else ""), None
+    return text + (
+        f", is {json.dumps(value)}" if isinstance(value, bool | int | float | None) else ""
+    ), None
 
 
 def _origin(location: Sequence[str], document: Document) -> str:
     paths = (".".join(location[:length]) for length in range(len(location), 0, -1))
-    return next((document.origins[path] for path in paths if path in document.origins), document.source)
+    return next(
+        (document.origins[path] for path in paths if path in document.origins),
+        document.source,
+    )
 
 
 def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> set[str]:
@@ -220,7 +278,9 @@ def _keys_at(location: Sequence[str | int], root: type[BaseModel] = Config) -> s
         if fields := [model.model_fields[part] for model in models if part in model.model_fields]:
             models = [found for field in fields for found in _models_in(field.annotation)]
         elif isinstance(part, str):  # a member of a union by its tag, or an entry of a mapping
-            models = [m for m in models if any(f.default == part for f in m.model_fields.values())] or models
+            models = [
+                m for m in models if any(f.default == part for f in m.model_fields.values())
+            ] or models
     return {name for model in models for name in model.model_fields}
 
 

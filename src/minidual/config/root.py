@@ -27,7 +27,9 @@ class BenchmarkConfig(StrictModel):
     """Undisturbed trials of each method, which have limits."""
     perturbed_trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     """Trials of each method under each other condition, on the first of the same starts."""
-    success_rate_min: AtLeast[dict[str, Rate]] = Field(default={"moveit": 0.8, "impedance": 0.8, "act": 0.5})
+    success_rate_min: AtLeast[dict[str, Rate]] = Field(
+        default={"moveit": 0.8, "impedance": 0.8, "act": 0.5},
+    )
     """By method; others are only reported."""
 
 
@@ -79,9 +81,14 @@ class Config(StrictModel):
 
     def demands(self) -> dict[str, Any]:
         """Return the undisturbed trials of each named or further task, and whether the benchmark has the run's own."""
-        asked = self.benchmark  # `tasks` replaces `further_tasks`: neither says alone what is asked for
+        asked = (
+            self.benchmark
+        )  # `tasks` replaces `further_tasks`: neither says alone what is asked for
         tasks = dict.fromkeys(asked.tasks, asked.trials_n) or asked.further_tasks
-        return {"benchmark.tasks": tasks, "benchmark.own_task": not asked.tasks or self.task in asked.tasks}
+        return {
+            "benchmark.tasks": tasks,
+            "benchmark.own_task": not asked.tasks or self.task in asked.tasks,
+        }
 
 
 def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: bool = False) -> M:
@@ -102,7 +109,9 @@ def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: 
         elif not unset_only or name not in section.model_fields_set:
             wanted[name] = value
         elif isinstance(getattr(section, name), BaseModel) and isinstance(value, BaseModel):
-            inner.setdefault(name, {}).update({k: getattr(value, k) for k in value.model_fields_set})
+            inner.setdefault(name, {}).update(
+                {k: getattr(value, k) for k in value.model_fields_set},
+            )
     for name, part in inner.items():
         wanted[name] = changed(getattr(section, name), part, unset_only=unset_only)
     return replaced(section, **wanted)

@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 from minidual.config.base import AtLeast, AtMost, Coordinate, Rate, Size, StrictModel
 
 OBSTACLE = "obstacle"
-DISTRACTORS, DISTRACTOR_HALF_M = ("distractor_box", "distractor_cylinder"), 0.03
+DISTRACTORS = ("distractor_box", "distractor_cylinder")
+DISTRACTOR_HALF_M = 0.03
 """Geoms without contacts, invisible until a condition of trials shows them."""
 GRASPED_HALF_MAX_M = 0.035
 Angle = Annotated[float, Field(ge=-100.0, le=100.0)]
@@ -74,7 +75,8 @@ class ObjectConfig(StrictModel):
         """The part with mass, then `parts`."""
         x = z = 2.0 * self.radius_m
         if self.shape == "box":
-            x, z = self.width_m, self.height_m
+            x = self.width_m
+            z = self.height_m
         size, axis = ((x, z, self.length_m), "z") if self.upright else ((x, self.length_m, z), "y")
         return PartConfig(shape=self.shape, size_m=size, axis=axis, colour=self.colour), *self.parts
 
@@ -85,7 +87,9 @@ class ObjectConfig(StrictModel):
 
     def _holds(self, part: PartConfig) -> bool:
         grasp = (0.0, self.grasp_offset_m, self.grasp_height_m)
-        return all(abs(g - c) <= h for g, c, h in zip(grasp, part.position_m, part.half_m, strict=True))
+        return all(
+            abs(g - c) <= h for g, c, h in zip(grasp, part.position_m, part.half_m, strict=True)
+        )
 
     @property
     def half_width_m(self) -> float:
@@ -100,20 +104,28 @@ class ObjectConfig(StrictModel):
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
         """Principal moments about x, y, z; uniform density."""
-        m, (x, y, z) = self.mass_kg, self.solids[0].size_m
+        m = self.mass_kg
+        (x, y, z) = self.solids[0].size_m
         if self.shape == "cylinder":
-            across, along = m * (3 * self.radius_m**2 + self.length_m**2) / 12.0, 0.5 * m * self.radius_m**2
+            across = m * (3 * self.radius_m**2 + self.length_m**2) / 12.0
+            along = 0.5 * m * self.radius_m**2
             return (across, across, along) if self.upright else (across, along, across)
         return m * (y**2 + z**2) / 12.0, m * (x**2 + z**2) / 12.0, m * (x**2 + y**2) / 12.0
 
     @model_validator(mode="after")
     def _hands_on_it(self) -> Self:
         if self.parts and not self._holds(self.grasped):
-            raise ValueError(f"no part holds the grasp (0, {self.grasp_offset_m}, {self.grasp_height_m})")
+            raise ValueError(
+                f"no part holds the grasp (0, {self.grasp_offset_m}, {self.grasp_height_m})",
+            )
         if not self.parts and self.grasp_offset_m > self.length_m / 2:
-            raise ValueError(f"grasp_offset_m {self.grasp_offset_m} lies beyond the end at {self.length_m / 2}")
+            raise ValueError(
+                f"grasp_offset_m {self.grasp_offset_m} lies beyond the end at {self.length_m / 2}",
+            )
         if self.half_width_m > GRASPED_HALF_MAX_M:
-            raise ValueError(f"{2 * self.half_width_m} m between the fingers; at most {2 * GRASPED_HALF_MAX_M}")
+            raise ValueError(
+                f"{2 * self.half_width_m} m between the fingers; at most {2 * GRASPED_HALF_MAX_M}",
+            )
         return self
 
 
@@ -166,7 +178,10 @@ class TaskConfig(StrictModel):
 
     def demands(self) -> dict[str, float]:
         """Return the distance from start to goal [m] and the turn [rad]."""
-        return {"distance_m": round(math.dist(self.start_xy_m, self.goal_xy_m), 6), "turn_rad": abs(self.goal_yaw_rad)}
+        return {
+            "distance_m": round(math.dist(self.start_xy_m, self.goal_xy_m), 6),
+            "turn_rad": abs(self.goal_yaw_rad),
+        }
 
 
 class CameraConfig(StrictModel):
@@ -197,7 +212,9 @@ class SceneConfig(StrictModel):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         if len(self.objects) < 1 + len(self.more):
-            raise ValueError(f"two objects have one name: {', '.join(o.name for o in (self.object, *self.more))}")
+            raise ValueError(
+                f"two objects have one name: {', '.join(o.name for o in (self.object, *self.more))}",
+            )
         return self
 
 

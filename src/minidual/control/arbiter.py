@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from minidual.config.control import ArbiterConfig
-from minidual.control.commands import HOLD, SOURCES, ArbiterState, Command, JointCommand, Reason, Refusal
+from minidual.control.commands import (
+    HOLD,
+    SOURCES,
+    ArbiterState,
+    Command,
+    JointCommand,
+    Reason,
+    Refusal,
+)
 from minidual.control.execution import Execution, Underway
 from minidual.control.mailbox import Mailbox, check_openings
 from minidual.errors import UsageError, check_name
@@ -67,12 +75,15 @@ class CommandArbiter:
         admit: Callable[[Command], Reason | None] = lambda command: None,
     ) -> None:
         self.config = ArbiterConfig() if config is None else config
-        self._robot, self.underway = robot, Underway(control_dt_s, robot, admit)
+        self._robot = robot
+        self.underway = Underway(control_dt_s, robot, admit)
         self.on_confirm: Callable[[str], None] = lambda mode: None
         """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
         """Called with the mode at a switch, "hold" at a halt."""
-        self._mailboxes = {source: Mailbox(robot, partial(self._refuse, source)) for source in SOURCES}
+        self._mailboxes = {
+            source: Mailbox(robot, partial(self._refuse, source)) for source in SOURCES
+        }
         self._requested: str | None = None
         self._halt: tuple[str, Array | None] | None = None
         self._refusals: list[Refusal] = []
@@ -88,9 +99,11 @@ class CommandArbiter:
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
         self._affirmed: set[str] = set()
-        self._streamed, self._stopping = set[int](), set[int]()
+        self._streamed = set[int]()
+        self._stopping = set[int]()
         """Arms with a fresh streamed command, and arms on the way to where they can stop since theirs have ended."""
-        self._alive_s, self.speed = -np.inf, self.config.speed_override
+        self._alive_s = -np.inf
+        self.speed = self.config.speed_override
         """Share of full speed, from the next tick on."""
 
     def propose(self, source: str, command: Command) -> Refusal | None:
@@ -114,9 +127,14 @@ class CommandArbiter:
         """Request a source, or "hold"; the last request counts, but one of who drives takes back no hold."""
         check_name("mode", mode, (*SOURCES, HOLD))
         if self._requested == HOLD and mode == self.source:
-            self._requested, mode = mode, HOLD
+            self._requested = mode
+            mode = HOLD
         if self._requested not in (None, mode):
-            self._refuse(self._requested, "superseded", f"'{mode}' was requested before the switch began")
+            self._refuse(
+                self._requested,
+                "superseded",
+                f"'{mode}' was requested before the switch began",
+            )
         self._requested = mode
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
@@ -129,7 +147,11 @@ class CommandArbiter:
             self._refuse(source, *reason)
             gripper = None
         if self._requested not in (None, HOLD):
-            self._refuse(self._requested, "superseded", "the arms were halted before the switch began")
+            self._refuse(
+                self._requested,
+                "superseded",
+                "the arms were halted before the switch began",
+            )
             self._requested = None
         self._halt = (source, None if gripper is None else np.array(gripper, dtype=float))
 
@@ -142,7 +164,13 @@ class CommandArbiter:
         """Whether a switch is requested or waits."""
         return self._requested is not None or self._switch is not None
 
-    def tick(self, now_s: float, q_measured: Array, v_measured: Array, q_held: Array | None = None) -> ArbiterOutput:
+    def tick(
+        self,
+        now_s: float,
+        q_measured: Array,
+        v_measured: Array,
+        q_held: Array | None = None,
+    ) -> ArbiterOutput:
         """Return the output at now_s [s] for measured q (n,) [rad] and v (n,) [rad/s].
 
         A switch holds arms at rest at `q_held` (n,), by default at the measured posture.
@@ -150,14 +178,19 @@ class CommandArbiter:
         Raises:
             UsageError: Time runs backwards, or the first posture is not finite.
         """
-        dt, posture = self._elapsed(now_s), self._posture(q_measured)
-        moved = 0.25 * (posture - self._was) / dt if dt > 0.0 else v_measured  # velocities may be what has failed
-        speed, self._was = float(np.max(np.abs([v_measured, moved]))), posture  # NaN counts as not still
+        dt = self._elapsed(now_s)
+        posture = self._posture(q_measured)
+        moved = (
+            0.25 * (posture - self._was) / dt if dt > 0.0 else v_measured
+        )  # velocities may be what has failed
+        speed = float(np.max(np.abs([v_measured, moved])))  # NaN counts as not still
+        self._was = posture
         if self.source in self._affirmed:
             self._alive_s = now_s
         self._affirmed.clear()
         halted = self._begin_halt(now_s, posture, v_measured)
-        ended, cut = False, self.underway.braking
+        ended = False
+        cut = self.underway.braking
         if self.underway.executions:
             for execution in self.underway.executions:
                 if execution.why is not None:
@@ -172,28 +205,50 @@ class CommandArbiter:
         driven = False
         if self.source is not None:
             if ended and not (cut and self._is_gone(now_s)):
-                self.state, self._heard_s = ArbiterState.WAITING, now_s
+                self.state = ArbiterState.WAITING
+                self._heard_s = now_s
             self._begin_timed(self.source, now_s, posture, v_measured)
-            heard, driven = self._streamed, self._drive(self.source, now_s, dt)
+            heard = self._streamed
+            driven = self._drive(self.source, now_s, dt)
             if (silent := heard - self._streamed) or self._stopping:
                 self._stop_silent(silent, self._where_they_stop(posture, v_measured))
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
-        refusals, self._refusals = tuple(self._refusals), []
+        refusals = tuple(self._refusals)
+        self._refusals = []
         now = self._target.copy(), self._gripper.copy(), self.state, self.source if driven else None
-        return ArbiterOutput(*now, switched_to, refusals, self.underway.executions, halted, self.speed)
+        return ArbiterOutput(
+            *now,
+            switched_to,
+            refusals,
+            self.underway.executions,
+            halted,
+            self.speed,
+        )
 
     def _stop_silent(self, silent: set[int], rest: Array) -> None:
         """Hold arms where they can stop: at once if nobody drives, else in bounded steps, arm by arm."""
-        driven, bound = self.state in (ArbiterState.ACTIVE, ArbiterState.ALIGNING), self.config.switch_step_max_rad
-        way, self._target = rest - self._target, self._target.copy()
-        arms = {arm for arm in range(len(SIDES)) if arm not in self._streamed and not self.underway.busy((arm,))}
+        driven = self.state in (ArbiterState.ACTIVE, ArbiterState.ALIGNING)
+        bound = self.config.switch_step_max_rad
+        way = rest - self._target
+        self._target = self._target.copy()
+        arms = {
+            arm
+            for arm in range(len(SIDES))
+            if arm not in self._streamed and not self.underway.busy((arm,))
+        }
         arms &= (self._stopping | silent) if driven else arms
         # Nearer arms stay at their target: loaded ones would sag.
         far = {arm for arm in arms if np.abs(way[self._robot.joints_of(arm)]).max() > bound}
-        for arm in (far | arms & self._stopping) if driven else (arms & (silent | far) if far else ()):
+        for arm in (
+            (far | arms & self._stopping) if driven else (arms & (silent | far) if far else ())
+        ):
             if driven and arm in silent:
-                self._refuse(self.source or HOLD, "stale", f"{SIDES[arm]} arm: no command for {self.config.stale_s} s")
+                self._refuse(
+                    self.source or HOLD,
+                    "stale",
+                    f"{SIDES[arm]} arm: no command for {self.config.stale_s} s",
+                )
             joints = self._robot.joints_of(arm)
             self._target[joints] += np.clip(way[joints], -bound, bound) if driven else way[joints]
         self._stopping = far if driven else set()
@@ -219,12 +274,15 @@ class CommandArbiter:
                 self._target = posture
             return posture
         if self._target is None:
-            raise UsageError(f"the first measured posture is not {self._robot.dof} finite angles: {q_measured}")
+            raise UsageError(
+                f"the first measured posture is not {self._robot.dof} finite angles: {q_measured}",
+            )
         self._refuse("measurement", "not_finite", f"measured joints {q_measured}")
         return self._target
 
     def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
-        mode, self._requested = self._requested, None
+        mode = self._requested
+        self._requested = None
         if mode is None:
             return
         if self._switch is not None:
@@ -243,7 +301,8 @@ class CommandArbiter:
     def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
         if self._halt is None:
             return False
-        (source, gripper), self._halt = self._halt, None
+        (source, gripper) = self._halt
+        self._halt = None
         if gripper is not None and source == self.source:
             self._gripper = gripper
         elif gripper is not None:
@@ -254,20 +313,31 @@ class CommandArbiter:
         self.underway.executions = ()
         self._flush(HOLD, now_s)
         self._target = self._where_they_stop(posture, v_measured)
-        self.source, self.state = None, ArbiterState.STOPPED
+        self.source = None
+        self.state = ArbiterState.STOPPED
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
-        self._streamed, self._stopping = set(), set()
+        self._streamed = set()
+        self._stopping = set()
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:
             listener(mode)
 
-    def _settle(self, mode: str, since_s: float, now_s: float, speed: float, posture: Array) -> str | None:
-        waited, still_speed = now_s - since_s, self.config.still_speed_rad_s
+    def _settle(
+        self,
+        mode: str,
+        since_s: float,
+        now_s: float,
+        speed: float,
+        posture: Array,
+    ) -> str | None:
+        waited = now_s - since_s
+        still_speed = self.config.still_speed_rad_s
         if speed < still_speed and not self.underway.executions:
-            self._switch, self._target = None, posture
+            self._switch = None
+            self._target = posture
             self.source = None if mode == HOLD else mode
             self.state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
             self._heard_s = now_s
@@ -275,7 +345,8 @@ class CommandArbiter:
             return mode
         if waited >= self.config.settle_timeout_s:
             self._switch = None
-            self.state, fastest = ArbiterState.STOPPED, f"fastest joint {speed:.3f} rad/s after {waited:.3f} s"
+            self.state = ArbiterState.STOPPED
+            fastest = f"fastest joint {speed:.3f} rad/s after {waited:.3f} s"
             self._refuse(mode, "not_still", f"{fastest}; still means below {still_speed} rad/s")
         return None
 
@@ -285,7 +356,13 @@ class CommandArbiter:
 
     def _begin_timed(self, source: str, now_s: float, posture: Array, v: Array) -> None:
         for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
-            if reason := self.underway.begin(command, posture, v, self.config.switch_step_max_rad, self._gripper):
+            if reason := self.underway.begin(
+                command,
+                posture,
+                v,
+                self.config.switch_step_max_rad,
+                self._gripper,
+            ):
                 self._refuse(source, *reason)
                 continue
             self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))
@@ -304,11 +381,13 @@ class CommandArbiter:
         return fresh
 
     def _drive(self, source: str, now_s: float, dt: float) -> bool:
-        fresh, was_aligning = self._fresh(source, now_s), self.state == ArbiterState.ALIGNING
+        fresh = self._fresh(source, now_s)
+        was_aligning = self.state == ArbiterState.ALIGNING
         self._streamed = set(fresh)
         if fresh:
             newest_s = max(c.stamp_s for c in fresh.values())
-            self._heard_s, self._alive_s = max(self._heard_s, newest_s), max(self._alive_s, min(now_s, newest_s))
+            self._heard_s = max(self._heard_s, newest_s)
+            self._alive_s = max(self._alive_s, min(now_s, newest_s))
         driven = self._run_timed(now_s)
         if not fresh:
             if not driven:
@@ -317,15 +396,23 @@ class CommandArbiter:
         wanted = self._target.copy()
         for arm, command in fresh.items():
             joints = self._robot.joints_of(arm)
-            lower, upper = self._robot.q_lower[joints], self._robot.q_upper[joints]
-            wanted[joints] = np.clip(command.q[joints] if len(command.arms) > 1 else command.q, lower, upper)
+            lower = self._robot.q_lower[joints]
+            upper = self._robot.q_upper[joints]
+            wanted[joints] = np.clip(
+                command.q[joints] if len(command.arms) > 1 else command.q,
+                lower,
+                upper,
+            )
         step = wanted - self._target
         largest = float(np.max(np.abs(step)))
         # A step over the bound starts an alignment, which ends once one tick at its speed reaches the target.
         align = self.speed * self.config.align_speed_rad_s * dt
         aligning = largest > self.config.switch_step_max_rad or (was_aligning and largest > align)
         if aligning:
-            wanted = self._target + step * min(1.0, min(align, self.config.switch_step_max_rad) / largest)
+            wanted = self._target + step * min(
+                1.0,
+                min(align, self.config.switch_step_max_rad) / largest,
+            )
         else:
             # The hands do not move while aligning, so that they keep what they hold.
             for arm, command in fresh.items():
@@ -351,15 +438,27 @@ class CommandArbiter:
 
     def _go_quiet(self, now_s: float) -> None:
         if now_s - self._heard_s > self.config.stop_after_s:
-            self.state, self.source = ArbiterState.STOPPED, None
+            self.state = ArbiterState.STOPPED
+            self.source = None
         elif self.state != ArbiterState.WAITING:
             self.state = ArbiterState.STALE
 
     def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
         robot = self._robot
-        v, wanted = np.clip(v_measured, -robot.v_max, robot.v_max), self._target
+        v = np.clip(v_measured, -robot.v_max, robot.v_max)
+        wanted = self._target
         if not np.isfinite(v).all():
             return posture.copy()
-        rest = np.clip(posture + v * np.abs(v) / (2.0 * _STOP_SHARE * robot.a_max), robot.q_lower, robot.q_upper)
-        ahead = ((wanted - posture) * v >= 0.0) | (np.abs(wanted - posture) < self.config.switch_step_max_rad)
-        return np.where(ahead & ((rest - wanted) * v > 0.0), wanted, rest)  # never beyond what was commanded
+        rest = np.clip(
+            posture + v * np.abs(v) / (2.0 * _STOP_SHARE * robot.a_max),
+            robot.q_lower,
+            robot.q_upper,
+        )
+        ahead = ((wanted - posture) * v >= 0.0) | (
+            np.abs(wanted - posture) < self.config.switch_step_max_rad
+        )
+        return np.where(
+            ahead & ((rest - wanted) * v > 0.0),
+            wanted,
+            rest,
+        )  # never beyond what was commanded

@@ -29,11 +29,14 @@ class ControllerManager:
     """Runs the active controllers."""
 
     def __init__(self, controllers: Sequence[Controller], dt_s: float, robot: Robot) -> None:
-        self._robot, self._all = robot, {c.name: c for c in controllers}
+        self._robot = robot
+        self._all = {c.name: c for c in controllers}
         self._active: tuple[Controller, ...] = ()
         self.active: tuple[str, ...] = ()
         """Names."""
-        self._dt, self._fade_steps, self.fade_left = dt_s, max(1, round(_FADE_S / dt_s)), 0
+        self._dt = dt_s
+        self._fade_steps = max(1, round(_FADE_S / dt_s))
+        self.fade_left = 0
         self._rate: TorqueRate | None = None
         self._offset: Array | None = None
         self.tau = np.zeros(robot.dof)
@@ -52,12 +55,17 @@ class ControllerManager:
         chosen = tuple(self[name] for name in names)
         for arm, arm_name in enumerate(SIDES):
             if not (claims := [c.name for c in chosen if arm in c.arms]):
-                left = f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})"
+                left = (
+                    f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})"
+                )
                 remedy = "name a whole set: both_arms; left_arm and right_arm; or object_impedance"
                 raise ControllerSwitchError("unclaimed", left, remedy=remedy)
             if len(claims) > 1:
                 both = " and ".join(claims)
-                raise ControllerSwitchError("doubly_claimed", f"the {arm_name} arm's joints would be driven by {both}")
+                raise ControllerSwitchError(
+                    "doubly_claimed",
+                    f"the {arm_name} arm's joints would be driven by {both}",
+                )
         for controller in chosen:
             if reason := controller.not_ready():
                 raise ControllerSwitchError("not_ready", f"controller {controller.name}: {reason}")
@@ -73,10 +81,16 @@ class ControllerManager:
             if controller not in self._active:
                 controller.activate(q, v)
         if self._active and chosen != self._active:
-            self.fade_left, self._offset = self._fade_steps, None
-            self._rate = TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
-        self._active, self.active = chosen, tuple(names)
-        self._claims = [(k, self._robot.joints_of(arm)) for k, c in enumerate(chosen) for arm in c.arms]
+            self.fade_left = self._fade_steps
+            self._offset = None
+            self._rate = (
+                TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
+            )
+        self._active = chosen
+        self.active = tuple(names)
+        self._claims = [
+            (k, self._robot.joints_of(arm)) for k, c in enumerate(chosen) for arm in c.arms
+        ]
 
     def refuses(self, command: Command) -> Reason | None:
         """Return why a command is refused, or None."""
@@ -91,7 +105,11 @@ class ControllerManager:
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
         active = self._active
-        tau = active[0].update(q, v) if len(active) == 1 else self._joined([one.update(q, v) for one in active])
+        tau = (
+            active[0].update(q, v)
+            if len(active) == 1
+            else self._joined([one.update(q, v) for one in active])
+        )
         if self.fade_left:
             tau = self._faded(tau)
         self.tau = tau
@@ -122,7 +140,8 @@ class ControllerManager:
         if self._rate is not None:
             followed = self._rate.limit(tau)
             if np.array_equal(followed, tau):
-                self._rate, self.fade_left = None, 0
+                self._rate = None
+                self.fade_left = 0
             return followed
         if self._offset is None:
             self._offset = np.nan_to_num(self.tau - tau)

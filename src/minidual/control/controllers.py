@@ -28,21 +28,27 @@ LOAD_MAX_N = 30.0
 """The Panda's payload."""
 _GAIN_N_PER_M_S = 2000.0  # slow beside the joints' stiffness, about 1.2 kN/m at a hand
 _NEAR_M = 2e-4
-_RAMP_N_PER_S, _EVERY_S = 100.0, 0.01  # a moving arm's Jacobian in each step makes it a third longer
+_RAMP_N_PER_S = 100.0  # a moving arm's Jacobian in each step makes it a third longer
+_EVERY_S = 0.01
 
 
 class Payload:
     """The load of each hand, for all controllers of a stack."""
 
     def __init__(self, kinematics: Kinematics, dt_s: float) -> None:
-        self._kinematics, self._hands, self._dt = kinematics, Hands(kinematics), dt_s
+        self._kinematics = kinematics
+        self._hands = Hands(kinematics)
+        self._dt = dt_s
         self.every = max(1, round(_EVERY_S / dt_s))
         """Steps from one update of moving arms' torques to the next."""
         self.reset()
 
     def reset(self) -> None:
         """Start without loads, hands open."""
-        self.force_n, self._wanted_n, self.closed, self._held = [0.0, 0.0], [0.0, 0.0], [False, False], [False, False]
+        self.force_n = [0.0, 0.0]
+        self._wanted_n = [0.0, 0.0]
+        self.closed = [False, False]
+        self._held = [False, False]
         self.idle: tuple[int, ...] = ()
         """Arms whose torques do not reach the motors: what they miss is no load."""
 
@@ -54,7 +60,9 @@ class Payload:
         """
         if not (arm in (0, 1) and 0.0 <= mass_kg * GRAVITY_M_PER_S2 <= LOAD_MAX_N):
             most_kg = LOAD_MAX_N / GRAVITY_M_PER_S2
-            raise UsageError(f"arm {arm} cannot be told to bear {mass_kg} kg: arms 0 and 1 bear 0 to {most_kg:.2f} kg")
+            raise UsageError(
+                f"arm {arm} cannot be told to bear {mass_kg} kg: arms 0 and 1 bear 0 to {most_kg:.2f} kg",
+            )
         self._wanted_n[arm] = mass_kg * GRAVITY_M_PER_S2
 
     def take_over(self, force_n: float) -> None:
@@ -65,7 +73,8 @@ class Payload:
         """Bear at once what these hands lift at q (n,), where external torques (n,) [Nm] are felt."""
         self._hands.update(q)
         for arm in arms:
-            joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
+            joints = self._kinematics.robot.joints_of(arm)
+            rise = self._hands.rise(arm)
             felt_n = -float(rise @ torque[joints]) / float(rise @ rise)
             if felt_n > self.force_n[arm]:  # false for NaN
                 self.force_n[arm] = self._wanted_n[arm] = min(felt_n, LOAD_MAX_N)
@@ -91,13 +100,22 @@ class Payload:
         if not (learn or any(self.force_n + self._wanted_n)):
             return None
         self._hands.update(q)
-        tau, wanted_n = np.zeros(len(q)), self._wanted_n
+        tau = np.zeros(len(q))
+        wanted_n = self._wanted_n
         step_n = _RAMP_N_PER_S * self._dt * (1 if learn else self.every)
         for arm in arms:
-            joints, rise = self._kinematics.robot.joints_of(arm), self._hands.rise(arm)
-            below_m, now_n = float(rise @ (q_ref - q)[joints]), self.force_n[arm]
-            if learn and self._held[arm] and arm not in self.idle and abs(below_m) > _NEAR_M:  # false for NaN
-                wanted_n[arm] = within(wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m, 0.0, LOAD_MAX_N)
+            joints = self._kinematics.robot.joints_of(arm)
+            rise = self._hands.rise(arm)
+            below_m = float(rise @ (q_ref - q)[joints])
+            now_n = self.force_n[arm]
+            if (
+                learn and self._held[arm] and arm not in self.idle and abs(below_m) > _NEAR_M
+            ):  # false for NaN
+                wanted_n[arm] = within(
+                    wanted_n[arm] + _GAIN_N_PER_M_S * self._dt * below_m,
+                    0.0,
+                    LOAD_MAX_N,
+                )
             self.force_n[arm] = within(wanted_n[arm], now_n - step_n, now_n + step_n)
             tau[joints] = self.force_n[arm] * rise
         return tau if any(self.force_n) else None
@@ -124,7 +142,10 @@ class Controller(ABC):
         if isinstance(command, self.takes):
             return None
         taken = " and ".join(kind.__name__ for kind in self.takes) or "no command: ask for a mode"
-        return "wrong_controller", f"controller {self.name} takes {taken}, no {type(command).__name__}"
+        return (
+            "wrong_controller",
+            f"controller {self.name} takes {taken}, no {type(command).__name__}",
+        )
 
     def not_ready(self) -> str:
         """Return why it cannot be activated, or ""."""
@@ -152,11 +173,17 @@ class JointTrajectoryController(Controller):
     takes = (JointCommand, TrajectoryCommand)
 
     def __init__(self, group: str, kinematics: Kinematics, dt_s: float, payload: Payload) -> None:
-        self.name, self.arms, self._dt, self._payload, self._holds = group, arms_of(group), dt_s, payload, False
-        self._servo, self._filter = ComputedTorque(kinematics), ReferenceFilter(dt_s, kinematics.robot)
+        self.name = group
+        self.arms = arms_of(group)
+        self._dt = dt_s
+        self._payload = payload
+        self._holds = False
+        self._servo = ComputedTorque(kinematics)
+        self._filter = ReferenceFilter(dt_s, kinematics.robot)
         self._executions: dict[TrajectoryExecution, tuple[Array, float]] = {}
         """Running, with the offset of the start and the steps of its fade by the path's clock, or -1."""
-        self._rows, self._target = np.zeros((4, kinematics.robot.dof)), np.zeros(kinematics.robot.dof)
+        self._rows = np.zeros((4, kinematics.robot.dof))
+        self._target = np.zeros(kinematics.robot.dof)
         """_rows: q, v, a of the reference with the fading offsets, and a without them."""
         self.reference = self._target
 
@@ -165,11 +192,15 @@ class JointTrajectoryController(Controller):
         self._filter.reset(q, v)
         self._target = np.array(q, dtype=float)
         self._executions.clear()
-        self.reference, self.acceleration, self._load, self._age = np.array(q, dtype=float), None, None, 0
+        self.reference = np.array(q, dtype=float)
+        self.acceleration = None
+        self._load = None
+        self._age = 0
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take the target, newly begun trajectories and the speed override."""
-        self._target, self._holds = output.q_target.copy(), output.state is ArbiterState.HOLDING
+        self._target = output.q_target.copy()
+        self._holds = output.state is ArbiterState.HOLDING
         self._filter.limit_speed(output.speed)
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
@@ -193,8 +224,12 @@ class JointTrajectoryController(Controller):
 
     def _trajectory_reference(self) -> tuple[Array, Array, Array, Array | None]:
         execution, (_, k) = next(iter(self._executions.items()))
-        braking = execution.braking or (len(self._executions) > 1 and any(one.braking for one in self._executions))
-        if k < 0 and len(execution.q) == len(self._target) and not execution.finished:  # it drives all joints
+        braking = execution.braking or (
+            len(self._executions) > 1 and any(one.braking for one in self._executions)
+        )
+        if (
+            k < 0 and len(execution.q) == len(self._target) and not execution.finished
+        ):  # it drives all joints
             return execution.q, execution.v, execution.a, None if braking else execution.a
         driven = {arm for execution in self._executions for arm in execution.arms}
         if not driven.issuperset(self.arms):
@@ -204,11 +239,15 @@ class JointTrajectoryController(Controller):
             joints = execution.joints
             self._rows[:, joints] = execution.q, execution.v, execution.a, execution.a
             if k >= 0:
-                (s, ds, dds), rate = minimum_jerk(k * self._dt / _BLEND_S), execution.rate / _BLEND_S
+                (s, ds, dds) = minimum_jerk(k * self._dt / _BLEND_S)
+                rate = execution.rate / _BLEND_S
                 fade = 1.0 - s, -ds * rate, -dds * rate**2
                 self._rows[:3, joints] += np.outer(fade, offset)
                 execution.left = fade[0] * offset
-                self._executions[execution] = (offset, k + execution.rate if k * self._dt < _BLEND_S else -1)
+                self._executions[execution] = (
+                    offset,
+                    k + execution.rate if k * self._dt < _BLEND_S else -1,
+                )
             if execution.finished:
                 del self._executions[execution]
                 self._target = self._target.copy()

@@ -11,7 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from minidual.control.commands import Command, ObjectCommand, Reason, TimedCommand, TrajectoryCommand
+from minidual.control.commands import (
+    Command,
+    ObjectCommand,
+    Reason,
+    TimedCommand,
+    TrajectoryCommand,
+)
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE
 from minidual.control.impedance import SQUEEZE_MAX_N, ObjectState
 from minidual.control.kernels import adopt, within
@@ -21,16 +27,20 @@ from minidual.robot.pair import SIDES, Array, Robot
 
 BRAKE_SHARE = 0.8
 """Share of the joints' acceleration limits."""
-_BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX = 2.0, 20.0
+_BRAKE_SLOPE_MIN = 2.0
+_BRAKE_SLOPE_MAX = 20.0
 _OBJECT_BRAKE_SLOPE = 4.0
 _BRAKE_RAMP_S = 0.03
-_PACE_SLOPE, _PACE_S = 4.0, 0.1
+_PACE_SLOPE = 4.0
+_PACE_S = 0.1
 """Largest change of the rate [1/s], and its time constant."""
 _OVERRIDE_SLEW = 0.3
 """Change of the override [1/s]: plans leave a tenth of a_max."""
-_TURN_PER_S, _SHIFT_M_PER_S = 8.0, 2.0
+_TURN_PER_S = 8.0
+_SHIFT_M_PER_S = 2.0
 """Largest rates of a pose's entries, of rotation and position; twice what is accepted."""
-_STOPPED_RATE, START_RAD_PER_S = 1e-4, 0.5
+_STOPPED_RATE = 1e-4
+START_RAD_PER_S = 0.5
 _LOOK_AHEAD_ROWS = 500
 _ROWS = 256
 """Sampled at once: all of a long trajectory would hold up the tick in which it starts."""
@@ -39,10 +49,16 @@ _ROWS = 256
 class _Execution[C: TimedCommand]:
     def __init__(self, command: C, dt_s: float) -> None:
         self.command = command
-        self.arms, duration_s = command.arms, command.motion.duration_s
-        self._steps, self._k = max(1, int(np.ceil(duration_s / dt_s - 1e-6))), -1
-        self._t_s, self.rate, self._slope, self._slope_max = 0.0, 1.0, 0.0, 0.0
-        self._dt, self._end_s = dt_s, duration_s
+        self.arms = command.arms
+        duration_s = command.motion.duration_s
+        self._steps = max(1, int(np.ceil(duration_s / dt_s - 1e-6)))
+        self._k = -1
+        self._t_s = 0.0
+        self.rate = 1.0
+        self._slope = 0.0
+        self._slope_max = 0.0
+        self._dt = dt_s
+        self._end_s = duration_s
         self.pace = 1.0
         """Wanted rate, above 0 to 1; reached smoothly."""
         self._paced = self.finished = False
@@ -94,12 +110,19 @@ class _Execution[C: TimedCommand]:
             slew = _OVERRIDE_SLEW * self._dt
             self._speed_now += within(self._speed - self._speed_now, -slew, slew)
             pace = min(self.pace, self._speed_now)
-            change, wanted = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S, (self.rate - pace) / _PACE_S
-            self._slope += within(within(wanted, -_PACE_SLOPE, _PACE_SLOPE) - self._slope, -change, change)
+            change = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S
+            wanted = (self.rate - pace) / _PACE_S
+            self._slope += within(
+                within(wanted, -_PACE_SLOPE, _PACE_SLOPE) - self._slope,
+                -change,
+                change,
+            )
         self.rate = within(self.rate - self._slope * self._dt, 0.0, 1.0)
         self._t_s = min(self._t_s + self.rate * self._dt, self._end_s)
         if self.rate < _STOPPED_RATE or self._t_s >= self._end_s:
-            self.rate, self._slope, self.finished = 0.0, 0.0, True
+            self.rate = 0.0
+            self._slope = 0.0
+            self.finished = True
 
     def _slowed(self, v: Array, a: Array) -> tuple[Array, Array]:
         return v * self.rate, a * self.rate**2 - v * self._slope
@@ -119,16 +142,24 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
     def __init__(self, command: TrajectoryCommand, dt_s: float, robot: Robot) -> None:
         super().__init__(command, dt_s)
         self.joints = robot.groups[command.group]
-        self._a_max, self._columns = robot.a_max[self.joints], own_columns(command, robot)
+        self._a_max = robot.a_max[self.joints]
+        self._columns = own_columns(command, robot)
         self._fill(0)
-        self.q, self.v, self.a = self._q[0], self._v[0], self._a[0]
+        self.q = self._q[0]
+        self.v = self._v[0]
+        self.a = self._a[0]
 
     def _fill(self, k: int, rows_n: int = _ROWS) -> None:
         times = np.minimum(np.arange(k, k + rows_n) * self._dt, self._end_s)
-        self._q, self._v, self._a = (x[:, self._columns] for x in self.command.motion.sample_many(times))
+        self._q, self._v, self._a = (
+            x[:, self._columns] for x in self.command.motion.sample_many(times)
+        )
 
     def _largest_slope(self) -> float:
-        self._fill(round(self._t_s / self._dt), _LOOK_AHEAD_ROWS)  # braking, it never comes back to these rows
+        self._fill(
+            round(self._t_s / self._dt),
+            _LOOK_AHEAD_ROWS,
+        )  # braking, it never comes back to these rows
         ahead = np.abs(self._v).max(axis=0)
         limit = float((BRAKE_SHARE * self._a_max / np.maximum(ahead, 1e-6)).min())
         return float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX))
@@ -140,7 +171,9 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
             row = self._k % _ROWS
             if row == 0:
                 self._fill(self._k)
-            self.q, self.v, self.a = self._q[row], self._v[row], self._a[row]
+            self.q = self._q[row]
+            self.v = self._v[row]
+            self.a = self._a[row]
             return
         self.q, v, a = (x[self._columns] for x in self.command.motion.sample(self._t_s))
         self.v, self.a = self._slowed(v, a)
@@ -151,7 +184,8 @@ class ObjectExecution(_Execution[ObjectCommand]):
 
     def __init__(self, command: ObjectCommand, dt_s: float) -> None:
         super().__init__(command, dt_s)
-        self._at, self._squeeze_n = command.motion.at, command.squeeze_n
+        self._at = command.motion.at
+        self._squeeze_n = command.squeeze_n
         self._most = np.array([_TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s, *OBJECT_MAX])
         self.desired = self._own = self._at(0.0).copied()  # overwritten in each step
         self.squeeze_n = self._squeeze_n(0.0)
@@ -161,7 +195,9 @@ class ObjectExecution(_Execution[ObjectCommand]):
         super().step()
         squeeze_n = self._squeeze_n(self._t_s)
         if not -1e-6 <= squeeze_n <= SQUEEZE_MAX_N + 1e-6:
-            raise UsageError(f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_MAX_N} N")
+            raise UsageError(
+                f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_MAX_N} N",
+            )
         if not adopt(*self._at(self._t_s), self._most, *self._own):
             fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
             raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
@@ -176,11 +212,25 @@ Execution = TrajectoryExecution | ObjectExecution
 class Underway:
     """Running timed commands, at most one per arm; `admit` as in CommandArbiter."""
 
-    def __init__(self, dt_s: float, robot: Robot, admit: Callable[[Command], Reason | None]) -> None:
-        self._dt, self._robot, self.admit = dt_s, robot, admit
+    def __init__(
+        self,
+        dt_s: float,
+        robot: Robot,
+        admit: Callable[[Command], Reason | None],
+    ) -> None:
+        self._dt = dt_s
+        self._robot = robot
+        self.admit = admit
         self.executions: tuple[Execution, ...] = ()
 
-    def begin(self, command: TimedCommand, posture: Array, v: Array, far_rad: float, gripper: Array) -> Reason | None:
+    def begin(
+        self,
+        command: TimedCommand,
+        posture: Array,
+        v: Array,
+        far_rad: float,
+        gripper: Array,
+    ) -> Reason | None:
         """Begin a command, or return why not.
 
         A trajectory may start at most `far_rad` from the measured posture (n,), on arms that hardly move. An
@@ -190,10 +240,17 @@ class Underway:
         if reason is None and isinstance(command, TrajectoryCommand):
             reason = self._far_start(command, posture, far_rad) or self._moving(command, v)
         elif reason is None and ((gripper < CLOSE_BELOW) & (command.gripper > OPEN_ABOVE)).any():
-            reason = "gripper_out_of_range", f"gripper {command.gripper} would open the hands that hold the object"
+            reason = (
+                "gripper_out_of_range",
+                f"gripper {command.gripper} would open the hands that hold the object",
+            )
         if reason is None:
             timed = isinstance(command, TrajectoryCommand)
-            begun = TrajectoryExecution(command, self._dt, self._robot) if timed else ObjectExecution(command, self._dt)
+            begun = (
+                TrajectoryExecution(command, self._dt, self._robot)
+                if timed
+                else ObjectExecution(command, self._dt)
+            )
             self.executions = (*self.executions, begun)
         return reason
 
@@ -202,7 +259,10 @@ class Underway:
         for execution in self.executions:
             if shared := [SIDES[arm] for arm in arms if arm in execution.arms]:
                 kind = type(execution.command).__name__
-                return "busy", f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold"
+                return (
+                    "busy",
+                    f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold",
+                )
         return None
 
     @property
@@ -217,9 +277,14 @@ class Underway:
             if isinstance(execution, TrajectoryExecution):
                 joints = execution.joints
                 q = execution.q + execution.left * execution.braking  # braked, it fades no further
-                target[joints] = np.clip(q, self._robot.q_lower[joints], self._robot.q_upper[joints])
+                target[joints] = np.clip(
+                    q,
+                    self._robot.q_lower[joints],
+                    self._robot.q_upper[joints],
+                )
         running = tuple(e for e in self.executions if not e.finished)
-        ended, self.executions = len(running) < len(self.executions), running
+        ended = len(running) < len(self.executions)
+        self.executions = running
         return target, ended
 
     def brake(self) -> None:
@@ -232,7 +297,12 @@ class Underway:
         what = f"a trajectory starts at rest, and a joint moves at {fastest:.2f} rad/s; bound {START_RAD_PER_S} rad/s"
         return None if fastest <= START_RAD_PER_S else ("not_still", what)
 
-    def _far_start(self, command: TrajectoryCommand, posture: Array, bound_rad: float) -> Reason | None:
+    def _far_start(
+        self,
+        command: TrajectoryCommand,
+        posture: Array,
+        bound_rad: float,
+    ) -> Reason | None:
         joints = self._robot.groups[command.group]
         away = command.motion.q[0, own_columns(command, self._robot)] - posture[joints]
         index = int(np.argmax(np.abs(away)))

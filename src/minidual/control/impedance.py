@@ -21,14 +21,24 @@ import numpy as np
 
 from minidual.config.control import ImpedanceConfig
 from minidual.control.joint_control import ComputedTorque, motor_torque
-from minidual.control.kernels import HAND_LAW, LAW, approach, follow, from_hand, hand_impedance, impedance, on_path
+from minidual.control.kernels import (
+    HAND_LAW,
+    LAW,
+    approach,
+    follow,
+    from_hand,
+    hand_impedance,
+    impedance,
+    on_path,
+)
 from minidual.errors import DataError, MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array, inverse
 
 SQUEEZE_MAX_N = 80.0
 """Highest internal force."""
-POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S = 20.0, 9.0
+POSTURE_STIFFNESS_PER_S2 = 20.0
+POSTURE_DAMPING_PER_S = 9.0
 """Of the null space: keeps the elbows in place."""
 _BENT = "keep the elbows bent: a stretched arm cannot carry"
 
@@ -87,14 +97,27 @@ class ObjectImpedance:
     """The law for one object and grasp."""
 
     def __init__(self, kinematics: Kinematics, held: HeldObject, gains: ImpedanceConfig) -> None:
-        self._kinematics, self.held, self.gains = kinematics, held, gains
+        self._kinematics = kinematics
+        self.held = held
+        self.gains = gains
         K = np.repeat([gains.stiffness_n_per_m, gains.stiffness_nm_per_rad], 3)
         posture = POSTURE_STIFFNESS_PER_S2, POSTURE_DAMPING_PER_S
         R_tcps_object = [T[:3, :3].T for T in held.T_object_tcps]
         servo = gains.force_gain, gains.force_correction_max_n, SQUEEZE_MAX_N
-        data = (K, np.zeros(6), held.mass_kg, *posture, *servo, held.inertia_kg_m2, held.axis, R_tcps_object)
-        self._law, self._by_world = np.array([data], LAW), gains.squeeze_axes == "world"
-        self._posture, self._world_axis = kinematics.robot.home, np.zeros(3)
+        data = (
+            K,
+            np.zeros(6),
+            held.mass_kg,
+            *posture,
+            *servo,
+            held.inertia_kg_m2,
+            held.axis,
+            R_tcps_object,
+        )
+        self._law = np.array([data], LAW)
+        self._by_world = gains.squeeze_axes == "world"
+        self._posture = kinematics.robot.home
+        self._world_axis = np.zeros(3)
         self._hands = Hands(kinematics)
         self._work = np.zeros((19, max(6, kinematics.robot.dof_per_arm)))
         self._qdd, self.push = np.zeros((2, kinematics.robot.dof))
@@ -111,7 +134,10 @@ class ObjectImpedance:
         lever = max(float(np.linalg.norm(T[:3, 3])) for T in self.held.T_object_tcps)
         for index, J in enumerate(self._kinematics.tcp_jacobians(q)):
             arm = self._kinematics.robot.joints_of(index)
-            mass, inertia = (np.diag(inertia_at_hand(M[arm, arm], part, index)) for part in (J[:3, arm], J[3:, arm]))
+            mass, inertia = (
+                np.diag(inertia_at_hand(M[arm, arm], part, index))
+                for part in (J[:3, arm], J[3:, arm])
+            )
             moving[:3] += mass
             moving[3:] += lever**2 * float(np.mean(mass)) + inertia
         left, right = self._kinematics.tcp_poses(q)
@@ -120,7 +146,14 @@ class ObjectImpedance:
         self._law["D"] = 2.0 * self.gains.damping_ratio * np.sqrt(self._law["K"] * moving)
 
     def torque(
-        self, q: Array, v: Array, measured: ObjectState, desired: ObjectState, *, wanted_n: float, felt_n: float
+        self,
+        q: Array,
+        v: Array,
+        measured: ObjectState,
+        desired: ObjectState,
+        *,
+        wanted_n: float,
+        felt_n: float,
     ) -> Array:
         """Return motor torques (n,) [Nm], clipped to the limits.
 
@@ -140,18 +173,32 @@ class ObjectImpedance:
             *(hands.views, self._posture, q, v, self._qdd, self.push, self._work),
         )
         if not sound and np.isfinite(q + v).all():  # of joints, the supervisor says what is wrong
-            seen = {"pose": measured.T_world_object, "twist": measured.twist, "internal force": felt_n + wanted_n}
+            seen = {
+                "pose": measured.T_world_object,
+                "twist": measured.twist,
+                "internal force": felt_n + wanted_n,
+            }
             if lost := [name for name, values in seen.items() if not np.isfinite(values).all()]:
-                raise DataError(f"the object's {' and '.join(lost)} is not finite", remedy="look at what measures it")
-            raise SingularPostureError("a hand has lost a direction of motion: J J^T is singular", remedy=_BENT)
+                raise DataError(
+                    f"the object's {' and '.join(lost)} is not finite",
+                    remedy="look at what measures it",
+                )
+            raise SingularPostureError(
+                "a hand has lost a direction of motion: J J^T is singular",
+                remedy=_BENT,
+            )
         return motor_torque(self._kinematics, q, v, self._qdd, self.push)
 
 
-STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD, DAMPING_RATIO = 2000.0, 100.0, 1.0
-FORCE_MAX_N, MOMENT_MAX_NM = 10.0, 1.2
+STIFFNESS_N_PER_M = 2000.0
+STIFFNESS_NM_PER_RAD = 100.0
+DAMPING_RATIO = 1.0
+FORCE_MAX_N = 10.0
+MOMENT_MAX_NM = 1.2
 """Bounds of the spring along and about each axis: beyond the dry friction of a joint."""
 _LEARNING_PER_S = 4.0
-_ELBOW_STIFFNESS_PER_S2, _ELBOW_DAMPING_PER_S = 100.0, 20.0
+_ELBOW_STIFFNESS_PER_S2 = 100.0
+_ELBOW_DAMPING_PER_S = 20.0
 """Of one hand's null space: dry friction of 0.5 Nm holds an elbow off by 0.03 to 0.04 rad (0.1 with 20 and 9)."""
 _HEAVIEST = 20.0
 """Largest inertia [kg, kg m^2] of a hand that damping is made for: near a singularity it is hundreds, and soon past."""
@@ -180,31 +227,52 @@ class HandImpedance(ComputedTorque):
 
     def __init__(self, kinematics: Kinematics, arm: int, dt_s: float) -> None:
         super().__init__(kinematics)
-        self._arm, self._joints, self._hands = arm, kinematics.robot.joints_of(arm), Hands(kinematics)
-        self.held, self._held = InHand(), InHand()
+        self._arm = arm
+        self._joints = kinematics.robot.joints_of(arm)
+        self._hands = Hands(kinematics)
+        self.held = InHand()
+        self._held = InHand()
         self.other: InHand | None = None
         """What the other hand holds, if the reference moves with it; both from the next engagement on."""
         self._other = self.other
-        K, most = np.repeat([[STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], [FORCE_MAX_N, MOMENT_MAX_NM]], 3, axis=1)
+        K, most = np.repeat(
+            [[STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], [FORCE_MAX_N, MOMENT_MAX_NM]],
+            3,
+            axis=1,
+        )
         posture = _ELBOW_STIFFNESS_PER_S2, _ELBOW_DAMPING_PER_S
         own = K, most, np.zeros((6, 6)), np.zeros(3), _AT_TCP, _LEARNING_PER_S * dt_s, *posture
-        self._law, self._learnt = np.array([own], HAND_LAW), np.zeros(6)
+        self._law = np.array([own], HAND_LAW)
+        self._learnt = np.zeros(6)
 
     def engage(self, q: Array) -> None:
         """Set the damping from q (n,), and forget what was learnt."""
         held = self._held = self.held
-        self._other, self._learnt = self.other, np.zeros(6)
+        self._other = self.other
+        self._learnt = np.zeros(6)
         T, J = self._placed(q)
-        M, axes = self._kinematics.mass_matrix(q)[self._joints, self._joints], np.kron(np.eye(2), T[:3, :3])
+        M = self._kinematics.mass_matrix(q)[self._joints, self._joints]
+        axes = np.kron(np.eye(2), T[:3, :3])
         squares, modes = np.linalg.eigh(axes.T @ inertia_at_hand(M, J, self._arm) @ axes)
-        half = (modes * np.sqrt(np.minimum(squares, _HEAVIEST))) @ modes.T * np.sqrt(self._law["K"][0])
+        half = (
+            (modes * np.sqrt(np.minimum(squares, _HEAVIEST))) @ modes.T * np.sqrt(self._law["K"][0])
+        )
         self._law["D"], self._law["centre"] = DAMPING_RATIO * (half + half.T), held.centre_m
         self._law["T_tcp_object"] = held.T_tcp_object
 
-    def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, load: Array | None = None) -> Array:
+    def torque(
+        self,
+        q: Array,
+        v: Array,
+        q_ref: Array,
+        v_ref: Array,
+        a_ref: Array,
+        load: Array | None = None,
+    ) -> Array:
         """See `ComputedTorque`; of its own arm, or raise SingularPostureError."""
         T_ref = self._wanted(q, q_ref)
-        qdd, push = a_ref.copy(), np.zeros(len(q)) if load is None else load.copy()
+        qdd = a_ref.copy()
+        push = np.zeros(len(q)) if load is None else load.copy()
         of_hand = self._law, self._hands.views, self._arm, T_ref
         if not hand_impedance(*of_hand, q, v, q_ref, v_ref, self._learnt, qdd, push):
             raise lost_direction(self._arm)
@@ -212,7 +280,10 @@ class HandImpedance(ComputedTorque):
 
     def _wanted(self, q: Array, q_ref: Array) -> Array:
         """Return the object's pose (4, 4) that the reference asks for, and update the hands."""
-        hands, away, T, T_away = self._hands, 1 - self._arm, np.empty((4, 4)), np.empty((4, 4))
+        hands = self._hands
+        away = 1 - self._arm
+        T = np.empty((4, 4))
+        T_away = np.empty((4, 4))
         hands.place(q_ref)
         from_hand(hands.views, self._arm, self._held.T_tcp_planned, _AT_TCP, False, T)
         if self._other is not None:
@@ -264,7 +335,8 @@ class ObjectPath:
 
     def at(self, t_s: float, T_level_object: Array = _LEVEL) -> ObjectState:
         """Return the state at a path time of an object that lies at T_level_object (4, 4) in the level frame."""
-        T, motion = np.empty((4, 4)), np.zeros((2, 6))
+        T = np.empty((4, 4))
+        motion = np.zeros((2, 6))
         on_path(self._poses, self._ends_s, t_s, T_level_object, T, motion)
         return tuple.__new__(ObjectState, (T, motion[0], motion[1]))
 
@@ -277,7 +349,8 @@ class RestingEstimate:
     """
 
     def __init__(self, T_world_object: Array) -> None:
-        self.T_world_object, self.samples_n = T_world_object.copy(), 1
+        self.T_world_object = T_world_object.copy()
+        self.samples_n = 1
         self.innovation = (0.0, 0.0)
 
     def add(self, T_world_object: Array, least_gain: float = 0.0) -> None:
@@ -287,7 +360,8 @@ class RestingEstimate:
         self.T_world_object, self.innovation = towards(self.T_world_object, T_world_object, gain)
 
 
-_ODD_M, _ODD_RAD = 0.03, 0.2  # one frame off by more says nothing of the object: a marker was taken for another
+_ODD_M = 0.03  # one frame off by more says nothing of the object: a marker was taken for another
+_ODD_RAD = 0.2
 
 
 class HeldEstimate:
@@ -306,19 +380,34 @@ class HeldEstimate:
     """
 
     def __init__(
-        self, kinematics: Kinematics, q: Array, T_world_object: Array, *, delay_ticks: int, least_gain: float
+        self,
+        kinematics: Kinematics,
+        q: Array,
+        T_world_object: Array,
+        *,
+        delay_ticks: int,
+        least_gain: float,
     ) -> None:
         self._hands = Hands(kinematics)
-        self._least_gain, self._samples_n = least_gain, 5
+        self._least_gain = least_gain
+        self._samples_n = 5
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
-        self.innovation, self._odd = (0.0, 0.0), False
+        self.innovation = (0.0, 0.0)
+        self._odd = False
         self.spread_m = self.moved_m = 0.0
         self._T_hands_object = np.eye(4)
         T_world_hands = self._follow(q, np.zeros_like(q))[0]
-        self._T_hands_object, self._sampled_m = inverse(T_world_hands) @ T_world_object, T_world_hands[:3, 3]
+        self._T_hands_object = inverse(T_world_hands) @ T_world_object
+        self._sampled_m = T_world_hands[:3, 3]
         self.state = ObjectState(T_world_object)
 
-    def update(self, q: Array, v: Array, sample: Array | None = None, age_ticks: int = 0) -> ObjectState:
+    def update(
+        self,
+        q: Array,
+        v: Array,
+        sample: Array | None = None,
+        age_ticks: int = 0,
+    ) -> ObjectState:
         """Return the object's state at joints q, v (n,).
 
         Samples (4, 4) older than `delay_ticks` are ignored, and a single one that is far off.
@@ -327,22 +416,30 @@ class HeldEstimate:
         self._history.append(T_world_hands)
         if sample is not None and age_ticks < len(self._history):
             self._samples_n += 1
-            gain, T_then = max(1.0 / self._samples_n, self._least_gain), self._history[-1 - age_ticks]
-            way_m, self._sampled_m = T_then[:3, 3] - self._sampled_m, T_then[:3, 3]
+            gain = max(1.0 / self._samples_n, self._least_gain)
+            T_then = self._history[-1 - age_ticks]
+            way_m = T_then[:3, 3] - self._sampled_m
+            self._sampled_m = T_then[:3, 3]
             self.moved_m = math.sqrt(way_m @ way_m)
             moved, self.innovation = towards(self._T_hands_object, inverse(T_then) @ sample, gain)
-            before, self._odd = self._odd, self.innovation[0] > _ODD_M or self.innovation[1] > _ODD_RAD
+            before = self._odd
+            self._odd = self.innovation[0] > _ODD_M or self.innovation[1] > _ODD_RAD
             if before or not self._odd:
                 self._T_hands_object = moved
             T, twist = self._follow(q, v)[1:]
-        self.state = tuple.__new__(ObjectState, (T, twist, _STILL))  # ObjectState(...) takes three times as long
+        self.state = tuple.__new__(
+            ObjectState,
+            (T, twist, _STILL),
+        )  # ObjectState(...) takes three times as long
         return self.state
 
     def _follow(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return T_world_hands (4, 4), and pose (4, 4) and twist (6,) of the object; set `spread_m`."""
         hands = self._hands
         hands.update(q)
-        T_hands, T, twist = np.empty((4, 4)), np.empty((4, 4)), np.empty(6)
+        T_hands = np.empty((4, 4))
+        T = np.empty((4, 4))
+        twist = np.empty(6)
         self.spread_m = follow(hands.views, v, self._T_hands_object, T_hands, T, twist)
         return T_hands, T, twist
 

@@ -10,7 +10,14 @@ from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import LOAD_MAX_N, Controller, JointTrajectoryController, Payload
 from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
-from minidual.control.impedance import SQUEEZE_MAX_N, HandImpedance, HeldObject, ObjectImpedance, ObjectState, towards
+from minidual.control.impedance import (
+    SQUEEZE_MAX_N,
+    HandImpedance,
+    HeldObject,
+    ObjectImpedance,
+    ObjectState,
+    towards,
+)
 from minidual.control.kernels import apart, within
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
@@ -18,18 +25,23 @@ from minidual.robot.pair import SIDES, Array, inverse
 
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
-_START, OFF_PATH = (0.02, 0.1), (0.04, 0.15)
+_START = (0.02, 0.1)
+OFF_PATH = (0.04, 0.15)
 """Largest distance [m] and angle [rad] between an object and a path where it starts, and on its way."""
 SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
 """Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
 singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
-_AHEAD_S, _PACE_MIN, _NEARER, _SPEED_SHARE = 0.2, 0.1, 1e-4, 0.9
+_AHEAD_S = 0.2
+_PACE_MIN = 0.1
+_NEARER = 1e-4
+_SPEED_SHARE = 0.9
 """_AHEAD_S: how far a path looks ahead; it slows down within 0.25 s."""
 _IN_HAND = 0.04, 0.5
 """Largest distance [m] and angle [rad] by which an object may move in a hand; it turns between two pads."""
 _FORGET_S = 0.5
 """How long the object's twist may differ from the motion of its pose, by as much as it may move in a hand."""
-_BACK_TO_M, _BACK_M_PER_S = 0.01, 0.1
+_BACK_TO_M = 0.01
+_BACK_M_PER_S = 0.1
 """A path that left the object behind draws its end back to within this distance, at this speed."""
 
 
@@ -51,10 +63,14 @@ class ObjectImpedanceController(Controller):
     takes = (ObjectCommand,)
 
     def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor | None) -> None:
-        self._kinematics, self._sensor = kinematics, sensor
-        self._squeeze_step, self._dt_s, self._updates = SQUEEZE_RATE_N_PER_S * dt_s, dt_s, 0
+        self._kinematics = kinematics
+        self._sensor = sensor
+        self._squeeze_step = SQUEEZE_RATE_N_PER_S * dt_s
+        self._dt_s = dt_s
+        self._updates = 0
         kind = np.repeat([0, 1], [len(SIDES), kinematics.robot.dof])
-        self._slow_at, self._room = SLOW_AT[kind], (_STOP_AT - SLOW_AT)[kind]
+        self._slow_at = SLOW_AT[kind]
+        self._room = (_STOP_AT - SLOW_AT)[kind]
         self.forget()
 
     def forget(self) -> None:
@@ -76,7 +92,9 @@ class ObjectImpedanceController(Controller):
         """
         most_kg = 2.0 * LOAD_MAX_N / GRAVITY_M_PER_S2
         if not 0.0 <= held.mass_kg <= most_kg:
-            raise UsageError(f"two hands cannot hold {held.mass_kg} kg; they hold 0 to {most_kg:.2f} kg")
+            raise UsageError(
+                f"two hands cannot hold {held.mass_kg} kg; they hold 0 to {most_kg:.2f} kg",
+            )
         self._next = ObjectImpedance(self._kinematics, held, gains or ImpedanceConfig())
 
     def refuses(self, command: Command) -> Reason | None:
@@ -86,9 +104,18 @@ class ObjectImpedanceController(Controller):
         far = self._away(command.motion.at(0.0), _START)
         return ("far_start", f"the path starts {far}") if far else None
 
-    def _away(self, wanted: ObjectState, bounds: tuple[float, float], what: str = "the object") -> str:
+    def _away(
+        self,
+        wanted: ObjectState,
+        bounds: tuple[float, float],
+        what: str = "the object",
+    ) -> str:
         """Return how far off the object is, if it is beyond the bounds [m, rad]; NaN is."""
-        away_m, away_rad = apart(self._ready()[1].read()[0].T_world_object, wanted.T_world_object, self._way)
+        away_m, away_rad = apart(
+            self._ready()[1].read()[0].T_world_object,
+            wanted.T_world_object,
+            self._way,
+        )
         if away_m <= bounds[0] and away_rad <= bounds[1]:
             return ""
         return f"{1e3 * away_m:.0f} mm, {away_rad:.3f} rad away from {what}; bounds {bounds[0]} m, {bounds[1]} rad"
@@ -106,12 +133,17 @@ class ObjectImpedanceController(Controller):
         self._law = self._next
         measured, internal_force = self._ready()[1].read()
         self.desired = ObjectState(measured.T_world_object.copy())
-        self._T_tcp_objects = [inverse(T) @ self.desired.T_world_object for T in self._kinematics.tcp_poses(q)]
-        self._T_seen, self._back, self._updates = self.desired.T_world_object, False, 0
+        self._T_tcp_objects = [
+            inverse(T) @ self.desired.T_world_object for T in self._kinematics.tcp_poses(q)
+        ]
+        self._T_seen = self.desired.T_world_object
+        self._back = False
+        self._updates = 0
         self._twists, self._off = np.zeros((2, 6))
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_MAX_N))
         self._execution = None
-        self.reference, self._v = np.array(q, dtype=float), v
+        self.reference = np.array(q, dtype=float)
+        self._v = v
 
     @property
     def load(self) -> Array:
@@ -128,13 +160,18 @@ class ObjectImpedanceController(Controller):
         for execution in output.executions:
             if isinstance(execution, ObjectExecution):
                 if execution is not self._execution:
-                    self._near, self._back = None, False
+                    self._near = None
+                    self._back = False
                 self._execution = execution
         for arm, T in enumerate(self._kinematics.tcp_poses(self.reference)):
             held = ObjectState(T @ self._T_tcp_objects[arm])
             if far := self._away(held, _IN_HAND, f"where the {SIDES[arm]} hand holds it"):
-                raise DataError(f"the object is {far}", remedy="look at what measures its pose, and at the grasp")
-        steps, self._updates = self._updates, 0
+                raise DataError(
+                    f"the object is {far}",
+                    remedy="look at what measures its pose, and at the grasp",
+                )
+        steps = self._updates
+        self._updates = 0
         if steps:
             self._compare_motion(steps)
         if self._execution is not None:
@@ -144,56 +181,89 @@ class ObjectImpedanceController(Controller):
                 self._back = True
 
     def _compare_motion(self, steps: int) -> None:
-        T, before, span_s = self._ready()[1].read()[0].T_world_object, self._T_seen, steps * self._dt_s
+        T = self._ready()[1].read()[0].T_world_object
+        before = self._T_seen
+        span_s = steps * self._dt_s
         apart(T, before, self._way)
         self._T_seen = T.copy()
-        self._off += self._dt_s * self._twists - self._way - min(1.0, span_s / _FORGET_S) * self._off
+        self._off += (
+            self._dt_s * self._twists - self._way - min(1.0, span_s / _FORGET_S) * self._off
+        )
         self._twists[:] = 0.0
         off_m, off_rad = np.linalg.norm(self._off.reshape(2, 3), axis=1).tolist()
         if not (off_m <= _IN_HAND[0] and off_rad <= _IN_HAND[1]):
             off = f"{1e3 * off_m:.0f} mm, {off_rad:.2f} rad in {_FORGET_S} s; bounds {_IN_HAND[0]} m, {_IN_HAND[1]} rad"
-            raise DataError(f"the object's twist is off the motion of its pose: {off}", remedy="look at its sensor")
+            raise DataError(
+                f"the object's twist is off the motion of its pose: {off}",
+                remedy="look at its sensor",
+            )
 
     def _give_room(self, execution: ObjectExecution, steps: int) -> None:
-        robot, q = self._kinematics.robot, self.reference
-        hands = [J[:, robot.joints_of(arm)] for arm, J in enumerate(self._kinematics.tcp_jacobians(q))]
+        robot = self._kinematics.robot
+        q = self.reference
+        hands = [
+            J[:, robot.joints_of(arm)] for arm, J in enumerate(self._kinematics.tcp_jacobians(q))
+        ]
         squares = np.linalg.eigvalsh([J @ J.T for J in hands])
         condition = np.sqrt(squares[:, -1] / np.maximum(squares[:, 0], 1e-12))
         margin = np.minimum(q - robot.q_lower, robot.q_upper - q)
-        values, share = np.concatenate([condition, margin]), float((np.abs(self._v) / robot.v_max).max())
+        values = np.concatenate([condition, margin])
+        share = float((np.abs(self._v) / robot.v_max).max())
         # the share of full speed at the full rate
-        near = np.append((values - self._slow_at) / self._room, share / max(execution.rate, _PACE_MIN))
-        nearer, self._near = np.zeros_like(near) if self._near is None else near - self._near, near
+        near = np.append(
+            (values - self._slow_at) / self._room,
+            share / max(execution.rate, _PACE_MIN),
+        )
+        nearer = np.zeros_like(near) if self._near is None else near - self._near
+        self._near = near
         *ahead, share = near + _AHEAD_S / (self._dt_s * steps) * np.maximum(nearer, 0.0)
         nearing = np.where(nearer[:-1] > _NEARER, ahead, 0.0)
         worst = int(nearing.argmax())
-        execution.pace = max(_PACE_MIN, min(1.0 - float(nearing[worst]), _SPEED_SHARE / max(share, _SPEED_SHARE)))
+        execution.pace = max(
+            _PACE_MIN,
+            min(1.0 - float(nearing[worst]), _SPEED_SHARE / max(share, _SPEED_SHARE)),
+        )
         if nearing[worst] >= 1.0 and worst < len(condition):
             what = f"the {SIDES[worst]} hand's Jacobian has condition number {values[worst]:.0f}"
-            execution.stop(("singular", f"{what}; paths towards a singularity stop before {_STOP_AT[0]:.0f}"))
+            execution.stop(
+                ("singular", f"{what}; paths towards a singularity stop before {_STOP_AT[0]:.0f}"),
+            )
         elif nearing[worst] >= 1.0:
             what = f"{robot.joint_names[worst - len(condition)]} is {values[worst]:.3f} rad from its limit"
-            execution.stop(("joint_limit", f"{what}; paths towards it stop before {_STOP_AT[1]} rad"))
+            execution.stop(
+                ("joint_limit", f"{what}; paths towards it stop before {_STOP_AT[1]} rad"),
+            )
 
     def update(self, q: Array, v: Array) -> Array:
         """See `Controller`."""
-        (law, sensor), execution = self._ready(), self._execution
+        (law, sensor) = self._ready()
+        execution = self._execution
         if execution is not None:
-            self.desired, self._squeeze_wanted = execution.desired, execution.squeeze_n
+            self.desired = execution.desired
+            self._squeeze_wanted = execution.squeeze_n
             if execution.finished:
                 self._execution = None
         if self._squeeze != self._squeeze_wanted:
-            self._squeeze += within(self._squeeze_wanted - self._squeeze, -self._squeeze_step, self._squeeze_step)
+            self._squeeze += within(
+                self._squeeze_wanted - self._squeeze,
+                -self._squeeze_step,
+                self._squeeze_step,
+            )
         # The hands slip above the friction limit: reduce the squeeze at once.
         if self._squeeze > sensor.grip_limit_n:
             self._squeeze = sensor.grip_limit_n
         measured, felt_n = sensor.read()
         self._twists += measured.twist
-        self.reference, self._v, desired, self._updates = q, v, self.desired or measured, self._updates + 1
+        self.reference = q
+        self._v = v
+        desired = self.desired or measured
+        self._updates = self._updates + 1
         if self._back and execution is None:
-            ahead, there = desired.T_world_object, measured.T_world_object
+            ahead = desired.T_world_object
+            there = measured.T_world_object
             ahead_m = apart(ahead, there, self._way)[0]
-            step, self._back = _BACK_M_PER_S * self._dt_s / max(ahead_m, _BACK_TO_M), ahead_m > _BACK_TO_M
+            step = _BACK_M_PER_S * self._dt_s / max(ahead_m, _BACK_TO_M)
+            self._back = ahead_m > _BACK_TO_M
             self.desired = desired = ObjectState(towards(ahead, there, step)[0])
         return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)
 

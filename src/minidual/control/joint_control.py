@@ -26,24 +26,34 @@ class ReferenceFilter:
     """Second-order tracking of joint targets, with lag 2 / w after the ramp."""
 
     def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0) -> None:
-        self._w, self._dt = bandwidth_rad_s, dt_s
+        self._w = bandwidth_rad_s
+        self._dt = dt_s
         a_max = 0.8 * robot.a_max
         near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
         self._v_max = self._v_allowed = 0.95 * robot.v_max
         self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
-        self._state, self._slewing, self._fresh = np.zeros((6, robot.dof)), False, True
+        self._state = np.zeros((6, robot.dof))
+        self._slewing = False
+        self._fresh = True
 
     def limit_speed(self, share: float) -> None:
         """Follow targets at most at this share of full speed."""
-        self._v_allowed, self._slewing = share * self._v_max, True
+        self._v_allowed = share * self._v_max
+        self._slewing = True
         if self._fresh:  # as after a reset: nothing moved faster
-            self._bounds[1], self._fresh = np.maximum(self._v_allowed, np.abs(self._state[1])), False
+            self._bounds[1] = np.maximum(self._v_allowed, np.abs(self._state[1]))
+            self._fresh = False
 
     def reset(self, q: Array, v: Array | None = None, joints: slice = slice(None)) -> None:
         """Start some joints from posture q (n,) [rad], by default all, at rest."""
         still = np.zeros_like(q)
-        self._state[:, joints] = np.array([q, still if v is None else v, still, q, q, still])[:, joints]
-        self._bounds[1], self._slewing, self._fresh = np.maximum(self._bounds[1], np.abs(self._state[1])), True, True
+        self._state[:, joints] = np.array([q, still if v is None else v, still, q, q, still])[
+            :,
+            joints,
+        ]
+        self._bounds[1] = np.maximum(self._bounds[1], np.abs(self._state[1]))
+        self._slewing = True
+        self._fresh = True
 
     def step(self, target: Array) -> tuple[Array, Array, Array]:
         """Advance towards target (n,); return new (q_ref, v_ref, a_ref).
@@ -51,7 +61,8 @@ class ReferenceFilter:
         With s = min(1, d/|e|), a = w^2 e sqrt(s (2 - s)) - 2 w v.
         """
         if self._slewing:  # no faster than the joints can brake
-            v_max, brake = self._bounds[1], _BRAKE_SHARE * self._bounds[0] * self._dt
+            v_max = self._bounds[1]
+            brake = _BRAKE_SHARE * self._bounds[0] * self._dt
             v_max += np.clip(self._v_allowed - v_max, -brake, brake)
             self._slewing = bool((v_max != self._v_allowed).any())
         follow_target(target, self._state, self._bounds, self._w, self._dt, _RAMP_S)
@@ -59,10 +70,17 @@ class ReferenceFilter:
         return q, v, self.a
 
 
-def motor_torque(kinematics: Kinematics, q: Array, v: Array, a: Array, load: Array | None = None) -> Array:
+def motor_torque(
+    kinematics: Kinematics,
+    q: Array,
+    v: Array,
+    a: Array,
+    load: Array | None = None,
+) -> Array:
     """Return torques (n,) [Nm] for accelerations a (n,) and load (n,), clipped to the limits; NaN stays NaN."""
     # rnea(q, v, a) = M a + h in O(n), with rotor inertia from model.armature.
-    tau, robot = kinematics.rnea(q, v, a), kinematics.robot
+    tau = kinematics.rnea(q, v, a)
+    robot = kinematics.robot
     load = np.zeros(robot.dof) if load is None else load
     add_loads(tau, load, v, robot.arm.damping, robot.arm.friction, robot.tau_max)
     return tau
@@ -72,10 +90,19 @@ class ComputedTorque:
     """Tracks joint references, critically damped."""
 
     def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0) -> None:
-        self._kinematics, self._w = kinematics, natural_frequency_rad_s
+        self._kinematics = kinematics
+        self._w = natural_frequency_rad_s
         self._a = np.zeros(kinematics.robot.dof)
 
-    def torque(self, q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, load: Array | None = None) -> Array:
+    def torque(
+        self,
+        q: Array,
+        v: Array,
+        q_ref: Array,
+        v_ref: Array,
+        a_ref: Array,
+        load: Array | None = None,
+    ) -> Array:
         """Return motor torques (n,) [Nm], clipped to the limits; load (n,) as in `motor_torque`."""
         servo(q, v, q_ref, v_ref, a_ref, self._w, self._a)
         return motor_torque(self._kinematics, q, v, self._a, load)
@@ -85,8 +112,10 @@ class JointLoop[P: Plant]:
     """Drives a world from joint and gripper targets."""
 
     def __init__(self, world: P, kinematics: Kinematics) -> None:
-        self.world, self.controller = world, ComputedTorque(kinematics)
-        self.reference, self.grippers = ReferenceFilter(world.dt, kinematics.robot), Grippers(world)
+        self.world = world
+        self.controller = ComputedTorque(kinematics)
+        self.reference = ReferenceFilter(world.dt, kinematics.robot)
+        self.grippers = Grippers(world)
         self.reset()
 
     def reset(self) -> None:
@@ -101,5 +130,8 @@ class JointLoop[P: Plant]:
     def follow(self, q_ref: Array, v_ref: Array, a_ref: Array, gripper: Array) -> None:
         """Run one step on a smooth reference."""
         world = self.world
-        world.command(self.controller.torque(world.q, world.v, q_ref, v_ref, a_ref), self.grippers.step(gripper))
+        world.command(
+            self.controller.torque(world.q, world.v, q_ref, v_ref, a_ref),
+            self.grippers.step(gripper),
+        )
         world.step()

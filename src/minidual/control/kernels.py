@@ -26,15 +26,20 @@ LAW = np.dtype(  # one argument instead of eight saves 0.5 us a call
         *((name, "f8") for name in ("mass", "posture_stiffness", "posture_damping")),
         *((name, "f8") for name in ("force_gain", "force_limit", "force_max")),
         *(("inertia", "f8", (3, 3)), ("axis", "f8", 3), ("R_tcps_object", "f8", (2, 3, 3))),
-    ]
+    ],
 )
 """What `impedance` knows before the first step."""
 HAND_LAW = np.dtype(
     [
         *((name, "f8", 6) for name in ("K", "most")),
-        *(("D", "f8", (6, 6)), ("centre", "f8", 3), ("T_tcp_object", "f8", (4, 4)), ("learning", "f8")),
+        *(
+            ("D", "f8", (6, 6)),
+            ("centre", "f8", 3),
+            ("T_tcp_object", "f8", (4, 4)),
+            ("learning", "f8"),
+        ),
         *(("posture_stiffness", "f8"), ("posture_damping", "f8")),
-    ]
+    ],
 )
 """What `hand_impedance` knows."""
 
@@ -77,13 +82,18 @@ def add_product(y: Array, sign: float, A: Array, x: Array) -> None:
 @njit
 def turn(wanted: Array, actual: Array) -> tuple[Vector, float]:
     """Return log(wanted actual^T) [rad] and its angle."""
-    return rotation_vector(apply(actual, wanted[0]), apply(actual, wanted[1]), apply(actual, wanted[2]))
+    return rotation_vector(
+        apply(actual, wanted[0]),
+        apply(actual, wanted[1]),
+        apply(actual, wanted[2]),
+    )
 
 
 @kernel(types.UniTuple(_REAL, 2)(_POSE, _POSE, VECTOR))
 def apart(T: Array, T_other: Array, way: Array) -> tuple[float, float]:
     """Fill `way` (6,) with the motion from T_other to T, world axes; return its distance [m] and angle [rad]."""
-    moved, (turned, angle) = minus(three(T[:, 3], 0), three(T_other[:, 3], 0)), turn(T, T_other)
+    moved = minus(three(T[:, 3], 0), three(T_other[:, 3], 0))
+    (turned, angle) = turn(T, T_other)
     way[:3], way[3:] = moved, turned
     return math.sqrt(inner(moved, moved)), angle
 
@@ -91,14 +101,21 @@ def apart(T: Array, T_other: Array, way: Array) -> tuple[float, float]:
 @kernel(types.UniTuple(_REAL, 2)(_POSE, _POSE, _REAL, ROWS))
 def approach(T: Array, goal: Array, share: float, moved: Array) -> tuple[float, float]:
     """Fill `moved` (4, 4) with T moved by a share of the way to a goal; return that way's distance [m] and angle [rad]."""
-    p, (turned, angle) = three(T[:, 3], 0), turn(goal, T)
-    way, axis = minus(three(goal[:, 3], 0), p), times(share, turned)
+    p = three(T[:, 3], 0)
+    (turned, angle) = turn(goal, T)
+    way = minus(three(goal[:, 3], 0), p)
+    axis = times(share, turned)
     square = inner(axis, axis)
     size = math.sqrt(square)
-    sine, cosine = (math.sin(size) / size, (1.0 - math.cos(size)) / square) if size > 1e-6 else (1.0, 0.5)
+    sine, cosine = (
+        (math.sin(size) / size, (1.0 - math.cos(size)) / square) if size > 1e-6 else (1.0, 0.5)
+    )
     for k in range(3):  # Rodrigues
         across = cross(axis, three(T[:, k], 0))
-        moved[:3, k] = plus(three(T[:, k], 0), plus(times(sine, across), times(cosine, cross(axis, across))))
+        moved[:3, k] = plus(
+            three(T[:, k], 0),
+            plus(times(sine, across), times(cosine, cross(axis, across))),
+        )
         moved[3, k] = T[3, k]
     moved[:3, 3], moved[3, 3] = plus(p, times(share, way)), T[3, 3]
     return math.sqrt(inner(way, way)), angle
@@ -106,13 +123,19 @@ def approach(T: Array, goal: Array, share: float, moved: Array) -> tuple[float, 
 
 @njit
 def hand_wrenches(
-    force: Vector, moment: Vector, r_left: Vector, r_right: Vector, squeeze: Vector
+    force: Vector,
+    moment: Vector,
+    r_left: Vector,
+    r_right: Vector,
+    squeeze: Vector,
 ) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
     """Return G^+ w + (I - G^+ G) [-squeeze; 0; squeeze; 0] as (force, moment) of each hand (docs/force-control.md)."""
-    m, h = times(0.5, plus(r_left, r_right)), times(0.5, minus(r_left, r_right))
+    m = times(0.5, plus(r_left, r_right))
+    h = times(0.5, minus(r_left, r_right))
     n = plus(moment, plus(cross(force, m), times(2.0, cross(h, squeeze))))
     share = times(0.5 / (1.0 + inner(h, h)), plus(n, times(inner(h, n), h)))
-    press, half = minus(cross(share, h), squeeze), times(0.5, force)
+    press = minus(cross(share, h), squeeze)
+    half = times(0.5, force)
     return (plus(half, press), share), (minus(half, press), share)
 
 
@@ -124,8 +147,10 @@ def hand_motion(J: Array, p: Elements, v: Array, J_hand: Array) -> tuple[Vector,
     """
     V = omega = a = alpha = (0.0, 0.0, 0.0)
     for j in range(len(v)):
-        linear, angular = three(J[:, j], 0), three(J[:, j], 3)
-        V, omega = plus(V, times(v[j], linear)), plus(omega, times(v[j], angular))
+        linear = three(J[:, j], 0)
+        angular = three(J[:, j], 3)
+        V = plus(V, times(v[j], linear))
+        omega = plus(omega, times(v[j], angular))
         a = plus(a, times(v[j], plus(cross(omega, linear), cross(V, angular))))
         alpha = plus(alpha, times(v[j], cross(omega, angular)))
         J_hand[:3, j], J_hand[3:, j] = plus(linear, cross(angular, p)), angular
@@ -148,11 +173,14 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
     """Fill `out` (2, 5): each hand's force |(J J^T + 1e-3)^-1 J torque| [N], speed [m/s], and place [m] in `ahead_s`."""
     J, p_left, p_right, _, _ = hands
     n = len(v) // 2
-    J_hand, y, velocity = np.empty((6, n)), np.empty(6), np.empty(3)
+    J_hand = np.empty((6, n))
+    y = np.empty(6)
+    velocity = np.empty(3)
     for i, p in enumerate((three(p_left, 0), three(p_right, 0))):
         own = slice(n * i, n * i + n)
         hand_motion(J[:, own], p, v[own], J_hand)
-        y[:], velocity[:] = 0.0, 0.0
+        y[:] = 0.0
+        velocity[:] = 0.0
         add_product(y, 1.0, J_hand, torque[own])
         solve_gram(J_hand, y, 1e-3, np.empty((6, 6)))
         add_product(velocity, 1.0, J_hand[:3], v[own])
@@ -164,7 +192,7 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
     types.boolean(
         *(types.Array(from_dtype(LAW), 1, "C"), ROWS, VIEW, ROWS, VIEW, VIEW, _REAL, _REAL),
         *(_HANDS, VIEW, VIEW, VECTOR, VECTOR, VECTOR, ROWS),
-    )
+    ),
 )
 def impedance(
     law: Array,
@@ -190,17 +218,27 @@ def impedance(
     """
     J, p_left, p_right, R_left, R_right = hands
     s = law[0]
-    K, D = s.K, s.D
-    n, J_hand, L, R = len(v) // 2, work[:6, : len(v) // 2], work[6:12, :6], work[12:15, :3]
-    lacking, wrench, slow, force = work[15, :6], work[16, :6], work[17, :3], work[18, :3]
+    K = s.K
+    D = s.D
+    n = len(v) // 2
+    J_hand = work[:6, : len(v) // 2]
+    L = work[6:12, :6]
+    R = work[12:15, :3]
+    lacking = work[15, :6]
+    wrench = work[16, :6]
+    slow = work[17, :3]
+    force = work[18, :3]
     for k in range(3):
         force[k] = K[k] * (T_d[k, 3] - T[k, 3]) + D[k] * (twist_d[k] - twist[k]) + s.mass * a_d[k]
     force[2] += 9.81 * s.mass
-    a, alpha, omega = three(a_d, 0), three(a_d, 3), three(twist_d, 3)
+    a = three(a_d, 0)
+    alpha = three(a_d, 3)
+    omega = three(twist_d, 3)
     I_alpha = apply(T, apply(s.inertia, apply(T.T, alpha)))  # I_w = R I_o R^T
     I_omega = apply(T, apply(s.inertia, apply(T.T, omega)))
     moment = plus(I_alpha, cross(omega, I_omega))
-    p, p_hands = three(T[:, 3], 0), (three(p_left, 0), three(p_right, 0))
+    p = three(T[:, 3], 0)
+    p_hands = (three(p_left, 0), three(p_right, 0))
     r = (minus(p_left, p), minus(p_right, p))
     correction = within(s.force_gain * (wanted_n - felt_n), -s.force_limit, s.force_limit)
     squeeze_n = within(wanted_n + correction, 0.0, s.force_max)
@@ -254,10 +292,15 @@ def hand_impedance(
 
     law: (1,) of HAND_LAW. Return False if the hand has lost a direction of motion.
     """
-    s, J, n = law[0], hands[0], len(v) // 2
+    s = law[0]
+    J = hands[0]
+    n = len(v) // 2
     R_tcp, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
     own = slice(n * arm, n * arm + n)
-    R, J_hand, pull, wrench = np.empty((3, 3)), np.empty((6, n)), np.empty(6), np.empty(6)
+    R = np.empty((3, 3))
+    J_hand = np.empty((6, n))
+    pull = np.empty(6)
+    wrench = np.empty(6)
     for i in range(3):
         for k in range(3):
             R[i, k] = inner(R_tcp[i], s.T_tcp_object[:3, k])
@@ -266,7 +309,8 @@ def hand_impedance(
     late = np.zeros(6)
     add_product(late, 1.0, J_hand, v_ref[own])
     add_product(late, -1.0, J_hand, v[own])
-    axes, late_along = T_ref.T, np.empty(6)
+    axes = T_ref.T
+    late_along = np.empty(6)
     pull[:3] = apply(axes, minus(plus(three(T_ref[:, 3], 0), apply(T_ref, s.centre)), p))
     pull[3:] = apply(axes, turn(T_ref, R)[0])
     late_along[:3], late_along[3:] = apply(axes, late[:3]), apply(axes, late[3:])
@@ -277,7 +321,8 @@ def hand_impedance(
     add_product(pull, 1.0, s.D, late_along)
     wrench[:3], wrench[3:] = apply(T_ref, pull[:3]), apply(T_ref, pull[3:])
     add_product(push[own], 1.0, J_hand.T, wrench)
-    posture, lacking = np.empty(n), np.zeros(6)
+    posture = np.empty(n)
+    lacking = np.zeros(6)
     for j in range(n):
         k = n * arm + j
         posture[j] = s.posture_stiffness * (q_ref[k] - q[k]) + s.posture_damping * (v_ref[k] - v[k])
@@ -290,9 +335,11 @@ def hand_impedance(
 def from_hand(hands: Placed, arm: int, X: Array, T: Array, back: bool, out: Array) -> None:
     """Fill `out` (4, 4) with H T, or H^-1 T if `back`, of the frame H at X in a hand."""
     R, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
-    p, p_X = three(p_tcp, 0), three(X[:, 3], 0)
+    p = three(p_tcp, 0)
+    p_X = three(X[:, 3], 0)
     for k in range(4):
-        x, one = three(T[:, k], 0), T[3, k]
+        x = three(T[:, k], 0)
+        one = T[3, k]
         if back:
             out[:3, k] = apply(X.T, minus(apply(R.T, minus(x, times(one, p))), times(one, p_X)))
         else:
@@ -305,7 +352,8 @@ def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
     """Return the velocity (linear, angular) of a hand at p."""
     linear = omega = (0.0, 0.0, 0.0)
     for j in range(len(v)):
-        linear, omega = plus(linear, times(v[j], three(J[:, j], 0))), plus(omega, times(v[j], three(J[:, j], 3)))
+        linear = plus(linear, times(v[j], three(J[:, j], 0)))
+        omega = plus(omega, times(v[j], three(J[:, j], 3)))
     return plus(linear, cross(omega, p)), omega
 
 
@@ -316,26 +364,32 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
     Return the distance between the hands.
     """
     J, p_left, p_right, R_left, R_right = hands
-    left, right, n = three(p_left, 0), three(p_right, 0), len(v) // 2
+    left = three(p_left, 0)
+    right = three(p_right, 0)
+    n = len(v) // 2
     apart = minus(left, right)
     distance = math.sqrt(inner(apart, apart))
     y = times(1.0 / distance, apart)
     x = plus(three(R_left[:, 1], 0), three(R_right[:, 1], 0))  # mean finger direction
     x = minus(x, times(inner(x, y), y))
     x = times(1.0 / math.sqrt(inner(x, x)), x)
-    z, p = cross(x, y), times(0.5, plus(left, right))
+    z = cross(x, y)
+    p = times(0.5, plus(left, right))
     for i in range(3):
         T_hands[i, 0], T_hands[i, 1], T_hands[i, 2], T_hands[i, 3] = x[i], y[i], z[i], p[i]
         for k in range(4):
             T[i, k] = x[i] * X[0, k] + y[i] * X[1, k] + z[i] * X[2, k]
         T[i, 3] += p[i]
-    T_hands[3, :], T[3, :] = 0.0, 0.0
+    T_hands[3, :] = 0.0
+    T[3, :] = 0.0
     T_hands[3, 3] = T[3, 3] = 1.0
-    (v_left, w_left), (v_right, w_right) = hand_twist(J[:, :n], left, v[:n]), hand_twist(J[:, n:], right, v[n:])
+    (v_left, w_left) = hand_twist(J[:, :n], left, v[:n])
+    (v_right, w_right) = hand_twist(J[:, n:], right, v[n:])
     # Rotation about x and z follows from the two points, about y only from the hands' angular velocities.
     about_y = 0.5 * inner(plus(w_left, w_right), y)
     omega = plus(times(1.0 / distance, cross(y, minus(v_left, v_right))), times(about_y, y))
-    middle, lever = times(0.5, plus(v_left, v_right)), minus(three(T[:, 3], 0), p)
+    middle = times(0.5, plus(v_left, v_right))
+    lever = minus(three(T[:, 3], 0), p)
     twist[:3], twist[3:] = plus(middle, cross(omega, lever)), omega
     return distance
 
@@ -344,13 +398,32 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
 def pressed(felt: Array, T: Array) -> float:
     """Return the internal force [N] that the hands' forces felt[:6] have along y of T; NaN stays NaN."""
     y = three(T[:, 1], 0)
-    left, right = -inner(three(felt, 0), y), inner(three(felt, 3), y)
+    left = -inner(three(felt, 0), y)
+    right = inner(three(felt, 3), y)
     return right if right < left or right != right else left
 
 
-@kernel(types.Tuple([types.intp, _REAL])(ROWS, VECTOR, VECTOR, VECTOR, _REAL, _REAL, types.boolean, ROWS))
+@kernel(
+    types.Tuple([types.intp, _REAL])(
+        ROWS,
+        VECTOR,
+        VECTOR,
+        VECTOR,
+        _REAL,
+        _REAL,
+        types.boolean,
+        ROWS,
+    ),
+)
 def smooth(
-    forces: Array, pinch: Array, raw: Array, felt: Array, share: float, glitch_n: float, patient: bool, T: Array
+    forces: Array,
+    pinch: Array,
+    raw: Array,
+    felt: Array,
+    share: float,
+    glitch_n: float,
+    patient: bool,
+    T: Array,
 ) -> tuple[int, float]:
     """Fill `raw` (8,) with forces (2, 3) and pinch (2,), and move `felt` (8,) towards it by `share`.
 
@@ -361,7 +434,8 @@ def smooth(
     for i in range(8):
         raw[i] = forces[i // 3, i % 3] if i < 6 else pinch[i - 6]
         change = raw[i] - felt[i]
-        near, finite = abs(change) <= glitch_n, math.isfinite(raw[i])
+        near = abs(change) <= glitch_n
+        finite = math.isfinite(raw[i])
         odd = max(odd, 0 if near else 1 if finite else 2)
         if near or (finite and not patient):
             felt[i] += share * change
@@ -372,7 +446,11 @@ def smooth(
 def minimum_jerk(s: float) -> tuple[float, float, float]:
     """Return the quintic rest-to-rest blend at s, clipped to 0..1, and its first two derivatives."""
     s = within(s, 0.0, 1.0)
-    return s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 + s * (2.0 * s - 3.0))
+    return (
+        s**3 * (10.0 + s * (6.0 * s - 15.0)),
+        30.0 * s**2 * (1.0 - s) ** 2,
+        60.0 * s * (1.0 + s * (2.0 * s - 3.0)),
+    )
 
 
 @kernel(types.void(ROWS, VECTOR, _REAL, ROWS, ROWS, ROWS))
@@ -384,10 +462,13 @@ def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion:
     first = 0
     while first < len(ends_s) - 2 and ends_s[first + 1] <= t_s:
         first += 1
-    start, end, span = poses[first], poses[first + 1], ends_s[first + 1] - ends_s[first]
+    start = poses[first]
+    end = poses[first + 1]
+    span = ends_s[first + 1] - ends_s[first]
     s, ds, dds = minimum_jerk((t_s - ends_s[first]) / span)
     yaw = start[3] + s * (end[3] - start[3])
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+    cosine = math.cos(yaw)
+    sine = math.sin(yaw)
     for k in range(4):
         T[0, k] = cosine * X[0, k] - sine * X[1, k]
         T[1, k] = sine * X[0, k] + cosine * X[1, k]
@@ -402,7 +483,13 @@ def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion:
 
 @kernel(types.boolean(_POSE, VIEW, VIEW, VIEW, ROWS, VECTOR, VECTOR))
 def adopt(
-    T: Array, twist: Array, acceleration: Array, most: Array, T_own: Array, twist_own: Array, a_own: Array
+    T: Array,
+    twist: Array,
+    acceleration: Array,
+    most: Array,
+    T_own: Array,
+    twist_own: Array,
+    a_own: Array,
 ) -> bool:
     """Copy a pose and its motion, if the pose is near the last one and the motion within bounds; else, or for NaN, return false.
 
@@ -419,7 +506,8 @@ def adopt(
     for k in range(4):
         T_own[:3, k] = three(T[:, k], 0)
     for k in range(6):
-        twist_own[k], a_own[k] = twist[k], acceleration[k]
+        twist_own[k] = twist[k]
+        a_own[k] = acceleration[k]
     return True
 
 
@@ -452,7 +540,14 @@ def servo(q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, w: float
 
 
 @kernel(types.void(VECTOR, VIEW, VIEW, _REAL, _REAL, VIEW))
-def add_loads(tau: Array, load: Array, v: Array, damping: float, dry: float, tau_max: Array) -> None:
+def add_loads(
+    tau: Array,
+    load: Array,
+    v: Array,
+    damping: float,
+    dry: float,
+    tau_max: Array,
+) -> None:
     """Add load (n,) and friction d v + c tanh(v / v_s) to tau (n,) and clip; tanh, because near rest the sign of v is noise."""
     for j in range(len(tau)):
         tau[j] += load[j]
@@ -461,20 +556,36 @@ def add_loads(tau: Array, load: Array, v: Array, damping: float, dry: float, tau
 
 
 @kernel(types.void(VIEW, ROWS, ROWS, _REAL, _REAL, _REAL))
-def follow_target(target: Array, state: Array, bounds: Array, w: float, dt: float, ramp_s: float) -> None:
+def follow_target(
+    target: Array,
+    state: Array,
+    bounds: Array,
+    w: float,
+    dt: float,
+    ramp_s: float,
+) -> None:
     """Advance `state` (6, n) in place: q, v, a, and the ramp's start, its end and the share that is left of it.
 
     bounds (5, n): a_max, v_max, d, lower, upper. See `joint_control`.
     """
-    q, v, start, end, left = state[0], state[1], state[3], state[4], state[5]
+    q = state[0]
+    v = state[1]
+    start = state[3]
+    end = state[4]
+    left = state[5]
     for j in range(len(target)):
-        a_max, v_max, near = bounds[0, j], bounds[1, j], bounds[2, j]
+        a_max = bounds[0, j]
+        v_max = bounds[1, j]
+        near = bounds[2, j]
         if target[j] != end[j]:
-            start[j], end[j], left[j] = end[j] + left[j] * (start[j] - end[j]), target[j], 1.0
+            start[j] = end[j] + left[j] * (start[j] - end[j])
+            end[j] = target[j]
+            left[j] = 1.0
         left[j] = max(0.0, left[j] - dt / ramp_s)
         e = within(end[j] + left[j] * (start[j] - end[j]), bounds[3, j], bounds[4, j]) - q[j]
         s = near / max(abs(e), near)
         a = within(w * w * e * math.sqrt(s * (2.0 - s)) - 2.0 * w * v[j], -a_max, a_max)
         v_after = within(v[j] + dt * a, -v_max, v_max)
         state[2, j] = (v_after - v[j]) / dt  # recomputed: the speed bound may have cut it
-        q[j], v[j] = q[j] + dt * v_after, v_after
+        q[j] = q[j] + dt * v_after
+        v[j] = v_after

@@ -55,8 +55,12 @@ class Reflex:
     def text(self) -> str:
         """One line with value and bound."""
         unit = f" {self.kind.unit}" if self.kind.unit else ""
-        numbers = "" if self.bound is None else f" ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
-        return f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"
+        numbers = (
+            "" if self.bound is None else f" ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
+        )
+        return (
+            f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"
+        )
 
 
 class ReflexError(MinidualError):
@@ -71,11 +75,19 @@ class ReflexError(MinidualError):
 
     def __init__(self, reflex: Reflex, tau: Array) -> None:
         super().__init__(reflex.text, remedy=reflex.kind.remedy)
-        self.reflex, self.tau = reflex, tau
+        self.reflex = reflex
+        self.tau = tau
         self.dump: Path | None = None
 
 
-QUANTITIES: tuple[str, ...] = ("position", "velocity", "torque", "torque_step", "acceleration", "acceleration_step")
+QUANTITIES: tuple[str, ...] = (
+    "position",
+    "velocity",
+    "torque",
+    "torque_step",
+    "acceleration",
+    "acceleration_step",
+)
 """Quantities compared each tick, per joint; a step is a difference between ticks."""
 
 POSITION_TOLERANCE_RAD = 1e-3  # targets may lie on the bound; tracking is imperfect
@@ -88,7 +100,15 @@ _WIDTH_M = 0.1
 
 @kernel(types.float64(VIEW, VIEW, VIEW, VECTOR, VIEW, types.boolean, ROWS, ROWS, ROWS))
 def excess(
-    q: Array, v: Array, tau: Array, before: Array, a_ref: Array, follows: bool, centre: Array, scale: Array, rows: Array
+    q: Array,
+    v: Array,
+    tau: Array,
+    before: Array,
+    a_ref: Array,
+    follows: bool,
+    centre: Array,
+    scale: Array,
+    rows: Array,
 ) -> float:
     """Return the largest |x - centre| scale of QUANTITIES (6, n); NaN stays.
 
@@ -117,12 +137,16 @@ class TickBounds:
     def __init__(self, config: SupervisorConfig, dt_s: float, robot: Robot) -> None:
         self.q_lower = robot.q_lower + config.position_margin_rad
         self.q_upper = robot.q_upper - config.position_margin_rad
-        self.v_max, self.tau_max = config.velocity_scale * robot.v_max, config.torque_scale * robot.tau_max
+        self.v_max = config.velocity_scale * robot.v_max
+        self.tau_max = config.torque_scale * robot.tau_max
         self.tau_step = config.torque_rate_scale * robot.arm.tau_rate_max * dt_s
-        self.a_max, self.a_step = config.acceleration_scale * robot.a_max, robot.jerk_max * dt_s
+        self.a_max = config.acceleration_scale * robot.a_max
+        self.a_step = robot.jerk_max * dt_s
         position = 0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD
         steps = np.full(robot.dof, self.tau_step), self.a_max, self.a_step
-        half = np.stack([position, self.v_max, SATURATED * self.tau_max, *(x * (1.0 + 1e-9) for x in steps)])
+        half = np.stack(
+            [position, self.v_max, SATURATED * self.tau_max, *(x * (1.0 + 1e-9) for x in steps)],
+        )
         self.centre = np.zeros_like(half)
         self.centre[0] = 0.5 * (self.q_lower + self.q_upper)
         self.scale = 1.0 / half
@@ -136,12 +160,18 @@ class Reach:
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        model, robot = kinematics.model, kinematics.robot
+        model = kinematics.model
+        robot = kinematics.robot
         chain: list[float] = []
         for arm, frame in enumerate(kinematics.tcp_ids):
             tool = model.frames[frame]
-            steps = [model.jointPlacements[model.getJointId(name)] for name in robot.joint_names[robot.joints_of(arm)]]
-            lengths = [float(np.abs(step.translation).sum()) for step in (*steps[1:], tool.placement)]
+            steps = [
+                model.jointPlacements[model.getJointId(name)]
+                for name in robot.joint_names[robot.joints_of(arm)]
+            ]
+            lengths = [
+                float(np.abs(step.translation).sum()) for step in (*steps[1:], tool.placement)
+            ]
             chain += np.cumsum(lengths[::-1])[::-1].tolist()
         self.m = np.array(chain) + _WIDTH_M
         self._acceleration = float(self.m @ robot.a_max)

@@ -41,14 +41,23 @@ _Q, _V, _R, _Q_SAME, _V_SAME, _TAU, _DQ, _DV, _Q_USABLE, _V_USABLE = range(10)
 
 @kernel(types.float64(*[VECTOR] * 4, types.float64, types.intp, VECTOR, ROWS, ROWS))
 def compare(
-    q: Array, v: Array, tau: Array, needed: Array, dt: float, row: int, bounds: Array, kept: Array, applied: Array
+    q: Array,
+    v: Array,
+    tau: Array,
+    needed: Array,
+    dt: float,
+    row: int,
+    bounds: Array,
+    kept: Array,
+    applied: Array,
 ) -> float:
     """Update `kept` (10, n): q, v, r, seconds unchanged of q, v, torque beyond `needed` before both froze, change of q, v.
 
     Last, usable q, v. Copies tau to a row of `applied`. Returns the largest ratio to a bound; infinite if not finite.
     bounds (n + 2,): mismatch [rad], time frozen [s], changes of that torque that must move the joints.
     """
-    worst, keep = 0.0, math.exp(-dt / _FORGET_S)
+    worst = 0.0
+    keep = math.exp(-dt / _FORGET_S)
     for j in range(len(q)):
         applied[row, j] = tau[j]
         if not (math.isfinite(q[j]) and math.isfinite(v[j])):
@@ -90,11 +99,14 @@ class JointSense:
     """
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
-        self._model, self._robot = pin.Model(kinematics.model), kinematics.robot
+        self._model = pin.Model(kinematics.model)
+        self._robot = kinematics.robot
         # Implicit in the damping, as in the simulator: without readings an error grows as a pendulum falls.
         self._model.armature = self._model.armature + dt_s * self._robot.arm.damping
         self._data = self._model.createData()
-        self._config, self._dt, self._age_max_s = config, dt_s, max(config.measurement_age_max_s, 2.0 * dt_s)
+        self._config = config
+        self._dt = dt_s
+        self._age_max_s = max(config.measurement_age_max_s, 2.0 * dt_s)
         self._tau_moves = _FROZEN_SHARE * self._robot.tau_max
         self._bounds = np.r_[config.position_mismatch_rad, config.frozen_s, self._tau_moves]
         self.reset()
@@ -109,11 +121,14 @@ class JointSense:
         """Time without a new measurement."""
         self.needed: Array = np.full(n, math.nan)
         """Torque (n,) [Nm] that posture and motion take: a joint that stands under it need not be frozen."""
-        self._kept, self._started, self._any_lost = np.zeros((10, n)), False, False
+        self._kept = np.zeros((10, n))
+        self._started = False
+        self._any_lost = False
         self._none = self.returned = np.zeros(n, dtype=bool)
         self.q, self.v = self._kept[_Q_USABLE:]
         self.q[:] = self._robot.home
-        self.applied, self.ticks = np.zeros((_KEPT, n)), 0
+        self.applied = np.zeros((_KEPT, n))
+        self.ticks = 0
         """Ring of applied torques; row of the last: (ticks - 1) % len(applied)."""
 
     def update(self, q: Array, v: Array, tau: Array, new_s: float) -> bool:
@@ -121,24 +136,31 @@ class JointSense:
 
         tau: applied since the last tick [Nm]. `new_s` 0: nothing new was measured.
         """
-        row, self.ticks, self.returned = self.ticks % _KEPT, self.ticks + 1, self._none
+        row = self.ticks % _KEPT
+        self.ticks = self.ticks + 1
+        self.returned = self._none
         if new_s > 0.0:
             if self._any_lost:
                 back = self.lost.all(axis=0) & (self._kept[[_Q, _V]] != [q, v]).all(axis=0)
                 back &= np.abs(q - self._kept[_Q] - new_s * v) < self._config.position_mismatch_rad
                 back = (back | np.isnan(self._kept[_Q])) & np.isfinite(q + v)
-                self.lost[:, back], self.returned = False, back
+                self.lost[:, back] = False
+                self.returned = back
                 self._begin(back, q, slower(v, self._kept[_V]), tau, new_s)
             if not self._started:
-                self.q[:], self.v[:] = np.where(np.isfinite(q), q, self.q), np.where(np.isfinite(v), v, 0.0)
+                self.q[:] = np.where(np.isfinite(q), q, self.q)
+                self.v[:] = np.where(np.isfinite(v), v, 0.0)
             if not self._started or new_s > self._age_max_s:  # nothing to compare with
                 self._begin(np.ones_like(self.lost[0]), q, v, tau, new_s)
             more = self.needed, new_s, row, self._bounds, self._kept, self.applied
-            self.age_s, usable = 0.0, compare(q, v, tau, *more) <= 1.0
+            self.age_s = 0.0
+            usable = compare(q, v, tau, *more) <= 1.0
             if not usable:
                 self._judge(q, v, tau, new_s)
         else:
-            q, v, self.applied[row] = self.q, self.v, tau
+            q = self.q
+            v = self.v
+            self.applied[row] = tau
             self.age_s += self._dt
             usable = self.age_s <= self._age_max_s
             if not usable:
@@ -147,33 +169,50 @@ class JointSense:
             self._replace(q, v, new_s if new_s > 0.0 else self._dt)  # the stamp may be NaN
         return usable
 
-    def _begin(self, joints: npt.NDArray[np.bool_], q: Array, v: Array, tau: Array, new_s: float) -> None:
+    def _begin(
+        self,
+        joints: npt.NDArray[np.bool_],
+        q: Array,
+        v: Array,
+        tau: Array,
+        new_s: float,
+    ) -> None:
         for row, value in ((_Q, q - new_s * v), (_V, v), (_R, 0.0 * v), (_TAU, tau - self.needed)):
             self._kept[row, joints] = value[joints]
         self._started = True
 
     def _judge(self, q: Array, v: Array, tau: Array, new_s: float) -> None:
-        kept, bad = self._kept, ~np.isfinite(np.stack([q, v]))
-        finite, same = ~bad.any(axis=0), kept[[_Q_SAME, _V_SAME]]
-        apart = finite & (np.abs(kept[_R]) > self._config.position_mismatch_rad) & ~self.lost.any(axis=0)
+        kept = self._kept
+        bad = ~np.isfinite(np.stack([q, v]))
+        finite = ~bad.any(axis=0)
+        same = kept[[_Q_SAME, _V_SAME]]
+        apart = (
+            finite
+            & (np.abs(kept[_R]) > self._config.position_mismatch_rad)
+            & ~self.lost.any(axis=0)
+        )
         moves = np.abs(tau - self.needed - kept[_TAU]) > self._tau_moves
         still = finite & (same.min(axis=0) >= self._config.frozen_s) & moves
         # A position that moved as neither velocity says, or too far for any joint, is wrong; so is a velocity whose jump
         # alone explains the mismatch.
-        moved, ways = kept[_DQ], new_s * np.stack([kept[_V], kept[_V] - kept[_DV]])
+        moved = kept[_DQ]
+        ways = new_s * np.stack([kept[_V], kept[_V] - kept[_DV]])
         leapt = np.abs(moved - ways).min(axis=0) > 0.5 * self._config.position_mismatch_rad
         leapt = apart & (leapt | (np.abs(moved) > 2.0 * new_s * self._robot.v_max))
         sped = apart & (new_s * np.abs(kept[_DV]) > 0.5 * self._config.position_mismatch_rad)
         lost = apart & (same > 0.0) & ~leapt & ~sped
         lost[0] |= leapt
-        lost[1] |= sped | (apart & ~lost.any(axis=0))  # unknown which: positions err less than a model that falls
+        lost[1] |= sped | (
+            apart & ~lost.any(axis=0)
+        )  # unknown which: positions err less than a model that falls
         lost |= bad | still
         newly = finite & lost[1] & ~self.lost[1]  # the last velocity may be the wrong one
         self.v[newly] = slower(kept[_V], kept[_V] - kept[_DV])[newly]
         if (apart | still).any() and not self.why:
             joint = int(np.argmax(apart | still))
             what = " and ".join(np.array(["position", "velocity"])[lost[:, joint]])
-            far, same_s = f"they differ by {abs(kept[_R, joint]):.4f} rad", float(same[:, joint].max())
+            far = f"they differ by {abs(kept[_R, joint]):.4f} rad"
+            same_s = float(same[:, joint].max())
             held = f"unchanged for {1e3 * same_s:.0f} ms, " if same_s else ""
             self.why = f"{what} of {self._robot.joint_names[joint]}: {held}{far}"
         self._lose(lost, float(same.min(axis=0)[apart | still].max(initial=0.0)))
@@ -189,10 +228,12 @@ class JointSense:
         seen = ~self.lost.all(axis=0)
         self.lost |= lost
         self._any_lost = True
-        newly, steps = seen & self.lost.all(axis=0), min(round(since_s / self._dt), self.ticks, _KEPT) - 1
+        newly = seen & self.lost.all(axis=0)
+        steps = min(round(since_s / self._dt), self.ticks, _KEPT) - 1
         if newly.any() and steps > 0:  # all but the last step, which `_replace` adds
             q, v = self._moved(range(self.ticks - 1 - steps, self.ticks - 1))
-            self.q[newly], self.v[newly] = q[newly], v[newly]
+            self.q[newly] = q[newly]
+            self.v[newly] = v[newly]
 
     def _replace(self, q: Array, v: Array, step_s: float) -> None:
         q_lost, v_lost = self.lost
@@ -206,9 +247,12 @@ class JointSense:
 
     def _moved(self, steps: range) -> tuple[Array, Array]:
         """Return (q, v) after steps under the torques applied in them."""
-        q, v, arm = self.q, self.v, self._robot.arm
+        q = self.q
+        v = self.v
+        arm = self._robot.arm
         for step in steps:
-            tau, friction = self.applied[step % _KEPT], arm.damping * v + arm.friction * np.tanh(v / 0.02)
+            tau = self.applied[step % _KEPT]
+            friction = arm.damping * v + arm.friction * np.tanh(v / 0.02)
             v = v + self._dt * np.array(pin.aba(self._model, self._data, q, v, tau - friction))
             q = q + self._dt * v
         return q, v
@@ -216,14 +260,20 @@ class JointSense:
 
 EVERY = 4
 """Ticks between updates."""
-_FILTER_S, _STEADY_S = 0.012, 0.1
+_FILTER_S = 0.012
+_STEADY_S = 0.1
 _LEAST_NM = 3.0
 """Least torque bound: touching fingers turn the weak last joints."""
-STILL_RAD_S, _MOVED_RAD_S = 0.001, 0.05
+STILL_RAD_S = 0.001
+_MOVED_RAD_S = 0.05
 """A slower joint is still; one that was faster a moment before has been stopped."""
 _WINDOW_MAX = 32
 """Longest step, in ticks; after longer silence it begins anew."""
-MODES = {"free motion": (0.15, 20.0, 0.05), "closed hands": (0.5, 60.0, 0.1), "held object": (0.15, 40.0, 0.1)}
+MODES = {
+    "free motion": (0.15, 20.0, 0.05),
+    "closed hands": (0.5, 60.0, 0.1),
+    "held object": (0.15, 40.0, 0.1),
+}
 """Allowed torque, relative to the motors' limits, force [N] and deviation [rad] of a mode. Closed hands may squeeze by
 position; object impedance tells its load."""
 
@@ -255,7 +305,7 @@ def halfway(q: Array, v: Array, step_s: float, before: Array, mean: Array) -> No
     types.UniTuple(types.float64, 2)(
         *(VECTOR, ROWS, ROWS, types.int64, types.int64, VECTOR, VECTOR),
         *(VECTOR, types.float64, types.float64, types.float64, types.float64, ROWS),
-    )
+    ),
 )
 def observe(
     needed: Array,
@@ -276,7 +326,10 @@ def observe(
 
     needed: M dv/dt + h (n,). applied: ring of torques (T, n).
     """
-    torque, late, n, slowly = 0.0, 0.0, len(needed), min(1.0, step_s / _STEADY_S)
+    torque = 0.0
+    late = 0.0
+    n = len(needed)
+    slowly = min(1.0, step_s / _STEADY_S)
     for j in range(n):
         given = 0.0
         for k in range(ticks):
@@ -284,8 +337,12 @@ def observe(
         v = mean[1, j]
         friction = damping * v + (dry * math.tanh(v / 0.02) if dry != 0.0 else 0.0)
         half = 0.5 * step_s * mean[2, j]
-        stopped = abs(v + half) < STILL_RAD_S and abs(v - half) > _MOVED_RAD_S  # at once: that of a stop is soon over
-        kept[0, j] += (1.0 if stopped else gain) * (needed[j] + friction - given / ticks - expected[j] - kept[0, j])
+        stopped = (
+            abs(v + half) < STILL_RAD_S and abs(v - half) > _MOVED_RAD_S
+        )  # at once: that of a stop is soon over
+        kept[0, j] += (1.0 if stopped else gain) * (
+            needed[j] + friction - given / ticks - expected[j] - kept[0, j]
+        )
         kept[3, j] += slowly * (kept[0, j] - kept[3, j])
         kept[2, j] = mean[0, j] - reference[j]
         kept[1, j] = kept[1, j] + step_s if abs(kept[2, j]) > bounds[n] else 0.0
@@ -308,7 +365,9 @@ class ContactSense:
     """
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
-        self._kinematics, robot, self._dt = kinematics, kinematics.robot, dt_s
+        self._kinematics = kinematics
+        robot = kinematics.robot
+        self._dt = dt_s
         self._friction = robot.arm.damping, robot.arm.friction
         self.bounds: dict[str, Array] = {}
         """(n + 3,) of each mode: torques [Nm], distance [rad], patience [s], force [N]."""
@@ -316,35 +375,50 @@ class ContactSense:
             torques = config.contact_scale * np.maximum(share * robot.tau_max, _LEAST_NM)
             late = config.deviation_scale * deviation_rad, config.deviation_s
             self.bounds[name] = np.r_[torques, late, config.contact_scale * force_n]
-        self._before, self._mean = np.zeros((2, robot.dof)), np.zeros((3, robot.dof))
-        self._nothing, self.limits = np.zeros(robot.dof), self.bounds["free motion"]
+        self._before = np.zeros((2, robot.dof))
+        self._mean = np.zeros((3, robot.dof))
+        self._nothing = np.zeros(robot.dof)
+        self.limits = self.bounds["free motion"]
         self.reset()
 
     def reset(self) -> None:
         """Start at the next measurement."""
-        self.torque, self.late_s, self.away, self.steady = self._kept = np.zeros((4, len(self._nothing)))
+        self.torque, self.late_s, self.away, self.steady = self._kept = np.zeros(
+            (4, len(self._nothing)),
+        )
         self.needed = np.full(len(self._nothing), math.nan)
         self._stamp_s = math.nan
 
     def update(
-        self, stamp_s: float, q: Array, v: Array, applied: Array, newest: int, expected: Expected
+        self,
+        stamp_s: float,
+        q: Array,
+        v: Array,
+        applied: Array,
+        newest: int,
+        expected: Expected,
     ) -> tuple[float, float]:
         """Take q, v (n,) measured at `stamp_s`; return as `observe`.
 
         applied: ring of torques (T, n), `newest` the last row before that time.
         """
-        step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
+        step_s = stamp_s - self._stamp_s
+        self._stamp_s = stamp_s
         if not 0.5 * self._dt < step_s < _WINDOW_MAX * self._dt:  # the first, or after a silence
             self._before[:] = q, v
             return 0.0, 0.0
         halfway(q, v, step_s, self._before, self._mean)
-        torque, reference = expected.torque, expected.reference
+        torque = expected.torque
+        reference = expected.reference
         self.limits = self.bounds[expected.mode]
         if expected.off:  # their motors do not give what is applied
-            self.limits, reference = self.limits.copy(), self._mean[0] if reference is None else reference.copy()
+            self.limits = self.limits.copy()
+            reference = self._mean[0] if reference is None else reference.copy()
             for arm in expected.off:
                 joints = self._kinematics.robot.joints_of(arm)
-                self.limits[joints], reference[joints], self._kept[:, joints] = math.inf, self._mean[0, joints], 0.0
+                self.limits[joints] = math.inf
+                reference[joints] = self._mean[0, joints]
+                self._kept[:, joints] = 0.0
         self.needed = self._kinematics.rnea(*self._mean)
         return observe(
             self.needed,

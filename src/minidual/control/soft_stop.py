@@ -28,7 +28,8 @@ class TorqueRate:
     """Limits torque rates from tau (n,) [Nm] on."""
 
     def __init__(self, tau: Array, dt_s: float, rate_nm_per_s: float) -> None:
-        self.tau, self._step = tau.copy(), rate_nm_per_s * dt_s
+        self.tau = tau.copy()
+        self._step = rate_nm_per_s * dt_s
 
     def nearest(self, tau: Array) -> Array:
         """Return the reachable torques (n,) nearest to tau."""
@@ -45,7 +46,8 @@ class SwitchedOff(TorqueRate):
 
     def __init__(self, arms: Sequence[int], tau: Array, dt_s: float, robot: Robot) -> None:
         super().__init__(tau, dt_s, robot.arm.tau_rate_max)
-        self.arms, self._dof_per_arm = tuple(arms), robot.dof_per_arm
+        self.arms = tuple(arms)
+        self._dof_per_arm = robot.dof_per_arm
 
     def nearest(self, tau: Array) -> Array:
         """Return the reachable torques (n,) nearest to tau, or to zero."""
@@ -61,15 +63,34 @@ class SoftStop:
     and 1.54 times that before a limit.
     """
 
-    def __init__(self, q: Array, v: Array, most: Array, limits: Array | None = None, *, together: bool = True) -> None:
-        self._q, self._v, times_s = q.copy(), v.copy(), (1.5 * np.abs(v) / most).reshape(len(SIDES), -1)
-        self.duration_s, self._from_s = max(_STOP_LEAST_S, float(times_s.max())), np.zeros_like(v)
+    def __init__(
+        self,
+        q: Array,
+        v: Array,
+        most: Array,
+        limits: Array | None = None,
+        *,
+        together: bool = True,
+    ) -> None:
+        self._q = q.copy()
+        self._v = v.copy()
+        times_s = (1.5 * np.abs(v) / most).reshape(len(SIDES), -1)
+        self.duration_s = max(_STOP_LEAST_S, float(times_s.max()))
+        self._from_s = np.zeros_like(v)
         arms_s = np.maximum(_STOP_LEAST_S, times_s.max(axis=1))
-        self._times_s = np.full(len(v), self.duration_s) if together else np.repeat(arms_s, times_s.shape[1])
+        self._times_s = (
+            np.full(len(v), self.duration_s) if together else np.repeat(arms_s, times_s.shape[1])
+        )
         if limits is not None:  # it goes on by v_0 T / 2
-            least_s = 2.0 * np.where(v > 0.0, limits[1] - q, q - limits[0]) / np.maximum(np.abs(v), 1e-9)
+            least_s = (
+                2.0 * np.where(v > 0.0, limits[1] - q, q - limits[0]) / np.maximum(np.abs(v), 1e-9)
+            )
             own_s = np.maximum(np.maximum(STOP_SHARE * times_s.ravel(), least_s), 0.01)
-            self._times_s = np.where(self._times_s > least_s, np.minimum(own_s, self._times_s), self._times_s)
+            self._times_s = np.where(
+                self._times_s > least_s,
+                np.minimum(own_s, self._times_s),
+                self._times_s,
+            )
 
     def renew(self, joints: slice, t_s: float, anew: "SoftStop") -> None:
         """Move these joints as another stop does that begins at time t."""
@@ -83,7 +104,11 @@ class SoftStop:
         speed = (1.0 - s) ** 2 * (1.0 + 2.0 * s)
         way = s - s**3 + 0.5 * s**4  # the integral of (1 - s)^2 (1 + 2 s) = 1 - 3 s^2 + 2 s^3
         slope = -6.0 * s + 6.0 * s * s
-        return self._q + self._times_s * way * self._v, speed * self._v, slope / self._times_s * self._v
+        return (
+            self._q + self._times_s * way * self._v,
+            speed * self._v,
+            slope / self._times_s * self._v,
+        )
 
 
 class SoftStopController(Controller):
@@ -93,12 +118,16 @@ class SoftStopController(Controller):
 
     def __init__(self, kinematics: Kinematics, dt_s: float, payload: Payload) -> None:
         self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=_STOP_FREQUENCY_RAD_S)
-        self._dt, self._robot, self._payload = dt_s, kinematics.robot, payload
+        self._dt = dt_s
+        self._robot = kinematics.robot
+        self._payload = payload
         self.activate(self._robot.home, np.zeros(self._robot.dof))
 
     def activate(self, q: Array, v: Array) -> None:
         """Start stopping from the measurement."""
-        self._motion, self._steps, self.reference = self._stop(q, v), 0, np.array(q, dtype=float)
+        self._motion = self._stop(q, v)
+        self._steps = 0
+        self.reference = np.array(q, dtype=float)
 
     def regain(self, arms: Sequence[int], q: Array, v: Array) -> None:
         """See `Controller`; the other arm goes on braking."""
@@ -106,7 +135,8 @@ class SoftStopController(Controller):
             self._motion.renew(self._robot.joints_of(arm), self._steps * self._dt, self._stop(q, v))
 
     def _stop(self, q: Array, v: Array) -> SoftStop:
-        limits, both = np.array([self._robot.q_lower, self._robot.q_upper]), all(self._payload.closed)
+        limits = np.array([self._robot.q_lower, self._robot.q_upper])
+        both = all(self._payload.closed)
         return SoftStop(q, v, STOP_SHARE * self._robot.a_max, limits, together=both)
 
     def update(self, q: Array, v: Array) -> Array:
@@ -121,8 +151,10 @@ class SoftStopController(Controller):
 
 _RAMP_S = 0.06
 """Rise and fall time of the deceleration."""
-_LEAST_S, _LEAST_R = 0.05, 1e-3
-_BACK_RAD_S, _AHEAD_RAD = 0.3, 0.1
+_LEAST_S = 0.05
+_LEAST_R = 1e-3
+_BACK_RAD_S = 0.3
+_AHEAD_RAD = 0.1
 """A joint that goes back faster than this, after a push or without power, is held this far ahead of where it is."""
 _TORQUE_SHARE = 0.9
 """Share of the torque limits that braking may take, gravity included."""
@@ -147,7 +179,9 @@ def braking(q: Array, v: Array, most: Array, limits: Array, slope: Array) -> Non
 def come_to_rest(q: Array, v: Array, slope: Array, limits: Array, where: Array) -> None:
     """Fill `where` (n,), from q, v at this slope of r, which falls symmetrically; NaN stays."""
     for j in range(len(v)):
-        x, low, high = q[j] + v[j] * (0.5 / slope[j] + 0.5 * _RAMP_S), limits[0, j], limits[1, j]
+        x = q[j] + v[j] * (0.5 / slope[j] + 0.5 * _RAMP_S)
+        low = limits[0, j]
+        high = limits[1, j]
         where[j] = low if x < low else high if x > high else x
 
 
@@ -156,11 +190,16 @@ class SupervisedStop:
 
     def __init__(self, kinematics: Kinematics, config: SupervisorConfig, dt_s: float) -> None:
         self._robot = robot = kinematics.robot
-        self._servo = ComputedTorque(kinematics, natural_frequency_rad_s=config.stop_frequency_rad_s)
+        self._servo = ComputedTorque(
+            kinematics,
+            natural_frequency_rad_s=config.stop_frequency_rad_s,
+        )
         self._brake = config.stop_deceleration_scale * robot.a_max
-        self._v_max, self._tau_max = robot.v_max, _TORQUE_SHARE * robot.tau_max
+        self._v_max = robot.v_max
+        self._tau_max = _TORQUE_SHARE * robot.tau_max
         self._limits = np.array([robot.q_lower, robot.q_upper])
-        self._dt, self._hands = dt_s, Hands(kinematics)
+        self._dt = dt_s
+        self._hands = Hands(kinematics)
         self.bears_n: Sequence[float] = (0.0, 0.0)
         """Weight in each hand."""
         self.v = np.zeros(robot.dof)
@@ -180,7 +219,11 @@ class SupervisedStop:
         room = np.where(self.v > 0.0, self._limits[1] - q, q - self._limits[0])
         close = np.abs(self.v) * (0.5 / self._slope_max + 0.5 * _RAMP_S) > room
         self._slope = np.where(close, self._slope_max, np.minimum(under_way, self._slope_max))
-        self._rate = TorqueRate(np.clip(tau, -robot.tau_max, robot.tau_max), self._dt, robot.arm.tau_rate_max)
+        self._rate = TorqueRate(
+            np.clip(tau, -robot.tau_max, robot.tau_max),
+            self._dt,
+            robot.arm.tau_rate_max,
+        )
 
     def resume(self, tau: Array) -> None:
         """Go on from torques tau (n,) [Nm]: the last ones did not reach the motors."""
@@ -208,13 +251,20 @@ class SupervisedStop:
         fall = np.sqrt(2.0 * self._r * self._slope_max / _RAMP_S)
         self._slope = np.minimum(np.minimum(rise, fall), self._slope_max)
         self._r = np.maximum(0.0, self._r - self._slope * self._dt)
-        self.v, a_ref = self._r * self._v_0, -self._slope * self._v_0
-        self._q_ref = np.clip(self._q_ref + self._dt * self.v, self._robot.q_lower, self._robot.q_upper)
+        self.v = self._r * self._v_0
+        a_ref = -self._slope * self._v_0
+        self._q_ref = np.clip(
+            self._q_ref + self._dt * self.v,
+            self._robot.q_lower,
+            self._robot.q_upper,
+        )
         way = self._q_ref - q
         back = way * v > _BACK_RAD_S * np.abs(way)
         self._q_ref[back] = (q + np.clip(way, -_AHEAD_RAD, _AHEAD_RAD))[back]
         self._hands.update(q)
-        load = np.concatenate([force_n * self._hands.rise(arm) for arm, force_n in enumerate(self.bears_n)])
+        load = np.concatenate(
+            [force_n * self._hands.rise(arm) for arm, force_n in enumerate(self.bears_n)],
+        )
         wanted = self._servo.torque(q, v, self._q_ref, self.v, a_ref, load)
         if np.isfinite(wanted).all():  # a posture far outside the joint limits overflows
             self._rate.limit(wanted)

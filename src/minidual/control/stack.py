@@ -20,7 +20,11 @@ from minidual.control.controllers import Controller, JointTrajectoryController, 
 from minidual.control.execution import START_RAD_PER_S
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.impedance import InHand
-from minidual.control.impedance_controllers import HandImpedanceController, ObjectImpedanceController, ObjectSensor
+from minidual.control.impedance_controllers import (
+    HandImpedanceController,
+    ObjectImpedanceController,
+    ObjectSensor,
+)
 from minidual.control.reflexes import ReflexError
 from minidual.control.senses import Expected, slower
 from minidual.control.soft_stop import SoftStopController, SwitchedOff
@@ -35,12 +39,14 @@ DEFAULT_CONTROLLERS: tuple[str, ...] = ("both_arms",)
 OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """Set for an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
-_STOP_MAX_S, _REFUSALS_KEPT = 2.0, 1000
+_STOP_MAX_S = 2.0
+_REFUSALS_KEPT = 1000
 _BACK_S = 0.1
 """An arm whose power returns is watched for contacts after this time: its torque rises, its own brakes open."""
 _BEARING = "emergency_stop", "stale_command", "controller_failed"
 """Reflexes in which an external torque is a load: the arms are sound and touch nothing else."""
-_SAG_MIN_RAD, _SAG_MAX_RAD = 2e-4, 0.1
+_SAG_MIN_RAD = 2e-4
+_SAG_MAX_RAD = 0.1
 """Distance from their reference at which arms sag under a load, and beyond which something else has moved them."""
 
 
@@ -73,25 +79,38 @@ class ControlStack[P: Plant]:
         supervisor: Supervisor | None = None,
         sensor: ObjectSensor | None = None,
     ) -> None:
-        self.plant, self.supervisor = plant, supervisor
+        self.plant = plant
+        self.supervisor = supervisor
         self._config = ArbiterConfig() if config is None else config
-        self._speed, self._age_max_s = self._config.speed_override, self._config.stale_s
+        self._speed = self._config.speed_override
+        self._age_max_s = self._config.stale_s
         steps = 1.0 / (rate_hz * plant.dt)
         self.every = round(steps)
         """Control steps from one regular arbiter tick to the next."""
         if self.every < 1 or abs(steps - self.every) > 1e-6:
             uneven = f"rate_hz {rate_hz} does not divide the control rate of {1.0 / plant.dt:g} Hz"
             raise UsageError(uneven, remedy="take a divisor of it, such as 50 or 100")
-        self.kinematics, self._robot = kinematics, kinematics.robot
+        self.kinematics = kinematics
+        self._robot = kinematics.robot
         if supervisor is not None and abs(supervisor.dt_s - plant.dt) > 1e-9:
             periods = f"the supervisor's period is {supervisor.dt_s} s, the plant's {plant.dt} s"
             raise UsageError(periods, remedy="make the supervisor with dt_s=plant.dt")
-        self.grippers = Grippers(plant, pinch_force_n=pinch_force_n, speed_m_per_s=self._config.finger_speed_m_per_s)
+        self.grippers = Grippers(
+            plant,
+            pinch_force_n=pinch_force_n,
+            speed_m_per_s=self._config.finger_speed_m_per_s,
+        )
         self.impedance = ObjectImpedanceController(kinematics, plant.dt, sensor)
         self.payload = Payload(kinematics, plant.dt)
-        self.hands = [HandImpedanceController(arm, kinematics, plant.dt, self.payload) for arm in range(len(SIDES))]
+        self.hands = [
+            HandImpedanceController(arm, kinematics, plant.dt, self.payload)
+            for arm in range(len(SIDES))
+        ]
         self._controllers: list[Controller] = [
-            *(JointTrajectoryController(group, kinematics, plant.dt, self.payload) for group in self._robot.groups),
+            *(
+                JointTrajectoryController(group, kinematics, plant.dt, self.payload)
+                for group in self._robot.groups
+            ),
             *(self.impedance, *self.hands),
             SoftStopController(kinematics, plant.dt, self.payload),
         ]
@@ -99,7 +118,10 @@ class ControlStack[P: Plant]:
         self._before = deque([(plant.time, plant.q)], maxlen=2)
         """Time [s] and joints of the last arbiter's ticks."""
         if supervisor is not None:
-            self._age_max_s = min(self._age_max_s, max(supervisor.config.measurement_age_max_s, 2.0 * plant.dt))
+            self._age_max_s = min(
+                self._age_max_s,
+                max(supervisor.config.measurement_age_max_s, 2.0 * plant.dt),
+            )
             supervisor.expected = self._expected
         self.reset()
 
@@ -111,9 +133,14 @@ class ControlStack[P: Plant]:
         Raises:
             UsageError: The arms move.
         """
-        plant, q, fastest = self.plant, self.plant.q, self._fastest()
+        plant = self.plant
+        q = self.plant.q
+        fastest = self._fastest()
         if not fastest < self._config.still_speed_rad_s:
-            raise UsageError(f"the arms move at {fastest:.3f} rad/s; control starts at rest", remedy="stop them first")
+            raise UsageError(
+                f"the arms move at {fastest:.3f} rad/s; control starts at rest",
+                remedy="stop them first",
+            )
         if self.supervisor is not None:
             emergency.check()  # before the hands are told anything
         self.grippers.reset()
@@ -131,9 +158,11 @@ class ControlStack[P: Plant]:
         self.impedance.forget()
         self.payload.reset()
         for hand in self.hands:
-            hand.law.held, hand.law.other = InHand(), None
+            hand.law.held = InHand()
+            hand.law.other = None
         self.manager.switch(DEFAULT_CONTROLLERS, q, np.zeros_like(q))
-        self.refusals, self.refused_n = list[Refusal](), 0
+        self.refusals = list[Refusal]()
+        self.refused_n = 0
         """The last of the refused_n since the reset: a source may be refused at its rate, for days."""
         self.applied = np.array(self.kinematics.gravity(q))
         """Last torques (n,) [Nm], after the supervisor."""
@@ -143,11 +172,14 @@ class ControlStack[P: Plant]:
 
     def _fastest(self) -> float:
         """Return the largest speed [rad/s], also by positions: velocities may be what has failed."""
-        (then_s, q_then), plant = self._before[0], self.plant
+        (then_s, q_then) = self._before[0]
+        plant = self.plant
         if not plant.time > then_s:  # the plant was reset
             q_then = plant.q
         moved = (plant.q - q_then) / max(plant.time - then_s, plant.dt)
-        return float(np.max(np.abs([plant.v, 0.25 * moved])))  # arms that have just come to rest were faster
+        return float(
+            np.max(np.abs([plant.v, 0.25 * moved])),
+        )  # arms that have just come to rest were faster
 
     def _stand(self) -> None:
         gripper = self.grippers.openings
@@ -158,10 +190,13 @@ class ControlStack[P: Plant]:
             control_dt_s=self.plant.dt,
             admit=lambda command: self.manager.refuses(command),
         )
-        self.arbiter.speed, self.arbiter.on_flush = self._speed, self._flush_listeners
+        self.arbiter.speed = self._speed
+        self.arbiter.on_flush = self._flush_listeners
         self.arbiter.on_confirm = self._confirmed
         self._wanted: dict[str, tuple[str, ...]] = {}
-        self._countdown, self._due, self._pending = 0, True, False
+        self._countdown = 0
+        self._due = True
+        self._pending = False
         self.output = ArbiterOutput(self.plant.q, gripper, ArbiterState.HOLDING, None, None, ())
         self._openings = gripper.copy()  # who reads the output may change its arrays
         self.reflex: MinidualError | None = None
@@ -178,7 +213,8 @@ class ControlStack[P: Plant]:
         """Offer a command; return its refusal, or None."""
         refusal = self.arbiter.propose(source, command)
         if refusal is None and not isinstance(command, JointCommand):
-            self._due, self._pending = True, self._pending or source == self.source
+            self._due = True
+            self._pending = self._pending or source == self.source
         return refusal
 
     def request(self, mode: str, controllers: Sequence[str] | None = None) -> None:
@@ -196,7 +232,9 @@ class ControlStack[P: Plant]:
             controllers = self.manager.active if mode == HOLD else DEFAULT_CONTROLLERS
         self.manager.check(controllers)
         if self.reflex is not None and mode != HOLD:
-            stopped = f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})"
+            stopped = (
+                f"'{mode}' may not drive: the supervisor stopped the arms ({self.reflex.message})"
+            )
             raise UsageError(stopped, remedy="find the cause, then recover()")
         if mode == self.source:  # no switch follows that could activate the set
             if named and tuple(controllers) != self.manager.active:
@@ -222,12 +260,25 @@ class ControlStack[P: Plant]:
         if not np.isfinite(self.plant.q).all():
             raise ControllerSwitchError("not_ready", f"the arms are not measured: {self.plant.q}")
         if self.stopping:  # others would bring them back to where they were at the switch
-            raise ControllerSwitchError("under_way", "the arms are being stopped", remedy="switch once they rest")
+            raise ControllerSwitchError(
+                "under_way",
+                "the arms are being stopped",
+                remedy="switch once they rest",
+            )
         active = self.manager.active
-        if active in (OBJECT_CONTROLLERS, _STOPPING) or any(hand.name in active for hand in self.hands):
-            kept = [any(arm in self.manager[name].arms for name in set(names) & set(active)) for arm in (0, 1)]
-            keeps, v = np.repeat(kept, self._robot.dof_per_arm), slower(self.plant.v, self._v)
-            self.arbiter.stand(np.where(keeps, self.output.q_target, self.plant.q), np.where(keeps, 0.0, v))
+        if active in (OBJECT_CONTROLLERS, _STOPPING) or any(
+            hand.name in active for hand in self.hands
+        ):
+            kept = [
+                any(arm in self.manager[name].arms for name in set(names) & set(active))
+                for arm in (0, 1)
+            ]
+            keeps = np.repeat(kept, self._robot.dof_per_arm)
+            v = slower(self.plant.v, self._v)
+            self.arbiter.stand(
+                np.where(keeps, self.output.q_target, self.plant.q),
+                np.where(keeps, 0.0, v),
+            )
         self.manager.switch(names, self.plant.q, slower(self.plant.v, self._v))
         self._due = True
 
@@ -243,7 +294,9 @@ class ControlStack[P: Plant]:
     @speed_override.setter
     def speed_override(self, share: float) -> None:
         if not SPEED_OVERRIDE_MIN <= share <= 1.0:
-            raise UsageError(f"a speed override of {share} is refused; it may be {SPEED_OVERRIDE_MIN} to 1.0")
+            raise UsageError(
+                f"a speed override of {share} is refused; it may be {SPEED_OVERRIDE_MIN} to 1.0",
+            )
         self._speed = self.arbiter.speed = float(share)
         self._due = True
 
@@ -253,20 +306,24 @@ class ControlStack[P: Plant]:
         `soft_stop` drives until the next mode. `gripper`: see `CommandArbiter.halt`.
         """
         self.arbiter.halt(source, gripper)
-        self._due, self._stop_ticks = True, round(_STOP_MAX_S / self.plant.dt)
+        self._due = True
+        self._stop_ticks = round(_STOP_MAX_S / self.plant.dt)
 
     def switch_off(self, arms: Sequence[int]) -> None:
         """Ramp these arms' torque to zero until reset; replaces an earlier call. Where drives return, nobody drives."""
         if self._off is None:
             self._off = SwitchedOff(arms, self.applied, self.plant.dt, self._robot)
-        returned, self._off.arms = sorted(set(self._off.arms) - set(arms)), tuple(arms)
+        returned = sorted(set(self._off.arms) - set(arms))
+        self._off.arms = tuple(arms)
         if returned:
-            self._back, self._back_until_s = tuple(returned), self.plant.time + _BACK_S
+            self._back = tuple(returned)
+            self._back_until_s = self.plant.time + _BACK_S
         if returned and self.supervisor is not None and self.reflex is not None:
             self.supervisor.brake_anew(self.applied)
         elif returned and np.isfinite(self.plant.q + self.plant.v).all():  # where the arms are now
             self._interrupt()
-            q, v = self.plant.q, slower(self.plant.v, self._v)
+            q = self.plant.q
+            v = slower(self.plant.v, self._v)
             back = np.repeat([arm in returned for arm in (0, 1)], self._robot.dof_per_arm)
             self.arbiter.stand(q, np.where(back, 0.0, v))
             for name in self.manager.active:
@@ -282,14 +339,24 @@ class ControlStack[P: Plant]:
         Raises:
             UsageError: The arms move, or are not measured.
         """
-        q, v, still = self.plant.q, self.plant.v, self._config.still_speed_rad_s
-        stamp_s, speed = self.plant.stamp_s, self._fastest()
+        q = self.plant.q
+        v = self.plant.v
+        still = self._config.still_speed_rad_s
+        stamp_s = self.plant.stamp_s
+        speed = self._fastest()
         age_s = math.nan if stamp_s is None else self.plant.time - stamp_s
         if not (speed < still and np.isfinite(q).all() and abs(age_s) <= self._age_max_s):
             measured = f"{speed:.3f} rad/s; at rest is below {still} rad/s; measured {1e3 * age_s:.0f} ms ago"
             remedy = f"go on with step() until they rest and are measured (within {1e3 * self._age_max_s:.0f} ms)"
-            raise UsageError(f"the arms may not recover while they move ({measured})", remedy=remedy)
-        self.manager.switch(DEFAULT_CONTROLLERS if self.grippers.fault else self.manager.active, q, v)
+            raise UsageError(
+                f"the arms may not recover while they move ({measured})",
+                remedy=remedy,
+            )
+        self.manager.switch(
+            DEFAULT_CONTROLLERS if self.grippers.fault else self.manager.active,
+            q,
+            v,
+        )
         for name in self.manager.active:  # first: what fails leaves the stop latched
             self.manager[name].activate(q, v)
         self.manager.fade_left = 0  # from torques that were never applied
@@ -329,7 +396,9 @@ class ControlStack[P: Plant]:
     @property
     def executing(self) -> bool:
         """Whether a timed command runs or waits."""
-        return self._pending or bool([e for e in self.arbiter.underway.executions if not e.finished])
+        return self._pending or bool(
+            [e for e in self.arbiter.underway.executions if not e.finished],
+        )
 
     @property
     def tick_next(self) -> bool:
@@ -378,19 +447,31 @@ class ControlStack[P: Plant]:
         plant = self.plant
         if self.supervisor is None:  # nothing could brake the arms
             emergency.check()
-        q, v, self._due = plant.q, plant.v, False
-        output = self.arbiter.tick(plant.time, q, v, self._unsagged(q, v) if self.arbiter.switching else None)
+        q = plant.q
+        v = plant.v
+        self._due = False
+        output = self.arbiter.tick(
+            plant.time,
+            q,
+            v,
+            self._unsagged(q, v) if self.arbiter.switching else None,
+        )
         self.output = output
         if self.reflex is None:
             self._openings = output.gripper.copy()
-        self.payload.idle = (0, 1) if self.reflex is not None else () if self._off is None else self._off.arms
+        self.payload.idle = (
+            (0, 1) if self.reflex is not None else () if self._off is None else self._off.arms
+        )
         if self.supervisor is not None:  # so that a silent arbiter triggers stale_command
             self.supervisor.heard(plant.time)
         if output.refusals:
             self.refused_n += len(output.refusals)
             self.refusals = [*self.refusals, *output.refusals][-_REFUSALS_KEPT:]
         self._pending = False
-        if plant.time > min(self._before[-1][0], self._ticked_s):  # where the clock goes on, also one that began anew
+        if plant.time > min(
+            self._before[-1][0],
+            self._ticked_s,
+        ):  # where the clock goes on, also one that began anew
             self._before.append((plant.time, q))
         self._ticked_s = plant.time
         self._attempt(lambda: self._hand_down(output.halted), None)
@@ -399,7 +480,11 @@ class ControlStack[P: Plant]:
             self.manager.switch(_STOPPING, plant.q, slower(plant.v, self._v), swiftly=True)
         self._attempt(lambda: self.manager.follow(output), None)
         hands = self.grippers
-        self.payload.follow(output.gripper, [hands.lost(0), hands.lost(1)], [hands.holds(0), hands.holds(1)])
+        self.payload.follow(
+            output.gripper,
+            [hands.lost(0), hands.lost(1)],
+            [hands.holds(0), hands.holds(1)],
+        )
         return output
 
     def _hand_down(self, stops: bool) -> None:
@@ -412,10 +497,12 @@ class ControlStack[P: Plant]:
     def _unsagged(self, q: Array, v: Array) -> Array | None:
         """Return the posture (n,) without the sag of resting arms under a load, or None; at q they would sag again."""
         reference = self.manager.reference
-        sag, still = np.abs(reference - q).max(), np.abs(v).max() < self._config.still_speed_rad_s
+        sag = np.abs(reference - q).max()
+        still = np.abs(v).max() < self._config.still_speed_rad_s
         if self.manager.active == _STOPPING or not (still and _SAG_MIN_RAD <= sag <= _SAG_MAX_RAD):
             return None
-        held, wanted = q.copy(), [T[2, 3] for T in self.kinematics.tcp_poses(reference)]
+        held = q.copy()
+        wanted = [T[2, 3] for T in self.kinematics.tcp_poses(reference)]
         for arm, T in enumerate(self.kinematics.tcp_poses(q)):
             if T[2, 3] < wanted[arm]:  # something else has moved a hand that is not lower
                 joints = self._robot.joints_of(arm)
@@ -440,7 +527,8 @@ class ControlStack[P: Plant]:
         self._v = measured[3]
         if self._off is not None:
             tau = self._off.limit(tau)
-        given, self.applied = self.applied, tau
+        given = self.applied
+        self.applied = tau
         try:
             fingers_m = self.grippers.step(self._openings)
         except Exception as error:
@@ -457,7 +545,8 @@ class ControlStack[P: Plant]:
         except Exception as error:
             if self.supervisor is None or isinstance(error, PlantEndedError):
                 raise
-            self._failed, self.applied = self._failed or error, given
+            self._failed = self._failed or error
+            self.applied = given
             self.supervisor.resume(given)
         if stopped is not None:
             raise stopped
@@ -465,35 +554,62 @@ class ControlStack[P: Plant]:
     def _measured(self) -> tuple[float, float | None, Array, Array]:
         plant = self.plant
         try:
-            q, v = _row(plant.q, len(self.applied)), _row(plant.v, len(self.applied))
-            return float(plant.time), None if (stamp_s := plant.stamp_s) is None else float(stamp_s), q, v
+            q = _row(plant.q, len(self.applied))
+            v = _row(plant.v, len(self.applied))
+            return (
+                float(plant.time),
+                None if (stamp_s := plant.stamp_s) is None else float(stamp_s),
+                q,
+                v,
+            )
         except Exception as error:
             self._failed = self._failed or error
         nothing = np.full(self._robot.dof, np.nan)
-        time_s, stamp_s = (self._attempt(lambda x=x: float(getattr(plant, x)), np.nan) for x in ("time", "stamp_s"))
-        q, v = (self._attempt(lambda x=x: _row(getattr(plant, x), len(nothing)), nothing) for x in "qv")
+        time_s, stamp_s = (
+            self._attempt(lambda x=x: float(getattr(plant, x)), np.nan) for x in ("time", "stamp_s")
+        )
+        q, v = (
+            self._attempt(lambda x=x: _row(getattr(plant, x), len(nothing)), nothing) for x in "qv"
+        )
         return time_s, stamp_s, q, v
 
-    def _torque(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Exception | None]:
-        tau, acceleration = self.applied, None
+    def _torque(
+        self,
+        time_s: float,
+        stamp_s: float | None,
+        q: Array,
+        v: Array,
+    ) -> tuple[Array, Exception | None]:
+        tau = self.applied
+        acceleration = None
         if self._failed is None:
             try:
                 tau, acceleration = self._asked(time_s, stamp_s, q, v)
                 if self.supervisor is None and not np.isfinite(tau).all():
-                    raise PlantError(f"torques {tau} Nm are not finite", remedy="see what measures joints and object")
+                    raise PlantError(
+                        f"torques {tau} Nm are not finite",
+                        remedy="see what measures joints and object",
+                    )
             except Exception as error:
                 self._failed = self._failed or error
-        failed, self._failed = self._failed, None
+        failed = self._failed
+        self._failed = None
         if self.supervisor is None:
             return (tau, None) if failed is None else (self._fall_back(q, v), failed)
         try:
             if failed is None:
                 return self.supervisor.guard(time_s, q, v, tau, acceleration, stamp_s), None
-            why = failed.message if isinstance(failed, MinidualError) else f"{type(failed).__name__}: {failed}"
+            why = (
+                failed.message
+                if isinstance(failed, MinidualError)
+                else f"{type(failed).__name__}: {failed}"
+            )
             return self.supervisor.fail(time_s, q, v, why, stamp_s), None
         except ReflexError as error:
             error.__cause__ = failed or error.__cause__
-            self.reflex, self._stop_ticks, self.payload.idle = error, round(_STOP_MAX_S / self.plant.dt), (0, 1)
+            self.reflex = error
+            self._stop_ticks = round(_STOP_MAX_S / self.plant.dt)
+            self.payload.idle = (0, 1)
             self._openings = self._attempt(self.grippers.stop, self._openings)
             self._attempt(partial(self._hand_down, error.reflex.name in _BEARING), None)
             self._attempt(lambda: self.request(HOLD), None)
@@ -502,27 +618,50 @@ class ControlStack[P: Plant]:
             self._failed = error
             return self.applied, None
 
-    def _asked(self, time_s: float, stamp_s: float | None, q: Array, v: Array) -> tuple[Array, Array | None]:
+    def _asked(
+        self,
+        time_s: float,
+        stamp_s: float | None,
+        q: Array,
+        v: Array,
+    ) -> tuple[Array, Array | None]:
         if self.plant.health:
             if self.supervisor is not None:
                 self.supervisor.brake_anew(self.applied, arrested=True)
             raise PlantError(f"the plant cannot be driven: {self.plant.health}")
-        age_s, limit_s = math.nan if stamp_s is None else time_s - stamp_s, self._age_max_s
+        age_s = math.nan if stamp_s is None else time_s - stamp_s
+        limit_s = self._age_max_s
         if not abs(age_s) <= limit_s + 1e-9:
             remedy = "see that the plant delivers its state; supervisor.measurement_age_max_s is how old it may be"
-            raise PlantError(f"the measurements are {age_s:.3f} s old; limit {limit_s} s", remedy=remedy)
+            raise PlantError(
+                f"the measurements are {age_s:.3f} s old; limit {limit_s} s",
+                remedy=remedy,
+            )
         tau = self.manager.update(q, v)
         # Only torques that reach motors are guarded.
         return (tau if self._off is None else self._off.nearest(tau)), self.manager.acceleration
 
     def _expected(self) -> Expected:
-        manager, grippers = self.manager, self.grippers
-        off, bears_n = () if self._off is None else self._off.arms, self.payload.force_n
-        if 0.0 < self._back_until_s - self.plant.time <= _BACK_S:  # false where the clock began anew
+        manager = self.manager
+        grippers = self.grippers
+        off = () if self._off is None else self._off.arms
+        bears_n = self.payload.force_n
+        if (
+            0.0 < self._back_until_s - self.plant.time <= _BACK_S
+        ):  # false where the clock began anew
             off = (*off, *self._back)
         if manager.active == OBJECT_CONTROLLERS:
-            return Expected("held object", self.impedance.load, manager.reference, grippers.fault, off, bears_n)
-        soft = any(hand.name in manager.active for hand in self.hands)  # dry joints hold a spring off
+            return Expected(
+                "held object",
+                self.impedance.load,
+                manager.reference,
+                grippers.fault,
+                off,
+                bears_n,
+            )
+        soft = any(
+            hand.name in manager.active for hand in self.hands
+        )  # dry joints hold a spring off
         if grippers.wide and not soft:  # until then fingers that open still touch what they held
             return Expected("free motion", None, manager.reference, "", off, bears_n)
         return Expected("closed hands", None, manager.reference, grippers.fault, off, bears_n)
@@ -539,11 +678,18 @@ class ControlStack[P: Plant]:
             return self.applied
         if interrupted or self.manager.active != DEFAULT_CONTROLLERS:
             self.arbiter.stand(q, slower(v, self._v))
-            self.manager[DEFAULT_CONTROLLERS[0]].activate(q, v)  # an active one would go on with what was interrupted
+            self.manager[DEFAULT_CONTROLLERS[0]].activate(
+                q,
+                v,
+            )  # an active one would go on with what was interrupted
             self.manager.switch(DEFAULT_CONTROLLERS, q, v)
-        return self.manager.update(q, v)  # raises if these have failed: no others could hold the arms
+        return self.manager.update(
+            q,
+            v,
+        )  # raises if these have failed: no others could hold the arms
 
     def _confirmed(self, mode: str) -> None:
-        self._stop_ticks, names = 0, self._wanted.pop(mode, self.manager.active)
+        self._stop_ticks = 0
+        names = self._wanted.pop(mode, self.manager.active)
         if names != self.manager.active:
             self.manager.switch(names, self.plant.q, self.plant.v)

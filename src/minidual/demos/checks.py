@@ -71,11 +71,16 @@ def check_action_is_command(qpos: Array, action: Array) -> Iterator[EpisodeFault
 
 def check_rate(timestamps: Array, fps: float) -> Iterator[EpisodeFault]:
     """Report a median interval off by 2 %, or any off by half a period; needs two ticks."""
-    steps, period_s = np.diff(timestamps), 1.0 / fps
+    steps = np.diff(timestamps)
+    period_s = 1.0 / fps
     median_s = float(np.median(steps))
     if abs(median_s - period_s) > 0.02 * period_s:
-        yield EpisodeFault("rate_wrong", f"ticks come at {1.0 / median_s:.2f} Hz, the file declares {fps:g} Hz")
-    deviation, limit_s = np.abs(steps - period_s), 0.5 * period_s
+        yield EpisodeFault(
+            "rate_wrong",
+            f"ticks come at {1.0 / median_s:.2f} Hz, the file declares {fps:g} Hz",
+        )
+    deviation = np.abs(steps - period_s)
+    limit_s = 0.5 * period_s
     worst = int(np.argmax(deviation))
     if deviation[worst] > limit_s:
         stray = f"{int(np.sum(deviation > limit_s))} intervals stray more than {1e3 * limit_s:.1f} ms from"
@@ -86,7 +91,8 @@ def check_rate(timestamps: Array, fps: float) -> Iterator[EpisodeFault]:
 def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[EpisodeFault]:
     """Report images more than 20 ms from their tick's joints."""
     offset = np.abs(image_timestamps - timestamps)
-    worst, limit_ms = int(np.argmax(offset)), 1e3 * schema.MAX_SYNC_S
+    worst = int(np.argmax(offset))
+    limit_ms = 1e3 * schema.MAX_SYNC_S
     if offset[worst] > schema.MAX_SYNC_S:
         apart = f"up to {1e3 * float(offset[worst]):.1f} ms from the joints (tick {worst})"
         yield EpisodeFault("out_of_sync", f"images lie {apart}; the limit is {limit_ms:.0f} ms")
@@ -95,17 +101,24 @@ def check_sync(timestamps: Array, image_timestamps: Array) -> Iterator[EpisodeFa
 def check_limits(qpos: Array, robot: Robot) -> Iterator[EpisodeFault]:
     """Report joints outside the limits, or a wrong joint count."""
     if qpos.shape[1] != robot.dof:
-        detail = f"the file holds {qpos.shape[1]} joints; two {robot.arm.name} arms have {robot.dof}"
+        detail = (
+            f"the file holds {qpos.shape[1]} joints; two {robot.arm.name} arms have {robot.dof}"
+        )
         yield EpisodeFault("joints_wrong", detail)
         return
-    lower, upper = robot.q_lower - LIMIT_TOLERANCE_RAD, robot.q_upper + LIMIT_TOLERANCE_RAD
+    lower = robot.q_lower - LIMIT_TOLERANCE_RAD
+    upper = robot.q_upper + LIMIT_TOLERANCE_RAD
     outside = (qpos < lower) | (qpos > upper)
     joints = np.flatnonzero(outside.any(axis=0))
     if joints.size:
-        joint, tick = int(joints[0]), int(np.argmax(outside[:, joints[0]]))
+        joint = int(joints[0])
+        tick = int(np.argmax(outside[:, joints[0]]))
         found = f"joint index {joint} is at {qpos[tick, joint]:.4f} rad at tick {tick}"
         allowed = f"allowed {robot.q_lower[joint]:.4f} to {robot.q_upper[joint]:.4f}"
-        yield EpisodeFault("outside_joint_limits", f"{joints.size} joints leave their limits; {found}, {allowed}")
+        yield EpisodeFault(
+            "outside_joint_limits",
+            f"{joints.size} joints leave their limits; {found}, {allowed}",
+        )
 
 
 def check_images(images: Images, qpos: Array) -> Iterator[EpisodeFault]:
@@ -113,7 +126,8 @@ def check_images(images: Images, qpos: Array) -> Iterator[EpisodeFault]:
     moved = bool(np.max(np.ptp(qpos, axis=0)) > FROZEN_MOTION_RAD)
     for camera, frames in images.items():
         # Two calls each: one over both axes takes 40 times as long.
-        highest, lowest = frames.max(axis=1).max(axis=1), frames.min(axis=1).min(axis=1)
+        highest = frames.max(axis=1).max(axis=1)
+        lowest = frames.min(axis=1).min(axis=1)
         black = highest.max(axis=1) <= BLACK_LEVEL
         constant = np.all(highest == lowest, axis=1) & ~black
         for name, bad in (("images_black", black), ("images_constant", constant)):
@@ -125,7 +139,10 @@ def check_images(images: Images, qpos: Array) -> Iterator[EpisodeFault]:
             yield EpisodeFault("images_frozen", detail)
     for first, second in combinations(images, 2):
         if np.array_equal(images[first], images[second]):
-            yield EpisodeFault("cameras_identical", f"cameras '{first}' and '{second}' hold the same images")
+            yield EpisodeFault(
+                "cameras_identical",
+                f"cameras '{first}' and '{second}' hold the same images",
+            )
 
 
 def thumbnails(images: Images) -> Thumbnails:
@@ -140,15 +157,24 @@ def thumbnails(images: Images) -> Thumbnails:
 def camera_references(episodes: Sequence[Thumbnails]) -> Thumbnails:
     """Return each camera's median thumbnail over episodes."""
     names = {camera for views in episodes for camera in views}
-    return {c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0) for c in names}
+    return {
+        c: np.median(np.stack([views[c] for views in episodes if c in views]), axis=0)
+        for c in names
+    }
 
 
 def check_swapped(views: Thumbnails, references: Thumbnails) -> Iterator[EpisodeFault]:
     """Report thumbnails nearer to another camera's reference."""
     for camera, view in views.items():
-        apart = {c: float(np.mean(np.abs(view - r))) for c, r in references.items() if r.shape == view.shape}
+        apart = {
+            c: float(np.mean(np.abs(view - r)))
+            for c, r in references.items()
+            if r.shape == view.shape
+        }
         nearest = min(apart, key=apart.__getitem__, default=camera)
         if camera in apart and nearest != camera:
             means = f"mean difference {apart[nearest]:.1f} of 255 against {apart[camera]:.1f}"
-            detail = f"camera '{camera}' shows what '{nearest}' shows in the other episodes ({means})"
+            detail = (
+                f"camera '{camera}' shows what '{nearest}' shows in the other episodes ({means})"
+            )
             yield EpisodeFault("cameras_swapped", detail)

@@ -102,17 +102,25 @@ def _sound(path: Path | str, episode: Episode | None, faults: list[EpisodeFault]
 
 
 def _load(
-    path: Path, cameras: Sequence[str] | None, fields: Sequence[schema.Field] = schema.FIELDS
+    path: Path,
+    cameras: Sequence[str] | None,
+    fields: Sequence[schema.Field] = schema.FIELDS,
 ) -> tuple[Episode | None, list[EpisodeFault]]:
     if not path.is_file():
         return None, [EpisodeFault("file_missing", f"no episode file {path}")]
-    arrays: dict[str, Array] = dict.fromkeys((f.name for f in schema.FIELDS if f.required), np.empty(0))
+    arrays: dict[str, Array] = dict.fromkeys(
+        (f.name for f in schema.FIELDS if f.required),
+        np.empty(0),
+    )
     faults: list[EpisodeFault] = []
     try:
         with h5py.File(path, "r") as file:
             meta, ticks = schema.EpisodeMeta.from_attrs(file.attrs)
             found = (file.get(key) for key in ("observations/qpos", "action"))
-            joints_n = next((f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2), 0)
+            joints_n = next(
+                (f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2),
+                0,
+            )
             for field in fields:
                 if field.key in file:
                     expected = (ticks, *field.row_shape(joints_n))
@@ -120,7 +128,13 @@ def _load(
                 elif field.required:
                     faults.append(EpisodeFault("field_missing", f"{field.key} is missing"))
             images = _images(file, meta, ticks, cameras, faults)
-            faults += () if faults else checks.check_finite({f.key: arrays[f.name] for f in fields if f.name in arrays})
+            faults += (
+                ()
+                if faults
+                else checks.check_finite(
+                    {f.key: arrays[f.name] for f in fields if f.name in arrays},
+                )
+            )
     except DataError as error:
         return None, [EpisodeFault("attributes_wrong", f"{path.name}: {error.message}")]
     except Exception as error:  # h5py raises anything
@@ -129,24 +143,47 @@ def _load(
 
 
 def _images(
-    file: h5py.File, meta: schema.EpisodeMeta, ticks: int, cameras: Sequence[str] | None, faults: list[EpisodeFault]
+    file: h5py.File,
+    meta: schema.EpisodeMeta,
+    ticks: int,
+    cameras: Sequence[str] | None,
+    faults: list[EpisodeFault],
 ) -> dict[str, NDArray[np.uint8]]:
     stored = list(file.get("observations/images", ()))
     if cameras is None and sorted(stored) != sorted(meta.cameras):
         detail = f"the file declares cameras {_list(meta.cameras)} and stores {_list(stored)}"
         faults.append(EpisodeFault("cameras_wrong", detail))
     if absent := [camera for camera in cameras or () if camera not in stored]:
-        faults.append(EpisodeFault("cameras_wrong", f"no camera {_list(absent)}; there are {_list(meta.cameras)}"))
-    wanted = [camera for camera in meta.cameras if camera in stored and (cameras is None or camera in cameras)]
-    return {c: _array(file, schema.image_key(c), (ticks, -1, -1, 3), np.uint8, faults) for c in wanted}
+        faults.append(
+            EpisodeFault(
+                "cameras_wrong",
+                f"no camera {_list(absent)}; there are {_list(meta.cameras)}",
+            ),
+        )
+    wanted = [
+        camera
+        for camera in meta.cameras
+        if camera in stored and (cameras is None or camera in cameras)
+    ]
+    return {
+        c: _array(file, schema.image_key(c), (ticks, -1, -1, 3), np.uint8, faults) for c in wanted
+    }
 
 
-def _array(file: h5py.File, key: str, shape: tuple[int, ...], dtype: type, faults: list[EpisodeFault]) -> NDArray[Any]:
+def _array(
+    file: h5py.File,
+    key: str,
+    shape: tuple[int, ...],
+    dtype: type,
+    faults: list[EpisodeFault],
+) -> NDArray[Any]:
     """Return a dataset; append a fault if its shape (-1: any length) or type is another."""
     found: Any = file[key]
     is_array = isinstance(found, h5py.Dataset)
     # Checked before anything is read: a sparse file declares terabytes, and a link leads to another file.
-    if is_array and (found.size * found.dtype.itemsize > ARRAY_BYTES_MAX or found.external or found.is_virtual):
+    if is_array and (
+        found.size * found.dtype.itemsize > ARRAY_BYTES_MAX or found.external or found.is_virtual
+    ):
         what = f"{key} {found.shape} takes over {ARRAY_BYTES_MAX} bytes, or lies in another file"
         faults.append(EpisodeFault("field_too_large", what))
         return np.empty(0, dtype)
@@ -154,7 +191,9 @@ def _array(file: h5py.File, key: str, shape: tuple[int, ...], dtype: type, fault
     if alike and all(wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)):
         return np.asarray(found[()], dtype=dtype)
     shown = f"{found.dtype} {found.shape}" if is_array else "a group"
-    faults.append(EpisodeFault("field_wrong", f"{key} is {shown}; it must be {np.dtype(dtype)} {shape}"))
+    faults.append(
+        EpisodeFault("field_wrong", f"{key} is {shown}; it must be {np.dtype(dtype)} {shape}"),
+    )
     return np.empty(0, dtype)
 
 

@@ -52,8 +52,10 @@ class KeyboardLeader(Leader):
         self._start = [T.copy() for T in kinematics.tcp_poses(self._q)]
         self._goal = np.zeros((2, 4))  # x, y, z [m] and yaw [rad] of each hand from its start
         self._offset = np.zeros((2, 4))
-        self._open, self._selected = np.ones(2), 0
-        self._ended, self._last_s = False, 0.0
+        self._open = np.ones(2)
+        self._selected = 0
+        self._ended = False
+        self._last_s = 0.0
 
     @classmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
@@ -66,14 +68,20 @@ class KeyboardLeader(Leader):
             keys = os.read(self._fd, 256).decode(errors="ignore")
             if keys == _ESCAPE or "x" in keys.lower():
                 emergency.press("key of the keyboard leader")
-            for key in re.sub(r"\x1b[\[O][0-9;]*[A-Za-z~]", "", keys):  # arrows and the like are sent as letters
+            for key in re.sub(
+                r"\x1b[\[O][0-9;]*[A-Za-z~]",
+                "",
+                keys,
+            ):  # arrows and the like are sent as letters
                 self._press(key)
-        bound, self._last_s = max(now_s - self._last_s, 0.0) * _SPEED, now_s
+        bound = max(now_s - self._last_s, 0.0) * _SPEED
+        self._last_s = now_s
         wanted = self._offset + np.clip(self._goal - self._offset, -bound, bound)
         moves = zip(self._start, wanted, strict=True)
         hands = [pose(rot_z(move[3]) @ T[:3, :3], T[:3, 3] + move[:3]) for T, move in moves]
         try:
-            self._q, self._offset = posture_at(self._robot, hands, self._q, self._robot.home), wanted
+            self._q = posture_at(self._robot, hands, self._q, self._robot.home)
+            self._offset = wanted
         except UsageError:  # out of reach: stay, and reset the goal to the present position
             self._goal = self._offset.copy()
         return self._q.copy(), self._open.copy()

@@ -66,9 +66,15 @@ class ScriptedLeader(Leader):
     @classmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
         """Plan: by phases where both hands hold one object all the way, else as the task is planned."""
-        config, seed, rate_hz = setup.config, setup.seed, setup.config.rate_hz
+        config = setup.config
+        seed = setup.seed
+        rate_hz = setup.config.rate_hz
         if setup.task.together:
-            operator = ScriptedOperator(setup.task.scene, config.operator, kinematics=Kinematics(setup.robot))
+            operator = ScriptedOperator(
+                setup.task.scene,
+                config.operator,
+                kinematics=Kinematics(setup.robot),
+            )
             return cls(operator.plan(trial, seed=seed, rate_hz=rate_hz))
         return cls(demonstrate_plan(setup.task, trial, setup.planner, seed=seed, rate_hz=rate_hz))
 
@@ -81,5 +87,9 @@ class ScriptedLeader(Leader):
         return now_s >= self.demonstration.duration_s - 0.5 / self.demonstration.rate_hz
 
 
-LEADERS: Registry[type[Leader]] = Registry("leader", rows_beside(__file__), group="minidual.leaders")
+LEADERS: Registry[type[Leader]] = Registry(
+    "leader",
+    rows_beside(__file__),
+    group="minidual.leaders",
+)
 """Leaders by `teleop.leader`."""

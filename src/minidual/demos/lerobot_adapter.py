@@ -65,21 +65,40 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
     durable.remove_stale(out_dir.parent.glob(f".{out_dir.name}.*.partial"))
     try:
         with durable.replacing(out_dir) as partial:
-            verify_dataset(partial, _write_dataset(partial, out_dir.name, first, paths, robot), robot)
+            verify_dataset(
+                partial,
+                _write_dataset(partial, out_dir.name, first, paths, robot),
+                robot,
+            )
     except OSError as error:
-        raise durable.unwritten(error, out_dir, "check the disk or choose another folder") from error
+        raise durable.unwritten(
+            error,
+            out_dir,
+            "check the disk or choose another folder",
+        ) from error
     return read_dataset(out_dir)
 
 
-def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], robot: Robot) -> list[Path]:
+def _write_dataset(
+    root: Path,
+    name: str,
+    first: Path,
+    others: Iterable[Path],
+    robot: Robot,
+) -> list[Path]:
     names = state_names(robot)
     vector = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
     features: dict[str, dict[str, Any]] = {STATE: vector, ACTION: vector}
     given = read_episode(first)
     shapes = {camera: frames.shape[1:] for camera, frames in given.images.items()}
     for camera, shape in shapes.items():
-        features[camera_key(camera)] = {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
-    records, written = list[dict[str, Any]](), list[Path]()
+        features[camera_key(camera)] = {
+            "dtype": "video",
+            "shape": shape,
+            "names": ["height", "width", "channels"],
+        }
+    records = list[dict[str, Any]]()
+    written = list[Path]()
     with ExitStack() as stack:
         # Keep encoder reports and progress bars off stderr.
         av.logging.set_libav_level(av.logging.ERROR)
@@ -98,7 +117,12 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
             robot_type=f"dual_{robot.arm.name}",
             use_videos=True,
             video_backend="pyav",
-            rgb_encoder=RGBEncoderConfig(vcodec="h264", preset="veryfast", pix_fmt="yuv444p", crf=12),
+            rgb_encoder=RGBEncoderConfig(
+                vcodec="h264",
+                preset="veryfast",
+                pix_fmt="yuv444p",
+                crf=12,
+            ),
             streaming_encoding=True,
             encoder_queue_maxsize=0,  # without bound: a full queue drops pictures with only a warning
             video_files_size_in_mb=_VIDEO_FILE_MB,
@@ -108,20 +132,33 @@ def _write_dataset(root: Path, name: str, first: Path, others: Iterable[Path], r
             written.append(path)
             episode = read_episode(path, cameras=tuple(shapes))
             if episode.meta.fps != dataset.fps:
-                raise DataError(f"{path} runs at {episode.meta.fps:g} Hz, the dataset at {dataset.fps} Hz (whole, one)")
+                raise DataError(
+                    f"{path} runs at {episode.meta.fps:g} Hz, the dataset at {dataset.fps} Hz (whole, one)",
+                )
             for camera, shape in shapes.items():
                 if episode.images[camera].shape[1:] != shape:
-                    raise DataError(f"{path}: camera '{camera}' is {episode.images[camera].shape[1:]}, not {shape}")
+                    raise DataError(
+                        f"{path}: camera '{camera}' is {episode.images[camera].shape[1:]}, not {shape}",
+                    )
             state, action = _vectors(episode)
             try:
                 for k in range(len(episode)):
-                    images = {camera_key(camera): frames[k] for camera, frames in episode.images.items()}
-                    dataset.add_frame({STATE: state[k], ACTION: action[k], "task": episode.meta.task, **images})
+                    images = {
+                        camera_key(camera): frames[k] for camera, frames in episode.images.items()
+                    }
+                    dataset.add_frame(
+                        {STATE: state[k], ACTION: action[k], "task": episode.meta.task, **images},
+                    )
                 dataset.save_episode(parallel_encoding=False)
             except RuntimeError as error:  # from an encoder's thread
                 raise OSError(f"{error}") from error
             meta = episode.meta
-            facts = {"file": path.name, "seed": meta.seed, "ticks": len(episode), "success": meta.success}
+            facts = {
+                "file": path.name,
+                "seed": meta.seed,
+                "ticks": len(episode),
+                "success": meta.success,
+            }
             records.append({**facts, "extra": dict(meta.extra)})
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
     (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
@@ -136,8 +173,11 @@ def _raise_report(record: logging.LogRecord) -> bool:
 
 def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return state and action, (T, n + 2)."""
-    state, action = ((episode.qpos, episode.gripper), (episode.action, episode.action_gripper))
-    return np.concatenate(state, axis=1).astype(np.float32), np.concatenate(action, axis=1).astype(np.float32)
+    state = (episode.qpos, episode.gripper)
+    action = (episode.action, episode.action_gripper)
+    return np.concatenate(state, axis=1).astype(np.float32), np.concatenate(action, axis=1).astype(
+        np.float32,
+    )
 
 
 def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
@@ -152,17 +192,25 @@ def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
     if data.names != state_names(robot):
         raise DataError(f"{root} names its state {data.names}; it must be {state_names(robot)}")
     for index, (path, start, stop) in enumerate(zip(paths, data.starts, data.stops, strict=True)):
-        episode, label = read_episode(path, cameras=()), f"episode {index} ({path.name})"
+        episode = read_episode(path, cameras=())
+        label = f"episode {index} ({path.name})"
         if stop - start != len(episode):
             raise DataError(f"{label} has {stop - start} rows; {len(episode)} ticks were recorded")
-        for key, stored, recorded in zip((STATE, ACTION), (data.state, data.action), _vectors(episode), strict=True):
+        for key, stored, recorded in zip(
+            (STATE, ACTION),
+            (data.state, data.action),
+            _vectors(episode),
+            strict=True,
+        ):
             if not np.array_equal(stored[start:stop], recorded):
                 error = float(np.max(np.abs(stored[start:stop] - recorded)))
                 raise DataError(f"{label}: {key} differs from the recording by {error:.3g}")
-    worst, pictures = 0.0, np.empty(0, np.uint8)
+    worst = 0.0
+    pictures = np.empty(0, np.uint8)
     for camera in data.cameras:
         for row, image in data.frames(camera):
-            path, tick = paths[data.episode_index[row]], int(data.frame_index[row])
+            path = paths[data.episode_index[row]]
+            tick = int(data.frame_index[row])
             label = f"episode {data.episode_index[row]} ({path.name}): camera '{camera}'"
             if tick == 0:
                 pictures = read_episode(path, cameras=(camera,)).images[camera]
@@ -171,6 +219,8 @@ def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
             difference = float(np.mean(np.abs(image.astype(np.int16) - pictures[tick])))
             if difference > IMAGE_DIFFERENCE_MAX:
                 off = f"differs from the recording by {difference:.1f} of 255 on average"
-                raise DataError(f"{label} at tick {tick} {off}; the limit is {IMAGE_DIFFERENCE_MAX:g}")
+                raise DataError(
+                    f"{label} at tick {tick} {off}; the limit is {IMAGE_DIFFERENCE_MAX:g}",
+                )
             worst = max(worst, difference)
     return worst

@@ -31,7 +31,8 @@ Rows = NDArray[np.int64]
 _AGAIN = "record and convert again, the finished recording is kept beside it: minidual teleop-record --force"
 _reading = partial(reading, remedy=_AGAIN)
 _VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-PIXELS_MAX, ROWS_MAX = 4096, 10_000_000
+PIXELS_MAX = 4096
+ROWS_MAX = 10_000_000
 """Limits of a picture's sides and of a dataset's rows, checked before memory is taken."""
 BYTES_MAX = 2**36  # of a file
 MEMORY_SHARE = 0.5
@@ -83,15 +84,24 @@ class LeRobotTables:
         size = self.cameras[camera]
         with _reading(f"{self.root}: the table of videos"):
             videos = self._videos(camera_key(camera))
-        parts = (zip(rows.tolist(), _decode(self.root / n, len(rows), size), strict=True) for n, rows in videos.items())
+        parts = (
+            zip(rows.tolist(), _decode(self.root / n, len(rows), size), strict=True)
+            for n, rows in videos.items()
+        )
         return itertools.chain.from_iterable(parts)
 
-    def images(self, camera: str, progress: Callable[[int], None] | None = None, folder: Path | None = None) -> Image:
+    def images(
+        self,
+        camera: str,
+        progress: Callable[[int], None] | None = None,
+        folder: Path | None = None,
+    ) -> Image:
         """Return all images (N, H, W, 3), mapped from a file in `folder` if memory is short; raises as `frames`.
 
         `progress` gets the count since its last call.
         """
-        frames, result = self.frames(camera), _room_for((len(self), *self.cameras[camera], 3), folder)
+        frames = self.frames(camera)
+        result = _room_for((len(self), *self.cameras[camera], 3), folder)
         for count, (row, image) in enumerate(frames, start=1):
             result[row] = image
             if progress is not None and (count % 1000 == 0 or count == len(self)):
@@ -109,11 +119,18 @@ class LeRobotTables:
         return result
 
     def _videos(self, key: str) -> dict[str, Rows]:
-        chunk, file = (_integers(self._episodes, f"videos/{key}/{name}") for name in ("chunk_index", "file_index"))
+        chunk, file = (
+            _integers(self._episodes, f"videos/{key}/{name}")
+            for name in ("chunk_index", "file_index")
+        )
         begin = np.asarray(self._episodes[f"videos/{key}/from_timestamp"].to_numpy(), dtype=float)
         parts: dict[str, list[Rows]] = {}
         for e in np.lexsort((begin, file, chunk)):
-            name = _VIDEO_PATH.format(video_key=key, chunk_index=int(chunk[e]), file_index=int(file[e]))
+            name = _VIDEO_PATH.format(
+                video_key=key,
+                chunk_index=int(chunk[e]),
+                file_index=int(file[e]),
+            )
             expected = sum(map(len, parts.setdefault(name, [])))
             if not abs(begin[e] * self.fps - expected) <= 0.5:
                 where = f"episode {int(e)} does not begin at frame {expected} as the tables say"
@@ -137,34 +154,71 @@ def read_dataset(root: Path | str) -> LeRobotTables:
         raise DataError(f"no LeRobot dataset at {root} (meta/info.json is missing)", remedy=_AGAIN)
     with _reading(path):
         info = read_json(path)
-        version, features, fps = str(info["codebase_version"]), info["features"], float(info["fps"])
+        version = str(info["codebase_version"])
+        features = info["features"]
+        fps = float(info["fps"])
         declared = (int(info["total_frames"]), int(info["total_episodes"]))
         names, action_names = (tuple(map(str, features[key]["names"])) for key in (STATE, ACTION))
-        shapes = {key.removeprefix(IMAGE_PREFIX): f["shape"] for key, f in features.items() if IMAGE_PREFIX in key}
+        shapes = {
+            key.removeprefix(IMAGE_PREFIX): f["shape"]
+            for key, f in features.items()
+            if IMAGE_PREFIX in key
+        }
         cameras = {camera: (int(shape[0]), int(shape[1])) for camera, shape in shapes.items()}
-        if not (0.0 < fps < 1e5 and 0 <= declared[0] <= ROWS_MAX and info["video_path"] == _VIDEO_PATH):
-            raise ValueError(f"fps {fps:g}, {declared[0]} frames or the video path is out of bounds")
-        if large := [camera for camera, size in cameras.items() if not all(0 < n <= PIXELS_MAX for n in size)]:
+        if not (
+            0.0 < fps < 1e5 and 0 <= declared[0] <= ROWS_MAX and info["video_path"] == _VIDEO_PATH
+        ):
+            raise ValueError(
+                f"fps {fps:g}, {declared[0]} frames or the video path is out of bounds",
+            )
+        if large := [
+            camera for camera, size in cameras.items() if not all(0 < n <= PIXELS_MAX for n in size)
+        ]:
             raise ValueError(f"camera '{large[0]}' has a size outside 1 to {PIXELS_MAX} pixels")
     if not version.startswith("v3"):
         raise DataError(f"{root} is a LeRobot dataset of version {version}; this program reads v3")
-    table, episodes = _read_parquet(root, "data"), _read_parquet(root, "meta/episodes")
+    table = _read_parquet(root, "data")
+    episodes = _read_parquet(root, "meta/episodes")
     with _reading(f"{root}: a table"):
-        state, action = (np.stack(table[key].to_numpy()).astype(np.float32) for key in (STATE, ACTION))
-        index, episode, frame = (_integers(table, key) for key in ("index", "episode_index", "frame_index"))
-        starts, stops = (_integers(episodes, key) for key in ("dataset_from_index", "dataset_to_index"))
+        state, action = (
+            np.stack(table[key].to_numpy()).astype(np.float32) for key in (STATE, ACTION)
+        )
+        index, episode, frame = (
+            _integers(table, key) for key in ("index", "episode_index", "frame_index")
+        )
+        starts, stops = (
+            _integers(episodes, key) for key in ("dataset_from_index", "dataset_to_index")
+        )
         rows = np.arange(len(index))
-        if not all(values.shape == (len(rows), len(names)) and np.isfinite(values).all() for values in (state, action)):
-            raise ValueError(f"state {state.shape} or action {action.shape} is not finite or not as declared")
+        if not all(
+            values.shape == (len(rows), len(names)) and np.isfinite(values).all()
+            for values in (state, action)
+        ):
+            raise ValueError(
+                f"state {state.shape} or action {action.shape} is not finite or not as declared",
+            )
         if declared != (len(rows), len(starts)):
             held = f"the tables hold {len(rows)} in {len(starts)}"
-            raise ValueError(f"info.json declares {declared[0]} frames in {declared[1]} episodes, {held}")
+            raise ValueError(
+                f"info.json declares {declared[0]} frames in {declared[1]} episodes, {held}",
+            )
         ok = np.array_equal(np.r_[starts, len(rows)], np.r_[0, stops]) and np.all(stops > starts)
-        if not (ok and np.array_equal(index, rows) and np.array_equal(frame, rows - np.repeat(starts, stops - starts))):
+        if not (
+            ok
+            and np.array_equal(index, rows)
+            and np.array_equal(frame, rows - np.repeat(starts, stops - starts))
+        ):
             raise ValueError("row or frame indices do not run without gaps")
         if action_names != names:
             raise ValueError(f"action is named {action_names}, state {names}")
-    return LeRobotTables(root, fps, names, cameras, *(state, action, episode, frame, starts, stops), episodes)
+    return LeRobotTables(
+        root,
+        fps,
+        names,
+        cameras,
+        *(state, action, episode, frame, starts, stops),
+        episodes,
+    )
 
 
 def _room_for(shape: tuple[int, ...], folder: Path | None) -> Image:
@@ -198,14 +252,26 @@ def _read_parquet(root: Path, folder: str) -> Any:
 def _decode(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]:
     count = 0
     with _reading(path), av.open(str(regular_file(path, BYTES_MAX)), format="mp4") as container:
-        container.streams.video[0].thread_type = "AUTO"  # the next picture is decoded while one is converted
+        container.streams.video[
+            0
+        ].thread_type = "AUTO"  # the next picture is decoded while one is converted
         for count, frame in enumerate(container.decode(video=0), start=1):
             if (frame.height, frame.width) != size:
-                raise ValueError(f"its pictures are {frame.height} x {frame.width}, declared {size[0]} x {size[1]}")
+                raise ValueError(
+                    f"its pictures are {frame.height} x {frame.width}, declared {size[0]} x {size[1]}",
+                )
             if count > expected:
                 break
-            shown: Any = frame.to_ndarray(format="rgb24", width=size[1], height=size[0], interpolation="AREA")
+            shown: Any = frame.to_ndarray(
+                format="rgb24",
+                width=size[1],
+                height=size[0],
+                interpolation="AREA",
+            )
             yield shown
     if count != expected:
         held = f"more than {expected}" if count > expected else count
-        raise DataError(f"{path} holds {held} frames; the table has {expected} rows for it", remedy=_AGAIN)
+        raise DataError(
+            f"{path} holds {held} frames; the table has {expected} rows for it",
+            remedy=_AGAIN,
+        )

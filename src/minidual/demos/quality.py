@@ -58,7 +58,9 @@ def episode_quality(episode: Episode, kinematics: Kinematics) -> EpisodeQuality:
 
 def tcp_positions(q: NDArray[np.floating], kinematics: Kinematics) -> Array:
     """Return TCPs (T, 2, 3) [m] for postures (T, n)."""
-    return np.array([[pose[:3, 3] for pose in kinematics.tcp_poses(row)] for row in np.asarray(q, dtype=float)])
+    return np.array(
+        [[pose[:3, 3] for pose in kinematics.tcp_poses(row)] for row in np.asarray(q, dtype=float)],
+    )
 
 
 def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.floating]) -> float:
@@ -77,7 +79,8 @@ def path_efficiency(positions: NDArray[np.floating], action_gripper: NDArray[np.
 
 def grip_changes(command: NDArray[np.floating]) -> list[int]:
     """Return the ticks where a command (T,) crosses mid-range."""
-    low, high = float(np.min(command)), float(np.max(command))
+    low = float(np.min(command))
+    high = float(np.max(command))
     if high - low < 1e-6:
         return []
     above = command > 0.5 * (low + high)
@@ -96,9 +99,13 @@ def rms_jerk(q: NDArray[np.floating], rate_hz: float, cutoff_hz: float = CUTOFF_
     if q.ndim != 2 or q.shape[1] == 0:
         raise DataError(f"jerk needs joint positions of shape (T, joints), got {q.shape}")
     if not (np.isfinite(rate_hz) and rate_hz >= 4.0 * cutoff_hz):
-        raise DataError(f"jerk with a {cutoff_hz:g} Hz cutoff needs at least {4 * cutoff_hz:g} Hz, got {rate_hz:g} Hz")
+        raise DataError(
+            f"jerk with a {cutoff_hz:g} Hz cutoff needs at least {4 * cutoff_hz:g} Hz, got {rate_hz:g} Hz",
+        )
     if (len(q) - 1) / rate_hz < MIN_DURATION_S - 1e-9:
-        raise DataError(f"jerk needs at least {MIN_DURATION_S:.2f} s of motion, got {len(q)} samples at {rate_hz:g} Hz")
+        raise DataError(
+            f"jerk needs at least {MIN_DURATION_S:.2f} s of motion, got {len(q)} samples at {rate_hz:g} Hz",
+        )
     if not np.all(np.isfinite(q)):
         raise DataError("jerk needs finite joint positions; the motion holds NaN or infinity")
 

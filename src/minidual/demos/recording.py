@@ -36,21 +36,25 @@ def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
     An interrupted recording with equal inputs stays, to be continued. Another one moves to `set-aside` beside `folder`,
     under `name`.
     """
-    path, gathered = folder / INPUTS_FILE, folder.with_name(f".{name}.aside")
+    path = folder / INPUTS_FILE
+    gathered = folder.with_name(f".{name}.aside")
     if gathered.exists():  # killed while it was set aside
         durable.set_aside(gathered, name)
     before: Any = {}
     with suppress(DataError):  # missing or damaged: the recording is set aside
         before = durable.read_json(path)
     before = before if isinstance(before, dict) else {}
-    note, begun = "", any((folder / part).exists() for part in (KEPT, REJECTED, ATTEMPTS))
+    note = ""
+    begun = any((folder / part).exists() for part in (KEPT, REJECTED, ATTEMPTS))
     if begun and before != inputs:
         gathered.mkdir()
         for part in (folder / part for part in PARTS):
             if part.exists():
                 part.rename(gathered / part.name)
         target = durable.set_aside(gathered, name)
-        changed = sorted(key for key in before.keys() | inputs.keys() if before.get(key) != inputs.get(key))
+        changed = sorted(
+            key for key in before.keys() | inputs.keys() if before.get(key) != inputs.get(key)
+        )
         note = f"an interrupted recording with other inputs ({', '.join(changed)}) was moved to {target}"
     elif begun:
         halves = durable.remove_stale(folder.glob("*/.*.partial"))
@@ -95,8 +99,12 @@ class RecordedAttempts(NamedTuple):
         """
         qualities = [cast(EpisodeQuality, a.quality) for a in self.kept]
         latencies = np.concatenate([a.latencies_s for a in self.attempts])
-        recording_s, before_s = (sum(a.wall_s for a in self.attempts if a.adopted >= k) / self.workers for k in (0, 1))
-        synchronised = [a.sync_error_max_s for a in self.attempts if a.kept or np.isfinite(a.sync_error_max_s)]
+        recording_s, before_s = (
+            sum(a.wall_s for a in self.attempts if a.adopted >= k) / self.workers for k in (0, 1)
+        )
+        synchronised = [
+            a.sync_error_max_s for a in self.attempts if a.kept or np.isfinite(a.sync_error_max_s)
+        ]
         return {
             "episodes": len(self.kept),
             "attempts": len(self.attempts),
@@ -121,19 +129,28 @@ def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Itera
         UsageError, HandoverError: The leader is unknown, displaced or refused.
         EnvironmentMissingError: Missing device or renderer.
     """
-    allowed, tried = math.ceil(job.teleop.episodes_n * job.teleop.attempts_max_ratio), 0
+    allowed = math.ceil(job.teleop.episodes_n * job.teleop.attempts_max_ratio)
+    tried = 0
     missing = job.teleop.episodes_n
     while missing > 0 and tried < allowed:
         indices = range(tried, min(tried + missing, allowed))
-        for attempt in in_workers(lambda i: _record_in_worker(job, i, observe), indices, usable_workers(job, workers)):
-            tried, missing = tried + 1, missing - attempt.kept
+        for attempt in in_workers(
+            lambda i: _record_in_worker(job, i, observe),
+            indices,
+            usable_workers(job, workers),
+        ):
+            tried = tried + 1
+            missing = missing - attempt.kept
             yield attempt
 
 
 def recording_of(job: Job, workers: int, attempts: Sequence[Attempt]) -> RecordedAttempts:
     """Return the recording, with the faults that only all attempts show."""
     references = camera_references([a.views for a in attempts if a.kept])
-    judged = (replace(a, faults=(*a.faults, *map(str, check_swapped(a.views, references)))) for a in attempts)
+    judged = (
+        replace(a, faults=(*a.faults, *map(str, check_swapped(a.views, references))))
+        for a in attempts
+    )
     return RecordedAttempts(tuple(judged), min(usable_workers(job, workers), job.teleop.episodes_n))
 
 

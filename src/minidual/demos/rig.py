@@ -37,7 +37,9 @@ from minidual.tasks.task import Task, Trial, placement
 
 PURPOSE = "demonstrations"
 """Random stream, not used by tests."""
-KEPT, REJECTED, ATTEMPTS = "episodes", "rejected", "attempts"
+KEPT = "episodes"
+REJECTED = "rejected"
+ATTEMPTS = "attempts"
 """Folders of a recording: demonstrations, other episodes, and one JSON file for each attempt."""
 MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad")
 
@@ -53,7 +55,10 @@ class _Said(StrictModel):
     path: str | None = Field(pattern=rf"^({KEPT}|{REJECTED})/episode_\d{{6}}\.hdf5$")
 
 
-type Room = tuple[str, Callable[[mujoco.MjModel, Task, Trial, np.random.Generator], AbstractContextManager[None]]]
+type Room = tuple[
+    str,
+    Callable[[mujoco.MjModel, Task, Trial, np.random.Generator], AbstractContextManager[None]],
+]
 """Name, and a context that changes what the cameras see of a compiled model, then restores it."""
 
 
@@ -116,23 +121,44 @@ class Attempt:
     def row(self) -> dict[str, Any]:
         """Return a flat CSV row."""
         x, y, yaw = placement(next(iter(self.trial.start.values())))
-        row: dict[str, Any] = {"trial": self.trial.index, "start_x_m": x, "start_y_m": y, "start_yaw_rad": yaw}
+        row: dict[str, Any] = {
+            "trial": self.trial.index,
+            "start_x_m": x,
+            "start_y_m": y,
+            "start_yaw_rad": yaw,
+        }
         row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
         row |= dict.fromkeys(MEASURES, float("nan")) | dict(self.measures)
         row["file"] = self.path.name if self.path and self.quality else ""
-        row |= dict.fromkeys(EpisodeQuality._fields, "") if self.quality is None else self.quality._asdict()
-        return {key: round(value, 6) if isinstance(value, float) else value for key, value in row.items()}
+        row |= (
+            dict.fromkeys(EpisodeQuality._fields, "")
+            if self.quality is None
+            else self.quality._asdict()
+        )
+        return {
+            key: round(value, 6) if isinstance(value, float) else value
+            for key, value in row.items()
+        }
 
 
 class Rig:
     """World and session of one process."""
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
-        self.job, self.kinematics = job, Kinematics(job.robot)
-        self.world, self._cameras = World(job.task.scene, job.robot, visuals=True), tuple(cameras)
+        self.job = job
+        self.kinematics = Kinematics(job.robot)
+        self.world = World(job.task.scene, job.robot, visuals=True)
+        self._cameras = tuple(cameras)
         self._eye = Camera.recorded(self.world.model, self.world.scene.camera) if cameras else None
-        supervisor, rate_hz = trial_supervisor(job.supervisor, self.world.dt, job.robot), job.teleop.rate_hz
-        stack = ControlStack(self.world, self.kinematics, job.arbiter, rate_hz=rate_hz, supervisor=supervisor)
+        supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
+        rate_hz = job.teleop.rate_hz
+        stack = ControlStack(
+            self.world,
+            self.kinematics,
+            job.arbiter,
+            rate_hz=rate_hz,
+            supervisor=supervisor,
+        )
         self.session = TeleopSession(stack, job.teleop, self._pictures)
         self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
 
@@ -140,7 +166,8 @@ class Rig:
         """Run one episode."""
         teleop = self.job.teleop
         leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
-        stay, ticks = round(teleop.room_change_s * teleop.rate_hz), itertools.count(1)
+        stay = round(teleop.room_change_s * teleop.rate_hz)
+        ticks = itertools.count(1)
         with closing(leader), ExitStack() as shown:
             # Leaving a room restores what was there when it was entered.
             self.world.mark_goal(*placement(trial.goal[self.job.task.carried]))
@@ -156,11 +183,16 @@ class Rig:
 
     def room(self, trial: Trial, turn: int = 0) -> AbstractContextManager[None]:
         """Show one of the trial's rooms to the cameras."""
-        job, room = self.job, self.job.room(trial, turn)
+        job = self.job
+        room = self.job.room(trial, turn)
         if room is None:
             return nullcontext()
         name, applied = room
-        rng = stream(job.seed, f"room/{trial.purpose}/{name}" + (f"/{turn}" if turn else ""), trial.index)
+        rng = stream(
+            job.seed,
+            f"room/{trial.purpose}/{name}" + (f"/{turn}" if turn else ""),
+            trial.index,
+        )
         return applied(self.world.model, job.task, trial, rng)
 
     def record(self, index: int) -> Attempt:
@@ -193,7 +225,8 @@ class Rig:
         return None
 
     def _recorded(self, trial: Trial) -> Attempt:
-        job, began = self.job, time.perf_counter()
+        job = self.job
+        began = time.perf_counter()
         name = f"episode_{trial.index:06d}.hdf5"
         with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
             try:
@@ -201,12 +234,28 @@ class Rig:
             except (SimulationDivergedError, PlanningError) as error:
                 return self._concluded(Attempt(trial, False, error.message.splitlines()[0]), began)
             said = {"completion_s": result.outcome.duration_s}
-            said |= {name: value for name in MEASURES[1:] if np.isfinite(value := result.outcome.number(name))}
-            attempt = Attempt(trial, result.success, self._reason(result), None, said, result.latencies_s)
-            empty = len(result.q) < job.teleop.rate_hz or float(np.ptp(result.q, axis=0).max()) < 1e-3
+            said |= {
+                name: value
+                for name in MEASURES[1:]
+                if np.isfinite(value := result.outcome.number(name))
+            }
+            attempt = Attempt(
+                trial,
+                result.success,
+                self._reason(result),
+                None,
+                said,
+                result.latencies_s,
+            )
+            empty = (
+                len(result.q) < job.teleop.rate_hz or float(np.ptp(result.q, axis=0).max()) < 1e-3
+            )
             if attempt.reason and empty:
                 return self._concluded(attempt, began)
-            partial = writer.finish(success=result.success, extra={"reason": attempt.reason, **said})
+            partial = writer.finish(
+                success=result.success,
+                extra={"reason": attempt.reason, **said},
+            )
             attempt = self._read_back(attempt, partial)
             path = job.folder / (KEPT if attempt.kept else REJECTED) / name
             attempt = self._concluded(replace(attempt, path=path), began)
@@ -216,20 +265,35 @@ class Rig:
     def _read_back(self, attempt: Attempt, path: Path) -> Attempt:
         camera = self.job.task.config.scene.camera
         size = (camera.height_px, camera.width_px)
-        episode, found = inspect_episode(path, cameras=self.job.teleop.cameras, size=size, robot=self.job.robot)
+        episode, found = inspect_episode(
+            path,
+            cameras=self.job.teleop.cameras,
+            size=size,
+            robot=self.job.robot,
+        )
         faults = tuple(map(str, found))
         attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))
         if episode is None:
             return attempt
         if (stamps := episode.image_timestamps) is not None:
-            attempt = replace(attempt, sync_error_max_s=float(np.max(np.abs(stamps - episode.timestamps))))
+            attempt = replace(
+                attempt,
+                sync_error_max_s=float(np.max(np.abs(stamps - episode.timestamps))),
+            )
         if faults:
             return attempt
-        return replace(attempt, quality=episode_quality(episode, self.kinematics), views=thumbnails(episode.images))
+        return replace(
+            attempt,
+            quality=episode_quality(episode, self.kinematics),
+            views=thumbnails(episode.images),
+        )
 
     def _concluded(self, attempt: Attempt, began: float) -> Attempt:
         attempt = replace(attempt, wall_s=time.perf_counter() - began)
-        record = {key: getattr(attempt, key) for key in ("success", "reason", "measures", "latencies_s", "wall_s")}
+        record = {
+            key: getattr(attempt, key)
+            for key in ("success", "reason", "measures", "latencies_s", "wall_s")
+        }
         record["path"] = attempt.path and f"{attempt.path.parent.name}/{attempt.path.name}"
         durable.make_folder(self.job.folder / ATTEMPTS)
         durable.write_text(self._attempt_path(attempt.trial), json.dumps(record) + "\n")
@@ -239,7 +303,8 @@ class Rig:
         return self.job.folder / ATTEMPTS / f"{trial.index:06d}.json"
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
-        teleop, task = self.job.teleop, self.job.task
+        teleop = self.job.teleop
+        task = self.job.task
         extra = {
             "trial": trial.index,
             "purpose": trial.purpose,
@@ -249,12 +314,19 @@ class Rig:
         }
         if (room := self.job.room(trial)) is not None:
             extra |= {"condition": room[0], "room_change_s": teleop.room_change_s}
-        return EpisodeMeta(teleop.rate_hz, task.instruction, self.job.seed, teleop.cameras, extra=extra)
+        return EpisodeMeta(
+            teleop.rate_hz,
+            task.instruction,
+            self.job.seed,
+            teleop.cameras,
+            extra=extra,
+        )
 
     def _reason(self, result: SessionResult) -> str:
         if result.reason:
             return result.reason
-        jerk, limit = rms_jerk(result.q, self.job.teleop.rate_hz), self.job.teleop.jerk_max_rad_s3
+        jerk = rms_jerk(result.q, self.job.teleop.rate_hz)
+        limit = self.job.teleop.jerk_max_rad_s3
         return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
 
     def close(self) -> None:

@@ -31,7 +31,13 @@ TICKS = "num_timesteps"
 """Attribute: number of ticks."""
 MAX_SYNC_S = 0.020
 """Largest time between joints and images."""
-_PLAIN = {"success": bool, "sim": bool, "fps": float, "task": str, "seed": int}  # attributes that are not JSON
+_PLAIN = {
+    "success": bool,
+    "sim": bool,
+    "fps": float,
+    "task": str,
+    "seed": int,
+}  # attributes that are not JSON
 
 
 class Field(NamedTuple):
@@ -87,21 +93,32 @@ class EpisodeMeta:
         try:
             json.dumps(dict(self.extra), allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise DataError(f"extra facts of an episode must be plain JSON without NaN: {error}") from error
+            raise DataError(
+                f"extra facts of an episode must be plain JSON without NaN: {error}",
+            ) from error
 
     @property
     def trial(self) -> int:
         """Trial number; DataError if not recorded."""
         number = self.extra.get("trial")
         if not isinstance(number, int):
-            raise DataError(f"the episode names no trial (extra facts: {', '.join(self.extra) or 'none'})")
+            raise DataError(
+                f"the episode names no trial (extra facts: {', '.join(self.extra) or 'none'})",
+            )
         return number
 
     def to_attrs(self, ticks: int) -> dict[str, Any]:
         """Return the attributes of a file."""
         plain = {name: kind(getattr(self, name)) for name, kind in _PLAIN.items()}
-        cameras, extra = json.dumps(list(self.cameras)), json.dumps(dict(self.extra), sort_keys=True, allow_nan=False)
-        return {TICKS: int(ticks), **plain, "cameras": cameras, "schema_version": SCHEMA_VERSION, "extra": extra}
+        cameras = json.dumps(list(self.cameras))
+        extra = json.dumps(dict(self.extra), sort_keys=True, allow_nan=False)
+        return {
+            TICKS: int(ticks),
+            **plain,
+            "cameras": cameras,
+            "schema_version": SCHEMA_VERSION,
+            "extra": extra,
+        }
 
     @staticmethod
     def from_attrs(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:
@@ -111,7 +128,9 @@ class EpisodeMeta:
             raise DataError(f"missing attributes: {', '.join(missing)}")
         try:
             if (version := int(attrs["schema_version"])) != SCHEMA_VERSION:
-                raise DataError(f"schema version {version}; this program reads version {SCHEMA_VERSION}")
+                raise DataError(
+                    f"schema version {version}; this program reads version {SCHEMA_VERSION}",
+                )
             plain: dict[str, Any] = {name: kind(attrs[name]) for name, kind in _PLAIN.items()}
             cameras = tuple(map(str, json.loads(attrs["cameras"])))
             meta = EpisodeMeta(cameras=cameras, extra=json.loads(attrs.get("extra", "{}")), **plain)

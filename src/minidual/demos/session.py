@@ -32,7 +32,8 @@ class HandoverError(MinidualError):
 def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower: Array) -> None:
     """Raise UsageError if a joint of leader and follower differs by more than the limit."""
     difference = follower_target(robot, q_leader) - q_follower
-    worst, limit = int(np.argmax(np.abs(difference))), config.start_error_max_rad
+    worst = int(np.argmax(np.abs(difference)))
+    limit = config.start_error_max_rad
     if abs(difference[worst]) > limit:
         far = f"the leader starts {difference[worst]:+.3f} rad away from the follower at {robot.joint_names[worst]}"
         many = f"{int(np.sum(np.abs(difference) > limit))} of {robot.dof} joints over the limit of {limit} rad"
@@ -47,7 +48,9 @@ def follower_target(robot: Robot, q_leader: Array) -> Array:
     """
     q = np.asarray(q_leader, dtype=float)
     if q.shape != (robot.dof,):
-        raise UsageError(f"the leader gives joints of shape {q.shape}; it must be ({robot.dof},), left then right")
+        raise UsageError(
+            f"the leader gives joints of shape {q.shape}; it must be ({robot.dof},), left then right",
+        )
     clipped = np.clip(q, robot.q_lower, robot.q_upper)
     return clipped if q.any() and np.abs(clipped - q).max() < _BEYOND_RAD else q
 
@@ -96,19 +99,34 @@ class SessionResult:
             return "the leader fell silent"
         if self.refusals:
             return f"the arbiter refused {self.refusals[0].name}: {self.refusals[0].detail}"
-        return "" if self.success else self.outcome.reason or "the leader did not end the episode in time"
+        return (
+            ""
+            if self.success
+            else self.outcome.reason or "the leader did not end the episode in time"
+        )
 
 
 class TeleopSession:
     """Runs episodes in the stack's world, at its rate; a reflex ends the episode. `pictures` by camera, as recorded."""
 
     def __init__(
-        self, stack: ControlStack[World], config: TeleopConfig, pictures: Callable[[], dict[str, Image]] = dict
+        self,
+        stack: ControlStack[World],
+        config: TeleopConfig,
+        pictures: Callable[[], dict[str, Image]] = dict,
     ) -> None:
-        self.stack, self.world, self.config, self._pictures = stack, stack.plant, config, pictures
+        self.stack = stack
+        self.world = stack.plant
+        self.config = config
+        self._pictures = pictures
 
     def run(
-        self, task: Task, trial: Trial, leader: Leader, *, on_tick: Callable[[Tick], None] = lambda tick: None
+        self,
+        task: Task,
+        trial: Trial,
+        leader: Leader,
+        *,
+        on_tick: Callable[[Tick], None] = lambda tick: None,
     ) -> SessionResult:
         """Run one episode; `on_tick` is called after each command.
 
@@ -127,17 +145,29 @@ class TeleopSession:
                 self.stack.advance()
             raise
 
-    def _run(self, task: Task, trial: Trial, leader: Leader, on_tick: Callable[[Tick], None]) -> SessionResult:
-        world, stack, period_s = self.world, self.stack, 1.0 / self.config.rate_hz
+    def _run(
+        self,
+        task: Task,
+        trial: Trial,
+        leader: Leader,
+        on_tick: Callable[[Tick], None],
+    ) -> SessionResult:
+        world = self.world
+        stack = self.stack
+        period_s = 1.0 / self.config.rate_hz
         judge = begin(world, task, trial)
         stack.reset()
         if (first := leader.read(0.0)) is not None:
             check_start(world.robot, self.config.mirror, first[0], world.q)
         self._hand_over(judge)
         # The judge applies the task's own limit to people too.
-        limit_s = self.config.person_time_limit_s if leader.realtime else world.scene.task.time_limit_s
-        measured, latencies = list[Array](), list[float]()
-        ended_by, began = "time_limit", time.monotonic()
+        limit_s = (
+            self.config.person_time_limit_s if leader.realtime else world.scene.task.time_limit_s
+        )
+        measured = list[Array]()
+        latencies = list[float]()
+        ended_by = "time_limit"
+        began = time.monotonic()
         for k in range(round(limit_s * self.config.rate_hz)):
             elapsed_s = k * period_s
             if leader.finished(elapsed_s):
@@ -145,10 +175,19 @@ class TeleopSession:
                 break
             if leader.realtime:
                 time.sleep(max(0.0, began + elapsed_s - time.monotonic()))
-            joints, images = (world.stamp_s, world.time, world.q, world.v, world.gripper), self._pictures()
+            joints = (world.stamp_s, world.time, world.q, world.v, world.gripper)
+            images = self._pictures()
             before = time.perf_counter()
             if (reading := leader.read(elapsed_s)) is not None:
-                stack.propose(SOURCE, JointCommand(follower_target(world.robot, reading[0]), reading[1], joints[0], k))
+                stack.propose(
+                    SOURCE,
+                    JointCommand(
+                        follower_target(world.robot, reading[0]),
+                        reading[1],
+                        joints[0],
+                        k,
+                    ),
+                )
             out = stack.arbitrate()
             tick = Tick(*joints, images, out.q_target, out.gripper)
             self._move(judge, 1)
@@ -169,7 +208,14 @@ class TeleopSession:
             judge.observe(world)
         ended_by = ended_by if stack.reflex is None else "reflex"
         reflex = "" if stack.reflex is None else stack.reflex.message
-        return SessionResult(np.array(measured), judge.outcome(world), latencies, stack.refusals, ended_by, reflex)
+        return SessionResult(
+            np.array(measured),
+            judge.outcome(world),
+            latencies,
+            stack.refusals,
+            ended_by,
+            reflex,
+        )
 
     def _hand_over(self, judge: Judge) -> None:
         self.stack.request(SOURCE)

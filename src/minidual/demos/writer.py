@@ -52,15 +52,19 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
     """
 
     def __init__(self, path: Path | str, meta: schema.EpisodeMeta) -> None:
-        self.path, self.meta = Path(path), meta
+        self.path = Path(path)
+        self.meta = meta
         if self.path.exists():
             remedy = "choose another folder, or move the old recording away"
             raise UsageError(f"{self.path} exists already", remedy=remedy)
         durable.make_folder(self.path.parent)
         self._partial = durable.partial_path(self.path)
-        self._rows: dict[str, list[NDArray[np.float64]]] = {field.name: [] for field in schema.FIELDS}
+        self._rows: dict[str, list[NDArray[np.float64]]] = {
+            field.name: [] for field in schema.FIELDS
+        }
         self._images: dict[str, h5py.Dataset] = {}
-        self._closed, self._disk = False, _Disk(self._partial, "w+")
+        self._closed = False
+        self._disk = _Disk(self._partial, "w+")
         self._file = h5py.File(self._disk, "w")
 
     def __exit__(self, *error: object) -> None:
@@ -82,9 +86,13 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
             raise DataError(f"{self.path.name} is closed; a tick came after finish or abort")
         for name in values.keys() - self._rows.keys():
             raise unknown_name("field", name, self._rows)
-        tick, times = len(self), self._rows["timestamps"]
+        tick = len(self)
+        times = self._rows["timestamps"]
         joints_n = len(self._rows["qpos"][0]) if tick else np.size(values.get("qpos", ()))
-        row: Any = {field.name: _row(field, values.get(field.name), joints_n, tick) for field in schema.FIELDS}
+        row: Any = {
+            field.name: _row(field, values.get(field.name), joints_n, tick)
+            for field in schema.FIELDS
+        }
         for field in schema.FIELDS:
             if tick and (row[field.name] is None) == bool(self._rows[field.name]):
                 raise DataError(f"{field.key} at tick {tick}: give it on every tick or on none")
@@ -96,10 +104,16 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
         with self._writing():
             for camera, image in images.items():
                 if camera not in self._images:
-                    name, shape = schema.image_key(camera), image.shape
+                    name = schema.image_key(camera)
+                    shape = image.shape
                     layout: Any = {"maxshape": (None, *shape), "chunks": (1, *shape)}
                     layout |= {"compression": "gzip", "compression_opts": 1}
-                    self._images[camera] = self._file.create_dataset(name, (0, *shape), "uint8", **layout)
+                    self._images[camera] = self._file.create_dataset(
+                        name,
+                        (0, *shape),
+                        "uint8",
+                        **layout,
+                    )
                 self._images[camera].resize(tick + 1, axis=0)
                 self._images[camera][tick] = image
         for name, value in row.items():
@@ -116,15 +130,28 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
             if self._closed:
                 raise DataError(f"{self.path.name} is closed already")
             if len(self) < 2:
-                raise DataError(f"episode {self.path.name} is not written: too_short: {len(self)} ticks, at least 2")
-            for fault in checks.check_action_is_command(np.stack(self._rows["qpos"]), np.stack(self._rows["action"])):
-                raise DataError(f"episode {self.path.name} is not written: {fault}", remedy=fault.remedy)
+                raise DataError(
+                    f"episode {self.path.name} is not written: too_short: {len(self)} ticks, at least 2",
+                )
+            for fault in checks.check_action_is_command(
+                np.stack(self._rows["qpos"]),
+                np.stack(self._rows["action"]),
+            ):
+                raise DataError(
+                    f"episode {self.path.name} is not written: {fault}",
+                    remedy=fault.remedy,
+                )
             merged = {**self.meta.extra, **(extra or {})}
             self.meta = dataclasses.replace(self.meta, success=bool(success), extra=merged)
             with self._writing():
                 for field in schema.FIELDS:
                     if rows := self._rows[field.name]:
-                        self._file.create_dataset(field.key, data=np.stack(rows), dtype="float64", fletcher32=True)
+                        self._file.create_dataset(
+                            field.key,
+                            data=np.stack(rows),
+                            dtype="float64",
+                            fletcher32=True,
+                        )
                 self._file.attrs.update(self.meta.to_attrs(len(self)))
                 self._file.close()
                 self._disk.close()
@@ -153,13 +180,19 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
     def _check_images(self, images: Mapping[str, NDArray[np.uint8]], tick: int) -> None:
         if set(images) != set(self.meta.cameras):
             declared = f"the episode declares {', '.join(self.meta.cameras) or 'none'}"
-            raise DataError(f"tick {tick} brings cameras {', '.join(sorted(images)) or 'none'}; {declared}")
+            raise DataError(
+                f"tick {tick} brings cameras {', '.join(sorted(images)) or 'none'}; {declared}",
+            )
         for camera, image in images.items():
             key = schema.image_key(camera)
             if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-                raise DataError(f"{key} at tick {tick} is {image.dtype} {image.shape}; it must be uint8 (H, W, 3)")
+                raise DataError(
+                    f"{key} at tick {tick} is {image.dtype} {image.shape}; it must be uint8 (H, W, 3)",
+                )
             if tick and image.shape != self._images[camera].shape[1:]:
-                raise DataError(f"{key} changes from {self._images[camera].shape[1:]} to {image.shape} at tick {tick}")
+                raise DataError(
+                    f"{key} changes from {self._images[camera].shape[1:]} to {image.shape} at tick {tick}",
+                )
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -173,7 +206,12 @@ class EpisodeWriter(contextlib.AbstractContextManager["EpisodeWriter"]):
             raise durable.unwritten(error, self.path, remedy) from error
 
 
-def _row(field: schema.Field, value: ArrayLike | None, joints_n: int, tick: int) -> NDArray[np.float64] | None:
+def _row(
+    field: schema.Field,
+    value: ArrayLike | None,
+    joints_n: int,
+    tick: int,
+) -> NDArray[np.float64] | None:
     if value is None:
         if field.required:
             raise DataError(f"{field.key} is missing at tick {tick}")

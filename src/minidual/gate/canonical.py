@@ -35,7 +35,9 @@ def canonical(value: Any, where: str = "value") -> Any:
     if isinstance(value, set | frozenset):
         return sorted(canonical(item, where) for item in cast(set[Any], value))
     if isinstance(value, list | tuple):
-        return [canonical(item, f"{where}[{i}]") for i, item in enumerate(cast(Sequence[Any], value))]
+        return [
+            canonical(item, f"{where}[{i}]") for i, item in enumerate(cast(Sequence[Any], value))
+        ]
     if hasattr(value, "tolist"):  # numpy scalars and arrays
         return canonical(value.tolist(), where)
     raise TypeError(f"{where}: {type(value).__name__} cannot be written as JSON")

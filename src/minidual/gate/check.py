@@ -11,14 +11,26 @@ from minidual.gate.canonical import canonical
 Op = Literal["<", "<=", ">", ">=", "=="]
 Number = float | int | bool
 
-_COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
+_COMPARE = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+}
 
 
 def _plain_number(value: Any, what: str) -> Number:
-    if not isinstance(value, bool | int | float) and hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
+    if (
+        not isinstance(value, bool | int | float)
+        and hasattr(value, "item")
+        and getattr(value, "ndim", 0) == 0
+    ):
         value = value.item()
     if not isinstance(value, bool | int | float):
-        raise TypeError(f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})")
+        raise TypeError(
+            f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})",
+        )
     if isinstance(value, int) and value.bit_length() > 1000:
         raise ValueError(f"{what} has {value.bit_length()} bits, more than a float holds")
     return value
@@ -46,13 +58,19 @@ class Check:
     def __post_init__(self) -> None:
         if not self.name or any(c.isspace() for c in self.name):
             raise ValueError(f"a check needs a name without blanks, not {self.name!r}")
-        object.__setattr__(self, "observed", _plain_number(self.observed, f"check {self.name}: observed"))
+        object.__setattr__(
+            self,
+            "observed",
+            _plain_number(self.observed, f"check {self.name}: observed"),
+        )
         if self.op is None:
             if self.limit is not None:
                 raise ValueError(f"check {self.name}: limit {self.limit} without an operator")
             return
         if self.op not in _COMPARE:
-            raise ValueError(f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}")
+            raise ValueError(
+                f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}",
+            )
         limit = _plain_number(self.limit, f"check {self.name}: limit")
         if not math.isfinite(limit):
             raise ValueError(f"check {self.name}: the limit must be finite, is {limit}")
@@ -76,12 +94,19 @@ class Check:
         gap = float(self.observed) - float(self.limit)
         if self.op in (">", ">="):
             return gap
-        return 0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)  # from 0.0, so that none is -0.0
+        return (
+            0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)
+        )  # from 0.0, so that none is -0.0
 
     @property
     def relative_margin(self) -> float | None:
         """Margin over the size of the limit; None where that says nothing."""
-        if self.margin is None or not math.isfinite(self.margin) or not self.limit or self.op == "==":
+        if (
+            self.margin is None
+            or not math.isfinite(self.margin)
+            or not self.limit
+            or self.op == "=="
+        ):
             return None
         return self.margin / abs(self.limit)
 
@@ -89,7 +114,9 @@ class Check:
         """Return, for example, "+0.05 (+25%)"; "" without a margin."""
         if self.margin is None or not math.isfinite(self.margin) or self.op == "==":
             return ""
-        return f"{self.margin:+.3g}" + ("" if self.relative_margin is None else f" ({self.relative_margin:+.0%})")
+        return f"{self.margin:+.3g}" + (
+            "" if self.relative_margin is None else f" ({self.relative_margin:+.0%})"
+        )
 
     def sentence(self) -> str:
         """Return, for example, "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad"."""
@@ -114,11 +141,18 @@ Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]
 """{check: observed value, or (observed value, operator, limit)}; without a limit it is only reported."""
 
 
-def checks_of(words: Mapping[str, Mapping[str, str]], rows: Rows, prefix: str = "", **names: object) -> list[Check]:
+def checks_of(
+    words: Mapping[str, Mapping[str, str]],
+    rows: Rows,
+    prefix: str = "",
+    **names: object,
+) -> list[Check]:
     """Return a check per row, called `prefix` and its name; `names` are filled into its words."""
     checks: list[Check] = []
     for name, row in rows.items():
         observed, op, limit = row if isinstance(row, tuple) else (row, None, None)
         texts = {key: text.format(**names) for key, text in words[name].items()}
-        checks.append(Check(f"{prefix}{name}", observed, None if limit is None else op, limit, **texts))
+        checks.append(
+            Check(f"{prefix}{name}", observed, None if limit is None else op, limit, **texts),
+        )
     return checks

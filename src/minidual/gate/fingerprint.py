@@ -79,20 +79,28 @@ class Fingerprint:
         """Return differences of parameters, options, seed and profile."""
         typed = {"parameter": self.parameters, "option": self.options}
         current = {"parameter": canonical(now.parameters), "option": canonical(now.options)}
-        reasons = [f"{n.replace('.', ' ', 1)} was {_short(a)}, is {_short(b)}" for n, a, b in changes(typed, current)]
+        reasons = [
+            f"{n.replace('.', ' ', 1)} was {_short(a)}, is {_short(b)}"
+            for n, a, b in changes(typed, current)
+        ]
         both = (("seed", self.seed, now.seed), ("profile", self.profile, now.profile))
         return reasons + [f"the {name} was {a!r}, is {b!r}" for name, a, b in both if a != b]
 
     def differences(self, now: Fingerprint) -> list[str]:
         """Return why a verdict with this fingerprint is stale."""
         inputs = changes(self.inputs, now.inputs)
-        told = [f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}" for name, then, _ in inputs]
+        told = [
+            f"input {name} {'is new' if then == UNSEEN else 'changed or is gone'}"
+            for name, then, _ in inputs
+        ]
         reasons = [*self.choices(now), *told]
         for name, then, current in changes(self.upstream, now.upstream):
             if current is None:
                 reasons.append(f"the verdict of upstream stage {name} is gone")
             else:
-                reasons.append(f"upstream stage {name} {'has run' if then is None else 'ran again'} since")
+                reasons.append(
+                    f"upstream stage {name} {'has run' if then is None else 'ran again'} since",
+                )
         return reasons
 
     def circumstances(self, now: Fingerprint) -> list[str]:
@@ -101,22 +109,36 @@ class Fingerprint:
         if self.version != now.version:
             warnings.append(f"made by minidual {self.version}, this is {now.version}")
         if self.commit != now.commit:
-            then, current = (_FULL_HASH.sub(r"\1", commit or "none") for commit in (self.commit, now.commit))
+            then, current = (
+                _FULL_HASH.sub(r"\1", commit or "none") for commit in (self.commit, now.commit)
+            )
             warnings.append(f"made at commit {then}, this is {current}")
         before = {"machine": self.machine, "library": self.libraries}
         after = {"machine": now.machine, "library": now.libraries}
-        warnings += [f"{n.replace('.', ' ', 1)}: was {_short(a)}, is {_short(b)}" for n, a, b in changes(before, after)]
+        warnings += [
+            f"{n.replace('.', ' ', 1)}: was {_short(a)}, is {_short(b)}"
+            for n, a, b in changes(before, after)
+        ]
         if changed := self.code.changes(now.code):
             warnings.append(f"made by other code: {shortened(changed, 3)} changed since")
         return warnings
 
 
-def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any, Any]]:
+def changes(
+    before: Mapping[str, Any],
+    after: Mapping[str, Any],
+    prefix: str = "",
+) -> Iterable[tuple[str, Any, Any]]:
     """Yield (dotted name, before, after) for each differing leaf."""
     for key in [*before, *(key for key in after if key not in before)]:
-        then, current = before.get(key, UNSEEN), after.get(key, UNSEEN)
+        then = before.get(key, UNSEEN)
+        current = after.get(key, UNSEEN)
         if isinstance(then, dict) and isinstance(current, dict):
-            yield from changes(cast(dict[str, Any], then), cast(dict[str, Any], current), f"{prefix}{key}.")
+            yield from changes(
+                cast(dict[str, Any], then),
+                cast(dict[str, Any], current),
+                f"{prefix}{key}.",
+            )
         elif then != current or isinstance(then, bool) is not isinstance(current, bool):
             yield f"{prefix}{key}", then, current
 
@@ -129,10 +151,19 @@ def _short(value: Any) -> str:
 @cache
 def circumstances_now(libraries: tuple[str, ...]) -> dict[str, Any]:
     """Return version, commit, machine and versions of distributions."""
-    machine: Any = {"system": platform.system(), "architecture": platform.machine(), "processor": _processor()}
+    machine: Any = {
+        "system": platform.system(),
+        "architecture": platform.machine(),
+        "processor": _processor(),
+    }
     machine |= {"cores": os.cpu_count(), "python": platform.python_version()}
     installed = {name: installed_version(name) or "not installed" for name in libraries}
-    return {"version": minidual.__version__, "commit": _commit(), "machine": machine, "libraries": installed}
+    return {
+        "version": minidual.__version__,
+        "commit": _commit(),
+        "machine": machine,
+        "libraries": installed,
+    }
 
 
 def installed_version(name: str) -> str | None:
@@ -147,7 +178,13 @@ def _commit() -> str | None:
 
     def git(*words: str) -> str:
         command = ["git", "-C", str(Path(minidual.__file__).parent), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+        return subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        ).stdout.strip()
 
     try:
         # An installed wheel may lie inside somebody else's repository: check that git tracks this file.
@@ -160,7 +197,11 @@ def _commit() -> str | None:
 
 def _processor() -> str:
     with contextlib.suppress(OSError):
-        if named := re.search("^model name.*?:(.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE):
+        if named := re.search(
+            "^model name.*?:(.*)",
+            Path("/proc/cpuinfo").read_text(encoding="utf-8"),
+            re.MULTILINE,
+        ):
             return named[1].strip()
     return platform.processor()
 
@@ -174,7 +215,9 @@ def code_of(targets: Iterable[str], known: Code | None = None) -> Code:
 
 
 def _sources(modules: Iterable[str]) -> str:
-    digests = [hashlib.sha256(path.read_bytes()).digest() for name in modules for path in _files(name)]
+    digests = [
+        hashlib.sha256(path.read_bytes()).digest() for name in modules for path in _files(name)
+    ]
     return hashlib.sha256(b"".join(digests)).hexdigest()
 
 
@@ -199,7 +242,9 @@ def _module(name: str) -> tuple[str, tuple[str, ...]] | None:
     tree = _Strip().visit(ast.parse(files[0].read_bytes()))
     table = repr(rows_beside(str(files[0]))) if files[1:] else ""
     reached = {*_reached(tree), *_TARGET.findall(table)}
-    return hashlib.sha256((ast.dump(tree) + table).encode()).hexdigest()[:16], tuple(sorted(reached))
+    return hashlib.sha256((ast.dump(tree) + table).encode()).hexdigest()[:16], tuple(
+        sorted(reached),
+    )
 
 
 @cache
@@ -215,12 +260,20 @@ def _spec(name: str) -> ModuleSpec | None:
 def _files(name: str) -> list[Path]:
     """Return a module's source and its YAML table."""
     source = Path(getattr(_spec(name), "origin", None) or "")
-    return [path for path in (source, source.with_suffix(".yaml")) if path.exists()] if source.suffix == ".py" else []
+    return (
+        [path for path in (source, source.with_suffix(".yaml")) if path.exists()]
+        if source.suffix == ".py"
+        else []
+    )
 
 
 class _Strip(ast.NodeTransformer):
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
-        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
+        return (
+            None
+            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+            else node
+        )
 
     def visit_If(self, node: ast.If) -> ast.AST | None:
         silent = isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
@@ -234,5 +287,9 @@ def _reached(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and (hit := _TARGET.fullmatch(node.value)):
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and (hit := _TARGET.fullmatch(node.value))
+        ):
             yield hit[1]

@@ -39,7 +39,11 @@ class StageState(NamedTuple):
         lines: list[str] = []
         for check in self.verdict.failed_checks():
             lines.append(f"{self.name}: {check.sentence()}")
-            lines += [f"  {label}: {text}" for label, text in (("why", check.why), ("remedy", check.remedy)) if text]
+            lines += [
+                f"  {label}: {text}"
+                for label, text in (("why", check.why), ("remedy", check.remedy))
+                if text
+            ]
         return lines
 
     def why(self) -> str:
@@ -71,15 +75,28 @@ class Gate:
 
     def verdicts(self, name: str) -> dict[str, Verdict]:
         """Return {upstream stage: verdict}, without missing ones."""
-        return {up: verdict for up in self.table.upstream(name) if (verdict := self.state(up).verdict) is not None}
+        return {
+            up: verdict
+            for up in self.table.upstream(name)
+            if (verdict := self.state(up).verdict) is not None
+        }
 
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that do not pass."""
-        return [state for required in self.table[name].requires if (state := self.state(required)).state != "pass"]
+        return [
+            state
+            for required in self.table[name].requires
+            if (state := self.state(required)).state != "pass"
+        ]
 
     def _shut(self, name: str, verdict: Verdict | None) -> list[StageState]:
         given = verdict.waivers if verdict else ()
-        waived = {up: state for waiver in given if waiver.stage == name for up, state in waiver.blocking.items()}
+        waived = {
+            up: state
+            for waiver in given
+            if waiver.stage == name
+            for up, state in waiver.blocking.items()
+        }
         return [state for state in self.closed_by(name) if waived.get(state.name) != state.state]
 
     def lowest(self) -> StageState | None:
@@ -105,7 +122,8 @@ class Gate:
         for name in self.rerun(names, force):
             if (verdict := self.state(name).verdict) is None:
                 continue
-            made, typed = {f"--profile {verdict.fingerprint.profile}", *verdict.overrides}, gate.typed(name)
+            made = {f"--profile {verdict.fingerprint.profile}", *verdict.overrides}
+            typed = gate.typed(name)
             if made != {*typed} and verdict.fingerprint.choices(gate.fingerprint(name, verdict)):
                 found[name] = f"made with {' '.join(sorted(made))}, typed was {' '.join(typed)}"
         return found
@@ -125,7 +143,10 @@ class Gate:
         cause = unfinished[0]
         mend = command(cause.name if len(unfinished) == 1 else f"run --until {unfinished[-1].name}")
         article = "ended in error" if cause.state == "error" else f"is {cause.state}"
-        words = {"pass": "passed", "fail": "failed", "missing": "has not run"}.get(cause.state, article)
+        words = {"pass": "passed", "fail": "failed", "missing": "has not run"}.get(
+            cause.state,
+            article,
+        )
         text = f"the gate of {name} is closed: {cause.name} {words}"
         if cause.state not in ("missing", "blocked") and cause.why():
             text += f": {cause.why()}"
@@ -135,16 +156,29 @@ class Gate:
 
     def code_changes(self, name: str) -> dict[str, list[str]]:
         """Return {upstream stage: modules changed since its verdict}."""
-        made_by = {upstream: verdict.fingerprint.code for upstream, verdict in self.verdicts(name).items()}
-        found = {upstream: code.changes(self.table[upstream].code(code)) for upstream, code in made_by.items()}
+        made_by = {
+            upstream: verdict.fingerprint.code for upstream, verdict in self.verdicts(name).items()
+        }
+        found = {
+            upstream: code.changes(self.table[upstream].code(code))
+            for upstream, code in made_by.items()
+        }
         return {upstream: changed for upstream, changed in found.items() if changed}
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
-        options, asked = dict(self.options.get(name, verdict.options if verdict else {})), list[Override]()
-        for up in self.table[name].requires if self.table[name].closing else ():  # it closes what was asked for
-            asked += overrides(self.table[up].options, its.options if (its := self.state(up).verdict) else {})
-        return options, self.loaded.with_overrides([*asked, *overrides(self.table[name].options, options)])
+        options = dict(self.options.get(name, verdict.options if verdict else {}))
+        asked = list[Override]()
+        for up in (
+            self.table[name].requires if self.table[name].closing else ()
+        ):  # it closes what was asked for
+            asked += overrides(
+                self.table[up].options,
+                its.options if (its := self.state(up).verdict) else {},
+            )
+        return options, self.loaded.with_overrides(
+            [*asked, *overrides(self.table[name].options, options)],
+        )
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
         """Return the fingerprint of a new verdict."""
@@ -182,20 +216,30 @@ class Gate:
         except UsageError as error:
             reason = f"it was made with an option that is not valid now: {error.message}"
             return StageState(name, "stale", (reason,), (), verdict, sha256, folder)
-        reasons, extra = manifest_changes(folder, verdict.artefacts), strays(folder, verdict.artefacts)
+        reasons = manifest_changes(folder, verdict.artefacts)
+        extra = strays(folder, verdict.artefacts)
         # Later stages read whole subfolders (episodes, data sets, checkpoints).
-        reasons += [f"{path} is not one of its artefacts; move it away" for path in extra if "/" in path]
+        reasons += [
+            f"{path} is not one of its artefacts; move it away" for path in extra if "/" in path
+        ]
         reasons += verdict.fingerprint.differences(now)
         if verdict.acceptance_profile != self.loaded.config.acceptance:
-            reasons.append(f"acceptance of the profile was {verdict.acceptance_profile}, is not now")
-        reasons += [f"upstream stage {upstream.name} is {upstream.state}" for upstream in self._shut(name, verdict)]
+            reasons.append(
+                f"acceptance of the profile was {verdict.acceptance_profile}, is not now",
+            )
+        reasons += [
+            f"upstream stage {upstream.name} is {upstream.state}"
+            for upstream in self._shut(name, verdict)
+        ]
         state: State = "stale" if reasons else verdict.status
         if state == "error":
             reasons = ["nothing was evaluated: no check with a limit"]
         warnings = verdict.fingerprint.circumstances(now)
         warnings += [f"{path} is not one of its artefacts" for path in extra if "/" not in path]
         if (attempt := self.store.attempt(name)) is not None:
-            warnings.append(f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})")
+            warnings.append(
+                f"a later attempt ended as {attempt.state} ({attempt.message or 'under way'})",
+            )
         return StageState(name, state, tuple(reasons), tuple(warnings), verdict, sha256, folder)
 
     def _judge_unfinished(self, name: str) -> StageState:
@@ -203,9 +247,21 @@ class Gate:
         if attempt is not None and attempt.state == "error":
             return StageState(name, "error", (attempt.message,))
         if attempt is not None:
-            by = f"begun {attempt.started_at} by process {attempt.pid}" if attempt.started_at else "begun"
+            by = (
+                f"begun {attempt.started_at} by process {attempt.pid}"
+                if attempt.started_at
+                else "begun"
+            )
             began = f"{by} with {attempt.options}" if attempt.options else by
-            return StageState(name, "incomplete", (f"{began}, {attempt.message or 'still running'}",))
+            return StageState(
+                name,
+                "incomplete",
+                (f"{began}, {attempt.message or 'still running'}",),
+            )
         if closed := self.closed_by(name):
-            return StageState(name, "blocked", tuple(f"{item.name} is {item.state}" for item in closed))
+            return StageState(
+                name,
+                "blocked",
+                tuple(f"{item.name} is {item.state}" for item in closed),
+            )
         return StageState(name, "missing", ("it has not run",))

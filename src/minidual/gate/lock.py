@@ -23,7 +23,9 @@ def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[Non
     """Hold the lock `name` of a run folder; UsageError if another process does."""
     if (stream := _acquired(folder, name)) is None:
         who = f"run '{folder.name}' is being written by {(held_by(folder / name) or (0, 'another process'))[1]}"
-        remedy = f"wait for it to end, or work in another run with --run NAME (this one is {folder})"
+        remedy = (
+            f"wait for it to end, or work in another run with --run NAME (this one is {folder})"
+        )
         raise UsageError(who, remedy=remedy)
     with stream:
         try:
@@ -33,7 +35,9 @@ def run_lock(folder: Path, command: str, name: str = LOCK_FILE) -> Generator[Non
             yield
         finally:
             stream.truncate(0)
-            if name != LOCK_FILE or len([*folder.iterdir()]) == 1:  # a tool's, or of a command that wrote nothing
+            if (
+                name != LOCK_FILE or len([*folder.iterdir()]) == 1
+            ):  # a tool's, or of a command that wrote nothing
                 (folder / name).unlink(missing_ok=True)
                 with suppress(OSError):
                     folder.rmdir()
@@ -43,7 +47,10 @@ def _acquired(folder: Path, name: str) -> TextIO | None:
     """Return the locked file, or None after 0.2 s: `held_by` takes a shared lock for an instant."""
     for _ in range(5):
         make_folder(folder)
-        with suppress(BlockingIOError, FileNotFoundError):  # the last holder has just removed the file
+        with suppress(
+            BlockingIOError,
+            FileNotFoundError,
+        ):  # the last holder has just removed the file
             require(path := folder / name, "file")
             stream = path.open("a+", encoding="utf-8")
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -78,8 +85,13 @@ def held_by(path: Path) -> tuple[int, str] | None:
     except BlockingIOError:
         with suppress(DataError, KeyError, TypeError):
             record = read_json(path, 10_000)
-            return record["pid"], f"process {record['pid']} ({record['command']}, since {record['since']})"
+            return record[
+                "pid"
+            ], f"process {record['pid']} ({record['command']}, since {record['since']})"
         return 0, "another process"
     except OSError as error:
-        raise DataError(f"{path} cannot be read: {error.strerror}", remedy="change its permissions") from error
+        raise DataError(
+            f"{path} cannot be read: {error.strerror}",
+            remedy="change its permissions",
+        ) from error
     return None

@@ -17,7 +17,11 @@ from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict, Waiver, build_manifest, derive_status, strays
 
-EXIT_OF_STATUS = {"pass": ExitCode.PASS, "fail": ExitCode.ACCEPTANCE_FAILED, "error": ExitCode.NOTHING_EVALUATED}
+EXIT_OF_STATUS = {
+    "pass": ExitCode.PASS,
+    "fail": ExitCode.ACCEPTANCE_FAILED,
+    "error": ExitCode.NOTHING_EVALUATED,
+}
 
 
 class StageCrashedError(MinidualError):
@@ -64,7 +68,12 @@ class Runner:
     interrupted: Callable[[], bool] = lambda: False
 
     def run(
-        self, name: str, options: Mapping[str, Any] | None = None, *, force: bool = False, waiver: str | None = None
+        self,
+        name: str,
+        options: Mapping[str, Any] | None = None,
+        *,
+        force: bool = False,
+        waiver: str | None = None,
     ) -> StageOutcome:
         """Run one stage unless it passes and is fresh; `force` runs it anyway. `waiver`: reason to open a closed gate.
 
@@ -78,7 +87,11 @@ class Runner:
             return self._run_locked(gate, name, force, waiver)
 
     def run_until(
-        self, end: str | None = None, *, force: bool = False, waiver: str | None = None
+        self,
+        end: str | None = None,
+        *,
+        force: bool = False,
+        waiver: str | None = None,
     ) -> Iterator[StageOutcome]:
         """Run `end` and all that it requires, or every stage; yield each outcome.
 
@@ -93,7 +106,12 @@ class Runner:
                 # A passing, fresh stage keeps the options it was run with; one that runs again follows the
                 # configuration.
                 fresh = self._gate().state(name).state == "pass" and not force
-                outcome = self._run_locked(self._gate(None if fresh else {name: {}}), name, force, waiver)
+                outcome = self._run_locked(
+                    self._gate(None if fresh else {name: {}}),
+                    name,
+                    force,
+                    waiver,
+                )
                 yield outcome
                 if outcome.exit_code != ExitCode.PASS and waiver is None:
                     return
@@ -106,7 +124,10 @@ class Runner:
 
     def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> StageOutcome:
         if waiver is not None and not waiver.strip():
-            raise UsageError("--waive-gate needs a reason, which the verdict keeps", remedy='type --waive-gate "WHY"')
+            raise UsageError(
+                "--waive-gate needs a reason, which the verdict keeps",
+                remedy='type --waive-gate "WHY"',
+            )
         state = gate.state(name)
         if state.state == "pass" and not force:
             return StageOutcome(state, ran=False)
@@ -116,12 +137,20 @@ class Runner:
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
         return StageOutcome(self._gate(gate.options).state(name), ran=True)
 
-    def _waivers(self, gate: Gate, name: str, closed: list[StageState], reason: str | None) -> tuple[Waiver, ...]:
+    def _waivers(
+        self,
+        gate: Gate,
+        name: str,
+        closed: list[StageState],
+        reason: str | None,
+    ) -> tuple[Waiver, ...]:
         waivers: list[Waiver] = []
         for verdict in gate.verdicts(name).values():
             waivers += [item for item in verdict.waivers if item not in waivers]
         if closed and reason is not None:
-            waivers.append(Waiver(name, reason, {item.name: item.state for item in closed}, now_text()))
+            waivers.append(
+                Waiver(name, reason, {item.name: item.state for item in closed}, now_text()),
+            )
         elif reason is not None:
             self.progress.note(f"the gate of {name} is open, the waiver is not used")
         return tuple(waivers)
@@ -130,18 +159,27 @@ class Runner:
         if not loaded.config.acceptance:
             return ()
         own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]
-        above = [line for verdict in gate.verdicts(entry.name).values() for line in verdict.weakened]
+        above = [
+            line for verdict in gate.verdicts(entry.name).values() for line in verdict.weakened
+        ]
         return tuple(dict.fromkeys([*above, *own]))
 
     def _execute(self, gate: Gate, name: str, waivers: tuple[Waiver, ...]) -> None:
         entry = self.table[name]
         run = entry.load()
         options, loaded = gate.effective(name, None)
-        fingerprint, verdicts = gate.fingerprint(name), gate.verdicts(name)
+        fingerprint = gate.fingerprint(name)
+        verdicts = gate.verdicts(name)
         of_run = {"", *(override.text for override in self.loaded.overrides)}
-        typed = " ".join(shlex.join(text.split(" ", 1)) for text in gate.typed(name)[1:] if text not in of_run)
+        typed = " ".join(
+            shlex.join(text.split(" ", 1)) for text in gate.typed(name)[1:] if text not in of_run
+        )
         folder = self.store.begin(name, loaded.to_yaml(), entry.keeps, typed)
-        about: Any = {"config": entry.resolved(loaded.config), "seed": loaded.config.seed, "profile": loaded.profile}
+        about: Any = {
+            "config": entry.resolved(loaded.config),
+            "seed": loaded.config.seed,
+            "profile": loaded.profile,
+        }
         about |= {"verdicts": verdicts, "waivers": waivers, "options": options}
         context = StageContext(
             **about,
@@ -153,14 +191,20 @@ class Runner:
             workers=loaded.config.workers if self.view is None else 1,
             view=self.view,
         )
-        started_at, started = now_text(), time.monotonic()
+        started_at = now_text()
+        started = time.monotonic()
         try:
             with disk_errors(self.store.folder):
                 result = run(context)
                 emergency.check()
                 judged = entry.closing and derive_status(result.checks) != "error"
                 closing = closing_checks(waivers, context.code_changes) if judged else ()
-                known: Any = {"stage": name, "run": self.store.run, "fingerprint": fingerprint, "waivers": waivers}
+                known: Any = {
+                    "stage": name,
+                    "run": self.store.run,
+                    "fingerprint": fingerprint,
+                    "waivers": waivers,
+                }
                 known |= {"started_at": started_at, "finished_at": now_text()}
                 verdict = Verdict(
                     **known,
@@ -198,4 +242,7 @@ class Runner:
         except OSError as write_error:
             text += f"; its traceback could not be written ({write_error})"
         self.store.abandon(name, "error", text)
-        return StageCrashedError(text, remedy="this is a defect in minidual, please report it with that file")
+        return StageCrashedError(
+            text,
+            remedy="this is a defect in minidual, please report it with that file",
+        )

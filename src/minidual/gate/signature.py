@@ -30,7 +30,13 @@ def _keygen(*words: str | Path, content: bytes) -> subprocess.CompletedProcess[b
         raise EnvironmentMissingError("signatures need the program ssh-keygen", remedy=remedy)
     # In a session of its own it has no terminal on which it could ask for a passphrase and wait.
     command = [program, "-Y", *map(str, words), "-n", "minidual"]
-    return subprocess.run(command, input=content, capture_output=True, check=False, start_new_session=True)
+    return subprocess.run(
+        command,
+        input=content,
+        capture_output=True,
+        check=False,
+        start_new_session=True,
+    )
 
 
 def signature(key: Path, content: bytes) -> str:
@@ -51,7 +57,8 @@ def sign(gate: Gate, stages: Sequence[str], key: Path) -> Path:
     """Sign the verdicts of `stages`; return the path of the signature."""
     states = [gate.state(name) for name in stages]
     text = dumps({state.name: state.verdict_sha256 for state in states if state.verdict_sha256})
-    sealed, made = gate.store.folder / f"{SIGNED_FILE}.sig", signature(key, text.encode())
+    sealed = gate.store.folder / f"{SIGNED_FILE}.sig"
+    made = signature(key, text.encode())
     write_text(sealed.with_name(SIGNED_FILE), text)
     write_text(sealed, made)
     return sealed
@@ -63,8 +70,15 @@ def unverified(gate: Gate, key: Path) -> list[str]:
     Raises:
         DataError: `key` is no public key of OpenSSH.
     """
-    if (public := _PUBLIC.match(regular_file(key, _KEY_BYTES).read_text(encoding="utf-8", errors="replace"))) is None:
-        raise DataError(f"{key} is no public key of OpenSSH", remedy="give the .pub file of the key that signed")
+    if (
+        public := _PUBLIC.match(
+            regular_file(key, _KEY_BYTES).read_text(encoding="utf-8", errors="replace"),
+        )
+    ) is None:
+        raise DataError(
+            f"{key} is no public key of OpenSSH",
+            remedy="give the .pub file of the key that signed",
+        )
     path = gate.store.folder / SIGNED_FILE
     sealed = path.with_name(f"{SIGNED_FILE}.sig")
     try:
@@ -73,18 +87,33 @@ def unverified(gate: Gate, key: Path) -> list[str]:
         with tempfile.NamedTemporaryFile("w", suffix=".allowed") as allowed:
             allowed.write(f"minidual {public[0]}\n")
             allowed.flush()
-            if _keygen("verify", "-f", allowed.name, "-I", "minidual", "-s", sealed, content=content).returncode:
+            if _keygen(
+                "verify",
+                "-f",
+                allowed.name,
+                "-I",
+                "minidual",
+                "-s",
+                sealed,
+                content=content,
+            ).returncode:
                 intact = not _keygen("check-novalidate", "-s", sealed, content=content).returncode
-                return [f"{path} was {'signed by another key' if intact else 'changed after it was signed'}"]
+                return [
+                    f"{path} was {'signed by another key' if intact else 'changed after it was signed'}",
+                ]
         signed = TypeAdapter(dict[str, str]).validate_json(content)
     except (DataError, OSError, ValueError) as error:
         return [f"no signature: {error}"]
     found = [f"{name}: no such stage" for name in signed if name not in gate.table]
     for state in map(gate.state, gate.table):
-        then, now = signed.get(state.name), state.verdict_sha256
+        then = signed.get(state.name)
+        now = state.verdict_sha256
         if then != now:
             differs = "was changed after it was signed" if now else "is gone or corrupt"
             found.append(f"{state.name}: its verdict {differs if then else 'was not signed'}")
         elif state.folder and state.verdict:
-            found += [f"{state.name}: {reason}" for reason in manifest_changes(state.folder, state.verdict.artefacts)]
+            found += [
+                f"{state.name}: {reason}"
+                for reason in manifest_changes(state.folder, state.verdict.artefacts)
+            ]
     return found

@@ -25,9 +25,14 @@ class ProgressTask(AbstractContextManager["ProgressTask"]):
     """Counted work, a context manager. Prints a line at most every 10 s, and one at the end."""
 
     def __init__(self, description: str, total: float | None, say: Callable[[str], None]) -> None:
-        self._description, self._total, self._say = description, total, say
-        self._done, self._note = 0.0, ""
-        self._first: tuple[float, float] | None = None  # time and count of the first call, of earlier work perhaps
+        self._description = description
+        self._total = total
+        self._say = say
+        self._done = 0.0
+        self._note = ""
+        self._first: tuple[float, float] | None = (
+            None  # time and count of the first call, of earlier work perhaps
+        )
         self._started = self._last = time.monotonic()
 
     def advance(self, steps: float = 1, note: str = "") -> None:
@@ -68,7 +73,10 @@ class Folders(dict[str, Path]):
     """{upstream stage: its folder}; GateClosedError for a stage without result, which no waiver replaces."""
 
     def __missing__(self, stage: str) -> Path:
-        raise GateClosedError(f"it works on the result of {stage}, and there is none", remedy=f"minidual {stage}")
+        raise GateClosedError(
+            f"it works on the result of {stage}, and there is none",
+            remedy=f"minidual {stage}",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,17 +125,33 @@ class StageResult:
     notes: Sequence[str] = ()
 
 
-def closing_checks(waivers: Sequence[Waiver], code_changes: Mapping[str, Sequence[str]]) -> list[Check]:
+def closing_checks(
+    waivers: Sequence[Waiver],
+    code_changes: Mapping[str, Sequence[str]],
+) -> list[Check]:
     """Return the checks of a closing stage; `code_changes` is {upstream stage: modules changed since}."""
-    waived, stages = ", ".join(waiver.stage for waiver in waivers), ", ".join(code_changes)
+    waived = ", ".join(waiver.stage for waiver in waivers)
+    stages = ", ".join(code_changes)
     modules = ", ".join(sorted({module for names in code_changes.values() for module in names})[:3])
     rerun = f"run {stages} again with --force ({modules} changed)"
     rows = (
-        ("gate.waivers", waivers, "evidence behind a waived gate", f"run {waived} without --waive-gate"),
+        (
+            "gate.waivers",
+            waivers,
+            "evidence behind a waived gate",
+            f"run {waived} without --waive-gate",
+        ),
         ("gate.code_changed", code_changes, "results of other code", rerun),
     )
     return [
-        Check(name, len(found), "==", 0, why=f"{what} is no acceptance", remedy=mend if found else "")
+        Check(
+            name,
+            len(found),
+            "==",
+            0,
+            why=f"{what} is no acceptance",
+            remedy=mend if found else "",
+        )
         for name, found, what, mend in rows
     ]
 

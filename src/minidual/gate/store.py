@@ -23,7 +23,16 @@ from typing import Literal
 
 from pydantic import TypeAdapter
 
-from minidual.durable import now_text, read_json, remove, replacing, require, set_aside, sync, write_text
+from minidual.durable import (
+    now_text,
+    read_json,
+    remove,
+    replacing,
+    require,
+    set_aside,
+    sync,
+    write_text,
+)
 from minidual.errors import DataError, UsageError
 from minidual.gate.canonical import dumps
 from minidual.gate.lock import LOCK_FILE, held_by, run_lock
@@ -84,26 +93,41 @@ class ResultPlace:
         for path in (self.folder, self.temporary, self.old, *aside):
             require(self.name if path == self.folder and self.name.exists() else path, "folder")
             if path.is_symlink():
-                raise DataError(f"{path} is a link; minidual keeps a folder there", remedy="remove the link")
+                raise DataError(
+                    f"{path} is a link; minidual keeps a folder there",
+                    remedy="remove the link",
+                )
             if replacing and path.exists() and not os.access(path, os.W_OK):
-                raise DataError(f"no permission to write in {path}", remedy="change its permissions")
+                raise DataError(
+                    f"no permission to write in {path}",
+                    remedy="change its permissions",
+                )
         if self.folder != self.name and (why := self._unfit_target()):
             remedy = "make it a link to an empty folder elsewhere"
             raise DataError(f"{self.name} is a link to {self.folder}, {why}", remedy=remedy)
         if replacing and self.folder.is_mount():
             remedy = "mount that disk elsewhere and make a link to a folder on it"
-            raise DataError(f"{self.folder} is a mount point, which cannot be replaced", remedy=remedy)
+            raise DataError(
+                f"{self.folder} is a mount point, which cannot be replaced",
+                remedy=remedy,
+            )
 
     def _unfit_target(self) -> str:
         run = self.name.parent.resolve()
-        others = (path for path in self.name.parent.glob("*") if path.is_symlink() and path != self.name)
+        others = (
+            path for path in self.name.parent.glob("*") if path.is_symlink() and path != self.name
+        )
         if same := [path.name for path in others if _overlap(path.resolve(), self.folder)]:
             return f"where the link {same[0]} leads, too"
         if _overlap(self.folder, run):
             return "in or above its own run"
         if not self.folder.parent.is_dir():
             return f"but {self.folder.parent} is no folder (is its disk mounted?)"
-        if self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / VERDICT_FILE).exists():
+        if (
+            self.folder.is_dir()
+            and any(self.folder.iterdir())
+            and not (self.folder / VERDICT_FILE).exists()
+        ):
             return "whose files are no result of minidual"
         return ""
 
@@ -122,8 +146,11 @@ class RunStore:
 
     def __init__(self, root: Path, run: str) -> None:
         if not _RUN_NAME.fullmatch(run):
-            raise UsageError(f"'{run}' cannot be a run's name: letters, digits, '.', '_' and '-', up to 100")
-        self.run, self.folder = run, root / run
+            raise UsageError(
+                f"'{run}' cannot be a run's name: letters, digits, '.', '_' and '-', up to 100",
+            )
+        self.run = run
+        self.folder = root / run
         for path in (root, self.folder):
             require(path, "folder")
 
@@ -147,7 +174,9 @@ class RunStore:
             return None
         found = read_verdict(path)
         if found[0].stage != stage:
-            raise DataError(f"{path} is corrupt: it is the verdict of stage {found[0].stage}, not of {stage}")
+            raise DataError(
+                f"{path} is corrupt: it is the verdict of stage {found[0].stage}, not of {stage}",
+            )
         return found
 
     def attempt(self, stage: str) -> StageAttempt | None:
@@ -156,7 +185,9 @@ class RunStore:
         if not folder.is_dir():
             return None
         try:
-            attempt = TypeAdapter(StageAttempt).validate_python(read_json(folder / ATTEMPT_FILE, 1_000_000))
+            attempt = TypeAdapter(StageAttempt).validate_python(
+                read_json(folder / ATTEMPT_FILE, 1_000_000),
+            )
         except (ValueError, DataError):
             return StageAttempt(stage, "interrupted", 0, "", "killed as it began")
         # Another command may hold the lock since; 0 is a holder that is just writing down its process id.
@@ -178,15 +209,24 @@ class RunStore:
             for stage in stages:
                 place = ResultPlace(self.folder / stage)
                 place.check()
-                old, folder = place.old, place.folder
-                if old.is_dir() and ((folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file()):
+                old = place.old
+                folder = place.folder
+                if old.is_dir() and (
+                    (folder / VERDICT_FILE).is_file() or not (old / VERDICT_FILE).is_file()
+                ):
                     set_aside(old, stage)
                 elif old.is_dir():
                     remove(folder)
                     old.rename(folder)
             yield
 
-    def begin(self, stage: str, config_text: str, keeps: Sequence[str] = (), options: str = "") -> Path:
+    def begin(
+        self,
+        stage: str,
+        config_text: str,
+        keeps: Sequence[str] = (),
+        options: str = "",
+    ) -> Path:
         """Clear the temporary folder except `keeps`, mark it as running and return it."""
         folder = ResultPlace(self.folder / stage).temporary
         folder.mkdir(parents=True, exist_ok=True)
@@ -199,19 +239,33 @@ class RunStore:
         return folder
 
     def _mark(self, attempt: StageAttempt) -> None:
-        write_text(ResultPlace(self.folder / attempt.stage).temporary / ATTEMPT_FILE, dumps(asdict(attempt)))
+        write_text(
+            ResultPlace(self.folder / attempt.stage).temporary / ATTEMPT_FILE,
+            dumps(asdict(attempt)),
+        )
 
     def abandon(self, stage: str, state: Literal["interrupted", "error"], message: str) -> None:
         """Mark the attempt as ended without verdict; its files stay until the next one."""
         # On a full disk the old mark stays: "running" without a lock reads as killed, so still unfinished.
         began = self.attempt(stage)
         with suppress(OSError):
-            self._mark(StageAttempt(stage, state, os.getpid(), now_text(), message, began.options if began else ""))
+            self._mark(
+                StageAttempt(
+                    stage,
+                    state,
+                    os.getpid(),
+                    now_text(),
+                    message,
+                    began.options if began else "",
+                ),
+            )
 
     def publish(self, stage: str, verdict: Verdict, *, keep_old: bool = False) -> Path | None:
         """Write the verdict and replace the previous folder; return where that is kept, or None."""
         place = ResultPlace(self.folder / stage)
-        temporary, folder, old = place.temporary, place.folder, place.old
+        temporary = place.temporary
+        folder = place.folder
+        old = place.old
         (temporary / ATTEMPT_FILE).unlink(missing_ok=True)
         write_text(temporary / VERDICT_FILE, dumps(verdict.to_json()))
         if folder.exists():

@@ -47,7 +47,9 @@ _KINDS = {kind.__name__: kind for kind in (bool, int, float, str, tuple, Path)}
 
 def options_of(rows: Mapping[str, Mapping[str, Any]]) -> tuple[Option, ...]:
     """Return the options of {name: fields}; `kind` by name."""
-    fields: dict[str, dict[str, Any]] = {k: {**row, "kind": _KINDS[row.get("kind", "str")]} for k, row in rows.items()}
+    fields: dict[str, dict[str, Any]] = {
+        k: {**row, "kind": _KINDS[row.get("kind", "str")]} for k, row in rows.items()
+    }
     return tuple(Option(name, **row) for name, row in fields.items())
 
 
@@ -126,7 +128,10 @@ class StageEntry(_Entry[StageFunction]):
 
     def code(self, known: Code | None = None) -> Code:
         """Return the code that the stage reaches; see `code_of`."""
-        return code_of([target for target in (self.target, self.resolve) if isinstance(target, str)], known)
+        return code_of(
+            [target for target in (self.target, self.resolve) if isinstance(target, str)],
+            known,
+        )
 
     def resolved(self, config: Config, *, checked: bool = False) -> Config:
         """Return the resolved configuration; `checked` runs `check` first.
@@ -136,11 +141,17 @@ class StageEntry(_Entry[StageFunction]):
         """
         if self.check is not None and checked:
             _loaded(self.name, self.check)(config)
-        return config if self.resolve is None else cast(Config, _loaded(self.name, self.resolve)(config))
+        return (
+            config
+            if self.resolve is None
+            else cast(Config, _loaded(self.name, self.resolve)(config))
+        )
 
     def parameters(self, config: Config) -> dict[str, Any]:
         """Return {path: value} of `reads`."""
-        with contextlib.suppress(MinidualError):  # refused before the stage runs; until then, what was typed
+        with contextlib.suppress(
+            MinidualError,
+        ):  # refused before the stage runs; until then, what was typed
             config = self.resolved(config)
         return {path: attrgetter(path)(config) for path in self.reads}
 
@@ -167,7 +178,10 @@ def _as_strict(value: Any, asked: Any, mark: str) -> bool:
     if value is None:
         return False
     if isinstance(asked, dict):
-        return all(_as_strict(value.get(name), item, mark) for name, item in cast(dict[str, Any], asked).items())
+        return all(
+            _as_strict(value.get(name), item, mark)
+            for name, item in cast(dict[str, Any], asked).items()
+        )
     if isinstance(asked, tuple):
         return "all" in value or set(cast(tuple[str, ...], asked)) <= set(value)
     return value >= asked if mark == "at least" else value <= asked
@@ -206,7 +220,9 @@ class StageTable(Registry[StageEntry]):
         """Append a row."""
         for name in entry.requires:
             if name not in self:
-                raise ValueError(f"stage '{entry.name}' requires '{name}', which does not stand above it")
+                raise ValueError(
+                    f"stage '{entry.name}' requires '{name}', which does not stand above it",
+                )
         self.add(entry.name, entry)
 
     def plug_in(self, group: str) -> None:

@@ -142,7 +142,9 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
     """Return (verdict, sha256 of its file); DataError if absent or corrupt."""
     try:
         content = regular_file(path, _BYTES_MAX).read_bytes()
-        record: Any = from_json(content)  # unlike json: refuses deep nesting and characters that cannot be printed
+        record: Any = from_json(
+            content,
+        )  # unlike json: refuses deep nesting and characters that cannot be printed
         if not isinstance(record, dict):
             raise DataError("not a JSON object")
         json.loads(content, object_pairs_hook=_distinct)
@@ -153,7 +155,11 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
 
 def build_manifest(folder: Path) -> dict[str, Artefact]:
     """Return {relative posix path: Artefact} of all files."""
-    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    files = {
+        path.relative_to(folder).as_posix(): path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
     own = [name for name in files if name not in (VERDICT_FILE, ATTEMPT_FILE)]
     return {name: Artefact(file_sha256(files[name]), files[name].stat().st_size) for name in own}
 
@@ -167,7 +173,9 @@ def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str
             if (kind := kind_of(path)) != "file":
                 reasons.append(f"artefact {name} is {f'now a {kind}' if kind else 'gone'}")
             elif path.stat().st_size != artefact.size_bytes:
-                reasons.append(f"artefact {name} changed (was {artefact.size_bytes} bytes, is {path.stat().st_size})")
+                reasons.append(
+                    f"artefact {name} changed (was {artefact.size_bytes} bytes, is {path.stat().st_size})",
+                )
             elif file_sha256(path) != artefact.sha256:
                 reasons.append(f"artefact {name} changed (same size, other content)")
         except (DataError, OSError, ValueError) as error:  # ValueError: no name of a file
@@ -177,5 +185,12 @@ def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str
 
 def strays(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
     """Return the relative paths of other files and links; a link to a folder counts as one."""
-    found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_symlink() or not p.is_dir()}
-    return [os.fsencode(name).decode(errors="replace") for name in sorted(found - {*manifest, VERDICT_FILE})]
+    found = {
+        p.relative_to(folder).as_posix()
+        for p in folder.rglob("*")
+        if p.is_symlink() or not p.is_dir()
+    }
+    return [
+        os.fsencode(name).decode(errors="replace")
+        for name in sorted(found - {*manifest, VERDICT_FILE})
+    ]

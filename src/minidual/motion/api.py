@@ -8,7 +8,12 @@ from typing import NamedTuple, Self, TypedDict, Unpack
 
 import numpy as np
 
-from minidual.collision.errors import GoalInCollisionError, NoPathInTimeError, PlanningError, TimingError
+from minidual.collision.errors import (
+    GoalInCollisionError,
+    NoPathInTimeError,
+    PlanningError,
+    TimingError,
+)
 from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
@@ -68,11 +73,18 @@ class Effort(NamedTuple):
     def after_no_path(self) -> Self:
         """Return less padding, for narrow passages, and more state checks."""
         checks_n = min(int(_PATIENCE * self.checks_n), max(self.checks_n, _CHECKS_MAX))
-        return self._replace(padding_m=0.5 * self.padding_m, checks_n=checks_n, fruitless_n=self.fruitless_n + 1)
+        return self._replace(
+            padding_m=0.5 * self.padding_m,
+            checks_n=checks_n,
+            fruitless_n=self.fruitless_n + 1,
+        )
 
     def after_no_proof(self) -> Self:
         """Return `more_padding` and finer steps."""
-        return self._replace(padding_m=more_padding(self.padding_m), step_rad=max(0.5 * self.step_rad, 0.004))
+        return self._replace(
+            padding_m=more_padding(self.padding_m),
+            step_rad=max(0.5 * self.step_rad, 0.004),
+        )
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
         """Return the first planner for four failed searches, then the fallbacks in turn."""
@@ -105,11 +117,17 @@ class Planner:
     _kernels_loaded = False
 
     def __init__(
-        self, scene: PlanningScene | None = None, config: PlannerConfig | None = None, *, robot: Robot = DUAL_PANDA
+        self,
+        scene: PlanningScene | None = None,
+        config: PlannerConfig | None = None,
+        *,
+        robot: Robot = DUAL_PANDA,
     ) -> None:
-        self.config, self.scene = config or PlannerConfig(), scene or PlanningScene(robot=robot)
+        self.config = config or PlannerConfig()
+        self.scene = scene or PlanningScene(robot=robot)
         self.robot = self.scene.robot
-        self.kinematics, self._engines = Kinematics(self.robot), functools.lru_cache(_SCENES_KEPT)(self._built)
+        self.kinematics = Kinematics(self.robot)
+        self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
         """Return a scene's engines; the last eight scenes are cached.
@@ -119,11 +137,14 @@ class Planner:
         """
         scene = scene or self.scene
         if scene.robot != self.robot:
-            raise UsageError(f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}")
+            raise UsageError(
+                f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}",
+            )
         return self._engines(scene)
 
     def _built(self, scene: PlanningScene) -> SceneEngines:
-        engines, home = SceneEngines(scene, self.config.verify_step_rad, self.kinematics), self.robot.home
+        engines = SceneEngines(scene, self.config.verify_step_rad, self.kinematics)
+        home = self.robot.home
         if not Planner._kernels_loaded:
             # Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets.
             EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
@@ -142,7 +163,13 @@ class Planner:
             raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
         return budget
 
-    def plan_to_joints(self, group: str, q_start: Array, q_goal: Array, **options: Unpack[QueryOptions]) -> PlanResult:
+    def plan_to_joints(
+        self,
+        group: str,
+        q_start: Array,
+        q_goal: Array,
+        **options: Unpack[QueryOptions],
+    ) -> PlanResult:
         """Plan to all joints or the group's [rad]; the other arm stands still.
 
         Raises:
@@ -155,7 +182,11 @@ class Planner:
         return work.run([goal])
 
     def plan_to_poses(
-        self, group: str, q_start: Array, targets: Mapping[str, Array], **options: Unpack[QueryOptions]
+        self,
+        group: str,
+        q_start: Array,
+        targets: Mapping[str, Array],
+        **options: Unpack[QueryOptions],
     ) -> PlanResult:
         """Plan to tcp poses {arm: T_world_tcp} of exactly the group's arms.
 
@@ -163,23 +194,39 @@ class Planner:
             IKUnreachableError: A pose is out of reach.
             And what `plan_to_joints` raises.
         """
-        work, config = _Work(self, group, q_start, **options), self.config
+        work = _Work(self, group, q_start, **options)
+        config = self.config
         with work.phase("ik"):
             asked = group, work.q_start, targets, work.engines, stream(work.seed, "motion/goals")
             try:
                 goals = pose_goals(*asked, config.ik_restarts_n, config.goal_candidates_n)
-            except GoalInCollisionError:  # at the few postures found: two hands may be in each other's way
+            except (
+                GoalInCollisionError
+            ):  # at the few postures found: two hands may be in each other's way
                 goals = pose_goals(*asked, 8 * config.ik_restarts_n, config.goal_candidates_n)
         return work.run(goals)
 
 
 class _Work:
-    def __init__(self, planner: Planner, group: str, q_start: Array, **options: Unpack[QueryOptions]) -> None:
-        scene, self.seed = options.get("scene"), options.get("seed", 0)
+    def __init__(
+        self,
+        planner: Planner,
+        group: str,
+        q_start: Array,
+        **options: Unpack[QueryOptions],
+    ) -> None:
+        scene = options.get("scene")
+        self.seed = options.get("seed", 0)
         if not Planner._kernels_loaded:
-            planner.engines(scene)  # before the clock starts: no budget pays for loading machine code
-        self.arms, self.started, self.seconds = GROUP_ARMS[group], perf_counter(), dict.fromkeys(PLAN_PHASES, 0.0)
-        self.planner, self.config, self.group = planner, planner.config, group
+            planner.engines(
+                scene,
+            )  # before the clock starts: no budget pays for loading machine code
+        self.arms = GROUP_ARMS[group]
+        self.started = perf_counter()
+        self.seconds = dict.fromkeys(PLAN_PHASES, 0.0)
+        self.planner = planner
+        self.config = planner.config
+        self.group = group
         self.budget_s = planner.budget(options.get("budget_s"))
         self.q_start = check_joints(q_start, "start", planner.robot)
         with self.phase("scene"):
@@ -197,7 +244,8 @@ class _Work:
 
     def run(self, goals: Sequence[Array]) -> PlanResult:
         """Return the first proven plan to a goal (n,), or raise NoPathInTimeError."""
-        config, joints = self.config, self.planner.robot.groups[self.group]
+        config = self.config
+        joints = self.planner.robot.groups[self.group]
         effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         notes: list[str] = []
         attempt = 0
@@ -207,12 +255,25 @@ class _Work:
             # All pairs were checked at start and goal; only pairs with a moving part can change.
             name = effort.planner(config.planner, config.fallback_planners)
             with self.phase("search"):
-                checker = EdgeChecker(self.engines, effort.padding_m, (self.q_start, goal), effort.step_rad, self.arms)
+                checker = EdgeChecker(
+                    self.engines,
+                    effort.padding_m,
+                    (self.q_start, goal),
+                    effort.step_rad,
+                    self.arms,
+                )
                 path = ends = np.array([self.q_start, goal])
                 if not checker.edge_free(*ends):
                     checker.allow(effort.checks_n, self.started + self.budget_s)
                     seed = subseed(self.seed, "motion/search", attempt)
-                    path = search(checker, ends, joints, seed=seed, planner=name, range_rad=config.range_rad)
+                    path = search(
+                        checker,
+                        ends,
+                        joints,
+                        seed=seed,
+                        planner=name,
+                        range_rad=config.range_rad,
+                    )
             if path is None:
                 notes.append(f"{name} found no path in {checker.checks_n} state checks")
                 effort = effort.after_no_path()
@@ -228,17 +289,34 @@ class _Work:
                 effort = effort.after_no_proof()
             else:
                 took_s = perf_counter() - self.started
-                return PlanResult(trajectory, path, goal, proof, self.seconds, took_s, attempt, tuple(notes))
+                return PlanResult(
+                    trajectory,
+                    path,
+                    goal,
+                    proof,
+                    self.seconds,
+                    took_s,
+                    attempt,
+                    tuple(notes),
+                )
         last = notes[-1] if notes else "the budget ended before the first attempt"
         none = f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}"
-        raise NoPathInTimeError(none, remedy="raise the budget, make room in the scene, or choose another goal")
+        raise NoPathInTimeError(
+            none,
+            remedy="raise the budget, make room in the scene, or choose another goal",
+        )
 
     def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return resting(path[0], DT_S, self.group), path
         config = self.config
         with self.phase("shortcut"):
-            path = shortcut(path, checker, stream(self.seed, "motion/shortcut", attempt), config.shortcut_rounds_n)
+            path = shortcut(
+                path,
+                checker,
+                stream(self.seed, "motion/shortcut", attempt),
+                config.shortcut_rounds_n,
+            )
         with self.phase("blend"):
             curve = blended_path(path, checker, config.blend_radius_rad, checker.step_rad / 3.0)
         if curve is None:

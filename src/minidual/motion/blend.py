@@ -23,7 +23,9 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
     Every other round moves one arm alone, as detours may differ in time.
     """
     path = path[kept_vertices(path, checker.edge_free)]
-    whole, *arms = (checker.robot.groups[name] for name in ("both_arms", *(f"{side}_arm" for side in SIDES)))
+    whole, *arms = (
+        checker.robot.groups[name] for name in ("both_arms", *(f"{side}_arm" for side in SIDES))
+    )
     both_move = all(np.ptp(path[:, arm], axis=0).max() > 0.0 for arm in arms)
     parts = [whole, arms[0], whole, arms[1]] if both_move else [whole]
     for k in range(rounds_n):
@@ -35,16 +37,22 @@ def shortcut(path: Array, checker: EdgeChecker, rng: np.random.Generator, rounds
 
 def kept_vertices(path: Array, edge_free: Callable[[Array, Array], bool]) -> list[int]:
     """Return the rows of a path that remain when each vertex is joined to the farthest one it reaches."""
-    kept, last = [0], len(path) - 1
+    kept = [0]
+    last = len(path) - 1
     while kept[-1] < last:
-        here, ahead = kept[-1], last
+        here = kept[-1]
+        ahead = last
         while ahead > here + 1 and not edge_free(path[here], path[ahead]):
             ahead -= 1
         kept.append(ahead)
     return kept
 
 
-def random_stretch(path: Array, length: Array, rng: np.random.Generator) -> tuple[Array, Array, tuple[int, int], Array]:
+def random_stretch(
+    path: Array,
+    length: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, tuple[int, int], Array]:
     """Return the marks (n,) along a path (n, d), and of two random places the marks, segments and points (2, d)."""
     marks = np.concatenate([[0.0], np.cumsum(length)])
     s = np.sort(rng.uniform(0.0, marks[-1], 2))
@@ -53,7 +61,12 @@ def random_stretch(path: Array, length: Array, rng: np.random.Generator) -> tupl
     return marks, s, (int(at[0]), int(at[1])), ends
 
 
-def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, joints: slice) -> Array:
+def _cut_stretch(
+    path: Array,
+    checker: EdgeChecker,
+    rng: np.random.Generator,
+    joints: slice,
+) -> Array:
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     if not lengths.any():
         return path[[0, -1]]
@@ -67,7 +80,9 @@ def _cut_stretch(path: Array, checker: EdgeChecker, rng: np.random.Generator, jo
         fractions = (np.concatenate([[s0], marks[i0 + 1 : i1 + 1], [s1]]) - s0) / (s1 - s0)
         stretch[:, joints] = a[joints] + fractions[:, None] * (b - a)[joints]
     candidate = np.concatenate([path[: i0 + 1], stretch, path[i1 + 1 :]])
-    candidate = candidate[np.concatenate([[True], np.abs(np.diff(candidate, axis=0)).max(axis=1) > 1e-9])]
+    candidate = candidate[
+        np.concatenate([[True], np.abs(np.diff(candidate, axis=0)).max(axis=1) > 1e-9])
+    ]
     if path_length(candidate) > marks[-1] - 1e-6:
         return path
     return candidate if all(checker.edge_free(p, r) for p, r in pairwise(stretch)) else path
@@ -103,7 +118,8 @@ class SmoothPath(NamedTuple):
 @kernel(ROWS(BLOCKS, VECTOR, VECTOR, VECTOR), heap=True)
 def _evaluated(coefficients: Array, knots: Array, s: Array, factors: Array) -> Array:
     """Return `SmoothPath.at` (n, d): a third of numpy's time."""
-    out, piece = np.zeros((len(s), coefficients.shape[2])), 0
+    out = np.zeros((len(s), coefficients.shape[2]))
+    piece = 0
     for i in range(len(s)):
         while piece + 2 < len(knots) and s[i] >= knots[piece + 1]:
             piece += 1
@@ -116,14 +132,26 @@ def _evaluated(coefficients: Array, knots: Array, s: Array, factors: Array) -> A
     return out
 
 
-def blended_path(path: Array, checker: EdgeChecker, radius_rad: float, step_rad: float) -> SmoothPath | None:
+def blended_path(
+    path: Array,
+    checker: EdgeChecker,
+    radius_rad: float,
+    step_rad: float,
+) -> SmoothPath | None:
     """Return the polyline (n >= 2, dof) with corners rounded, shrunk until free; None if one stays blocked.
 
     Vertices must not repeat. `radius_rad` is the largest half length of a corner.
     """
     lengths, directions, halves = _corners(path, radius_rad)
     for i in range(len(halves)):
-        while not _corner_free(path[i + 1], directions[i], directions[i + 1], halves[i], checker, step_rad):
+        while not _corner_free(
+            path[i + 1],
+            directions[i],
+            directions[i + 1],
+            halves[i],
+            checker,
+            step_rad,
+        ):
             halves[i] *= _SHRINK
             if halves[i] < _D_MIN_RAD:
                 return None
@@ -138,10 +166,21 @@ def rounded(path: Array, radius: float) -> SmoothPath:
 def _corners(path: Array, radius: float) -> tuple[Array, Array, Array]:
     steps = np.diff(path, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    return lengths, steps / lengths[:, None], np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:]))
+    return (
+        lengths,
+        steps / lengths[:, None],
+        np.minimum(radius, _OF_SEGMENT * np.minimum(lengths[:-1], lengths[1:])),
+    )
 
 
-def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChecker, step_rad: float) -> bool:
+def _corner_free(
+    vertex: Array,
+    u1: Array,
+    u2: Array,
+    d: float,
+    checker: EdgeChecker,
+    step_rad: float,
+) -> bool:
     x = np.linspace(0.0, 1.0, max(2, int(np.ceil(2.0 * d / step_rad))) + 1)[1:-1, None]
     return checker.all_free(vertex - d * u1 + 2.0 * d * (u1 * x + (u2 - u1) * (x**3 - 0.5 * x**4)))
 
@@ -149,9 +188,11 @@ def _corner_free(vertex: Array, u1: Array, u2: Array, d: float, checker: EdgeChe
 def _assemble(path: Array, lengths: Array, directions: Array, halves: Array) -> SmoothPath:
     pieces = np.zeros((5, 2 * len(lengths) - 1, path.shape[1]))
     widths = np.empty(pieces.shape[1])
-    before, after = np.append(0.0, halves), np.append(halves, 0.0)
+    before = np.append(0.0, halves)
+    after = np.append(halves, 0.0)
     widths[::2], widths[1::2] = lengths - before - after, 2.0 * halves
-    d, turns = halves[:, None], np.diff(directions, axis=0)
+    d = halves[:, None]
+    turns = np.diff(directions, axis=0)
     pieces[4, ::2] = path[:-1] + before[:, None] * directions
     pieces[4, 1::2] = path[1:-1] - d * directions[:-1]
     pieces[3, ::2], pieces[3, 1::2] = directions, directions[:-1]

@@ -52,7 +52,11 @@ class _Hands[T](StrictModel):
     right: T | None = None
 
     def named(self) -> dict[str, T]:
-        return {side: tip for side, tip in (("left", self.left), ("right", self.right)) if tip is not None}
+        return {
+            side: tip
+            for side, tip in (("left", self.left), ("right", self.right))
+            if tip is not None
+        }
 
 
 class Poses(_Hands[TipPose]):
@@ -84,7 +88,9 @@ class Goal(StrictModel):
     def _one_kind(self) -> Self:
         kinds = [kind for kind in _KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
-            raise ValueError(f"it holds {' and '.join(kinds) or 'no goal'}; give one of {', '.join(_KINDS)}")
+            raise ValueError(
+                f"it holds {' and '.join(kinds) or 'no goal'}; give one of {', '.join(_KINDS)}",
+            )
         hands = self.poses or self.move
         if hands is not None and not hands.named():
             raise ValueError(f"{kinds[0]} names neither left nor right")
@@ -105,12 +111,19 @@ def load_goal(path: Path) -> Goal:
     if path.suffix.lower() == ".json":
         try:
             content = read_json(path, _BYTES_MAX)
-            return Goal(joints_by_name_rad=dict(zip(content["joint_names"], content["q_rad"][-1], strict=True)))
+            return Goal(
+                joints_by_name_rad=dict(
+                    zip(content["joint_names"], content["q_rad"][-1], strict=True),
+                ),
+            )
         except (ValueError, TypeError, KeyError, IndexError) as error:
             what = f"{type(error).__name__}: {error}"
             raise DataError(f"{path} is no trajectory of `minidual plan --out`: {what}") from error
     if not (document := read_document(path)).tree:
-        raise ConfigError(f"{path.name}: the goal file is empty", remedy=f"give one of {', '.join(_KINDS)}")
+        raise ConfigError(
+            f"{path.name}: the goal file is empty",
+            remedy=f"give one of {', '.join(_KINDS)}",
+        )
     return validate_document(document, Goal)
 
 
@@ -153,7 +166,8 @@ class NamedStates(dict[str, dict[str, Array]]):
         for side, joints in zip(SIDES, arms, strict=True):
             if joints is None:
                 continue
-            where, n = f"semantics.states.{name}.{side}_rad", self.robot.dof_per_arm
+            where = f"semantics.states.{name}.{side}_rad"
+            n = self.robot.dof_per_arm
             if len(joints) != n:
                 raise ConfigError(f"{where}: {len(joints)} values; an arm has {n} joints")
             try:
@@ -175,7 +189,10 @@ class NamedStates(dict[str, dict[str, Array]]):
         for arm in GROUP_ARMS[group]:
             if arm not in self[name]:
                 what = f"the state '{name}' says nothing about the {arm} arm, which {group} moves"
-                raise UsageError(what, remedy=f"give semantics.states.{name}.{arm}_rad, or plan for another group")
+                raise UsageError(
+                    what,
+                    remedy=f"give semantics.states.{name}.{arm}_rad, or plan for another group",
+                )
             q[self.robot.groups[f"{arm}_arm"]] = self[name][arm]
         return q
 
@@ -183,14 +200,22 @@ class NamedStates(dict[str, dict[str, Array]]):
 class GoalPlanner:
     """Plans to a `Goal`. One instance per process."""
 
-    def __init__(self, planner: Planner | None = None, semantics: SemanticsConfig | None = None) -> None:
+    def __init__(
+        self,
+        planner: Planner | None = None,
+        semantics: SemanticsConfig | None = None,
+    ) -> None:
         self.planner = planner or Planner()
         self.robot = self.planner.robot
         self.states = NamedStates(semantics, self.robot)
         self._linear = LinearPlanner(self.planner.config, self.planner.kinematics)
 
     def resolve(
-        self, group: str, q_start: Array, goal: Goal, scene: PlanningScene | None = None
+        self,
+        group: str,
+        q_start: Array,
+        goal: Goal,
+        scene: PlanningScene | None = None,
     ) -> Array | dict[str, Array]:
         """Return a goal as joints (n,) or tcp poses {arm: T_world_tcp (4, 4)}.
 
@@ -204,7 +229,8 @@ class GoalPlanner:
         if goal.joints_rad is not None:
             return goal_joints(group, q_start, np.array(goal.joints_rad), self.robot)
         if goal.joints_by_name_rad is not None:
-            names, q = self.robot.joint_names, np.array(q_start)
+            names = self.robot.joint_names
+            q = np.array(q_start)
             for name, value in goal.joints_by_name_rad.items():
                 check_name("joint", name, names)
                 q[names.index(name)] = value
@@ -214,19 +240,26 @@ class GoalPlanner:
         assert asked is not None
         for arm, tip in asked.named().items():
             if arm not in arms:
-                raise UsageError(f"the goal moves the {arm} hand; {group} moves {' and '.join(arms)} only")
+                raise UsageError(
+                    f"the goal moves the {arm} hand; {group} moves {' and '.join(arms)} only",
+                )
             T = tips[arm]
-            R, p = T[:3, :3], T[:3, 3]
+            R = T[:3, :3]
+            p = T[:3, 3]
             if isinstance(tip, TipPose):
                 T_world_frame = self._frame(tip.frame, q_start, scene or self.planner.scene)
-                quat, position = tip.quaternion(), np.array(tip.position_m)
+                quat = tip.quaternion()
+                position = np.array(tip.position_m)
                 if quat is None:
                     tips[arm] = pose(R, (T_world_frame @ np.append(position, 1.0))[:3])
                 else:
                     tips[arm] = T_world_frame @ pose(pin.Quaternion(*quat).matrix(), position)
                 continue
-            shift, turned = np.array(tip.offset_m), pin.exp3(np.array(tip.rotation_rad))
-            tips[arm] = pose(R @ turned, p + R @ shift) if axes == "tcp" else pose(turned @ R, p + shift)
+            shift = np.array(tip.offset_m)
+            turned = pin.exp3(np.array(tip.rotation_rad))
+            tips[arm] = (
+                pose(R @ turned, p + R @ shift) if axes == "tcp" else pose(turned @ R, p + shift)
+            )
         return {arm: tips[arm] for arm in arms}
 
     def _frame(self, name: str, q_start: Array, scene: PlanningScene) -> Array:
@@ -235,23 +268,43 @@ class GoalPlanner:
         for solid in scene.solids:
             if solid.name == name:
                 return self._frame(solid.link, q_start, scene) @ solid.shape.T_parent_shape
-        model, data = self.planner.kinematics.model, self.planner.kinematics.data
+        model = self.planner.kinematics.model
+        data = self.planner.kinematics.data
         links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
         if name not in links:
             raise unknown_name("frame", name, {"world", *links, *scene.names})
         pin.forwardKinematics(model, data, q_start)
-        return pin.updateFramePlacement(model, data, model.getFrameId(name, pin.FrameType.BODY)).homogeneous
+        return pin.updateFramePlacement(
+            model,
+            data,
+            model.getFrameId(name, pin.FrameType.BODY),
+        ).homogeneous
 
     def start_joints(
-        self, group: str, q_near: Array, start: Goal, scene: PlanningScene | None = None, *, seed: int = 0
+        self,
+        group: str,
+        q_near: Array,
+        start: Goal,
+        scene: PlanningScene | None = None,
+        *,
+        seed: int = 0,
     ) -> Array:
         """Return start joints (n,); for poses the free IK solution nearest to q_near (n,)."""
         if not isinstance(resolved := self.resolve(group, q_near, start, scene), dict):
             return resolved
-        engines, rng = self.planner.engines(scene), stream(seed, "motion/start")
-        return pose_goals(group, q_near, resolved, engines, rng, self.planner.config.ik_restarts_n)[0]
+        engines = self.planner.engines(scene)
+        rng = stream(seed, "motion/start")
+        return pose_goals(group, q_near, resolved, engines, rng, self.planner.config.ik_restarts_n)[
+            0
+        ]
 
-    def plan(self, group: str, q_start: Array, goal: Goal, **options: Unpack[QueryOptions]) -> PlanResult:
+    def plan(
+        self,
+        group: str,
+        q_start: Array,
+        goal: Goal,
+        **options: Unpack[QueryOptions],
+    ) -> PlanResult:
         """Plan to a goal; see `Planner.plan_to_joints`. Straight moves ignore `seed` and `budget_s`.
 
         Raises:
@@ -263,9 +316,13 @@ class GoalPlanner:
             return self.planner.plan_to_joints(group, q_start, resolved, **options)
         if not goal.linear:
             return self.planner.plan_to_poses(group, q_start, resolved, **options)
-        began, engines = perf_counter(), self.planner.engines(scene)
+        began = perf_counter()
+        engines = self.planner.engines(scene)
         move = self._linear.plan(group, q_start, resolved, engines, fraction_min=goal.fraction_min)
-        took, path = perf_counter() - began, move.trajectory.q[[0, -1]]
-        note = () if move.fraction == 1.0 else (f"the line covers {move.fraction:.1%}: {move.reason}",)
+        took = perf_counter() - began
+        path = move.trajectory.q[[0, -1]]
+        note = (
+            () if move.fraction == 1.0 else (f"the line covers {move.fraction:.1%}: {move.reason}",)
+        )
         times = {**dict.fromkeys(PLAN_PHASES, 0.0), "search": took}
         return PlanResult(move.trajectory, path, path[-1], move.verification, times, took, 1, note)

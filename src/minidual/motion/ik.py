@@ -8,7 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minidual.collision.errors import GoalInCollisionError, IKUnreachableError, OutOfLimitsError, StartInCollisionError
+from minidual.collision.errors import (
+    GoalInCollisionError,
+    IKUnreachableError,
+    OutOfLimitsError,
+    StartInCollisionError,
+)
 from minidual.errors import UsageError, check_name
 from minidual.motion.ik_descent import descend, measure, project, rest, tcp_pose
 from minidual.proof.scene_engines import SceneEngines
@@ -56,9 +61,12 @@ def check_pose(T: Array, what: str) -> Array:
     if not np.isfinite(T).all():
         raise UsageError(f"{what} holds a value that is not finite: {T.ravel().tolist()}")
     R = T[:3, :3]
-    off, det = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
+    off = np.abs(R @ R.T - np.eye(3)).max()
+    det = np.linalg.det(R)
     if off > 1e-6 or det < 0.0 or np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
-        raise UsageError(f"{what} is no rigid pose: R R^T is {off:.2g} from the identity, det {det:.3f}")
+        raise UsageError(
+            f"{what} is no rigid pose: R R^T is {off:.2g} from the identity, det {det:.3f}",
+        )
     return T
 
 
@@ -67,13 +75,16 @@ class ArmIK:
 
     def __init__(self, arm: str, robot: Robot = DUAL_PANDA) -> None:
         check_name("arm", arm, robot.sides)
-        self.arm, self.joints = arm, robot.groups[f"{arm}_arm"]
+        self.arm = arm
+        self.joints = robot.groups[f"{arm}_arm"]
         self._n = robot.dof_per_arm
-        kinematics, (placements, turns) = Kinematics(robot), hinges(robot)
+        kinematics = Kinematics(robot)
+        (placements, turns) = hinges(robot)
         tip = kinematics.model.frames[kinematics.tcp_ids[robot.sides.index(arm)]]
         fixed = *placements[self.joints], turns[tip.parentJoint] * tip.placement
         self._frames = np.array([T.homogeneous for T in fixed])
-        self.lower, self.upper = robot.q_lower[self.joints].copy(), robot.q_upper[self.joints].copy()
+        self.lower = robot.q_lower[self.joints].copy()
+        self.upper = robot.q_upper[self.joints].copy()
         self._home = robot.home[self.joints].copy()
 
     def tcp_pose(self, q: Array) -> Array:
@@ -84,15 +95,35 @@ class ArmIK:
 
     def error_and_jacobian(self, q: Array, T_world_tcp: Array) -> tuple[Array, Array]:
         """Return e = log6(T_tcp_target) (6,) and de/dq (6, n)."""
-        error, J = np.empty(6), np.empty((6, self._n))
-        measure(self._frames, floats(T_world_tcp).reshape(4, 4), floats(q).reshape(self._n), error, J)
+        error = np.empty(6)
+        J = np.empty((6, self._n))
+        measure(
+            self._frames,
+            floats(T_world_tcp).reshape(4, 4),
+            floats(q).reshape(self._n),
+            error,
+            J,
+        )
         return error, J
 
-    def solve(self, T_world_tcp: Array, q_start: Array, iterations: int = _ITERATIONS) -> IKSolution:
+    def solve(
+        self,
+        T_world_tcp: Array,
+        q_start: Array,
+        iterations: int = _ITERATIONS,
+    ) -> IKSolution:
         """Descend from q_start within the limits."""
         q = np.clip(floats(q_start).reshape(self._n), self.lower, self.upper)
         target = floats(T_world_tcp).reshape(4, 4)
-        off, residual_m, residual_rad = descend(self._frames, target, q, self.lower, self.upper, iterations, TOLERANCE)
+        off, residual_m, residual_rad = descend(
+            self._frames,
+            target,
+            q,
+            self.lower,
+            self.upper,
+            iterations,
+            TOLERANCE,
+        )
         return IKSolution(q, residual_m, residual_rad, off < TOLERANCE)
 
     def nearest(self, T_world_tcp: Array, q_near: Array, wish: Array | None = None) -> Array | None:
@@ -103,18 +134,47 @@ class ArmIK:
         q = np.array(q_near, dtype=float)
         wish = np.zeros(self._n) if wish is None else floats(wish)
         target = floats(T_world_tcp)
-        return q if project(self._frames, target, q, wish, _NEAR_ITERATIONS, _SMALL, _NEAR_STEP_MAX_RAD) else None
+        return (
+            q
+            if project(self._frames, target, q, wish, _NEAR_ITERATIONS, _SMALL, _NEAR_STEP_MAX_RAD)
+            else None
+        )
 
-    def resting(self, T_world_tcp: Array, q_start: Array, posture: Array, mobility: Array) -> IKSolution:
+    def resting(
+        self,
+        T_world_tcp: Array,
+        q_start: Array,
+        posture: Array,
+        mobility: Array,
+    ) -> IKSolution:
         """Minimise sum_i (q_i - posture_i)^2 / mobility_i at the pose; q_start only selects the branch."""
-        q, target = np.array(q_start, dtype=float), floats(T_world_tcp).reshape(4, 4)
+        q = np.array(q_start, dtype=float)
+        target = floats(T_world_tcp).reshape(4, 4)
         limits = np.array([self.lower + _REST_MARGIN_RAD, self.upper - _REST_MARGIN_RAD])
         rest(self._frames, target, q, floats(posture), floats(mobility), limits)
-        off, residual_m, residual_rad = descend(self._frames, target, q, self.lower, self.upper, 0, TOLERANCE)
+        off, residual_m, residual_rad = descend(
+            self._frames,
+            target,
+            q,
+            self.lower,
+            self.upper,
+            0,
+            TOLERANCE,
+        )
         # At limits the hand may be on target though the posture has not converged, or stay away where descent does not.
-        return IKSolution(q, residual_m, residual_rad, True) if off < _SMALL else self.solve(T_world_tcp, q_start)
+        return (
+            IKSolution(q, residual_m, residual_rad, True)
+            if off < _SMALL
+            else self.solve(T_world_tcp, q_start)
+        )
 
-    def solutions(self, T_world_tcp: Array, q_near: Array, rng: np.random.Generator, tries_n: int) -> Iterator[Array]:
+    def solutions(
+        self,
+        T_world_tcp: Array,
+        q_near: Array,
+        rng: np.random.Generator,
+        tries_n: int,
+    ) -> Iterator[Array]:
         """Yield distinct solutions (n,): the nearest to q_near, then from home and random starts.
 
         Raises:
@@ -124,17 +184,26 @@ class ArmIK:
         best: IKSolution | None = None
         first = self.resting(T_world_tcp, q_near, q_near, np.ones(self._n)).q, self._home
         for attempt in range(tries_n):
-            solution = self.solve(T_world_tcp, first[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper))
+            solution = self.solve(
+                T_world_tcp,
+                first[attempt] if attempt < 2 else rng.uniform(self.lower, self.upper),
+            )
             if solution.reached:
                 if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in found):
                     found.append(solution.q)
                     yield solution.q
-            elif best is None or solution.residual_m + solution.residual_rad < best.residual_m + best.residual_rad:
+            elif (
+                best is None
+                or solution.residual_m + solution.residual_rad < best.residual_m + best.residual_rad
+            ):
                 best = solution
         if not found and best is not None:
             what = f"the {self.arm} hand cannot reach {place_text(T_world_tcp)} as asked"
             remedy = "move the goal nearer to the base or change its orientation"
-            raise IKUnreachableError(f"{what}: the best of {tries_n} starts stays {best.off} away", remedy=remedy)
+            raise IKUnreachableError(
+                f"{what}: the best of {tries_n} starts stays {best.off} away",
+                remedy=remedy,
+            )
 
 
 def place_text(T: Array) -> str:
@@ -149,20 +218,32 @@ def solvers(robot: Robot) -> dict[str, ArmIK]:
 
 
 def posture_at(
-    robot: Robot, Ts_world_tcp: Sequence[Array], q_start: Array, posture: Array | None = None, weights: ArrayLike = 1.0
+    robot: Robot,
+    Ts_world_tcp: Sequence[Array],
+    q_start: Array,
+    posture: Array | None = None,
+    weights: ArrayLike = 1.0,
 ) -> Array:
     """Return q (n,) at both tcp poses (4, 4), nearest to a reference posture (n,) [rad], or by descent from the start.
 
     Raises:
         PoseUnreachableError: A pose is out of reach.
     """
-    q, mobility = np.array(q_start, dtype=float), np.ones(robot.dof_per_arm) / np.asarray(weights)
+    q = np.array(q_start, dtype=float)
+    mobility = np.ones(robot.dof_per_arm) / np.asarray(weights)
     for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
         near = q[arm.joints]
-        found = arm.solve(T, near) if posture is None else arm.resting(T, near, posture[arm.joints], mobility)
+        found = (
+            arm.solve(T, near)
+            if posture is None
+            else arm.resting(T, near, posture[arm.joints], mobility)
+        )
         if not found.reached:
             what = f"the {side} hand cannot reach position {np.round(T[:3, 3], 3).tolist()} m: {found.off} remain"
-            raise PoseUnreachableError(what, remedy="keep it within reach: a smaller start range, or a nearer start")
+            raise PoseUnreachableError(
+                what,
+                remedy="keep it within reach: a smaller start range, or a nearer start",
+            )
         q[arm.joints] = found.q
     return q
 
@@ -178,26 +259,39 @@ def check_joints(q: Array, what: str, robot: Robot) -> Array:
     """
     q = np.array(q, dtype=float)
     if q.shape != (robot.dof,):
-        raise OutOfLimitsError(f"the {what} has shape {q.shape}; all {robot.dof} joints are needed, left arm first")
+        raise OutOfLimitsError(
+            f"the {what} has shape {q.shape}; all {robot.dof} joints are needed, left arm first",
+        )
     if not np.isfinite(q).all():
         bad = int(np.argmin(np.isfinite(q)))
-        raise OutOfLimitsError(f"the {what} has {robot.joint_names[bad]} = {q[bad]}; it must be a finite number")
+        raise OutOfLimitsError(
+            f"the {what} has {robot.joint_names[bad]} = {q[bad]}; it must be a finite number",
+        )
     outside = np.maximum(robot.q_lower - q, q - robot.q_upper)
     worst = int(np.argmax(outside))
     if outside[worst] > _ROUNDING_RAD:
         limits = f"its limits are {robot.q_lower[worst]:.4f} to {robot.q_upper[worst]:.4f} rad"
-        raise OutOfLimitsError(f"the {what} has {robot.joint_names[worst]} = {q[worst]:.4f} rad; {limits}")
+        raise OutOfLimitsError(
+            f"the {what} has {robot.joint_names[worst]} = {q[worst]:.4f} rad; {limits}",
+        )
     return np.clip(q, robot.q_lower, robot.q_upper)
 
 
-def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot, what: str = "goal") -> Array:
+def goal_joints(
+    group: str,
+    q_start: Array,
+    q_goal: Array,
+    robot: Robot,
+    what: str = "goal",
+) -> Array:
     """Return the goal (n,), completed from the start if of the group's size.
 
     Raises:
         OutOfLimitsError: See `check_joints`.
         UsageError: The goal moves another arm.
     """
-    joints, q_goal = robot.groups[group], np.asarray(q_goal, dtype=float)
+    joints = robot.groups[group]
+    q_goal = np.asarray(q_goal, dtype=float)
     full = np.array(q_start)
     if q_goal.shape == full[joints].shape:
         full[joints] = q_goal
@@ -205,7 +299,10 @@ def goal_joints(group: str, q_start: Array, q_goal: Array, robot: Robot, what: s
     full[joints] = check_joints(q_goal, what, robot)[joints]
     if np.abs(full - q_goal).max() > 1e-6:
         remedy = "plan with the group both_arms, or give only the group's own joints"
-        raise UsageError(f"the goal moves joints outside {group}, which holds the other arm", remedy=remedy)
+        raise UsageError(
+            f"the goal moves joints outside {group}, which holds the other arm",
+            remedy=remedy,
+        )
     return full
 
 
@@ -233,7 +330,9 @@ def check_targets(group: str, targets: Mapping[str, Array]) -> dict[str, Array]:
     """
     arms = GROUP_ARMS[group]
     if set(targets) != set(arms):
-        raise UsageError(f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}")
+        raise UsageError(
+            f"the targets name {', '.join(sorted(targets)) or 'no arm'}; {group} needs {', '.join(arms)}",
+        )
     return {arm: check_pose(targets[arm], f"the target of the {arm} hand") for arm in arms}
 
 
@@ -260,7 +359,8 @@ def pose_goals(
     found: dict[str, list[Array]] = {side: [] for side in solutions}
     while True:
         new = {side: list(itertools.islice(more, goals_n)) for side, more in solutions.items()}
-        found, combined = {side: found[side] + new[side] for side in found}, []
+        found = {side: found[side] + new[side] for side in found}
+        combined = []
         for parts in itertools.product(*found.values()):
             q = np.array(q_start)
             for side, part in zip(found, parts, strict=True):
@@ -272,4 +372,7 @@ def pose_goals(
         if not any(new.values()):
             require_free(engine, combined[0], "goal")
             why = "the goal is too close to contact: no plane separates all pairs at any of its solutions"
-            raise GoalInCollisionError(why, remedy="move it a little, or allow the pair in the scene")
+            raise GoalInCollisionError(
+                why,
+                remedy="move it a little, or allow the pair in the scene",
+            )

@@ -15,13 +15,21 @@ from minidual.robot.compiled import BLOCKS, ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _SMALL = 0.05  # below this angle [rad] series replace quotients, which lose digits
-_DAMPING_FIRST, _DAMPING_LEAST, _DAMPING_MOST = 1e-3, 1e-10, 1e4
-_DAMPING_DOWN, _DAMPING_UP = 0.2, 5.0
+_DAMPING_FIRST = 1e-3
+_DAMPING_LEAST = 1e-10
+_DAMPING_MOST = 1e4
+_DAMPING_DOWN = 0.2
+_DAMPING_UP = 5.0
 _DAMPING_PROJECT = 1e-9
-_REST_ITERATIONS, _REST_STEP_MAX, _REST_TOLERANCES = 60, 0.2, (1e-7, 1e-5)  # step, pose and posture [m, rad]
+_REST_ITERATIONS = 60  # step, pose and posture [m, rad]
+_REST_STEP_MAX = 0.2
+_REST_TOLERANCES = (1e-7, 1e-5)
 
 Vector = tuple[float, float, float]
-_algebra: Any = map(njit, (vectors.cross, vectors.inner, vectors.solve_gram, vectors.rotation_vector))
+_algebra: Any = map(
+    njit,
+    (vectors.cross, vectors.inner, vectors.solve_gram, vectors.rotation_vector),
+)
 _cross, _dot, _solve_gram, _rotation_vector = _algebra
 
 
@@ -45,7 +53,8 @@ def _turned_back(R: Array, a: Any) -> Vector:
 @njit
 def _inverse_left(diagonal: float, beta: float, w: Vector, x: Vector) -> Vector:
     """Return diagonal x + beta w (w . x) + w / 2 x x."""
-    along, (a, b, c) = beta * _dot(w, x), _cross(w, x)
+    along = beta * _dot(w, x)
+    (a, b, c) = _cross(w, x)
     return (
         diagonal * x[0] + along * w[0] + 0.5 * a,
         diagonal * x[1] + along * w[1] + 0.5 * b,
@@ -64,9 +73,12 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
         for r in range(3):
             row = T[r, 0], T[r, 1], T[r, 2]
             T[r, 3] += _dot(row, F[:, 3])
-            a, b, T[r, 2] = _dot(row, F[:, 0]), _dot(row, F[:, 1]), _dot(row, F[:, 2])
+            a = _dot(row, F[:, 0])
+            b = _dot(row, F[:, 1])
+            T[r, 2] = _dot(row, F[:, 2])
             if i < len(q):
-                cosine, sine = math.cos(q[i]), math.sin(q[i])
+                cosine = math.cos(q[i])
+                sine = math.sin(q[i])
                 T[r, 0], T[r, 1] = cosine * a + sine * b, cosine * b - sine * a
                 axes[i, r], axes[i, 3 + r] = T[r, 2], T[r, 3]
             else:
@@ -76,14 +88,19 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
 @njit
 def _measured(frames: Array, target: Array, q: Array) -> Any:
     """Return tcp pose (3, 4), joint axes and centres (n, 6), R, p and logarithm (6,) of T_tcp_target, and its angle."""
-    T, axes, R, e = np.empty((3, 4)), np.empty((len(q), 6)), np.empty((3, 3)), np.empty(6)
+    T = np.empty((3, 4))
+    axes = np.empty((len(q), 6))
+    R = np.empty((3, 3))
+    e = np.empty(6)
     _reach(frames, q, T, axes)
     for c in range(3):
         R[0, c], R[1, c], R[2, c] = _turned_back(T, target[:, c])
     p = _turned_back(T, (target[0, 3] - T[0, 3], target[1, 3] - T[1, 3], target[2, 3] - T[2, 3]))
     w, t = _rotation_vector(R[0], R[1], R[2])
     beta, _ = _quotients(t)
-    alpha, along, across = 1.0 - beta * t * t, beta * _dot(w, p), _cross(w, p)
+    alpha = 1.0 - beta * t * t
+    along = beta * _dot(w, p)
+    across = _cross(w, p)
     for k in range(3):
         e[k], e[3 + k] = alpha * p[k] - 0.5 * across[k] + along * w[k], w[k]
     return T, axes, R, p, e, t
@@ -93,17 +110,21 @@ def _measured(frames: Array, target: Array, q: Array) -> Any:
 def _jacobian(measured: Any, J: Array) -> None:
     """Fill J (6, n) = -[A, C A; 0, A] J_tcp, A and C of the inverse pose."""
     T, axes, R, p, e, t = measured
-    w, (x, y, z) = (-e[3], -e[4], -e[5]), _turned_back(R, p)
+    w = (-e[3], -e[4], -e[5])
+    (x, y, z) = _turned_back(R, p)
     shift = -x, -y, -z
     beta, slope = _quotients(t)
-    diagonal, wp = 1.0 - beta * t * t, _dot(w, shift)
+    diagonal = 1.0 - beta * t * t
+    wp = _dot(w, shift)
     for i in range(J.shape[1]):
         axis = axes[i, 0], axes[i, 1], axes[i, 2]
         lever = T[0, 3] - axes[i, 3], T[1, 3] - axes[i, 4], T[2, 3] - axes[i, 5]
         a = _inverse_left(diagonal, beta, w, _turned_back(T, axis))
         b = _inverse_left(diagonal, beta, w, _turned_back(T, _cross(axis, lever)))
         # C x = u (w . x) + beta w (p . x) + beta (w . p) x + p / 2 x x
-        inner, outer, across = _dot(w, a), beta * _dot(shift, a), _cross(shift, a)
+        inner = _dot(w, a)
+        outer = beta * _dot(shift, a)
+        across = _cross(shift, a)
         for k in range(3):
             u = slope * wp * w[k] - (t * t * slope + 2.0 * beta) * shift[k]
             J[k, i] = -(b[k] + u * inner + w[k] * outer + beta * wp * a[k] + 0.5 * across[k])
@@ -134,16 +155,36 @@ def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
     e[:] = measured[4]
 
 
-@kernel(types.UniTuple(types.float64, 3)(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, types.int64, types.float64), heap=True)
+@kernel(
+    types.UniTuple(types.float64, 3)(
+        BLOCKS,
+        ROWS,
+        VECTOR,
+        VECTOR,
+        VECTOR,
+        types.int64,
+        types.float64,
+    ),
+    heap=True,
+)
 def descend(
-    frames: Array, target: Array, q: Array, lower: Array, upper: Array, iterations: int, tolerance: float
+    frames: Array,
+    target: Array,
+    q: Array,
+    lower: Array,
+    upper: Array,
+    iterations: int,
+    tolerance: float,
 ) -> tuple[float, float, float]:
     """Move q (n,) towards the pose (4, 4); return the error norm, distance [m] and angle [rad].
 
     Levenberg-Marquardt; joints pushed against a limit stay.
     """
-    n, damping = len(q), _DAMPING_FIRST
-    J, y, q_new = np.empty((6, n)), np.empty(6), np.empty(n)
+    n = len(q)
+    damping = _DAMPING_FIRST
+    J = np.empty((6, n))
+    y = np.empty(6)
+    q_new = np.empty(n)
     now = _measured(frames, target, q)
     cost = np.sum(now[4] ** 2)
     for _ in range(iterations):
@@ -165,7 +206,8 @@ def descend(
         new = _measured(frames, target, q_new)
         cost_new = np.sum(new[4] ** 2)
         if cost_new < cost:
-            now, cost = new, cost_new
+            now = new
+            cost = cost_new
             q[:] = q_new
             damping = max(damping * _DAMPING_DOWN, _DAMPING_LEAST)
         else:
@@ -175,16 +217,27 @@ def descend(
 
 
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, ROWS), heap=True)
-def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array, limits: Array) -> None:
+def rest(
+    frames: Array,
+    target: Array,
+    q: Array,
+    posture: Array,
+    mobility: Array,
+    limits: Array,
+) -> None:
     """Move q (n,) to the least sum_i (q_i - posture_i)^2 / mobility_i at the pose (4, 4).
 
     Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4).
     """
-    n, least = len(q), np.sqrt(mobility)
-    J, y, wish = np.empty((6, n)), np.empty(6), np.empty(n)
+    n = len(q)
+    least = np.sqrt(mobility)
+    J = np.empty((6, n))
+    y = np.empty(6)
+    wish = np.empty(n)
     for _ in range(_REST_ITERATIONS):
         measured = _measured(frames, target, q)
-        reached, furthest = np.abs(measured[4]).max() < _REST_TOLERANCES[0], 0.0
+        reached = np.abs(measured[4]).max() < _REST_TOLERANCES[0]
+        furthest = 0.0
         _jacobian(measured, J)
         y[:] = measured[4]
         for i in range(n):
@@ -197,20 +250,36 @@ def rest(frames: Array, target: Array, q: Array, posture: Array, mobility: Array
         for i in range(n):
             step = wish[i] - least[i] * _inner(J, i, y)
             furthest = max(furthest, abs(step))
-            q[i] = min(max(q[i] + min(max(step, -_REST_STEP_MAX), _REST_STEP_MAX), limits[0, i]), limits[1, i])
+            q[i] = min(
+                max(q[i] + min(max(step, -_REST_STEP_MAX), _REST_STEP_MAX), limits[0, i]),
+                limits[1, i],
+            )
         if reached and furthest < _REST_TOLERANCES[1]:
             return
 
 
-@kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64), heap=True)
-def project(frames: Array, target: Array, q: Array, wish: Array, rounds: int, small: float, step_max: float) -> bool:
+@kernel(
+    types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64),
+    heap=True,
+)
+def project(
+    frames: Array,
+    target: Array,
+    q: Array,
+    wish: Array,
+    rounds: int,
+    small: float,
+    step_max: float,
+) -> bool:
     """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
 
     Ignores limits. The step from an error below `small` is the last, as convergence is quadratic. Steps over `step_max`
     fail.
     """
-    n, wished = len(q), (wish != 0.0).any()
-    J, step = np.empty((6, n)), np.empty(n)
+    n = len(q)
+    wished = (wish != 0.0).any()
+    J = np.empty((6, n))
+    step = np.empty(n)
     for _ in range(rounds):
         measured = _measured(frames, target, q)
         e = measured[4]

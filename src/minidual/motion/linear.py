@@ -44,19 +44,30 @@ class Line:
     """Line between tcp poses (4, 4), turning about one axis."""
 
     def __init__(self, T_start: Array, T_end: Array) -> None:
-        self._start, self._shift = T_start, T_end[:3, 3] - T_start[:3, 3]
+        self._start = T_start
+        self._shift = T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
-        self.length_m = float(np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)))
+        self.length_m = float(
+            np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)),
+        )
         """Includes rotation, weighted."""
 
     def at(self, x: float) -> Array:
         """Return T_world_tcp (4, 4) at x in 0..1."""
-        return pose(self._start[:3, :3] @ pin.exp3(x * self._turn), self._start[:3, 3] + x * self._shift)
+        return pose(
+            self._start[:3, :3] @ pin.exp3(x * self._turn),
+            self._start[:3, 3] + x * self._shift,
+        )
 
     def off(self, T: Array, x: float) -> tuple[float, float]:
         """Return the distance from the line [m] and from the orientation at x [rad]."""
-        moved, length = T[:3, 3] - self._start[:3, 3], float(np.linalg.norm(self._shift))
-        along = self._shift * float(moved @ self._shift) / length**2 if length > _STILL_M else np.zeros(3)
+        moved = T[:3, 3] - self._start[:3, 3]
+        length = float(np.linalg.norm(self._shift))
+        along = (
+            self._shift * float(moved @ self._shift) / length**2
+            if length > _STILL_M
+            else np.zeros(3)
+        )
         angle = float(np.linalg.norm(pin.log3(self.at(x)[:3, :3].T @ T[:3, :3])))
         return float(np.linalg.norm(moved - along)), angle
 
@@ -66,19 +77,27 @@ class _Curve:
 
     def __init__(self, marks: Array, Q: Array) -> None:
         self._spline = CubicSpline(marks, Q, bc_type="natural")
-        self.length, self.knots = float(marks[-1]), marks[[0, -1]]
+        self.length = float(marks[-1])
+        self.knots = marks[[0, -1]]
 
     def at(self, s: Array, order: int = 0) -> Array:
-        return np.column_stack([self._spline(s, order), (s, np.ones_like(s), np.zeros_like(s))[order]])
+        return np.column_stack(
+            [self._spline(s, order), (s, np.ones_like(s), np.zeros_like(s))[order]],
+        )
 
 
 class LinearPlanner:
     """Plans straight tcp moves. One instance per process."""
 
-    def __init__(self, limits: MotionLimits | None = None, kinematics: Kinematics | None = None) -> None:
+    def __init__(
+        self,
+        limits: MotionLimits | None = None,
+        kinematics: Kinematics | None = None,
+    ) -> None:
         self._kinematics = kinematics or Kinematics()
         self._robot = self._kinematics.robot
-        self._ik, self._limits = solvers(self._robot), limits or MotionLimits()
+        self._ik = solvers(self._robot)
+        self._limits = limits or MotionLimits()
 
     def plan(
         self,
@@ -96,7 +115,8 @@ class LinearPlanner:
             LinearMoveError, TimingError: It covers less than `fraction_min`, deviates, or is not proven.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
-        checked, q_start = check_targets(group, targets), check_joints(q_start, "start", self._robot)
+        checked = check_targets(group, targets)
+        q_start = check_joints(q_start, "start", self._robot)
         require_free(engines, q_start, "start")
         tips = dict(zip(SIDES, self._kinematics.tcp_poses(q_start), strict=True))
         lines = {arm: Line(tips[arm], T) for arm, T in checked.items()}
@@ -118,9 +138,18 @@ class LinearPlanner:
                 return move
         strays = f"between its points the straight move strays {off_m * 1e3:.3f} mm and {off_rad:.5f} rad"
         allowed = f"allowed are {DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad"
-        raise LinearMoveError(f"{strays}; {allowed}", remedy="start from a posture farther from a singularity")
+        raise LinearMoveError(
+            f"{strays}; {allowed}",
+            remedy="start from a posture farther from a singularity",
+        )
 
-    def _follow(self, q0: Array, lines: Mapping[str, Line], engines: SceneEngines, marks: Array) -> tuple[Array, str]:
+    def _follow(
+        self,
+        q0: Array,
+        lines: Mapping[str, Line],
+        engines: SceneEngines,
+        marks: Array,
+    ) -> tuple[Array, str]:
         Q = [q0]
         for mark in marks[1:]:
             q = Q[-1].copy()
@@ -141,22 +170,48 @@ class LinearPlanner:
         return np.array(Q), ""
 
     def _timed(
-        self, group: str, marks: Array, Q: Array, reason: str, engines: SceneEngines, limits: PathLimits
+        self,
+        group: str,
+        marks: Array,
+        Q: Array,
+        reason: str,
+        engines: SceneEngines,
+        limits: PathLimits,
     ) -> tuple[LinearMove, Array]:
         for back_off in range(_BACK_OFFS):
             keep = len(Q) - 2**back_off + 1
             if keep < 4:
                 break
-            trajectory, way = time_path(_Curve(marks[:keep], Q[:keep]), group, self._limits, self._kinematics, limits)
+            trajectory, way = time_path(
+                _Curve(marks[:keep], Q[:keep]),
+                group,
+                self._limits,
+                self._kinematics,
+                limits,
+            )
             if (proof := engines.verify(trajectory)).ok:
-                return LinearMove(trajectory, proof, float(marks[keep - 1] / marks[-1]), reason), way
+                return LinearMove(
+                    trajectory,
+                    proof,
+                    float(marks[keep - 1] / marks[-1]),
+                    reason,
+                ), way
             reason = reason or f"the proof refuses the rest: {proof.reason}"
         raise _cut_short(group, 0.0, reason or "there is no room to begin")
 
-    def _deviation(self, trajectory: Trajectory, way: Array, lines: Mapping[str, Line]) -> tuple[float, float]:
+    def _deviation(
+        self,
+        trajectory: Trajectory,
+        way: Array,
+        lines: Mapping[str, Line],
+    ) -> tuple[float, float]:
         rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
         hands = [(line, self._ik[arm]) for arm, line in lines.items()]
-        off = [line.off(ik.tcp_pose(trajectory.q[k, ik.joints]), float(way[k])) for k in rows for line, ik in hands]
+        off = [
+            line.off(ik.tcp_pose(trajectory.q[k, ik.joints]), float(way[k]))
+            for k in rows
+            for line, ik in hands
+        ]
         return tuple(np.max(off, axis=0).tolist())
 
 

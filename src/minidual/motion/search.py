@@ -32,7 +32,13 @@ _KEEP_FRACTION = 0.9
 def bisection_order(count: int) -> Array:
     """Return k/count, k = 1..count, in bisection order, end first. Cached: read only."""
     steps = (count >> halvings for halvings in range(count.bit_length()))
-    return np.array([*dict.fromkeys(k for step in steps for k in range(step, count + 1, step))], dtype=float) / count
+    return (
+        np.array(
+            [*dict.fromkeys(k for step in steps for k in range(step, count + 1, step))],
+            dtype=float,
+        )
+        / count
+    )
 
 
 class EdgeChecker:
@@ -42,20 +48,36 @@ class EdgeChecker:
     """
 
     def __init__(
-        self, engines: SceneEngines, padding_m: float, ends: ArrayLike, step_rad: float, arms: Sequence[str] = SIDES
+        self,
+        engines: SceneEngines,
+        padding_m: float,
+        ends: ArrayLike,
+        step_rad: float,
+        arms: Sequence[str] = SIDES,
     ) -> None:
-        solids, self.robot = engines.solids, engines.solids.robot
-        self.padding_m, self.step_rad, self.checks_n = padding_m, step_rad, 0
+        solids = engines.solids
+        self.robot = engines.solids.robot
+        self.padding_m = padding_m
+        self.step_rad = step_rad
+        self.checks_n = 0
         self.checks_end = self.deadline = math.inf
-        rows, tight = solids.of_arms(arms), np.array(ends).reshape(-1, self.robot.dof)
+        rows = solids.of_arms(arms)
+        tight = np.array(ends).reshape(-1, self.robot.dof)
         clearances = np.array([solids.clearance(q[None], padding_m, rows) for q in tight])
         near = clearances < padding_m
-        keep = float(padding_m), tight[near], _KEEP_FRACTION * np.maximum(0.0, clearances[near]), RELAX_RAD
-        self._geometry, self._rest = solids.geometry, (rows, keep, solids.workspace())
+        keep = (
+            float(padding_m),
+            tight[near],
+            _KEEP_FRACTION * np.maximum(0.0, clearances[near]),
+            RELAX_RAD,
+        )
+        self._geometry = solids.geometry
+        self._rest = (rows, keep, solids.workspace())
 
     def allow(self, checks_n: int, deadline: float) -> None:
         """Bound what follows: state checks, and `deadline` by time.perf_counter()."""
-        self.checks_end, self.deadline = self.checks_n + checks_n, deadline
+        self.checks_end = self.checks_n + checks_n
+        self.deadline = deadline
 
     @property
     def spent(self) -> bool:
@@ -74,10 +96,16 @@ class EdgeChecker:
 
     def edge_free(self, a: Array, b: Array) -> bool:
         """Return whether the edge (dof,) is free, checked every `step_rad` of the checker; a itself is not."""
-        return self.all_free(a + bisection_order(math.ceil(np.abs(b - a).max() / self.step_rad))[:, None] * (b - a))
+        return self.all_free(
+            a + bisection_order(math.ceil(np.abs(b - a).max() / self.step_rad))[:, None] * (b - a),
+        )
 
 
-PLANNERS = Registry[Any]("planner", {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1}, group="minidual.planners")
+PLANNERS = Registry[Any](
+    "planner",
+    {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1},
+    group="minidual.planners",
+)
 """OMPL planners with a range. PRM hangs: it evaluates the termination condition in its own threads."""
 
 
@@ -92,8 +120,10 @@ class _Motion(ob.MotionValidator):
 
 def bounded_space(lower: Array, upper: Array) -> Any:
     """Return OMPL's space within limits (d,)."""
-    space, bounds = ob.RealVectorStateSpace(len(lower)), ob.RealVectorBounds(len(lower))
-    bounds.low, bounds.high = lower.tolist(), upper.tolist()
+    space = ob.RealVectorStateSpace(len(lower))
+    bounds = ob.RealVectorBounds(len(lower))
+    bounds.low = lower.tolist()
+    bounds.high = upper.tolist()
     space.setBounds(bounds)
     return space
 
@@ -104,7 +134,12 @@ def seeded(seed: int) -> None:
     ou.RNG.setSeed(max(1, subseed(seed, "ompl")))
 
 
-def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Callable[[], bool]) -> Any:
+def exact_path(
+    worker: Any,
+    range_rad: float,
+    ends: Sequence[Any],
+    enough: Callable[[], bool],
+) -> Any:
     """Return the exact solution between two states, or None if `enough` came first."""
     definition = ob.ProblemDefinition(worker.getSpaceInformation())
     definition.setStartAndGoalStates(*ends)
@@ -113,11 +148,21 @@ def exact_path(worker: Any, range_rad: float, ends: Sequence[Any], enough: Calla
     worker.setup()
     ended = ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough())
     status = worker.solve(ended)  # also true for approximate solutions
-    return definition.getSolutionPath() if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION else None
+    return (
+        definition.getSolutionPath()
+        if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION
+        else None
+    )
 
 
 def search(
-    checker: EdgeChecker, ends: Array, joints: slice, *, seed: int, planner: str = "rrtconnect", range_rad: float = 1.0
+    checker: EdgeChecker,
+    ends: Array,
+    joints: slice,
+    *,
+    seed: int,
+    planner: str = "rrtconnect",
+    range_rad: float = 1.0,
 ) -> Array | None:
     """Return a polyline (n, dof) between configurations (2, dof), or None if the checker is spent.
 
@@ -142,4 +187,8 @@ def search(
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
     path = exact_path(PLANNERS[planner](si), range_rad, states, lambda: checker.spent)
-    return None if path is None else np.array([full(path.getState(i)) for i in range(path.getStateCount())])
+    return (
+        None
+        if path is None
+        else np.array([full(path.getState(i)) for i in range(path.getStateCount())])
+    )

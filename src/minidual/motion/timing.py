@@ -24,22 +24,33 @@ _FLAT = 1e-12
 
 
 @njit
-def _range(rows: Array, limits: Array, goal: float, step: float, x: float) -> tuple[float, float, float, float]:
+def _range(
+    rows: Array,
+    limits: Array,
+    goal: float,
+    step: float,
+    x: float,
+) -> tuple[float, float, float, float]:
     """Return (u_low, u_high) at x and their slopes; rows (r, 2): |rows[k, 0] u + rows[k, 1] x| <= limits[k].
 
     The next x, x + 2 step u, must lie in [0, goal].
     """
-    low, high = -x / (2.0 * step), (goal - x) / (2.0 * step)
+    low = -x / (2.0 * step)
+    high = (goal - x) / (2.0 * step)
     low_slope = high_slope = -0.5 / step
     for k in range(len(limits)):
-        a, b = rows[k, 0], rows[k, 1]
+        a = rows[k, 0]
+        b = rows[k, 1]
         if abs(a) <= _FLAT:
             continue
-        slope, most = -b / a, limits[k] / abs(a)
+        slope = -b / a
+        most = limits[k] / abs(a)
         if not slope * x - most <= low:
-            low, low_slope = slope * x - most, slope
+            low = slope * x - most
+            low_slope = slope
         if not slope * x + most >= high:
-            high, high_slope = slope * x + most, slope
+            high = slope * x + most
+            high_slope = slope
     return low, high, low_slope, high_slope
 
 
@@ -60,7 +71,8 @@ def squared_speeds(grid: Array, first: Array, second: Array, v_max: Array, a_max
     Path derivatives are (n, d), limits (d,) [unit/s], [unit/s^2].
     """
     n, d = first.shape
-    most, rows = np.zeros(n), np.empty((2 * d, 2))
+    most = np.zeros(n)
+    rows = np.empty((2 * d, 2))
     limits = np.concatenate((a_max, a_max))
     for i in range(n - 2, -1, -1):
         step = grid[i + 1] - grid[i]
@@ -126,15 +138,21 @@ class Curve(Protocol):
 
 
 def time_path(
-    path: Curve, group: str, limits: MotionLimits, kinematics: Kinematics, along: PathLimits | None = None
+    path: Curve,
+    group: str,
+    limits: MotionLimits,
+    kinematics: Kinematics,
+    along: PathLimits | None = None,
 ) -> tuple[Trajectory, Array]:
     """Return the 1 kHz trajectory of a curve and s at its samples; `along` limits the columns after the joints.
 
     Raises:
         TimingError: The limits cannot be kept.
     """
-    robot, factor = kinematics.robot, 1.0
-    v_max, a_max = limits.velocity_scale * robot.v_max, limits.acceleration_scale * robot.a_max
+    robot = kinematics.robot
+    factor = 1.0
+    v_max = limits.velocity_scale * robot.v_max
+    a_max = limits.acceleration_scale * robot.a_max
     most_allowed = np.stack([v_max, a_max, limits.jerk_scale * DT_S * robot.jerk_max])
     columns = np.arange(robot.dof)[robot.groups[group]]
     bounds = np.stack([v_max, a_max])[:, columns]
@@ -146,27 +164,47 @@ def time_path(
     s, sd = fastest_profile(path, columns, *bounds)
     for _ in range(_SLOWDOWNS_MAX):
         times, at, speed, acceleration = sample_parameters(s, sd, limits.smoothing_s)
-        v, a, most = _motion(floats(path.at(at, 1)), floats(path.at(at, 2)), speed, acceleration, robot.dof)
-        speeds, accelerations, jumps = (float(share) for share in np.max(most / most_allowed, axis=1))
+        v, a, most = _motion(
+            floats(path.at(at, 1)),
+            floats(path.at(at, 2)),
+            speed,
+            acceleration,
+            robot.dof,
+        )
+        speeds, accelerations, jumps = (
+            float(share) for share in np.max(most / most_allowed, axis=1)
+        )
         factor = max(speeds, math.sqrt(accelerations), math.cbrt(jumps))
         if not factor > 1.0 + 1e-9:
             q = path.at(at)[:, : robot.dof]
-            ratio = np.max(kinematics.torque_use(q, v, a, DT_S, _TORQUE_EVERY)) / limits.torque_scale
+            ratio = (
+                np.max(kinematics.torque_use(q, v, a, DT_S, _TORQUE_EVERY)) / limits.torque_scale
+            )
             # Gravity torque does not shrink with speed, so the steps are small.
             factor = 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
             if not ratio > 1.0:
                 return Trajectory(times, q, v, a, group), at
         sd = sd / (factor * 1.001)
-    raise TimingError(f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs")
+    raise TimingError(
+        f"the path still needs to be {factor:.3f} times slower after {_SLOWDOWNS_MAX} slow-downs",
+    )
 
 
 @kernel(types.UniTuple(ROWS, 3)(ROWS, ROWS, VECTOR, VECTOR, types.intp), heap=True)
-def _motion(first: Array, second: Array, speed: Array, acceleration: Array, dof: int) -> tuple[Array, Array, Array]:
+def _motion(
+    first: Array,
+    second: Array,
+    speed: Array,
+    acceleration: Array,
+    dof: int,
+) -> tuple[Array, Array, Array]:
     """Return velocities, accelerations (n, dof) and the largest of both and of the accelerations' changes (3, dof).
 
     Path derivatives are (n, d >= dof), path speed and acceleration (n,). NaN stays in v and a; `Trajectory` refuses it.
     """
-    v, a, most = np.empty((len(speed), dof)), np.empty((len(speed), dof)), np.zeros((3, dof))
+    v = np.empty((len(speed), dof))
+    a = np.empty((len(speed), dof))
+    most = np.zeros((3, dof))
     for i in range(len(speed)):
         for j in range(dof):
             v[i, j] = first[i, j] * speed[i]
@@ -183,7 +221,12 @@ def resting(q: Array, duration_s: float, group: str) -> Trajectory:
     return Trajectory(np.array([0.0, duration_s]), np.array([q, q]), still, still.copy(), group)
 
 
-def fastest_profile(path: Curve, columns: Indices, v_max: Array, a_max: Array) -> tuple[Array, Array]:
+def fastest_profile(
+    path: Curve,
+    columns: Indices,
+    v_max: Array,
+    a_max: Array,
+) -> tuple[Array, Array]:
     """Return a grid s (n,) and the fastest path speed on it, zero at both ends.
 
     `v_max` [unit/s] and `a_max` [unit/s^2] limit `columns`.
@@ -206,10 +249,17 @@ def _grid(path: Curve) -> Array:
     widths = np.diff(path.knots)
     counts = np.maximum(8, np.ceil(widths / (path.length / 100.0))).astype(int)
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.append(within * np.repeat(widths / counts, counts) + np.repeat(path.knots[:-1], counts), path.length)
+    return np.append(
+        within * np.repeat(widths / counts, counts) + np.repeat(path.knots[:-1], counts),
+        path.length,
+    )
 
 
-def sample_parameters(s: Array, sd: Array, smoothing_s: float = 0.0) -> tuple[Array, Array, Array, Array]:
+def sample_parameters(
+    s: Array,
+    sd: Array,
+    smoothing_s: float = 0.0,
+) -> tuple[Array, Array, Array, Array]:
     """Return (times, s, ds/dt, d2s/dt2) every `DT_S`, stretched to whole steps.
 
     Averaged over `smoothing_s` as a mean of delayed copies: derivatives are exact.
@@ -228,13 +278,16 @@ def sample_parameters(s: Array, sd: Array, smoothing_s: float = 0.0) -> tuple[Ar
     u = ((sd[1:] ** 2 - sd[:-1] ** 2) / (2.0 * np.diff(s)))[i]
     x = t - passed[i]
     position = np.clip(s[i] + sd[i] * x + 0.5 * u * (x * x), 0.0, s[-1])
-    speed, acceleration = np.maximum(0.0, sd[i] + u * x) / stretch, u / stretch**2
-    position[-1], speed[-1] = s[-1], 0.0
+    speed = np.maximum(0.0, sd[i] + u * x) / stretch
+    acceleration = u / stretch**2
+    position[-1] = s[-1]
+    speed[-1] = 0.0
     copies = max(1, round(smoothing_s / DT_S))
     if copies > 1:
         acceleration[-1] = 0.0  # at rest afterwards
         position = _averaged(position, copies, s[-1])
-        speed, acceleration = _averaged(speed, copies, 0.0), _averaged(acceleration, copies, 0.0)
+        speed = _averaged(speed, copies, 0.0)
+        acceleration = _averaged(acceleration, copies, 0.0)
     return np.arange(len(position), dtype=float) * DT_S, position, speed, acceleration
 
 

@@ -31,7 +31,8 @@ def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array
         seen[i], seen[3 + i] = p[i], R[2, i]
     # The left finger (+y) pushes along -y, the right one along +y.
     for hand, axis in enumerate((left, right)):
-        a, b = pads[2 * hand], pads[2 * hand + 1]
+        a = pads[2 * hand]
+        b = pads[2 * hand + 1]
         along_a = a[0] * axis[0] + a[1] * axis[1] + a[2] * axis[2]
         along_b = b[0] * axis[0] + b[1] * axis[1] + b[2] * axis[2]
         seen[12 + hand] = max(0.0, min(-along_a, along_b))
@@ -52,9 +53,12 @@ def lie(seen: Array, solids: Array, upright: bool) -> tuple[float, float]:
     """
     lowest = math.inf
     for part in solids:
-        down, low, axis = 0.0, 0.0, int(part[-1])
+        down = 0.0
+        low = 0.0
+        axis = int(part[-1])
         for i in range(3):
-            down, low = down + abs(seen[3 + i]) * part[3 + i], low + seen[3 + i] * part[i]
+            down = down + abs(seen[3 + i]) * part[3 + i]
+            low = low + seen[3 + i] * part[i]
         if part[6]:
             along = min(1.0, abs(seen[3 + axis]))
             down = part[3 + axis] * along + part[3] * math.sqrt(1.0 - along**2)
@@ -68,7 +72,8 @@ def lie(seen: Array, solids: Array, upright: bool) -> tuple[float, float]:
 def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
     """Return whether contacts, pairs of geoms (k, 2), join two bodies."""
     for pair in geoms:
-        first, second = body_of[pair[0]], body_of[pair[1]]
+        first = body_of[pair[0]]
+        second = body_of[pair[1]]
         if (first == a and second == b) or (first == b and second == a):
             return True
     return False
@@ -87,23 +92,30 @@ class NamedObject:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, robot: Robot) -> None:
         self.body = int(model.body(name).id)
         joint = int(model.body_jntadr[self.body])
-        position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        self.qpos, self.qvel = data.qpos[position : position + 7], data.qvel[velocity : velocity + 6]
+        position = int(model.jnt_qposadr[joint])
+        velocity = int(model.jnt_dofadr[joint])
+        self.qpos = data.qpos[position : position + 7]
+        self.qvel = data.qvel[velocity : velocity + 6]
         self._omega = self.qvel[3:]
-        self._model, self._first = model, int(model.body_geomadr[self.body])
+        self._model = model
+        self._first = int(model.body_geomadr[self.body])
         self._rest_height_m = float(model.qpos0[position + 2])
         self.frame = self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
-        first = int(model.sensor(contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])).adr[0])
+        first = int(
+            model.sensor(contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])).adr[0],
+        )
         pads = data.sensordata[first : first + 12].reshape(4, 3)
         palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
-        axes, self._seen = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms], np.zeros(16)
+        axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]
+        self._seen = np.zeros(16)
         self._look = bound(look, pads, self._R, self._p, *axes, self._seen)
 
     def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:
         """Return place and half extents (3,) [m] of its parts as they are now, in its frame."""
         found = list[tuple[Vector, Vector]]()
         for geom, part in enumerate(parts, self._first):
-            (x, y, z), (a, b, c) = self._model.geom_pos[geom].tolist(), part.half_m
+            (x, y, z) = self._model.geom_pos[geom].tolist()
+            (a, b, c) = part.half_m
             scale = float(self._model.geom_size[geom, 0]) / a
             found.append(((x, y, z), (scale * a, scale * b, scale * c)))
         return found

@@ -14,7 +14,8 @@ from minidual.plant.recording import STATE, Recording, physical_fields, versions
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 
-_KEYFRAME_S, _KEYFRAME_TRIAL_S = 0.02, 0.1  # dense in dumps, sparse in whole trials
+_KEYFRAME_S = 0.02  # dense in dumps, sparse in whole trials
+_KEYFRAME_TRIAL_S = 0.1
 
 
 class Recorder:
@@ -24,17 +25,32 @@ class Recorder:
     """
 
     def __init__(
-        self, world: World, *, window_s: float | None = None, seed: int | None = None, folder: Path | None = None
+        self,
+        world: World,
+        *,
+        window_s: float | None = None,
+        seed: int | None = None,
+        folder: Path | None = None,
     ) -> None:
-        self._world, self._model, self._data = world, world.model, world.data
-        self._seed, self._folder = seed, folder
-        self._every = max(1, round((_KEYFRAME_TRIAL_S if window_s is None else _KEYFRAME_S) / world.dt))
+        self._world = world
+        self._model = world.model
+        self._data = world.data
+        self._seed = seed
+        self._folder = folder
+        self._every = max(
+            1,
+            round((_KEYFRAME_TRIAL_S if window_s is None else _KEYFRAME_S) / world.dt),
+        )
         kept = None if window_s is None else max(1, round(window_s / world.dt / self._every))
-        self._stretches: deque[tuple[int, Array, list[Array]]] = deque(maxlen=kept)  # step, keyframe, controls
+        self._stretches: deque[tuple[int, Array, list[Array]]] = deque(
+            maxlen=kept,
+        )  # step, keyframe, controls
         self._pushes: list[tuple[int, Array]] = []
-        self._ctrl, self._xfrc = world.data.ctrl, world.data.xfrc_applied  # views
+        self._ctrl = world.data.ctrl  # views
+        self._xfrc = world.data.xfrc_applied
         self._fields: dict[str, Array] = {}
-        self._count, self._last_s = 0, -1.0
+        self._count = 0
+        self._last_s = -1.0
         self.write_error: OSError | None = None
         """Last failed dump's error."""
 
@@ -46,7 +62,8 @@ class Recorder:
         if not self._continues():
             self._stretches.clear()
             self._pushes.clear()
-            self._count, self._pushed = 0, bytes(self._xfrc.nbytes)
+            self._count = 0
+            self._pushed = bytes(self._xfrc.nbytes)
             self._fields = physical_fields(self._model)
         self._last_s = self._data.time
         if not self._count % self._every:
@@ -64,7 +81,11 @@ class Recorder:
         return state
 
     def recording(
-        self, reason: str, *, kind: Literal["dump", "trial"] = "trial", details: Mapping[str, Any] | None = None
+        self,
+        reason: str,
+        *,
+        kind: Literal["dump", "trial"] = "trial",
+        details: Mapping[str, Any] | None = None,
     ) -> Recording:
         """Return what was kept."""
         first = self._stretches[0][0]
@@ -73,8 +94,18 @@ class Recorder:
             frames.append((self._count - first, self._state()))
         before = [(0, push) for step, push in self._pushes if step <= first][-1:]
         pushes = before + [(step - first, push) for step, push in self._pushes if step > first]
-        about: Any = {"kind": kind, "reason": reason, "arm": self._world.robot.arm.name, "scene": self._world.scene}
-        about |= {"model": self._fields, "libraries": versions(), "seed": self._seed, "details": dict(details or {})}
+        about: Any = {
+            "kind": kind,
+            "reason": reason,
+            "arm": self._world.robot.arm.name,
+            "scene": self._world.scene,
+        }
+        about |= {
+            "model": self._fields,
+            "libraries": versions(),
+            "seed": self._seed,
+            "details": dict(details or {}),
+        }
         return Recording(
             **about,
             controls=np.array([row for _, _, rows in self._stretches for row in rows]),
@@ -84,7 +115,13 @@ class Recorder:
             pushes=np.array([push for _, push in pushes]).reshape(-1, *self._xfrc.shape),
         )
 
-    def dump(self, name: str, reason: str, *, details: Mapping[str, Any] | None = None) -> Path | None:
+    def dump(
+        self,
+        name: str,
+        reason: str,
+        *,
+        details: Mapping[str, Any] | None = None,
+    ) -> Path | None:
         """Write the window; return its file, or None.
 
         Disk errors go to `write_error`: the arms must stop anyway.

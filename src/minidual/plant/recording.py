@@ -36,11 +36,35 @@ STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """Everything the next step depends on, including the solver's warm start."""
 
 _LIBRARIES = ("mujoco", "numpy", "pin", "example-robot-data")
-_BODY = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_subtreemass", "body_invweight0")
-_JOINT = ("dof_armature", "dof_damping", "dof_frictionloss", "dof_invweight0", "dof_M0", "jnt_range", "jnt_stiffness")
+_BODY = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_subtreemass",
+    "body_invweight0",
+)
+_JOINT = (
+    "dof_armature",
+    "dof_damping",
+    "dof_frictionloss",
+    "dof_invweight0",
+    "dof_M0",
+    "jnt_range",
+    "jnt_stiffness",
+)
 _MOTOR = ("actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange")
 _GEOM = ("geom_size", "geom_friction", "geom_solref", "geom_solimp", "geom_margin", "geom_condim")
-_OPTIONS = ("timestep", "gravity", "impratio", "integrator", "cone", "solver", "iterations", "tolerance")
+_OPTIONS = (
+    "timestep",
+    "gravity",
+    "impratio",
+    "integrator",
+    "cone",
+    "solver",
+    "iterations",
+    "tolerance",
+)
 _CHOICES: dict[str, Sequence[int]] = {
     "geom_condim": (1, 3, 4, 6),
     "opt.integrator": range(len(mujoco.mjtIntegrator.__members__)),
@@ -103,16 +127,24 @@ class Recording(StrictModel, arbitrary_types_allowed=True):
 
 def versions() -> dict[str, str]:
     """Return versions that affect results to the bit."""
-    own = {"minidual": minidual.__version__, "python": platform.python_version(), "machine": platform.machine()}
+    own = {
+        "minidual": minidual.__version__,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+    }
     return own | {name: importlib.metadata.version(name) for name in _LIBRARIES}
 
 
 def physical_fields(model: mujoco.MjModel) -> dict[str, Array]:
     """Return copies of the fields that trials may change."""
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    fields = {name: np.array(getattr(model, name), dtype=float) for name in (*_BODY, *_JOINT, *_MOTOR)}
+    fields = {
+        name: np.array(getattr(model, name), dtype=float) for name in (*_BODY, *_JOINT, *_MOTOR)
+    }
     fields |= {name: np.array(getattr(model, name)[solid], dtype=float) for name in _GEOM}
-    return fields | {f"opt.{name}": np.array(getattr(model.opt, name), dtype=float) for name in _OPTIONS}
+    return fields | {
+        f"opt.{name}": np.array(getattr(model.opt, name), dtype=float) for name in _OPTIONS
+    }
 
 
 def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) -> list[str]:
@@ -122,11 +154,16 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
         DataError: A field is missing, of another shape, or holds a value that no model has.
     """
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    now, changed = physical_fields(model), []
+    now = physical_fields(model)
+    changed = []
     for name, values in now.items():
         recorded = fields.get(name)
         if recorded is None or recorded.shape != values.shape:
-            raise _misfit(f"the model's {name}", values.shape, None if recorded is None else recorded.shape)
+            raise _misfit(
+                f"the model's {name}",
+                values.shape,
+                None if recorded is None else recorded.shape,
+            )
         _check_field(name, recorded, float(model.opt.timestep))
         if np.array_equal(recorded, values):
             continue
@@ -144,13 +181,19 @@ def apply_physical_fields(model: mujoco.MjModel, fields: Mapping[str, Array]) ->
 def _check_field(name: str, values: Array, timestep_s: float) -> None:
     """Refuse what MuJoCo would not survive, or would turn into another experiment."""
     low = -mujoco.mjMAXVAL if name in _SIGNED else 0.0
-    fits, bound = (low <= values) & (values <= mujoco.mjMAXVAL), f"from {low:g} to {mujoco.mjMAXVAL:g}"  # NaN does not
+    fits = (low <= values) & (values <= mujoco.mjMAXVAL)  # NaN does not
+    bound = f"from {low:g} to {mujoco.mjMAXVAL:g}"
     if name in _CHOICES:
-        fits, bound = np.isin(values, _CHOICES[name]), f"one of {', '.join(map(str, _CHOICES[name]))}"
+        fits = np.isin(values, _CHOICES[name])
+        bound = f"one of {', '.join(map(str, _CHOICES[name]))}"
     elif name == "opt.timestep":
-        fits, bound = values == timestep_s, f"the scene's {timestep_s:g}"
+        fits = values == timestep_s
+        bound = f"the scene's {timestep_s:g}"
     if not fits.all():
-        raise DataError(f"the recording's {name} is {values[~fits].flat[0]:g}; it must be {bound}", remedy=_TAMPERED)
+        raise DataError(
+            f"the recording's {name} is {values[~fits].flat[0]:g}; it must be {bound}",
+            remedy=_TAMPERED,
+        )
 
 
 def _misfit(what: str, shape: tuple[int, ...], recorded: tuple[int, ...] | None) -> DataError:
@@ -163,7 +206,11 @@ def _misfit(what: str, shape: tuple[int, ...], recorded: tuple[int, ...] | None)
 def check_shapes(model: mujoco.MjModel, recording: Recording) -> None:
     """Raise DataError if controls, keyframes or pushes do not fit the model."""
     size = mujoco.mj_stateSize(model, STATE)
-    for name, shape in (("controls", (model.nu,)), ("keyframes", (size,)), ("pushes", (model.nbody, 6))):
+    for name, shape in (
+        ("controls", (model.nu,)),
+        ("keyframes", (size,)),
+        ("pushes", (model.nbody, 6)),
+    ):
         if getattr(recording, name).shape[1:] != shape:
             raise _misfit(f"a row of the model's {name}", shape, getattr(recording, name).shape[1:])
 
@@ -184,7 +231,9 @@ def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
 
 def write_recording(path: Path, recording: Recording) -> Path:
     """Write a recording durably."""
-    header = recording.model_dump(exclude={*_ARRAYS, "model", "details"}) | {"details": recording.details}
+    header = recording.model_dump(exclude={*_ARRAYS, "model", "details"}) | {
+        "details": recording.details,
+    }
     header |= {"format": FORMAT, "version": VERSION}
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(recording, name) for name in _ARRAYS}
     arrays |= {f"model.{name}": values for name, values in recording.model.items()}
@@ -213,22 +262,30 @@ def read_recording(path: Path) -> Recording:
             raise ValueError(f"its format is '{header['format']}', not '{FORMAT}'")
         remedy = f"record it again, or replay it with the minidual {header['libraries']['minidual']} that made it"
         if header["version"] != VERSION:
-            raise ValueError(f"it has version {header['version']} of the format; this minidual reads version {VERSION}")
+            raise ValueError(
+                f"it has version {header['version']} of the format; this minidual reads version {VERSION}",
+            )
         fields = {name[6:]: values for name, values in arrays.items() if name.startswith("model.")}
         told = {name: value for name, value in header.items() if name not in ("format", "version")}
-        recording = Recording.model_validate(told | {"model": fields} | {name: arrays[name] for name in _ARRAYS})
+        recording = Recording.model_validate(
+            told | {"model": fields} | {name: arrays[name] for name in _ARRAYS},
+        )
         remedy = _TAMPERED
         if arrays.pop("digest").tobytes() != _digest(arrays).tobytes():
             raise ValueError("its content does not fit its digest")
         for name in (*_ARRAYS, *(f"model.{name}" for name in fields)):
-            kind, rank = np.int64 if name.endswith("_steps") else np.float64, arrays[name].ndim
+            kind = np.int64 if name.endswith("_steps") else np.float64
+            rank = arrays[name].ndim
             if arrays[name].dtype != kind or _ARRAYS.get(name, rank) != rank:
                 raise ValueError(f"{name} is {arrays[name].ndim}-dimensional {arrays[name].dtype}")
         _check_steps(recording)
         return recording
     except ValidationError as error:
         settings = ", ".join(".".join(map(str, item["loc"])) for item in error.errors())
-        raise DataError(f"{path} has values that this version does not know: {settings}", remedy=remedy) from error
+        raise DataError(
+            f"{path} has values that this version does not know: {settings}",
+            remedy=remedy,
+        ) from error
     except KeyError as error:
         raise DataError(f"{path} is no recording: it lacks {error}", remedy=remedy) from error
     except (TypeError, ValueError, RecursionError) as error:
@@ -248,11 +305,21 @@ def _read_arrays(path: Path, remedy: str) -> dict[str, npt.NDArray[Any]]:
 
 
 def _check_steps(recording: Recording) -> None:
-    steps, pushed, count = recording.keyframe_steps, recording.push_steps, recording.steps
+    steps = recording.keyframe_steps
+    pushed = recording.push_steps
+    count = recording.steps
     if not (count and len(steps) and steps[0] == 0 and recording.keyframes.size):
         raise ValueError("it lacks controls, or the state before the first")
-    for name, numbers, rows in (("keyframe", steps, recording.keyframes), ("push", pushed, recording.pushes)):
+    for name, numbers, rows in (
+        ("keyframe", steps, recording.keyframes),
+        ("push", pushed, recording.pushes),
+    ):
         if len(numbers) != len(rows) or not (np.diff([-1, *numbers, count + 1]) > 0).all():
-            raise ValueError(f"its {name} steps do not grow from 0 to {count}, one for each of {len(rows)} rows")
-    if not np.abs(recording.keyframes[:, 0] - recording.start_s - steps * recording.dt_s).max() <= 1e-6:
+            raise ValueError(
+                f"its {name} steps do not grow from 0 to {count}, one for each of {len(rows)} rows",
+            )
+    if (
+        not np.abs(recording.keyframes[:, 0] - recording.start_s - steps * recording.dt_s).max()
+        <= 1e-6
+    ):
         raise ValueError(f"the times of its keyframes are not {recording.dt_s:g} s a step apart")

@@ -18,19 +18,35 @@ from minidual.plant.model import GROUP_COLLISION
 Image = npt.NDArray[np.uint8]
 
 
-def off_screen(model: mujoco.MjModel, width_px: int, height_px: int, **options: int) -> mujoco.Renderer:
+def off_screen(
+    model: mujoco.MjModel,
+    width_px: int,
+    height_px: int,
+    **options: int,
+) -> mujoco.Renderer:
     """Return a renderer; EnvironmentMissingError without OpenGL."""
     try:
         return mujoco.Renderer(model, height_px, width_px, **options)
     except Exception as error:  # GL backends raise various types
         what = f"cannot create an off-screen OpenGL context by EGL: {error}"
-        raise EnvironmentMissingError(what, remedy="apt-get install -y libegl1 libgl1-mesa-dri") from error
+        raise EnvironmentMissingError(
+            what,
+            remedy="apt-get install -y libegl1 libgl1-mesa-dri",
+        ) from error
 
 
-def free_camera(at: npt.ArrayLike, distance_m: float, azimuth_deg: float, elevation_deg: float) -> mujoco.MjvCamera:
+def free_camera(
+    at: npt.ArrayLike,
+    distance_m: float,
+    azimuth_deg: float,
+    elevation_deg: float,
+) -> mujoco.MjvCamera:
     """Return a camera that looks at a place (3,) [m]."""
     eye = mujoco.MjvCamera()
-    eye.lookat, eye.distance, eye.azimuth, eye.elevation = at, distance_m, azimuth_deg, elevation_deg
+    eye.lookat = at
+    eye.distance = distance_m
+    eye.azimuth = azimuth_deg
+    eye.elevation = elevation_deg
     return eye
 
 
@@ -41,7 +57,13 @@ class Camera(AbstractContextManager["Camera"]):
     """
 
     def __init__(
-        self, model: mujoco.MjModel, width_px: int, height_px: int, *, shadows: bool = False, supersample: int = 1
+        self,
+        model: mujoco.MjModel,
+        width_px: int,
+        height_px: int,
+        *,
+        shadows: bool = False,
+        supersample: int = 1,
     ) -> None:
         self._supersample = supersample
         self._renderer = off_screen(model, width_px * supersample, height_px * supersample)
@@ -49,7 +71,8 @@ class Camera(AbstractContextManager["Camera"]):
         self._option.geomgroup[GROUP_COLLISION] = 0
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._renderer.scene.flags[flag] = int(shadows)
-        self._model, self._names = model, [model.camera(i).name for i in range(model.ncam)]
+        self._model = model
+        self._names = [model.camera(i).name for i in range(model.ncam)]
 
     @classmethod
     def recorded(cls, model: mujoco.MjModel, config: CameraConfig) -> Self:
@@ -63,7 +86,11 @@ class Camera(AbstractContextManager["Camera"]):
 
     def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
         """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""
-        self._renderer.update_scene(data, free_camera(at, 0.9, 150.0, -25.0), scene_option=self._option)
+        self._renderer.update_scene(
+            data,
+            free_camera(at, 0.9, 150.0, -25.0),
+            scene_option=self._option,
+        )
         return self._renderer.render()
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
@@ -109,7 +136,8 @@ def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
     """
     import av
 
-    count, stream = 0, None
+    count = 0
+    stream = None
     with replacing(path) as partial, av.open(str(partial), mode="w", format="mp4") as container:
         for frame in frames:
             count += 1
@@ -118,7 +146,11 @@ def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
                 stream = container.add_stream("libx264", rate=Fraction(fps), options=options)
                 stream.height, stream.width = frame.shape[:2]
                 stream.pix_fmt = "yuv420p"
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
+            container.mux(
+                stream.encode(
+                    av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24"),
+                ),
+            )
         if stream is not None:
             container.mux(stream.encode())
     return count

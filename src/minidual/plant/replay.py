@@ -97,21 +97,34 @@ def replay(
         UsageError: Times outside the recording.
         DataError: Scene, states or physical fields do not fit a model.
     """
-    start, end = recording.start_s, recording.end_s
-    begin, stop = start if from_s is None else from_s, end if to_s is None else to_s
+    start = recording.start_s
+    end = recording.end_s
+    begin = start if from_s is None else from_s
+    stop = end if to_s is None else to_s
     if not (start - 1e-9 <= begin < stop <= end + 1e-9):
         outside = f"cannot replay from {begin:g} s to {stop:g} s: the recording runs from {start:.3f} s to {end:.3f} s"
         raise UsageError(outside, remedy="choose --from-s and --to-s inside it")
     try:
         model = build_model(recording.scene, recording.robot, visuals=False)
     except ValueError as error:  # MuJoCo's compiler
-        raise DataError(f"the recording's scene cannot be built: {error}", remedy="record it again") from error
+        raise DataError(
+            f"the recording's scene cannot be built: {error}",
+            remedy="record it again",
+        ) from error
     check_shapes(model, recording)
     changed = apply_physical_fields(model, recording.model)
     world = World(recording.scene, recording.robot, model=model)
     data = world.data
-    keyframe = np.searchsorted(recording.keyframe_steps, round((begin - start) / recording.dt_s), side="right") - 1
-    first, last = int(recording.keyframe_steps[keyframe]), round((stop - start) / recording.dt_s)
+    keyframe = (
+        np.searchsorted(
+            recording.keyframe_steps,
+            round((begin - start) / recording.dt_s),
+            side="right",
+        )
+        - 1
+    )
+    first = int(recording.keyframe_steps[keyframe])
+    last = round((stop - start) / recording.dt_s)
     frames = dict(zip(recording.keyframe_steps.tolist(), recording.keyframes, strict=True))
     if not (np.abs(frames[first][: 1 + model.nq + model.nv]) <= mujoco.mjMAXVAL).all():
         remedy = "choose another --from-s, or record it again"
@@ -119,10 +132,14 @@ def replay(
     mujoco.mj_setState(model, data, frames[first], STATE)
     mujoco.mj_forward(model, data)
     mujoco.mj_setState(model, data, frames[first], STATE)  # forward changes the warm start
-    names, state = _state_names(model), np.empty(mujoco.mj_stateSize(model, STATE))
+    names = _state_names(model)
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
     signs: dict[str, Sign] = {}
     deviates: Deviation | None = None
-    largest, compared, ended, done = 0.0, 0, None, first
+    largest = 0.0
+    compared = 0
+    ended = None
+    done = first
     if on_step is not None:
         on_step(world)
     for step in range(first, last + 1):
@@ -146,7 +163,15 @@ def replay(
             ended = f"the command of {motor} is not finite at {world.time:.3f} s"
             break
         tau_max = world.robot.tau_max
-        _watch(world, "torque asked of", controls[world.joints.ctrl], -tau_max, tau_max, "Nm", signs)
+        _watch(
+            world,
+            "torque asked of",
+            controls[world.joints.ctrl],
+            -tau_max,
+            tau_max,
+            "Nm",
+            signs,
+        )
         before = world.time
         mujoco.mj_step(model, data)
         done = step + 1
@@ -158,27 +183,68 @@ def replay(
             break
         v_max = world.robot.v_max
         _watch(world, "velocity of", world.v, -v_max, v_max, "rad/s", signs)
-        _watch(world, "position of", world.q, world.robot.q_lower, world.robot.q_upper, "rad", signs)
+        _watch(
+            world,
+            "position of",
+            world.q,
+            world.robot.q_lower,
+            world.robot.q_upper,
+            "rad",
+            signs,
+        )
         if on_step is not None:
             on_step(world)
-    then, now = recording.libraries, versions()
+    then = recording.libraries
+    now = versions()
     differ = [name for name in now if then.get(name) != now[name]]
-    span: Any = {"from_s": start + first * recording.dt_s, "to_s": start + done * recording.dt_s, "steps": done - first}
+    span: Any = {
+        "from_s": start + first * recording.dt_s,
+        "to_s": start + done * recording.dt_s,
+        "steps": done - first,
+    }
     return Replayed(
-        **(span | {"compared": compared, "largest_deviation": largest, "deviates": deviates, "ended": ended}),
+        **(
+            span
+            | {
+                "compared": compared,
+                "largest_deviation": largest,
+                "deviates": deviates,
+                "ended": ended,
+            }
+        ),
         model_changed=tuple(changed),
-        versions_differ=tuple({"name": name, "was": then.get(name, "none"), "is": now[name]} for name in differ),
+        versions_differ=tuple(
+            {"name": name, "was": then.get(name, "none"), "is": now[name]} for name in differ
+        ),
         first=tuple(signs.values()),
     )
 
 
 def _state_names(model: mujoco.MjModel) -> list[str]:
     names = [model.joint(i).name for i in range(model.njnt)]
-    kinds = ("position", [*model.jnt_qposadr, model.nq]), ("velocity", [*model.jnt_dofadr, model.nv])
-    return ["time", *(f"{kind} of {name}" for kind, first in kinds for name in np.repeat(names, np.diff(first)))]
+    kinds = (
+        ("position", [*model.jnt_qposadr, model.nq]),
+        ("velocity", [*model.jnt_dofadr, model.nv]),
+    )
+    return [
+        "time",
+        *(
+            f"{kind} of {name}"
+            for kind, first in kinds
+            for name in np.repeat(names, np.diff(first))
+        ),
+    ]
 
 
-def _watch(world: World, what: str, values: Array, low: Array, high: Array, unit: str, signs: dict[str, Sign]) -> None:
+def _watch(
+    world: World,
+    what: str,
+    values: Array,
+    low: Array,
+    high: Array,
+    unit: str,
+    signs: dict[str, Sign],
+) -> None:
     beyond = np.maximum(low - values, values - high)
     joint = int(np.argmax(beyond))
     if not beyond[joint] <= _TOLERANCE[unit]:

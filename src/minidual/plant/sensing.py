@@ -36,26 +36,47 @@ class Sensors:
     Smaller noise is the same noise scaled.
     """
 
-    def __init__(self, world: World, config: SensingConfig, rng: np.random.Generator, name: str | None = None) -> None:
-        self._world, self._config, self._rng, self._object = world, config, rng, world.truth(name)
+    def __init__(
+        self,
+        world: World,
+        config: SensingConfig,
+        rng: np.random.Generator,
+        name: str | None = None,
+    ) -> None:
+        self._world = world
+        self._config = config
+        self._rng = rng
+        self._object = world.truth(name)
         self.delay_ticks = round(config.delay_s / world.dt)
-        self._period_ticks, bias = max(1, round(1.0 / (config.pose_rate_hz * world.dt))), rng.standard_normal(6)
+        self._period_ticks = max(1, round(1.0 / (config.pose_rate_hz * world.dt)))
+        bias = rng.standard_normal(6)
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
-        self._tick, self._begin_s, self._dt = 0, world.time, world.dt
+        self._tick = 0
+        self._begin_s = world.time
+        self._dt = world.dt
         self._late = deque[Reading]()
 
     def sense(self) -> Reading:
         """See `ObjectSensors`."""
-        tick, row = self._tick, self._tick % _BLOCK
+        tick = self._tick
+        row = self._tick % _BLOCK
         if row == 0:
             # the noise of the next steps, which `add_forces` turns into samples; a view costs less when many are made
-            self._samples = self._config.force_noise_n * self._rng.standard_normal((_BLOCK, _FORCES))
-            self._forces, self._pinches = list(self._samples[:, :6].reshape(_BLOCK, 2, 3)), list(self._samples[:, 6:])
+            self._samples = self._config.force_noise_n * self._rng.standard_normal(
+                (_BLOCK, _FORCES),
+            )
+            self._forces = list(self._samples[:, :6].reshape(_BLOCK, 2, 3))
+            self._pinches = list(self._samples[:, 6:])
         add_forces(self._samples, row, self._object.look())
-        pose = None if tick % self._period_ticks else PoseSample(self._sample_pose(), self.delay_ticks)
+        pose = (
+            None if tick % self._period_ticks else PoseSample(self._sample_pose(), self.delay_ticks)
+        )
         # Reading(...) takes three times as long
-        reading = tuple.__new__(Reading, (pose, self._forces[row], self._pinches[row], tick * self._dt + self._begin_s))
+        reading = tuple.__new__(
+            Reading,
+            (pose, self._forces[row], self._pinches[row], tick * self._dt + self._begin_s),
+        )
         self._late.append(reading)
         self._tick = tick + 1
         if tick:
@@ -65,7 +86,8 @@ class Sensors:
         return reading  # at rest before the trial
 
     def _sample_pose(self) -> Array:
-        T, error = self._object.pose(), self._bias + self._scale * self._rng.standard_normal(6)
+        T = self._object.pose()
+        error = self._bias + self._scale * self._rng.standard_normal(6)
         T[:3, 3] += error[:3]
         T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]
         return T

@@ -33,7 +33,9 @@ class SimulationDivergedError(PlantEndedError):
 
 
 _BAD = {"QPOS": "positions", "QVEL": "velocities", "QACC": "accelerations", "CTRL": "commands"}
-_NOT_FINITE = {int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{kind}")): what for kind, what in _BAD.items()}
+_NOT_FINITE = {
+    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{kind}")): what for kind, what in _BAD.items()
+}
 """MuJoCo only counts these and resets the state or zeroes the commands."""
 
 
@@ -51,12 +53,15 @@ class World:
         visuals: bool = False,
         model: mujoco.MjModel | None = None,
     ) -> None:
-        self.scene, self.robot = scene, robot
-        self.grip_max_n, self.health = scene.physics.finger_force_max_n, ""  # divergence raises in `step`
+        self.scene = scene
+        self.robot = robot
+        self.grip_max_n = scene.physics.finger_force_max_n  # divergence raises in `step`
+        self.health = ""
         self.model = build_model(scene, robot, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
         self._warnings = self.data.warning.number  # view: counts by kind
-        self._no_warnings, self._table = bytes(self._warnings.nbytes), self.model.body("table").id
+        self._no_warnings = bytes(self._warnings.nbytes)
+        self._table = self.model.body("table").id
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
@@ -67,11 +72,16 @@ class World:
         if len(self.objects) == 1:
             self._objects[None] = self._objects[self.objects[0]]
         data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
-        self._qpos, self._qvel, self._ctrl, self._force = data.qpos, data.qvel, data.ctrl, data.actuator_force
+        self._qpos = data.qpos
+        self._qvel = data.qvel
+        self._ctrl = data.ctrl
+        self._force = data.actuator_force
         self._fingers, self._grip = np.zeros((2, 2))
         self._halve_places = bound(halves, self._qpos, self.finger_joints.qpos, 0.5, self._fingers)
         self._halve_forces = bound(halves, self._force, self.finger_joints.ctrl, -0.5, self._grip)
-        self._finger_ctrl = tuple(np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T))  # strided is slow
+        self._finger_ctrl = tuple(
+            np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T),
+        )  # strided is slow
         self.recorder: StepRecorder | None = None
         """For replays."""
         self.observer: Callable[[World], None] | None = None
@@ -132,7 +142,9 @@ class World:
         """
         if (found := self._objects.get(name)) is None:
             if name is None:
-                raise UsageError(f"the scene holds {len(self.objects)} objects ({', '.join(self.objects)}); name one")
+                raise UsageError(
+                    f"the scene holds {len(self.objects)} objects ({', '.join(self.objects)}); name one",
+                )
             raise unknown_name("object", name, self.objects)
         return found
 
@@ -153,7 +165,11 @@ class World:
         """Return (body, body, distance [m]) per contact."""
         body = self.model.geom_bodyid
         return [
-            (self.model.body(int(body[c.geom1])).name, self.model.body(int(body[c.geom2])).name, float(c.dist))
+            (
+                self.model.body(int(body[c.geom1])).name,
+                self.model.body(int(body[c.geom2])).name,
+                float(c.dist),
+            )
             for c in self.data.contact[: self.data.ncon]
         ]
 
@@ -163,10 +179,16 @@ class World:
 
     def on_table(self, name: str | None = None) -> bool:
         """Return whether an object touches the table."""
-        geoms, body = self.data.contact.geom[: self.data.ncon], self.truth(name).body
+        geoms = self.data.contact.geom[: self.data.ncon]
+        body = self.truth(name).body
         return touching(geoms, self.model.geom_bodyid, self._table, body)
 
-    def reset(self, q: Array | None = None, *, poses: Mapping[str, ObjectPose] | None = None) -> None:
+    def reset(
+        self,
+        q: Array | None = None,
+        *,
+        poses: Mapping[str, ObjectPose] | None = None,
+    ) -> None:
         """Put the arms at q (n,) (default: home), hands open, objects at `poses` (default: start).
 
         Raises:
@@ -179,8 +201,11 @@ class World:
         bad = ~((q >= robot.q_lower - 1e-9) & (q <= robot.q_upper + 1e-9))
         if bad.any():
             i = int(np.argmax(bad))
-            low, high = robot.q_lower[i], robot.q_upper[i]
-            raise UsageError(f"{robot.joint_names[i]} = {q[i]:.4f} rad; {low:.4f} <= value <= {high:.4f}")
+            low = robot.q_lower[i]
+            high = robot.q_upper[i]
+            raise UsageError(
+                f"{robot.joint_names[i]} = {q[i]:.4f} rad; {low:.4f} <= value <= {high:.4f}",
+            )
         put = {self.truth(name): pose for name, pose in (poses or {}).items()}
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q
@@ -209,7 +234,9 @@ class World:
         if self._warnings.tobytes() != self._no_warnings:  # 10x faster than `any`
             bad = [what for kind, what in _NOT_FINITE.items() if self._warnings[kind]]
             if bad:
-                message = f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)"
+                message = (
+                    f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)"
+                )
                 remedy = "check the commanded torques, the inertias and the time step"
                 dump = None if self.recorder is None else self.recorder.dump("diverged", message)
                 if dump is not None:

@@ -26,13 +26,20 @@ from minidual.policies.spatial_act.configuration_spatial_act import SpatialActCo
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
 from minidual.policies.train import Trained, threads, train
 
-REQUIRED = ("config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json")
+REQUIRED = (
+    "config.json",
+    "model.safetensors",
+    "policy_preprocessor.json",
+    "policy_postprocessor.json",
+)
 
 _STEPS = "rename_observations", "to_batch", "device", "normalizer", "unnormalizer"
 STEPS = tuple(f"{step}_processor" for step in _STEPS)
 """Steps of ACT in LeRobot's registry. None of them runs code, opens a file or connects to a server."""
-STATE_BYTES_MAX, WEIGHTS_BYTES_MAX = 2**24, 2**32
-SIZE_MAX, LAYERS_MAX = 4096, 16
+STATE_BYTES_MAX = 2**24
+WEIGHTS_BYTES_MAX = 2**32
+SIZE_MAX = 4096
+LAYERS_MAX = 16
 
 
 class ActKind(PolicyKind):
@@ -58,7 +65,10 @@ class ActKind(PolicyKind):
         config = job.config
         self.require(config.device)
         if folder.exists():
-            raise DataError(f"the checkpoint folder {folder} exists already", remedy=f"{REMEDY} --force")
+            raise DataError(
+                f"the checkpoint folder {folder} exists already",
+                remedy=f"{REMEDY} --force",
+            )
 
         def build(stats: Stats) -> Trained:
             policy = self.make(config, job.demos).to(config.device)
@@ -76,8 +86,13 @@ class ActKind(PolicyKind):
         self.require(device)
         with durable.reading(f"checkpoint {folder}", f"{REMEDY} --force"):
             policy = TorchChunkPolicy(self.read(folder, device), threads)
-            seen = {camera: np.zeros((*size, 3), np.uint8) for camera, size in policy.cameras.items()}
-            chunk = policy.predict(seen, np.zeros(policy.dim, np.float32))  # statistics may not fit the network
+            seen = {
+                camera: np.zeros((*size, 3), np.uint8) for camera, size in policy.cameras.items()
+            }
+            chunk = policy.predict(
+                seen,
+                np.zeros(policy.dim, np.float32),
+            )  # statistics may not fit the network
             if chunk.shape != (policy.chunk_size, policy.dim):
                 raise ValueError(f"it emits {chunk.shape}, not {(policy.chunk_size, policy.dim)}")
         return policy
@@ -85,14 +100,20 @@ class ActKind(PolicyKind):
     def read(self, folder: Path, device: str = "cpu") -> Trained:
         """Read policy (in evaluation mode) and processors."""
         if missing := [name for name in REQUIRED if not (folder / name).is_file()]:
-            raise DataError(f"checkpoint {folder} lacks {', '.join(missing)}", remedy=f"{REMEDY} --force")
+            raise DataError(
+                f"checkpoint {folder} lacks {', '.join(missing)}",
+                remedy=f"{REMEDY} --force",
+            )
         for name in REQUIRED[2:]:
             check_processor(folder / name)
         record = durable.read_json(folder / "config.json")
         if record.pop("type") != self.config_class.get_choice_name(self.config_class):
             raise ValueError("config.json describes a policy of another type")
         # Weights to start training from would be downloaded; those of the checkpoint replace them.
-        config = draccus.decode(self.config_class, record | {"device": device, "pretrained_backbone_weights": None})
+        config = draccus.decode(
+            self.config_class,
+            record | {"device": device, "pretrained_backbone_weights": None},
+        )
         check_sizes(config)
         if getattr(config, "bf16", False) and not native_bf16(device):
             config.bf16 = False  # type: ignore[attr-defined]
@@ -101,7 +122,10 @@ class ActKind(PolicyKind):
         policy.to(device)
         policy.eval()
         on_device = {"device_processor": {"device": device}}
-        stored: dict[str, Any] = {"pretrained_path": str(folder), "preprocessor_overrides": on_device}
+        stored: dict[str, Any] = {
+            "pretrained_path": str(folder),
+            "preprocessor_overrides": on_device,
+        }
         return Trained(policy, *make_pre_post_processors(policy.config, **stored))
 
 
@@ -114,10 +138,13 @@ class SpatialActKind(ActKind):
     def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
         """See `ActKind.make`; convolutions use bfloat16 where the device has it."""
         settings = {"keypoints": config.keypoints, "keyframes": demos.keyframe_ticks.shape[1]}
-        return SpatialActPolicy(SpatialActConfig(**settings, bf16=native_bf16(config.device), **_common(config, demos)))
+        return SpatialActPolicy(
+            SpatialActConfig(**settings, bf16=native_bf16(config.device), **_common(config, demos)),
+        )
 
 
-ACT_KIND, SPATIAL_ACT = ActKind(), SpatialActKind()
+ACT_KIND = ActKind()
+SPATIAL_ACT = SpatialActKind()
 
 
 def check_processor(path: Path) -> None:
@@ -129,7 +156,9 @@ def check_processor(path: Path) -> None:
         unknown = sorted(step.keys() - {"registry_name", "config", "state_file"})
         if unknown or step["registry_name"] not in STEPS:
             named = ", ".join(f"{key} {step[key]!r:.60}" for key in (unknown or ["registry_name"]))
-            raise DataError(f"{path}: step {number} names {named}; minidual runs only {', '.join(STEPS)}")
+            raise DataError(
+                f"{path}: step {number} names {named}; minidual runs only {', '.join(STEPS)}",
+            )
         if "state_file" in step:
             read_tensors(path.with_name(step["state_file"]), STATE_BYTES_MAX)
 
@@ -142,7 +171,9 @@ def check_sizes(config: PreTrainedConfig) -> None:
     for name, values in sizes.items():
         limit = LAYERS_MAX if name.endswith("_layers") else SIZE_MAX
         if not all(0 <= value <= limit for value in values):
-            raise ValueError(f"{name} in config.json is {list(values)}; sizes here are 0 to {limit}")
+            raise ValueError(
+                f"{name} in config.json is {list(values)}; sizes here are 0 to {limit}",
+            )
 
 
 def read_tensors(path: Path, bytes_max: int = WEIGHTS_BYTES_MAX) -> dict[str, torch.Tensor]:
@@ -150,21 +181,32 @@ def read_tensors(path: Path, bytes_max: int = WEIGHTS_BYTES_MAX) -> dict[str, to
     tensors = load_file(durable.regular_file(path, bytes_max))
     for name, values in tensors.items():
         if not values.is_floating_point() or not bool(torch.isfinite(values).all()):
-            raise DataError(f"{path}: '{name}' ({values.dtype}) must hold finite floating-point numbers")
+            raise DataError(
+                f"{path}: '{name}' ({values.dtype}) must hold finite floating-point numbers",
+            )
     return tensors
 
 
 def _common(config: TrainConfig, demos: Demonstrations) -> dict[str, Any]:
     inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.dim,))}
     for camera in demos.cameras:
-        inputs[camera_key(camera)] = PolicyFeature(type=FeatureType.VISUAL, shape=(3, *demos.images[camera].shape[1:3]))
+        inputs[camera_key(camera)] = PolicyFeature(
+            type=FeatureType.VISUAL,
+            shape=(3, *demos.images[camera].shape[1:3]),
+        )
     return {
         "input_features": inputs,
         "output_features": {ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))},
         "device": config.device,
         "push_to_hub": False,
-        **{name: getattr(config, name) for name in ("chunk_size", "dim_model", "use_vae", "kl_weight", "dropout")},
-        **{f"n_{name}": getattr(config, name) for name in ("heads", "encoder_layers", "decoder_layers")},
+        **{
+            name: getattr(config, name)
+            for name in ("chunk_size", "dim_model", "use_vae", "kl_weight", "dropout")
+        },
+        **{
+            f"n_{name}": getattr(config, name)
+            for name in ("heads", "encoder_layers", "decoder_layers")
+        },
         "n_action_steps": config.chunk_size,
         "dim_feedforward": config.dim_feedforward,
         "optimizer_lr": config.learning_rate,
@@ -185,27 +227,43 @@ class TorchChunkPolicy(ChunkPolicy):
     """A LeRobot policy with processors."""
 
     def __init__(self, trained: Trained, threads: int | None) -> None:
-        self._trained, self._threads = trained, threads
+        self._trained = trained
+        self._threads = threads
         config = trained.policy.config
-        state, action = config.robot_state_feature, config.action_feature
+        state = config.robot_state_feature
+        action = config.action_feature
         if state is None or action is None or tuple(state.shape) != tuple(action.shape):
-            raise DataError("the checkpoint does not map a state to actions of the same joints and grippers")
-        self.chunk_size, self.dim = int(config.chunk_size), int(action.shape[0])
+            raise DataError(
+                "the checkpoint does not map a state to actions of the same joints and grippers",
+            )
+        self.chunk_size = int(config.chunk_size)
+        self.dim = int(action.shape[0])
         self.cameras: dict[str, tuple[int, int]] = {}
         for key, feature in config.image_features.items():
             if not key.startswith(IMAGE_PREFIX):
-                raise DataError(f"the checkpoint reads '{key}'; cameras here are named {IMAGE_PREFIX}<name>")
-            self.cameras[key.removeprefix(IMAGE_PREFIX)] = (int(feature.shape[1]), int(feature.shape[2]))
+                raise DataError(
+                    f"the checkpoint reads '{key}'; cameras here are named {IMAGE_PREFIX}<name>",
+                )
+            self.cameras[key.removeprefix(IMAGE_PREFIX)] = (
+                int(feature.shape[1]),
+                int(feature.shape[2]),
+            )
 
     def reset(self) -> None:
         """See `ChunkPolicy.reset`."""
         self._trained.policy.reset()
 
-    def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
+    def predict(
+        self,
+        images: Mapping[str, Image],
+        state: NDArray[np.float32],
+    ) -> NDArray[np.float64]:
         """Return one chunk."""
         observation: dict[str, Any] = {STATE: torch.from_numpy(state)}
         for camera, pixels in images.items():
-            observation[camera_key(camera)] = torch.from_numpy(pixels).permute(2, 0, 1).float().div_(255.0)
+            observation[camera_key(camera)] = (
+                torch.from_numpy(pixels).permute(2, 0, 1).float().div_(255.0)
+            )
         with torch.inference_mode(), threads(self._threads):
             batch = self._trained.preprocessor(observation)
             chunk = self._trained.postprocessor(self._trained.policy.predict_action_chunk(batch))

@@ -19,7 +19,8 @@ def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDAr
     light = rng.uniform(min(config.light_log), max(config.light_log), n)
     gains = rng.uniform(-1.0, 1.0, (n, 3)) * config.channel_gain_log
     mixing = rng.uniform(-1.0, 1.0, (n, 3, 3)) * config.channel_mixing
-    offset, order = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3)), np.argsort(rng.random((n, 3)), axis=1)
+    offset = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3))
+    order = np.argsort(rng.random((n, 3)), axis=1)
     order[rng.random(n) >= config.permuted_share] = np.arange(3)
     diagonal = np.arange(3)
     mixing[:, diagonal, diagonal] = 0.0
@@ -29,20 +30,33 @@ def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDAr
     return np.concatenate([turned, offset[:, :, None]], axis=2).astype(np.float32)
 
 
-def warps(n: int, height: int, width: int, config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.float64]:
+def warps(
+    n: int,
+    height: int,
+    width: int,
+    config: AugmentConfig,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
     """Draw maps (n, 2, 3) of places [pixels]."""
     turn = np.radians(config.turn_deg) * rng.uniform(-1.0, 1.0, n)
     scale = 1.0 + config.scale * rng.uniform(-1.0, 1.0, n)
     shift = config.shift * rng.uniform(-1.0, 1.0, (n, 2)) * (width, height)
     straight = rng.random(n) < config.straight_share
-    turn[straight], scale[straight], shift[straight] = 0.0, 1.0, 0.0
-    along, across = scale * np.cos(turn), scale * np.sin(turn)
+    turn[straight] = 0.0
+    scale[straight] = 1.0
+    shift[straight] = 0.0
+    along = scale * np.cos(turn)
+    across = scale * np.sin(turn)
     turned = np.stack([along, -across, across, along], axis=1).reshape(n, 2, 2)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
     return np.dstack([turned, middle + shift - turned @ middle])
 
 
-def augment(pictures: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
+def augment(
+    pictures: NDArray[np.uint8],
+    config: AugmentConfig,
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:
     """Return changed copies of pictures (n, H, W, 3)."""
     n, height, width, _ = pictures.shape
     colours = colour_maps(n, config, rng) if config.photometric else [None] * n
@@ -52,5 +66,10 @@ def augment(pictures: NDArray[np.uint8], config: AugmentConfig, rng: np.random.G
         if colour is not None:
             cv2.transform(picture, colour, dst=picture)
         if place is not None and (place != _UNMOVED).any():
-            picture[:] = cv2.warpAffine(picture, place, (width, height), borderMode=cv2.BORDER_REPLICATE)
+            picture[:] = cv2.warpAffine(
+                picture,
+                place,
+                (width, height),
+                borderMode=cv2.BORDER_REPLICATE,
+            )
     return changed

@@ -53,7 +53,11 @@ def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
 def normalise_images(images: Tensor, stats: dict[str, Tensor]) -> Tensor:
     """Normalise uint8 (B, H, W, 3) to channels-last float (B, 3, H, W)."""
     inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
-    return torch.addcmul(-stats["mean"].view(1, 1, 1, 3) * inverse, images.float(), inverse / 255.0).permute(0, 3, 1, 2)
+    return torch.addcmul(
+        -stats["mean"].view(1, 1, 1, 3) * inverse,
+        images.float(),
+        inverse / 255.0,
+    ).permute(0, 3, 1, 2)
 
 
 class BatchMaker:
@@ -63,38 +67,66 @@ class BatchMaker:
     """
 
     def __init__(self, demos: Demonstrations, config: TrainConfig, stats: Stats) -> None:
-        self._demos, self._config = demos, config
-        self._stats = {key: {n: t.to(config.device) for n, t in s.items()} for key, s in stats.items()}
+        self._demos = demos
+        self._config = config
+        self._stats = {
+            key: {n: t.to(config.device) for n, t in s.items()} for key, s in stats.items()
+        }
 
     def training(self, rows: Rows, rng: np.random.Generator) -> dict[str, Tensor]:
         """Return an augmented batch."""
-        config, state = self._config, self._demos.state[rows].copy()
-        sigma = np.where(self._demos.phase[rows] == 0, config.state_noise_approach_rad, config.state_noise_rad)
+        config = self._config
+        state = self._demos.state[rows].copy()
+        sigma = np.where(
+            self._demos.phase[rows] == 0,
+            config.state_noise_approach_rad,
+            config.state_noise_rad,
+        )
         n = self._demos.joints_n
         state[:, :n] += (rng.standard_normal((len(rows), n)) * sigma[:, None]).astype(np.float32)
-        pictures = {c: augment(self._demos.images[c][rows], config.augment, rng) for c in self._demos.cameras}
+        pictures = {
+            c: augment(self._demos.images[c][rows], config.augment, rng)
+            for c in self._demos.cameras
+        }
         return self._assemble(rows, state, pictures)
 
     def clean(self, rows: Rows) -> dict[str, Tensor]:
         """Return an unaugmented batch."""
         demos = self._demos
-        return self._assemble(rows, demos.state[rows], {c: demos.images[c][rows] for c in demos.cameras})
+        return self._assemble(
+            rows,
+            demos.state[rows],
+            {c: demos.images[c][rows] for c in demos.cameras},
+        )
 
-    def _assemble(self, rows: Rows, state: NDArray[np.float32], pictures: dict[str, Image]) -> dict[str, Tensor]:
-        demos, device = self._demos, self._config.device
+    def _assemble(
+        self,
+        rows: Rows,
+        state: NDArray[np.float32],
+        pictures: dict[str, Image],
+    ) -> dict[str, Tensor]:
+        demos = self._demos
+        device = self._config.device
         ahead = rows[:, None] + np.arange(self._config.chunk_size)
-        chunk, ticks = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])], demos.keyframe_ticks[rows]
+        chunk = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])]
+        ticks = demos.keyframe_ticks[rows]
         to_come = (ticks >= 0) & (np.arange(ticks.shape[1]) >= demos.phase[rows][:, None])
         batch: dict[str, Tensor] = {
             STATE: normalise(torch.from_numpy(state).to(device), self._stats[STATE]),
             ACTION: normalise(torch.from_numpy(chunk).to(device), self._stats[ACTION]),
             "action_is_pad": torch.zeros(chunk.shape[:2], dtype=torch.bool, device=device),
-            "keyframe": normalise(torch.from_numpy(demos.action[ticks]).to(device), self._stats[ACTION]),
+            "keyframe": normalise(
+                torch.from_numpy(demos.action[ticks]).to(device),
+                self._stats[ACTION],
+            ),
             "keyframe_is_valid": torch.from_numpy(to_come).to(device),
         }
         for camera in demos.cameras:
             key = camera_key(camera)
-            batch[key] = normalise_images(torch.from_numpy(pictures[camera]).to(device), self._stats[key])
+            batch[key] = normalise_images(
+                torch.from_numpy(pictures[camera]).to(device),
+                self._stats[key],
+            )
         return batch
 
 
@@ -107,7 +139,9 @@ class Shares:
 
     def __init__(self, policy: Any, count: int) -> None:
         self.policies = [policy, *(_sharing(policy) for _ in range(count - 1))]
-        self._parameters = [[p for p in own.parameters() if p.requires_grad] for own in self.policies]
+        self._parameters = [
+            [p for p in own.parameters() if p.requires_grad] for own in self.policies
+        ]
         self._pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,))
 
     def close(self) -> None:
@@ -119,7 +153,10 @@ class Shares:
         if len(self.policies) == 1:
             return _gradient(self.policies[0], batch)
         rows = len(next(iter(batch.values())))
-        shares = [slice(*ends) for ends in pairwise(np.linspace(0, rows, len(self.policies) + 1).astype(int).tolist())]
+        shares = [
+            slice(*ends)
+            for ends in pairwise(np.linspace(0, rows, len(self.policies) + 1).astype(int).tolist())
+        ]
         weights = [(share.stop - share.start) / rows for share in shares]
         if not all(weights):
             raise ValueError(f"{rows} rows cannot be shared by {len(shares)} threads")

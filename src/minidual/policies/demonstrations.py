@@ -39,14 +39,25 @@ class Demonstrations:
         if len(self) == 0:
             raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
         if self.state.shape != self.action.shape or self.dim <= GRIPPERS_N:
-            raise DataError(f"dataset column 'action' has shape {self.action.shape}, 'state' {self.state.shape}")
+            raise DataError(
+                f"dataset column 'action' has shape {self.action.shape}, 'state' {self.state.shape}",
+            )
         if not self.images:
-            raise DataError("the dataset has no camera images", remedy="minidual teleop-record --force")
+            raise DataError(
+                "the dataset has no camera images",
+                remedy="minidual teleop-record --force",
+            )
         if np.any(np.diff(self.episode_index) < 0):
-            raise DataError("dataset column 'episode_index' is not ascending: episodes must be contiguous")
-        self.phase, self.last_tick = np.zeros(len(self), dtype=np.int64), np.zeros(len(self), dtype=np.int64)
+            raise DataError(
+                "dataset column 'episode_index' is not ascending: episodes must be contiguous",
+            )
+        self.phase, self.last_tick = (
+            np.zeros(len(self), dtype=np.int64),
+            np.zeros(len(self), dtype=np.int64),
+        )
         gripper = self.action[:, self.joints_n :]
-        span, bounds = gripper.max(axis=0) - gripper.min(axis=0), list(self.episode_bounds().values())
+        span = gripper.max(axis=0) - gripper.min(axis=0)
+        bounds = list(self.episode_bounds().values())
         switches = [gripper_switches(gripper[start:stop], span) for start, stop in bounds]
         self.keyframe_ticks = np.full((len(self), max(map(len, switches))), -1, dtype=np.int64)
         for (start, stop), ticks in zip(bounds, switches, strict=True):
@@ -87,7 +98,11 @@ class Demonstrations:
 
 
 def load_demonstrations(
-    root: Path, cameras: Sequence[str], progress: Callable[[int], None] | None = None, *, folder: Path | None = None
+    root: Path,
+    cameras: Sequence[str],
+    progress: Callable[[int], None] | None = None,
+    *,
+    folder: Path | None = None,
 ) -> Demonstrations:
     """Read a LeRobot dataset with `cameras` (all if empty); `folder` takes images for which memory is short.
 
@@ -96,7 +111,10 @@ def load_demonstrations(
         UsageError: Unknown camera.
     """
     tables = read_dataset(root)
-    images = {camera: tables.images(camera, progress, folder=folder) for camera in sorted(cameras or tables.cameras)}
+    images = {
+        camera: tables.images(camera, progress, folder=folder)
+        for camera in sorted(cameras or tables.cameras)
+    }
     return Demonstrations(images, tables.state, tables.action, tables.episode_index)
 
 
@@ -116,7 +134,11 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
     return events
 
 
-def split_episodes(episodes: Collection[int], fraction: float, rng: np.random.Generator) -> tuple[list[int], list[int]]:
+def split_episodes(
+    episodes: Collection[int],
+    fraction: float,
+    rng: np.random.Generator,
+) -> tuple[list[int], list[int]]:
     """Return (training, validation) episodes; at least one trains."""
     count = min(round(fraction * len(episodes)), len(episodes) - 1)
     if fraction > 0 and len(episodes) > 1:

@@ -39,7 +39,11 @@ class ChunkPolicy(ABC):
         """Forget what was seen: a new episode begins."""
 
     @abstractmethod
-    def predict(self, images: Mapping[str, Image], state: NDArray[np.float32]) -> NDArray[np.float64]:
+    def predict(
+        self,
+        images: Mapping[str, Image],
+        state: NDArray[np.float32],
+    ) -> NDArray[np.float64]:
         """Return actions (chunk_size, dim): joint targets [rad], then openings.
 
         `images`: (H, W, 3). `state`: (dim,), as measured.
@@ -121,7 +125,11 @@ class PolicyKind(ABC):
         """
 
 
-POLICIES: Registry[PolicyKind] = Registry("policy", rows_beside(__file__), group="minidual.policies")
+POLICIES: Registry[PolicyKind] = Registry(
+    "policy",
+    rows_beside(__file__),
+    group="minidual.policies",
+)
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
@@ -130,17 +138,27 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     with reading(f"checkpoint {folder}", f"{REMEDY} --force"):
         if (kind := read_json(folder / "config.json")["type"]) not in POLICIES:
-            raise DataError(f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}")
+            raise DataError(
+                f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}",
+            )
     return POLICIES[kind].load(folder, device, threads)
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
     """Write the loss curve; no times, so equal seeds give equal files."""
-    write_csv(path, [{n: f"{v:.6g}" if isinstance(v, float) else v for n, v in asdict(row).items()} for row in curve])
+    write_csv(
+        path,
+        [
+            {n: f"{v:.6g}" if isinstance(v, float) else v for n, v in asdict(row).items()}
+            for row in curve
+        ],
+    )
 
 
 def write_train_json(result: TrainResult, extra: dict[str, Any], path: Path) -> dict[str, Any]:
     """Write and return the summary."""
-    record = {key: value for key, value in asdict(result).items() if key not in ("curve", "set_aside")} | extra
+    record = {
+        key: value for key, value in asdict(result).items() if key not in ("curve", "set_aside")
+    } | extra
     path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return record

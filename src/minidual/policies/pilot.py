@@ -35,16 +35,27 @@ Picture = Callable[[str], tuple[Image, float]]
 """Returns a camera's image (H, W, 3) and when it was taken [s], on the control clock."""
 
 
-def next_command(runtime: PolicyRuntime, world: World, picture: Picture, sequence: int) -> JointCommand:
+def next_command(
+    runtime: PolicyRuntime,
+    world: World,
+    picture: Picture,
+    sequence: int,
+) -> JointCommand:
     """Return the policy's command for the current images and state.
 
     Raises:
         DataError: An input does not fit; PolicyStoppedError: a camera fails, or see `PolicyRuntime.act`.
     """
-    images, asked_s = {name: partial(_taken, picture, name, world) for name in runtime.cameras}, world.time
-    action, n = runtime.act(images, np.concatenate([world.q, world.gripper])), runtime.joints_n
+    images = {name: partial(_taken, picture, name, world) for name in runtime.cameras}
+    asked_s = world.time
+    action = runtime.act(images, np.concatenate([world.q, world.gripper]))
+    n = runtime.joints_n
     if world.time - asked_s > PICTURE_AGE_MAX_S:
-        raise PolicyStoppedError("late_answer", age_s=world.time - asked_s, limit_s=PICTURE_AGE_MAX_S)
+        raise PolicyStoppedError(
+            "late_answer",
+            age_s=world.time - asked_s,
+            limit_s=PICTURE_AGE_MAX_S,
+        )
     return JointCommand(action[:n], action[n:], asked_s, sequence)
 
 
@@ -52,10 +63,19 @@ def _taken(picture: Picture, name: str, world: World) -> Image:
     try:
         image, stamp_s = picture(name)
     except Exception as error:  # drivers raise anything
-        raise PolicyStoppedError("camera_failed", camera=name, error=f"{type(error).__name__}: {error}") from error
+        raise PolicyStoppedError(
+            "camera_failed",
+            camera=name,
+            error=f"{type(error).__name__}: {error}",
+        ) from error
     age_s = world.time - stamp_s
     if not -PICTURE_AGE_MAX_S <= age_s <= PICTURE_AGE_MAX_S:
-        raise PolicyStoppedError("stale_picture", camera=name, age_s=age_s, limit_s=PICTURE_AGE_MAX_S)
+        raise PolicyStoppedError(
+            "stale_picture",
+            camera=name,
+            age_s=age_s,
+            limit_s=PICTURE_AGE_MAX_S,
+        )
     return image
 
 
@@ -65,11 +85,18 @@ class PolicyPilot:
     The stack's world is already reset, its rate as recorded.
     """
 
-    def __init__(self, stack: ControlStack[World], runtime: PolicyRuntime, picture: Picture) -> None:
-        self.stack, self.world = stack, stack.plant
+    def __init__(
+        self,
+        stack: ControlStack[World],
+        runtime: PolicyRuntime,
+        picture: Picture,
+    ) -> None:
+        self.stack = stack
+        self.world = stack.plant
         self.aborted: str | None = None
         self._broken: Exception | None = None
-        self._runtime, self._picture = runtime, picture
+        self._runtime = runtime
+        self._picture = picture
         # A mode switch must drop the current chunk, or it would run on afterwards.
         self.stack.on_flush(lambda mode: runtime.reset())
         runtime.reset()
@@ -106,7 +133,9 @@ class PolicyPilot:
         try:
             self.stack.advance()
         except ReflexError as error:
-            self.aborted = self.aborted or error.message  # it may follow from what stopped the policy
+            self.aborted = (
+                self.aborted or error.message
+            )  # it may follow from what stopped the policy
         if self._broken is not None and self.done:
             raise self._broken
 

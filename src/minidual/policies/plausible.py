@@ -16,9 +16,11 @@ OVERSHOOT_RAD = 0.3  # networks regress to targets at a limit with some error
 _ZERO_RAD = 1e-9
 OVERSHOOT = 0.5
 """Of an opening: half the travel."""
-SWING_RAD, SWING = 0.05, 0.2
+SWING_RAD = 0.05
+SWING = 0.2
 """A joint target or an opening turns back when it leaves its last extreme by this much; hands switch over 0.2."""
-TURNS_MAX, _WINDOW_TICKS = 8, 200
+TURNS_MAX = 8
+_WINDOW_TICKS = 200
 """Most turns of one joint in the last ticks (4 s at 50 Hz)."""
 MOVED_RAD = 0.1
 """A picture that stays equal to the bit over a larger motion is frozen."""
@@ -28,7 +30,10 @@ class PolicyStoppedError(DataError):
     """The policy's input or output is broken; `name`, a row of plausible.yaml, says how (docs/deploy.md)."""
 
     def __init__(self, name: str, **values: object) -> None:
-        super().__init__(f"{name}: {_STOPS[name]['text'].format(**values)}", remedy=_STOPS[name]["remedy"])
+        super().__init__(
+            f"{name}: {_STOPS[name]['text'].format(**values)}",
+            remedy=_STOPS[name]["remedy"],
+        )
         self.name = name
 
 
@@ -40,9 +45,15 @@ class Plausible:
 
     def __init__(self, lower: Array, upper: Array) -> None:
         self._n = len(lower) - len(SIDES)
-        over, self._swing = np.repeat([[OVERSHOOT_RAD, OVERSHOOT], [SWING_RAD, SWING]], [self._n, len(SIDES)], axis=1)
-        self._lower, self._upper = lower - over, upper + over
-        joints, hands = (f"joint {k + 1} of {self._n} [rad]" for k in range(self._n)), (f"the {s} hand" for s in SIDES)
+        over, self._swing = np.repeat(
+            [[OVERSHOOT_RAD, OVERSHOOT], [SWING_RAD, SWING]],
+            [self._n, len(SIDES)],
+            axis=1,
+        )
+        self._lower = lower - over
+        self._upper = upper + over
+        joints = (f"joint {k + 1} of {self._n} [rad]" for k in range(self._n))
+        hands = (f"the {s} hand" for s in SIDES)
         self._names = [*joints, *hands]
         self.reset()
 
@@ -62,7 +73,12 @@ class Plausible:
             if content != before:
                 self._pictures[camera] = content, q.copy()
             elif (moved := float(np.abs(q - q_before).max())) > MOVED_RAD:
-                raise PolicyStoppedError("frozen_picture", camera=camera, moved_rad=moved, bound_rad=MOVED_RAD)
+                raise PolicyStoppedError(
+                    "frozen_picture",
+                    camera=camera,
+                    moved_rad=moved,
+                    bound_rad=MOVED_RAD,
+                )
 
     def chunk(self, chunk: Array) -> None:
         """Check the actions (k, n + 2) that will run."""
@@ -78,13 +94,20 @@ class Plausible:
         """Check that the targets (n + 2,) do not swing to and fro."""
         if self._extreme is None:
             self._extreme = action.copy()
-        away, swing = action - self._extreme, self._swing
+        away = action - self._extreme
+        swing = self._swing
         turned = (self._sign * away < -swing) | ((self._sign == 0.0) & (np.abs(away) > swing))
         onward = turned | (self._sign * away > 0.0)
         self._turned.append(turned & (self._sign != 0.0))
         self._turns += self._turned[-1].astype(int) - self._turned.popleft()
         self._sign = np.where(turned, np.sign(away), self._sign)
-        self._extreme, k = np.where(onward, action, self._extreme), int(np.argmax(self._turns))
+        self._extreme = np.where(onward, action, self._extreme)
+        k = int(np.argmax(self._turns))
         if self._turns[k] > TURNS_MAX:
             bounds = {"swing": swing[k], "ticks": _WINDOW_TICKS, "bound_n": TURNS_MAX}
-            raise PolicyStoppedError("oscillation", what=self._names[k], turns_n=self._turns[k], **bounds)
+            raise PolicyStoppedError(
+                "oscillation",
+                what=self._names[k],
+                turns_n=self._turns[k],
+                **bounds,
+            )

@@ -52,12 +52,18 @@ class _State:
 
 def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult, Trained]:
     """Train the policy built from statistics; see `PolicyKind.train`."""
-    demos, config, seed = job.demos, job.config, job.seed
+    demos = job.demos
+    config = job.config
+    seed = job.seed
     rng = stream(seed, "train.split")
     training, validation = split_episodes(demos.episode_bounds(), config.validation_fraction, rng)
     rows = demos.rows_of(training)
     stats = dataset_statistics(demos, rows, config.std_floor)
-    devices = [torch.cuda.current_device()] if config.device == "cuda" and torch.cuda.is_available() else []
+    devices = (
+        [torch.cuda.current_device()]
+        if config.device == "cuda" and torch.cuda.is_available()
+        else []
+    )
     with torch.random.fork_rng(devices=devices), threads(1 if splits(config) else config.threads):
         torch.manual_seed(int(stream(seed, "train.weights", 0).integers(2**63)))
         trained = build(stats)
@@ -68,12 +74,16 @@ def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult
         except KeyboardInterrupt as stop:
             loop.save()
             if loop.set_aside is not None:  # no result will tell
-                stop.args = (f"{str(stop) or 'interrupted'}; an earlier training's progress is in {loop.set_aside}",)
+                stop.args = (
+                    f"{str(stop) or 'interrupted'}; an earlier training's progress is in {loop.set_aside}",
+                )
             raise
         finally:
             loop.shares.close()
             loop.beside.shutdown(cancel_futures=True)
-    return loop.result(training, validation, resumed, stopped_by), trained._replace(policy=loop.averaged)
+    return loop.result(training, validation, resumed, stopped_by), trained._replace(
+        policy=loop.averaged,
+    )
 
 
 def splits(config: TrainConfig) -> bool:
@@ -93,27 +103,55 @@ def threads(count: int | None) -> Iterator[None]:
 
 
 class _Loop:
-    def __init__(self, job: Training, policy: Any, rows: Rows, validation_rows: Rows, stats: Stats) -> None:
-        demos, config, seed = job.demos, job.config, job.seed
-        self.config, self.seed, self.policy, self.stats = config, seed, policy, stats
-        self.joints_n, self.ticks = demos.joints_n, len(rows)
-        self.shares = Shares(policy, min(config.threads, config.batch_size) if splits(config) else 1)
+    def __init__(
+        self,
+        job: Training,
+        policy: Any,
+        rows: Rows,
+        validation_rows: Rows,
+        stats: Stats,
+    ) -> None:
+        demos = job.demos
+        config = job.config
+        seed = job.seed
+        self.config = config
+        self.seed = seed
+        self.policy = policy
+        self.stats = stats
+        self.joints_n = demos.joints_n
+        self.ticks = len(rows)
+        self.shares = Shares(
+            policy,
+            min(config.threads, config.batch_size) if splits(config) else 1,
+        )
         self.beside = ThreadPoolExecutor(1)
         self.ahead: Future[tuple[int, dict[str, torch.Tensor]]] | None = None
         self.batches = BatchMaker(demos, config, stats)
-        self.rows, weights = rows, np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
-        self.shares_of_rows, count = weights / weights.sum(), min(VALIDATION_ROWS, len(validation_rows))
-        self.validation_rows = validation_rows[np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)]
+        self.rows = rows
+        weights = np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
+        self.shares_of_rows = weights / weights.sum()
+        count = min(VALIDATION_ROWS, len(validation_rows))
+        self.validation_rows = validation_rows[
+            np.linspace(0, len(validation_rows) - 1, count).astype(np.int64)
+        ]
         self.parameters = [p for p in policy.parameters() if p.requires_grad]
-        rate, decay = config.learning_rate, config.weight_decay
-        self.optimiser = torch.optim.AdamW(policy.get_optim_params(), lr=rate, weight_decay=decay, fused=True)
+        rate = config.learning_rate
+        decay = config.weight_decay
+        self.optimiser = torch.optim.AdamW(
+            policy.get_optim_params(),
+            lr=rate,
+            weight_decay=decay,
+            fused=True,
+        )
         self.rates = [group["lr"] / rate for group in self.optimiser.param_groups]
         self.averaged = copy.deepcopy(policy) if config.ema_decay > 0 else policy
         self.average = [p for p in self.averaged.parameters() if p.requires_grad]
         # consistent: weights, moving average, optimiser and state are those of one step
-        self.state, self.consistent = _State(), True
+        self.state = _State()
+        self.consistent = True
         self.progress = job.progress
-        self.fingerprint, self.set_aside = training_fingerprint(demos, config, seed, policy), None
+        self.fingerprint = training_fingerprint(demos, config, seed, policy)
+        self.set_aside = None
 
     def learning_rate(self, step: int) -> float:
         """Linear warm-up, then cosine decay to one hundredth."""
@@ -126,7 +164,8 @@ class _Loop:
 
     def run(self, advance: Advance) -> str:
         """Train; return "steps" or "time limit"."""
-        config, state = self.config, self.state
+        config = self.config
+        state = self.state
         self.policy.train()
         if state.step:
             self._log_if_due()  # interrupted before it was
@@ -139,7 +178,8 @@ class _Loop:
             self.consistent = True
             self._log_if_due()
             now = time.perf_counter()
-            state.spent_s, last = state.spent_s + now - last, now
+            state.spent_s = state.spent_s + now - last
+            last = now
             if state.step % config.checkpoint_every_steps == 0 or state.step == config.steps:
                 self.save()  # the last one too: the next seed may be interrupted
             advance(1, loss)
@@ -151,7 +191,9 @@ class _Loop:
     def _step(self, step: int) -> float:
         seed, batch = self.ahead.result() if self.ahead is not None else self._batch(step)
         # cut while the gradient is computed: a sixth of a step
-        self.ahead = self.beside.submit(self._batch, step + 1) if step + 1 < self.config.steps else None
+        self.ahead = (
+            self.beside.submit(self._batch, step + 1) if step + 1 < self.config.steps else None
+        )
         torch.manual_seed(seed)
         rate = self.learning_rate(step)
         for group, share in zip(self.optimiser.param_groups, self.rates, strict=True):
@@ -160,8 +202,13 @@ class _Loop:
         if not math.isfinite(value):
             at = f"at step {step} (learning rate {rate:.2g}, gradient clip {self.config.gradient_clip:g})"
             names = "learning_rate", "backbone_learning_rate"
-            lower = " ".join(f"--set train.{name}={getattr(self.config, name) / 3:.1g}" for name in names)
-            raise UsageError(f"the training loss became {value} {at}", remedy=f"lower both rates, for example {lower}")
+            lower = " ".join(
+                f"--set train.{name}={getattr(self.config, name) / 3:.1g}" for name in names
+            )
+            raise UsageError(
+                f"the training loss became {value} {at}",
+                remedy=f"lower both rates, for example {lower}",
+            )
         torch.nn.utils.clip_grad_norm_(self.parameters, self.config.gradient_clip)
         self.consistent = False
         self.optimiser.step()
@@ -181,11 +228,15 @@ class _Loop:
         return seed, self.batches.training(rows, rng)
 
     def _log_if_due(self) -> None:
-        if self.state.step % self.config.log_every_steps == 0 or self.state.step == self.config.steps:
+        if (
+            self.state.step % self.config.log_every_steps == 0
+            or self.state.step == self.config.steps
+        ):
             self._log()
 
     def _log(self) -> None:
-        state, config = self.state, self.config
+        state = self.state
+        config = self.config
         if state.curve and state.curve[-1].step == state.step:
             state.recent.clear()  # an interruption may have come before it
             return
@@ -193,9 +244,14 @@ class _Loop:
         logged = state.curve[-1].step if state.curve else 0
         due = state.step // config.validate_every_steps > logged // config.validate_every_steps
         validation = self._validate() if due or state.step == config.steps else (None, None)
-        loss, l1 = float(np.mean([r[0] for r in state.recent])), float(np.mean([r[1] for r in state.recent]))
+        loss = float(np.mean([r[0] for r in state.recent]))
+        l1 = float(np.mean([r[1] for r in state.recent]))
         keyframe = float(np.mean(keyframes)) if keyframes else None
-        state.curve.append(LossRow(state.step, loss, l1, keyframe, self.learning_rate(state.step - 1), *validation))
+        state.curve.append(
+            LossRow(
+                state.step, loss, l1, keyframe, self.learning_rate(state.step - 1), *validation
+            ),
+        )
         state.recent.clear()
 
     @torch.no_grad()
@@ -241,11 +297,19 @@ class _Loop:
             return 0
         content = self.progress.read_bytes() if self.progress.is_file() else b""
         # The checksum comes first: a damaged file would fail anywhere below, or later in training.
-        digest, rest = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+        digest = content[:DIGEST_BYTES]
+        rest = content[DIGEST_BYTES:]
         intact = hashlib.sha256(rest).digest() == digest
-        saved = torch.load(io.BytesIO(rest), map_location=self.config.device, weights_only=True) if intact else {}
+        saved = (
+            torch.load(io.BytesIO(rest), map_location=self.config.device, weights_only=True)
+            if intact
+            else {}
+        )
         if saved.get("fingerprint") != self.fingerprint:
-            self.set_aside = durable.set_aside(self.progress, f"train-act.{'other' if intact else 'damaged'}-progress")
+            self.set_aside = durable.set_aside(
+                self.progress,
+                f"train-act.{'other' if intact else 'damaged'}-progress",
+            )
             return 0
         self.policy.load_state_dict(saved["weights"])
         self.optimiser.load_state_dict(saved["optimiser"])
@@ -254,16 +318,32 @@ class _Loop:
         self.state.curve = [LossRow(**row) for row in saved["state"]["curve"]]
         return self.state.step
 
-    def result(self, training: list[int], validation: list[int], resumed: int, stopped_by: str) -> TrainResult:
+    def result(
+        self,
+        training: list[int],
+        validation: list[int],
+        resumed: int,
+        stopped_by: str,
+    ) -> TrainResult:
         """Summarise; the final loss averages the last twentieth."""
-        state, curve = self.state, self.state.curve
+        state = self.state
+        curve = self.state.curve
         if not curve:
             raise DataError("training ended without a single step")
         initial = float(np.mean(state.first_l1))
         final = float(np.mean([row.l1 for row in curve[-max(1, len(curve) // 20) :]]))
         validated = [row for row in curve if row.validation_l1 is not None]
-        about: Any = {"training_episodes": training, "validation_episodes": validation, "ticks": self.ticks}
-        about |= {"resumed_from_step": resumed, "set_aside": self.set_aside, "stopped_by": stopped_by, "curve": curve}
+        about: Any = {
+            "training_episodes": training,
+            "validation_episodes": validation,
+            "ticks": self.ticks,
+        }
+        about |= {
+            "resumed_from_step": resumed,
+            "set_aside": self.set_aside,
+            "stopped_by": stopped_by,
+            "curve": curve,
+        }
         return TrainResult(
             **about,
             steps=state.step,
@@ -283,7 +363,13 @@ class _Loop:
 def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, policy: Any) -> str:
     """Return a hash of what determines the weights (images sampled)."""
     digest = hashlib.sha256()
-    free = {"seeds_n", "log_every_steps", "validate_every_steps", "checkpoint_every_steps", "time_limit_s"}
+    free = {
+        "seeds_n",
+        "log_every_steps",
+        "validate_every_steps",
+        "checkpoint_every_steps",
+        "time_limit_s",
+    }
     settings = config.model_dump(exclude=free | {"loss_ratio_max", "actions_in_limits_min"})
     layout = [(name, list(values.shape)) for name, values in policy.state_dict().items()]
     digest.update(json.dumps([seed, settings, layout, torch.__version__], sort_keys=True).encode())

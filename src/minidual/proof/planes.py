@@ -23,9 +23,13 @@ JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
 """Parent frame (0: world, k + 1: joint k) and placement; the joint turns about z."""
 CLUSTER = np.dtype([("centre", "f8", 3), ("radius", "f8"), ("vertices", "f8", (8, 3))])
 """Neighbouring vertices of a solid (the last may repeat) in its frame, and their ball [m]."""
-SOLID = np.dtype([("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("axis", "f8", 3)])
+SOLID = np.dtype(
+    [("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("axis", "f8", 3)],
+)
 """Cluster rows, radii of ball and disc [m], disc axis."""
-PART = np.dtype([("first", "i8"), ("end", "i8"), ("frame", "i8"), ("centre", "f8", 3), ("radius", "f8")])
+PART = np.dtype(
+    [("first", "i8"), ("end", "i8"), ("frame", "i8"), ("centre", "f8", 3), ("radius", "f8")],
+)
 """Solid rows, frame, bounding ball [m]."""
 PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
 """Two parts, their planes' frame, first direction row, both indices in `_deviate`'s flattened table."""
@@ -41,7 +45,10 @@ Keep = tuple[float, Array, Array, float]
 padding."""
 Vector = tuple[float, float, float]
 
-_algebra: Any = map(inlined, (vectors.cross, vectors.inner, vectors.plus, vectors.minus, vectors.times))
+_algebra: Any = map(
+    inlined,
+    (vectors.cross, vectors.inner, vectors.plus, vectors.minus, vectors.times),
+)
 _cross, _dot, _plus, _minus, _times = _algebra
 _TRIES = 40
 """Most directions per plane."""
@@ -71,13 +78,19 @@ def _turned_back(R: Array, a: Any) -> Vector:
 @inlined
 def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
     """Write poses and centres into row n."""
-    joints, parts = geometry[0], geometry[3]
-    R, p, C = work[1][n], work[2][n], work[3][n]
-    p[0], R[0] = 0.0, 0.0
+    joints = geometry[0]
+    parts = geometry[3]
+    R = work[1][n]
+    p = work[2][n]
+    C = work[3][n]
+    p[0] = 0.0
+    R[0] = 0.0
     R[0, 0, 0] = R[0, 1, 1] = R[0, 2, 2] = 1.0
     for j in range(len(joints)):
-        f, shift = joints[j].parent, joints[j].p
-        c, s = math.cos(q[j]), math.sin(q[j])
+        f = joints[j].parent
+        shift = joints[j].p
+        c = math.cos(q[j])
+        s = math.sin(q[j])
         for r in range(3):
             row = _vector(R[f, r])
             x, y, z = _turned_back(joints[j].R, row)
@@ -91,7 +104,10 @@ def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
 @inlined
 def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
     """Write frame a's pose, seen from f, into row `to`."""
-    R, p, seen_R, seen_p = work[1][n], work[2][n], work[4], work[5]
+    R = work[1][n]
+    p = work[2][n]
+    seen_R = work[4]
+    seen_p = work[5]
     for r in range(3):
         _store(seen_R[to, r], _turned_back(R[a], (R[f, 0, r], R[f, 1, r], R[f, 2, r])))
     _store(seen_p[to], _turned_back(R[f], _minus(p[a], p[f])))
@@ -100,9 +116,13 @@ def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
 @inlined
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tuple[float, Vector]:
     """Return solid k's extent along `way`, without ball, and its extreme point."""
-    clusters, solids = geometry[1], geometry[2]
-    own, at, of = _turned_back(R, way), solids[k].first, 0
-    far, total = -np.inf, 0.0
+    clusters = geometry[1]
+    solids = geometry[2]
+    own = _turned_back(R, way)
+    at = solids[k].first
+    of = 0
+    far = -np.inf
+    total = 0.0
     for i in range(at, solids[k].end):
         most = _dot(clusters[i].centre, own) + clusters[i].radius
         total += most
@@ -111,11 +131,14 @@ def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tu
         for j in range(8):
             d = _dot(clusters[i].vertices[j], own)
             if d > far:
-                far, at, of = d, i, j
+                far = d
+                at = i
+                of = j
     if not abs(total) < np.inf:
         far = np.nan  # the comparison drops NaN, the sum does not
     point = _vector(clusters[at].vertices[of])
-    disc, axis = solids[k].disc, solids[k].axis
+    disc = solids[k].disc
+    axis = solids[k].axis
     if disc > 0.0:
         across = _minus(own, _times(_dot(own, axis), axis))
         length = math.sqrt(_dot(across, across))
@@ -126,13 +149,22 @@ def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tu
 
 
 @inlined
-def _difference(geometry: Geometry, a: int, b: int, ends: int, way: Vector, work: Work) -> tuple[float, Vector]:
+def _difference(
+    geometry: Geometry,
+    a: int,
+    b: int,
+    ends: int,
+    way: Vector,
+    work: Work,
+) -> tuple[float, Vector]:
     """Return solid a's smallest distance beyond b along `way` over the ends, and the difference vector.
 
     Even pose rows hold a, odd rows b.
     """
-    R, p = work[4], work[5]
-    gap, apart = np.inf, (0.0, 0.0, 0.0)
+    R = work[4]
+    p = work[5]
+    gap = np.inf
+    apart = (0.0, 0.0, 0.0)
     for end in range(ends):
         back, on_a = _farthest(geometry, a, R[2 * end], p[2 * end], _times(-1.0, way))
         front, on_b = _farthest(geometry, b, R[2 * end + 1], p[2 * end + 1], way)
@@ -140,25 +172,30 @@ def _difference(geometry: Geometry, a: int, b: int, ends: int, way: Vector, work
         if here != here:
             return np.nan, apart
         if not here >= gap:
-            gap, apart = here, _minus(on_a, on_b)
+            gap = here
+            apart = _minus(on_a, on_b)
     return gap, apart
 
 
 @inlined
 def _on_triangle(a: Vector, b: Vector, c: Vector) -> Vector:
     """Return weights of the triangle's nearest point to the origin (Ericson, Real-Time Collision Detection, 5.1.5)."""
-    ab, ac = _minus(b, a), _minus(c, a)
-    d1, d2 = -_dot(ab, a), -_dot(ac, a)
+    ab = _minus(b, a)
+    ac = _minus(c, a)
+    d1 = -_dot(ab, a)
+    d2 = -_dot(ac, a)
     if d1 <= 0.0 and d2 <= 0.0:
         return 1.0, 0.0, 0.0
-    d3, d4 = -_dot(ab, b), -_dot(ac, b)
+    d3 = -_dot(ab, b)
+    d4 = -_dot(ac, b)
     if d3 >= 0.0 and d4 <= d3:
         return 0.0, 1.0, 0.0
     of_c = d1 * d4 - d3 * d2
     if of_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         t = d1 / (d1 - d3)
         return 1.0 - t, t, 0.0
-    d5, d6 = -_dot(ab, c), -_dot(ac, c)
+    d5 = -_dot(ab, c)
+    d6 = -_dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     of_b = d5 * d2 - d1 * d6
@@ -177,7 +214,9 @@ def _on_triangle(a: Vector, b: Vector, c: Vector) -> Vector:
 def _nearest(S: Array, count: int) -> tuple[int, Vector]:
     """Return (count, point), the simplex's nearest point to the origin, and drop unneeded rows."""
     weights = (1.0, 0.0, 0.0)
-    i, j, k = 0, 1, 2
+    i = 0
+    j = 1
+    k = 2
     if count == 2:
         edge = _minus(S[1], S[0])
         square = _dot(edge, edge)
@@ -188,8 +227,12 @@ def _nearest(S: Array, count: int) -> tuple[int, Vector]:
     elif count == 4:
         least = np.inf
         for face in range(4):
-            r, s, t = (1 if face == 0 else 0), (2 if face <= 1 else 1), (3 if face <= 2 else 2)
-            a, b, c = _vector(S[r]), _vector(S[s]), _vector(S[t])
+            r = 1 if face == 0 else 0
+            s = 2 if face <= 1 else 1
+            t = 3 if face <= 2 else 2
+            a = _vector(S[r])
+            b = _vector(S[s])
+            c = _vector(S[t])
             normal = _cross(_minus(b, a), _minus(c, a))
             # The origin is not strictly on the face's inner side.
             if not -_dot(normal, a) * _dot(normal, _minus(_vector(S[face]), a)) > 0.0:
@@ -197,7 +240,11 @@ def _nearest(S: Array, count: int) -> tuple[int, Vector]:
                 point = _plus(_plus(_times(here[0], a), _times(here[1], b)), _times(here[2], c))
                 square = _dot(point, point)
                 if square < least:
-                    least, weights, i, j, k = square, here, r, s, t
+                    least = square
+                    weights = here
+                    i = r
+                    j = s
+                    k = t
         if least == np.inf:
             return 4, (0.0, 0.0, 0.0)
     point = (0.0, 0.0, 0.0)
@@ -212,22 +259,36 @@ def _nearest(S: Array, count: int) -> tuple[int, Vector]:
 
 
 @inlined
-def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact: bool, row: int, work: Work) -> float:
+def _separate(
+    geometry: Geometry,
+    a: int,
+    b: int,
+    ends: int,
+    need: float,
+    exact: bool,
+    row: int,
+    work: Work,
+) -> float:
     """Return a lower bound on the solids' distance at all ends.
 
     Stops when it exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence.
     """
-    solids, directions, S = geometry[2], work[0], work[6]
+    solids = geometry[2]
+    directions = work[0]
+    S = work[6]
     thick = solids[a].ball + solids[b].ball
     way = _vector(directions[row])
     if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:
         way = (0.0, 0.0, 1.0)  # arbitrary first direction
-    size, count = np.inf, 0
-    best, best_way = -np.inf, way
+    size = np.inf
+    count = 0
+    best = -np.inf
+    best_way = way
     for _ in range(_TRIES):
         gap, apart = _difference(geometry, a, b, ends, way, work)
         if gap - thick > best:
-            best, best_way = gap - thick, way
+            best = gap - thick
+            best_way = way
         if best > need:
             break
         _store(S[count], apart)
@@ -247,13 +308,18 @@ def _separate(geometry: Geometry, a: int, b: int, ends: int, need: float, exact:
 @inlined
 def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
     """Return the bounding balls' smallest distance at states i and j."""
-    parts, R, C = geometry[3], work[1], work[3]
-    a, b, f = pair.a, pair.b, pair.frame
+    parts = geometry[3]
+    R = work[1]
+    C = work[3]
+    a = pair.a
+    b = pair.b
+    f = pair.frame
     x = _minus(C[i, a], C[i, b])
     if i != j:
         y = _minus(C[j, a], C[j, b])
         if f != 0:
-            x, y = _turned_back(R[i, f], x), _turned_back(R[j, f], y)
+            x = _turned_back(R[i, f], x)
+            y = _turned_back(R[j, f], y)
         d = _minus(y, x)
         square = _dot(d, d)
         if square > 0.0:
@@ -264,24 +330,42 @@ def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) ->
 @inlined
 def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
     """Return how far a's ball lies beyond b along their last direction; -inf unless b is one fixed solid."""
-    solids, parts = geometry[2], geometry[3]
-    R, p, C = work[1], work[2], work[3]
-    a, b = pair.a, pair.b
+    solids = geometry[2]
+    parts = geometry[3]
+    R = work[1]
+    p = work[2]
+    C = work[3]
+    a = pair.a
+    b = pair.b
     way = _vector(work[0][pair.row])
     if parts[b].frame != 0 or parts[b].end - parts[b].first != 1 or _dot(way, way) == 0.0:
         return -np.inf
     front, _ = _farthest(geometry, parts[b].first, R[i, 0], p[i, 0], way)
-    return min(_dot(C[i, a], way), _dot(C[j, a], way)) - parts[a].radius - front - solids[parts[b].first].ball
+    return (
+        min(_dot(C[i, a], way), _dot(C[j, a], way))
+        - parts[a].radius
+        - front
+        - solids[parts[b].first].ball
+    )
 
 
 @inlined
-def _apart(geometry: Geometry, pair: Any, i: int, j: int, need: float, exact: bool, work: Work) -> float:
+def _apart(
+    geometry: Geometry,
+    pair: Any,
+    i: int,
+    j: int,
+    need: float,
+    exact: bool,
+    work: Work,
+) -> float:
     """Return a lower bound on the parts' distance at states i and j.
 
     Stops at the first solids within `need`, unless `exact`.
     """
     parts = geometry[3]
-    a, b = pair.a, pair.b
+    a = pair.a
+    b = pair.b
     ends = 1 if i == j else 2
     for end in range(ends):
         n = i if end == 0 else j
@@ -307,7 +391,8 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
 
     Last row: fixed parts. `off` [rad]: departure from the straight line.
     """
-    parts, reach = geometry[3], geometry[5]
+    parts = geometry[3]
+    reach = geometry[5]
     n = reach.shape[1]
     table[:] = 0.0
     for m in range(len(parts)):
@@ -315,7 +400,8 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
             continue
         first = n if parts[m].frame > n else 0
         for i in range(n):
-            total, inside = 0.0, 0.0
+            total = 0.0
+            inside = 0.0
             for j in range(i, n):
                 turn = abs(step[first + j])
                 total += reach[m, j] * (off[first + j] + 0.125 * turn * (turn + 2.0 * inside))
@@ -329,7 +415,8 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
 
     `bend`: see `bends`.
     """
-    square, total = 0.0, 0.0
+    square = 0.0
+    total = 0.0
     for c in range(q.shape[1]):
         step[c] = q[j, c] - q[i, c]
         off[c] = 0.0
@@ -350,7 +437,15 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
 
 
 @inlined
-def _blocked(geometry: Geometry, chosen: Rows, i: int, j: int, need: float, moved: Array, work: Work) -> bool:
+def _blocked(
+    geometry: Geometry,
+    chosen: Rows,
+    i: int,
+    j: int,
+    need: float,
+    moved: Array,
+    work: Work,
+) -> bool:
     """Return whether a pair is not proven apart at states i and j, whose parts deviate by `moved` (see `_deviate`); put it first in `chosen`."""
     for at in range(len(chosen)):
         row = chosen[at]
@@ -375,15 +470,25 @@ def bends(q: Array, v: Array, dt: float) -> Array:
     out = np.empty((len(q) - 1, q.shape[1]))
     for k in range(len(out)):
         for c in range(q.shape[1]):
-            rise, before, after = q[k + 1, c] - q[k, c], v[k, c] * dt, v[k + 1, c] * dt
-            first, last = 6.0 * rise - 4.0 * before - 2.0 * after, 6.0 * rise - 2.0 * before - 4.0 * after
+            rise = q[k + 1, c] - q[k, c]
+            before = v[k, c] * dt
+            after = v[k + 1, c] * dt
+            first = 6.0 * rise - 4.0 * before - 2.0 * after
+            last = 6.0 * rise - 2.0 * before - 4.0 * after
             out[k, c] = 0.125 * max(abs(first), abs(last))  # one that is NaN makes the other NaN
     return out
 
 
 @kernel()
 def prove(
-    geometry: Geometry, q: Array, v: Array, dt: float, stretches: Rows, chosen: Rows, need: float, work: Work
+    geometry: Geometry,
+    q: Array,
+    v: Array,
+    dt: float,
+    stretches: Rows,
+    chosen: Rows,
+    need: float,
+    work: Work,
 ) -> tuple[np.ndarray, int, int]:
     """Prove that pairs stay farther apart than `need` throughout a motion.
 
@@ -402,15 +507,19 @@ def prove(
     """
     n, dof = q.shape
     asked = np.zeros(n, dtype=np.bool_)
-    step, off = np.empty(dof), np.empty(dof)
-    bend, table = bends(q, v, dt), np.empty((len(geometry[3]) + 1, geometry[5].shape[1] + 1))
+    step = np.empty(dof)
+    off = np.empty(dof)
+    bend = bends(q, v, dt)
+    table = np.empty((len(geometry[3]) + 1, geometry[5].shape[1] + 1))
     moved = table.reshape(-1)
-    order, top = chosen.copy(), len(stretches)
+    order = chosen.copy()
+    top = len(stretches)
     stack = np.empty((top + 64, 2), dtype=np.int64)
     stack[:top] = stretches[::-1]
     while top > 0:
         top -= 1
-        i, j = stack[top, 0], stack[top, 1]
+        i = stack[top, 0]
+        j = stack[top, 1]
         for k in (i, j):
             if not asked[k]:
                 _place(geometry, q[k], k, work)

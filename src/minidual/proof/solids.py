@@ -35,8 +35,10 @@ class Solids:
     """One scene's convex solids; `geometry` is the kernels' first argument."""
 
     def __init__(self, scene: PlanningScene) -> None:
-        self.robot, self.pairs = scene.robot, scene.checked_pairs
-        model, turns = Kinematics(self.robot).model, hinges(self.robot)[1]
+        self.robot = scene.robot
+        self.pairs = scene.checked_pairs
+        model = Kinematics(self.robot).model
+        turns = hinges(self.robot)[1]
         parts = dict(_robot_parts(self.robot))
         for solid in scene.solids:
             frame = model.frames[model.getFrameId(solid.link)]
@@ -61,10 +63,17 @@ class Solids:
         )
 
     def _pairs(self, rows: dict[str, int]) -> np.ndarray:
-        n, frames = self.robot.dof_per_arm, self._parts["frame"]
-        width, still = n + 1, len(frames) * (n + 1)
-        a, b = np.array([[rows[name] for name in pair] for pair in self.pairs], dtype=int).reshape(-1, 2).T
-        f, g = frames[a], frames[b]
+        n = self.robot.dof_per_arm
+        frames = self._parts["frame"]
+        width = n + 1
+        still = len(frames) * (n + 1)
+        a, b = (
+            np.array([[rows[name] for name in pair] for pair in self.pairs], dtype=int)
+            .reshape(-1, 2)
+            .T
+        )
+        f = frames[a]
+        g = frames[b]
         # Two parts of one arm are described in the inner one's frame.
         one_arm = (f > 0) & (g > 0) & ((f > n) == (g > n))
         inner = np.where(one_arm, np.minimum(f, g), 0)
@@ -79,7 +88,8 @@ class Solids:
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
         """Return pairs moved by these arms."""
-        n, pairs = self.robot.dof_per_arm, self.geometry[4]
+        n = self.robot.dof_per_arm
+        pairs = self.geometry[4]
         arm = (self._parts["frame"] + n - 1) // n  # 0 for fixed parts
         moves = np.array([False, *(side in arms for side in SIDES)])[arm]
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
@@ -88,7 +98,15 @@ class Solids:
         """Allocate the kernels' memory, untouched: most states of a proof are never asked for (1 of 9 ms)."""
         R, p = (np.empty((states_n, self.robot.dof + 1, *size)) for size in ((3, 3), (3,)))
         centres = np.empty((states_n, len(self._parts), 3))
-        return np.zeros((self._directions_n, 3)), R, p, centres, np.empty((4, 3, 3)), np.empty((4, 3)), np.empty((4, 3))
+        return (
+            np.zeros((self._directions_n, 3)),
+            R,
+            p,
+            centres,
+            np.empty((4, 3, 3)),
+            np.empty((4, 3)),
+            np.empty((4, 3)),
+        )
 
     def keep(self, padding_m: float) -> planes.Keep:
         """Return one padding for every state."""
@@ -97,7 +115,16 @@ class Solids:
     def free(self, q: Array, padding_m: float = 0.0) -> bool:
         """Return whether all pairs are proven farther apart than `padding_m`."""
         everything = np.arange(len(self.pairs))
-        return planes.survey(self.geometry, floats(q[None]), everything, self.keep(padding_m), self.workspace()) == 1
+        return (
+            planes.survey(
+                self.geometry,
+                floats(q[None]),
+                everything,
+                self.keep(padding_m),
+                self.workspace(),
+            )
+            == 1
+        )
 
     def clearance(self, Q: Array, most_m: float, rows: np.ndarray | None = None) -> float:
         """Return a lower bound [m] on the distance over Q (n, dof), at most `most_m`.
@@ -111,18 +138,25 @@ class Solids:
 @functools.cache
 def _joints(robot: Robot) -> np.ndarray:
     parents = Kinematics(robot).model.parents
-    rows = [(parents[k], T.rotation, T.translation) for k, T in enumerate(hinges(robot)[0], start=1)]
+    rows = [
+        (parents[k], T.rotation, T.translation) for k, T in enumerate(hinges(robot)[0], start=1)
+    ]
     return np.array(rows, dtype=planes.JOINT)
 
 
 @functools.cache
 def _robot_parts(robot: Robot) -> dict[str, _Part]:
-    model, turns = Kinematics(robot).model, hinges(robot)[1]
+    model = Kinematics(robot).model
+    turns = hinges(robot)[1]
     pieces: dict[str, list[Any]] = {}
     for item in robot_geometry(robot).geometryObjects:
         pieces.setdefault(model.frames[item.parentFrame].name, []).append(item)
     return {
-        name: _part(robot, own[0].parentJoint, [(i.geometry, turns[i.parentJoint] * i.placement) for i in own])
+        name: _part(
+            robot,
+            own[0].parentJoint,
+            [(i.geometry, turns[i.parentJoint] * i.placement) for i in own],
+        )
         for name, own in pieces.items()
     }
 
@@ -146,12 +180,19 @@ def _part(robot: Robot, frame: int, solids: Sequence[tuple[Any, pin.SE3]]) -> _P
 
     # The mean of the vertices lies inside their hull, so it is no farther from any axis than the part reaches.
     centre = np.vstack(points).mean(axis=0)
-    joints, n, far = _joints(robot), robot.dof_per_arm, radius(np.zeros(3))
+    joints = _joints(robot)
+    n = robot.dof_per_arm
+    far = radius(np.zeros(3))
     reach = np.zeros(n)  # largest distances [m] from the arm's joints; 0 if not moved
     for k in range(frame, 0 if frame <= n else n, -1):
         reach[(k - 1) % n] = far
         far += float(np.linalg.norm(joints[k - 1]["p"]))
-    return _Part(np.array(clusters, dtype=planes.CLUSTER), tuple(rows), (frame, centre.tolist(), radius(centre)), reach)
+    return _Part(
+        np.array(clusters, dtype=planes.CLUSTER),
+        tuple(rows),
+        (frame, centre.tolist(), radius(centre)),
+        reach,
+    )
 
 
 def _clusters(points: Array) -> list[tuple[Array, float, Array]]:

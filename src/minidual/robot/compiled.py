@@ -34,7 +34,10 @@ UNCOUNTED: dict[str, bool] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") 
 
 def kernel(signature: Any = None, *, heap: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Compile for a signature at import, or lazily. `heap`: it makes arrays, whose references must be counted."""
-    options: dict[str, Any] = {"error_model": "numpy", **({} if heap or signature is None else UNCOUNTED)}
+    options: dict[str, Any] = {
+        "error_model": "numpy",
+        **({} if heap or signature is None else UNCOUNTED),
+    }
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:

@@ -53,8 +53,13 @@ def file_at(address: str) -> Path:
     try:
         distribution = importlib.metadata.distribution(name)
     except importlib.metadata.PackageNotFoundError as error:
-        raise EnvironmentMissingError(f"the package '{name}' is not installed", remedy=remedy) from error
-    path = Path(str(distribution.locate_file(f"{_PREFIX}/{address.removeprefix(_SCHEME)}"))).resolve()
+        raise EnvironmentMissingError(
+            f"the package '{name}' is not installed",
+            remedy=remedy,
+        ) from error
+    path = Path(
+        str(distribution.locate_file(f"{_PREFIX}/{address.removeprefix(_SCHEME)}")),
+    ).resolve()
     if not path.is_file():
         raise EnvironmentMissingError(f"'{name}' has no file {path}", remedy=remedy)
     return path
@@ -66,12 +71,16 @@ def _document(address: str) -> ET.Element:
     root = ET.parse(path).getroot()
     for mesh in root.iter("mesh"):
         name = mesh.attrib["filename"]
-        mesh.set("filename", str(file_at(name) if name.startswith(_SCHEME) else (path.parent / name).resolve()))
+        mesh.set(
+            "filename",
+            str(file_at(name) if name.startswith(_SCHEME) else (path.parent / name).resolve()),
+        )
     return root
 
 
 def _ends(joint: ET.Element) -> tuple[str, str]:
-    parent, child = joint.find("parent"), joint.find("child")
+    parent = joint.find("parent")
+    child = joint.find("child")
     if parent is None or child is None:
         raise UsageError(f"joint '{joint.get('name')}' of a URDF has no parent or child link")
     return parent.attrib["link"], child.attrib["link"]
@@ -112,7 +121,11 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
     ET.SubElement(mount, "parent", link=arm.flange_link)
     ET.SubElement(mount, "child", link=hand.palm_link)
     ET.SubElement(mount, "origin", rpy=" ".join(map(str, arm.mount_rpy_rad)), xyz="0 0 0")
-    return (*_part(arm.urdf, arm.base_link, arm.flange_link), mount, *_part(hand.urdf, hand.palm_link, None))
+    return (
+        *_part(arm.urdf, arm.base_link, arm.flange_link),
+        mount,
+        *_part(hand.urdf, hand.palm_link, None),
+    )
 
 
 @functools.cache
@@ -131,7 +144,9 @@ def links_of(robot: Robot) -> dict[str, Link]:
     def joints_before(link: str) -> int:
         if link not in above:
             return 0
-        return joints_before(_ends(above[link])[0]) + (above[link].attrib["name"] in robot.arm.joints)
+        return joints_before(_ends(above[link])[0]) + (
+            above[link].attrib["name"] in robot.arm.joints
+        )
 
     return {
         f"{side}_{name}": Link(side, joints_before(name), e.find("collision") is not None)
@@ -151,9 +166,17 @@ def collision_links(robot: Robot) -> tuple[str, ...]:
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     """Return pairs that never touch, by SRDF files and arm model."""
     known = {e.attrib["name"] for e in arm_elements(arm) if e.tag == "link"}
-    roots = [ET.parse(file_at(address)).getroot() for address in (arm.srdf, arm.hand.srdf) if address]
-    told = [(e.attrib["link1"], e.attrib["link2"]) for root in roots for e in root.iter("disable_collisions")]
-    return tuple(pair for pair in dict.fromkeys([*told, *arm.never_touch]) if known.issuperset(pair))
+    roots = [
+        ET.parse(file_at(address)).getroot() for address in (arm.srdf, arm.hand.srdf) if address
+    ]
+    told = [
+        (e.attrib["link1"], e.attrib["link2"])
+        for root in roots
+        for e in root.iter("disable_collisions")
+    ]
+    return tuple(
+        pair for pair in dict.fromkeys([*told, *arm.never_touch]) if known.issuperset(pair)
+    )
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
@@ -189,7 +212,9 @@ def pair_urdf(robot: Robot) -> str:
 
 def mujoco_urdf(robot: Robot) -> str:
     """Return `pair_urdf` with options for MuJoCo's reader: it fuses fixed links (and the tcp) into their parents."""
-    options = '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco>'
+    options = (
+        '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco>'
+    )
     return pair_urdf(robot).replace('<link name="world"', f'{options}<link name="world"', 1)
 
 
@@ -211,11 +236,15 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
     parts: list[tuple[str, _Colour, Array, npt.NDArray[np.int64]]] = []
     for link in arm_elements(arm):
         for visual in link.findall("visual"):
-            mesh, origin, material = (visual.find(tag) for tag in ("geometry/mesh", "origin", "material"))
+            mesh, origin, material = (
+                visual.find(tag) for tag in ("geometry/mesh", "origin", "material")
+            )
             if mesh is None:
                 continue
             place = ET.Element("origin") if origin is None else origin
-            rpy, xyz = (np.array([float(x) for x in place.get(k, "0 0 0").split()]) for k in ("rpy", "xyz"))
+            rpy, xyz = (
+                np.array([float(x) for x in place.get(k, "0 0 0").split()]) for k in ("rpy", "xyz")
+            )
             R = pin.rpy.rpyToMatrix(rpy).round(15)  # removes the noise of rounded multiples of pi
             scale = np.array([float(x) for x in mesh.get("scale", "1 1 1").split()])
             named = None if material is None else colours.get(material.attrib["name"])
@@ -228,11 +257,16 @@ def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
         meshes = _decimated(list(zip(vertices, faces, strict=True)), reduction)
         for colour, (points, triangles) in zip(colours_of, meshes, strict=True):
             if len(triangles) >= 4:
-                visuals.append((name, points.astype(np.float32), triangles.astype(np.int32), colour))
+                visuals.append(
+                    (name, points.astype(np.float32), triangles.astype(np.int32), colour),
+                )
     return tuple(visuals)
 
 
-def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
+def _coloured(
+    path: Path,
+    colour: _Colour | None,
+) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
     import trimesh
 
     by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
@@ -242,7 +276,9 @@ def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, 
         by_colour.setdefault(own or colour or _GREY, []).append(mesh)
     coloured = []
     for shade, meshes in by_colour.items():
-        merged = trimesh.util.concatenate([trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes])
+        merged = trimesh.util.concatenate(
+            [trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes],
+        )
         merged.merge_vertices()
         coloured.append((shade, np.asarray(merged.vertices), np.asarray(merged.faces)))
     return coloured
@@ -257,7 +293,10 @@ def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[An
     for aggressiveness in (7, 3, 1):
         fewer: list[tuple[Any, Any]] = [
             fast_simplification.simplify(
-                vertices.astype(np.float32), faces.astype(np.int32), target_reduction=reduction, agg=aggressiveness
+                vertices.astype(np.float32),
+                faces.astype(np.int32),
+                target_reduction=reduction,
+                agg=aggressiveness,
             )
             if len(faces) > 200
             else (vertices, faces)

@@ -43,9 +43,15 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         n = len(self.times)
-        if n < 2 or self.q.ndim != 2 or any(x.shape != (n, self.q.shape[1]) for x in (self.q, self.v, self.a)):
+        if (
+            n < 2
+            or self.q.ndim != 2
+            or any(x.shape != (n, self.q.shape[1]) for x in (self.q, self.v, self.a))
+        ):
             got = f"got {self.times.shape}, {self.q.shape}, {self.v.shape}, {self.a.shape}"
-            raise UsageError(f"a trajectory needs n >= 2 times and q, v, a of one shape (n, joints); {got}")
+            raise UsageError(
+                f"a trajectory needs n >= 2 times and q, v, a of one shape (n, joints); {got}",
+            )
         if not all(np.isfinite(x).all() for x in (self.times, self.q, self.v, self.a)):
             raise DataError("a trajectory holds a value that is not finite")
         even = np.arange(n) * self.times[1]
@@ -72,13 +78,19 @@ class Trajectory:
 
         q is a cubic Hermite interpolant, v its derivative; a is linear.
         """
-        t, h = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s), self.dt_s
+        t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration_s)
+        h = self.dt_s
         i = np.minimum((t / h).astype(int), len(self.times) - 2)
         x = ((t - self.times[i]) / h)[:, None]
-        q0, q1, v0, v1 = self.q[i], self.q[i + 1], self.v[i] * h, self.v[i + 1] * h
+        q0 = self.q[i]
+        q1 = self.q[i + 1]
+        v0 = self.v[i] * h
+        v1 = self.v[i + 1] * h
         shares = 2 * x**3 - 3 * x**2 + 1, x**3 - 2 * x**2 + x, 3 * x**2 - 2 * x**3, x**3 - x**2
         q = q0 * shares[0] + v0 * shares[1] + q1 * shares[2] + v1 * shares[3]
-        v = ((q0 - q1) * (6 * x**2 - 6 * x) + v0 * (3 * x**2 - 4 * x + 1) + v1 * (3 * x**2 - 2 * x)) / h
+        v = (
+            (q0 - q1) * (6 * x**2 - 6 * x) + v0 * (3 * x**2 - 4 * x + 1) + v1 * (3 * x**2 - 2 * x)
+        ) / h
         a = self.a[i] * (1 - x) + self.a[i + 1] * x
         return q, v, a
 
@@ -98,15 +110,23 @@ class Trajectory:
     def write_json(self, path: Path, joint_names: Sequence[str], every: int = 1) -> None:
         """Write every `every`-th sample and the last, atomically."""
         rows = np.unique(np.append(np.arange(0, len(self.times), every), len(self.times) - 1))
-        columns = {"times_s": self.times, "q_rad": self.q, "v_rad_per_s": self.v, "a_rad_per_s2": self.a}
+        columns = {
+            "times_s": self.times,
+            "q_rad": self.q,
+            "v_rad_per_s": self.v,
+            "a_rad_per_s2": self.a,
+        }
         content: dict[str, Any] = {"group": self.group, "joint_names": list(joint_names)}
         content |= {name: x[rows].round(9).tolist() for name, x in columns.items()}
         write_text(path, json.dumps(content))
 
     def write_csv(self, path: Path, joint_names: Sequence[str]) -> None:
         """Write time, q, v, a atomically."""
-        header = [f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names]
-        table, header = np.column_stack([self.times, self.q, self.v, self.a]), ",".join(["time_s", *header])
+        header = [
+            f"{name}_{unit}" for unit in ("rad", "rad_per_s", "rad_per_s2") for name in joint_names
+        ]
+        table = np.column_stack([self.times, self.q, self.v, self.a])
+        header = ",".join(["time_s", *header])
         with replacing(path) as partial:  # cut off, it would be a shorter trajectory
             np.savetxt(partial, table, "%.9g", ",", "\r\n", header, comments="", encoding="utf-8")
 
@@ -114,7 +134,8 @@ class Trajectory:
 def full_model(robot: Robot) -> tuple[Any, list[int], Array]:
     """Return Pinocchio's model with fingers, their joints, and a configuration with open hands."""
     full = pin.buildModelFromXML(pair_urdf(robot))
-    fingers, q = [full.getJointId(name) for name in robot.finger_joint_names], pin.neutral(full)
+    fingers = [full.getJointId(name) for name in robot.finger_joint_names]
+    q = pin.neutral(full)
     for joint in fingers:
         q[full.joints[joint].idx_q] = robot.hand.travel_m
     return full, fingers, q
@@ -125,7 +146,9 @@ def _shared_model(robot: Robot) -> Any:
     model = pin.buildReducedModel(*full_model(robot))
     names = tuple(model.names)[1:]
     if names != robot.joint_names:
-        raise RuntimeError(f"Pinocchio orders the joints {names}; the toolkit needs {robot.joint_names}")
+        raise RuntimeError(
+            f"Pinocchio orders the joints {names}; the toolkit needs {robot.joint_names}",
+        )
     model.armature = np.full(robot.dof, robot.arm.armature)
     return model
 
@@ -137,18 +160,29 @@ def hinges(robot: Robot) -> tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]:
     Raises:
         ValueError: The arms are no chains of hinges that end at their tcps.
     """
-    model, n = _shared_model(robot), robot.dof_per_arm
+    model = _shared_model(robot)
+    n = robot.dof_per_arm
     ends = [model.frames[model.getFrameId(name)].parentJoint for name in robot.tcp_names]
     if [*model.parents][1:] != [0, *range(1, n), 0, *range(n + 1, 2 * n)] or ends != [n, 2 * n]:
-        raise ValueError(f"{robot.arm.name}: joints on {[*model.parents][1:]}, tcps on {ends}; chains are needed")
-    turned, placements = [pin.SE3.Identity()], []
+        raise ValueError(
+            f"{robot.arm.name}: joints on {[*model.parents][1:]}, tcps on {ends}; chains are needed",
+        )
+    turned = [pin.SE3.Identity()]
+    placements = []
     for k in range(1, robot.dof + 1):
         data = model.joints[k].createData()
         model.joints[k].calc(data, np.ones(model.nq))
         axis = pin.log3(data.M.rotation)  # at one radian
         if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9 or np.any(data.M.translation):
-            raise ValueError(f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges")
-        turned.append(pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix(), np.zeros(3)))
+            raise ValueError(
+                f"{model.names[k]} is a {model.joints[k].shortname()}; arms need hinges",
+            )
+        turned.append(
+            pin.SE3(
+                pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix(),
+                np.zeros(3),
+            ),
+        )
         placements.append(turned[model.parents[k]].inverse() * model.jointPlacements[k] * turned[k])
     return tuple(placements), tuple(turn.inverse() for turn in turned)
 
@@ -165,7 +199,8 @@ class Kinematics:
     """
 
     def __init__(self, robot: Robot = DUAL_PANDA) -> None:
-        self.robot, self.model = robot, _shared_model(robot)
+        self.robot = robot
+        self.model = _shared_model(robot)
         self.data = self.model.createData()
         self.tcp_ids: tuple[int, int] = tuple(self.model.getFrameId(n) for n in robot.tcp_names)  # type: ignore[assignment]
         self.placed = b""
@@ -175,7 +210,9 @@ class Kinematics:
         """Return left and right T_world_tcp for q."""
         self.placed = b""
         pin.forwardKinematics(self.model, self.data, q)
-        left, right = (updateFramePlacement(self.model, self.data, i).homogeneous for i in self.tcp_ids)
+        left, right = (
+            updateFramePlacement(self.model, self.data, i).homogeneous for i in self.tcp_ids
+        )
         return left, right
 
     def tcp_jacobians(self, q: Array) -> tuple[Array, Array]:
@@ -183,7 +220,10 @@ class Kinematics:
         self.placed = b""
         computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
-        left, right = (getFrameJacobian(self.model, self.data, i, pin.LOCAL_WORLD_ALIGNED) for i in self.tcp_ids)
+        left, right = (
+            getFrameJacobian(self.model, self.data, i, pin.LOCAL_WORLD_ALIGNED)
+            for i in self.tcp_ids
+        )
         return left, right
 
     def mass_matrix(self, q: Array) -> Array:
@@ -206,21 +246,35 @@ class Kinematics:
 
     @functools.cached_property
     def _single_arms(self) -> list[tuple[slice, Any]]:
-        arms, joints = (self.robot.groups[f"{side}_arm"] for side in SIDES), range(self.robot.dof)
+        arms = (self.robot.groups[f"{side}_arm"] for side in SIDES)
+        joints = range(self.robot.dof)
         locked = [(arm, [1 + j for j in joints if j not in joints[arm]]) for arm in arms]
-        return [(arm, pin.ModelPool(pin.buildReducedModel(self.model, ids, self.robot.home), 1)) for arm, ids in locked]
+        return [
+            (arm, pin.ModelPool(pin.buildReducedModel(self.model, ids, self.robot.home), 1))
+            for arm, ids in locked
+        ]
 
     def torques(self, q: Array, v: Array, a: Array) -> Array:
         """Return `rnea` for rows of states; for an arm that stands still, of one row."""
         tau = np.empty(q.shape)
         for arm, pool in self._single_arms:
             still = not (v[:, arm].any() or a[:, arm].any() or (q[:, arm] != q[0, arm]).any())
-            columns = [np.array(x[: 1 if still else None, arm].T, dtype=float, order="F") for x in (q, v, a)]
+            columns = [
+                np.array(x[: 1 if still else None, arm].T, dtype=float, order="F")
+                for x in (q, v, a)
+            ]
             pin.rneaInParallel(1, pool, *columns, (out := np.empty_like(columns[0])))
             tau[:, arm] = out.T
         return tau
 
-    def torque_use(self, q: Array, v: Array, a: Array, dt_s: float, every: int) -> tuple[Array, Array]:
+    def torque_use(
+        self,
+        q: Array,
+        v: Array,
+        a: Array,
+        dt_s: float,
+        every: int,
+    ) -> tuple[Array, Array]:
         """Return each joint's largest |torque| and mean rate over 8 ms, / limit (n,), over every `every`-th row and the last.
 
         The mean, because the supervisor spreads what exceeds the rate for 1 ms alone.
@@ -242,7 +296,8 @@ class Hands:
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
-        self._kinematics, self._data = kinematics, kinematics.data
+        self._kinematics = kinematics
+        self._data = kinematics.data
         left, right = (self._data.oMf[i] for i in kinematics.tcp_ids)
         self.p: tuple[Array, Array] = (left.translation, right.translation)
         self.R: tuple[Array, Array] = (left.rotation, right.rotation)
@@ -251,10 +306,13 @@ class Hands:
 
     def update(self, q: Array) -> None:
         """Update all arrays, unless they are of these joints: estimate and law ask in the same step."""
-        kinematics, placed = self._kinematics, q.tobytes()
+        kinematics = self._kinematics
+        placed = q.tobytes()
         if kinematics.placed == placed:
             return
-        model, data, (left, right) = kinematics.model, self._data, kinematics.tcp_ids
+        model = kinematics.model
+        data = self._data
+        (left, right) = kinematics.tcp_ids
         computeJointJacobians(model, data, q)
         updateFramePlacement(model, data, left)
         updateFramePlacement(model, data, right)
@@ -270,5 +328,6 @@ class Hands:
 
     def rise(self, arm: int) -> Array:
         """Return how far a tip rises (m,) [m/rad] with each joint of its arm."""
-        J, (x, y, _) = self.J[:, self._kinematics.robot.joints_of(arm)], self.p[arm]
+        J = self.J[:, self._kinematics.robot.joints_of(arm)]
+        (x, y, _) = self.p[arm]
         return J[2] + y * J[3] - x * J[4]

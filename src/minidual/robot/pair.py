@@ -20,7 +20,10 @@ Indices = npt.NDArray[np.intp]
 
 SIDES: tuple[str, str] = ("left", "right")
 """In storage order."""
-GROUP_ARMS = Registry[tuple[str, ...]]("group", {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES})
+GROUP_ARMS = Registry[tuple[str, ...]](
+    "group",
+    {"left_arm": ("left",), "right_arm": ("right",), "both_arms": SIDES},
+)
 """Arms of each planning group."""
 GRIPPERS_N = len(SIDES)
 
@@ -121,14 +124,23 @@ class Robot:
     """In storage order."""
 
     def __init__(self, arm: ArmModel) -> None:
-        self.arm, self.hand = arm, arm.hand
-        (x, y), n = arm.base_xy_m, len(arm.joints)
+        self.arm = arm
+        self.hand = arm.hand
+        (x, y) = arm.base_xy_m
+        n = len(arm.joints)
         self.base_positions_m = (x, y, 0.0), (x, -y, 0.0)
-        self.dof_per_arm, self.dof = n, 2 * n
+        self.dof_per_arm = n
+        self.dof = 2 * n
         self.joint_names = tuple(f"{side}_{joint}" for side in SIDES for joint in arm.joints)
-        self.finger_joint_names = tuple(f"{side}_{joint}" for side in SIDES for joint in arm.hand.finger_joints)
+        self.finger_joint_names = tuple(
+            f"{side}_{joint}" for side in SIDES for joint in arm.hand.finger_joints
+        )
         self.tcp_names = self.both(arm.hand.tcp_link)
-        self.groups = {"left_arm": slice(0, n), "right_arm": slice(n, 2 * n), "both_arms": slice(0, 2 * n)}
+        self.groups = {
+            "left_arm": slice(0, n),
+            "right_arm": slice(n, 2 * n),
+            "both_arms": slice(0, 2 * n),
+        }
         self.home, self.q_lower, self.q_upper = map(_of_both, (arm.home, arm.q_lower, arm.q_upper))
         self.v_max, self.a_max, self.jerk_max = map(_of_both, (arm.v_max, arm.a_max, arm.jerk_max))
         self.tau_max = _of_both(arm.tau_max)
@@ -177,7 +189,8 @@ ARM_MODELS: Registry[ArmModel] = Registry("arm", group="minidual.arms")
 for _name, _row in _ROWS["arms"].items():
     _row["hand"] = HANDS[_row["hand"]]
     ARM_MODELS.add(_name, ArmModel(name=_name, **_row))
-PANDA, PANDA_HAND = ARM_MODELS["panda"], HANDS["panda_hand"]
+PANDA = ARM_MODELS["panda"]
+PANDA_HAND = HANDS["panda_hand"]
 DUAL_PANDA = Robot(PANDA)
 
 
@@ -205,11 +218,13 @@ def inverse(T: Array) -> Array:
 
 def rot_x(angle_rad: float) -> Array:
     """Rotate about x."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def rot_z(angle_rad: float) -> Array:
     """Rotate about z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -36,20 +36,29 @@ def inner(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-_NEAR_HALF_TURN = math.pi - 1e-3  # above this angle [rad] a rotation's antisymmetric part loses digits
+_NEAR_HALF_TURN = (
+    math.pi - 1e-3
+)  # above this angle [rad] a rotation's antisymmetric part loses digits
 
 
 def rotation_vector(X: Vector, Y: Vector, Z: Vector) -> tuple[tuple[float, float, float], float]:
     """Return the rotation vector of a matrix with these rows, and its angle, 0 to pi [rad]."""
-    x, y, z = 0.5 * (Z[1] - Y[2]), 0.5 * (X[2] - Z[0]), 0.5 * (Y[0] - X[1])
-    size, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (X[0] + Y[1] + Z[2] - 1.0)
+    x = 0.5 * (Z[1] - Y[2])
+    y = 0.5 * (X[2] - Z[0])
+    z = 0.5 * (Y[0] - X[1])
+    size = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (X[0] + Y[1] + Z[2] - 1.0)
     angle = math.atan2(size, cosine)
     if angle > _NEAR_HALF_TURN:  # the longest row of (R + R^T) / 2 - cos 1 ~ axis axis^T
-        a, b, c = 0.5 * (Y[2] + Z[1]), 0.5 * (X[2] + Z[0]), 0.5 * (X[1] + Y[0])
+        a = 0.5 * (Y[2] + Z[1])
+        b = 0.5 * (X[2] + Z[0])
+        c = 0.5 * (X[1] + Y[0])
         rows = (X[0] - cosine, c, b), (c, Y[1] - cosine, a), (b, a, Z[2] - cosine)
         u, v, w = rows[0] if X[0] >= max(Y[1], Z[2]) else rows[1] if Y[1] >= Z[2] else rows[2]
         size = math.copysign(math.sqrt(u * u + v * v + w * w), x * u + y * v + z * w)
-        x, y, z = u, v, w
+        x = u
+        y = v
+        z = w
     factor = angle / size if abs(size) > 1e-12 else 1.0
     return (factor * x, factor * y, factor * z), angle
 

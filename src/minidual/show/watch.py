@@ -25,7 +25,8 @@ from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
 _ASIDE_M = np.array([0.05, 0.0, 0.0])  # from the hands, where the object would hide the arrows
-_BRAKE_EVERY_S, _LOST_S = 0.01, 0.1
+_BRAKE_EVERY_S = 0.01
+_LOST_S = 0.1
 _PATH_POINTS = 60
 _STATIC_M = 1e-3
 
@@ -42,13 +43,20 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
     objects = [world.truth(name) for name in world.objects]
-    hands = zip(world.robot.tcp_names, np.sum([thing.forces() for thing in objects], axis=0), ARM_RGB, strict=True)
+    hands = zip(
+        world.robot.tcp_names,
+        np.sum([thing.forces() for thing in objects], axis=0),
+        ARM_RGB,
+        strict=True,
+    )
     left, right = np.max([thing.pinch() for thing in objects], axis=0)
     return words._replace(
         time_s=world.time,
         pinch_n=(float(left), float(right)),
         internal_n=max(thing.internal_force() for thing in objects),
-        arrows=tuple(Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands),
+        arrows=tuple(
+            Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands
+        ),
     )
 
 
@@ -56,7 +64,9 @@ class Brake:
     """Limits simulated time to `speed` times wall time."""
 
     def __init__(self, speed: float) -> None:
-        self._speed, self._start, self._last_s = speed, (0.0, 0.0), math.inf
+        self._speed = speed
+        self._start = (0.0, 0.0)
+        self._last_s = math.inf
 
     def hold(self, time_s: float) -> None:
         """Sleep until simulated time `time_s` is due; lags over 0.1 s are not caught up."""
@@ -74,7 +84,8 @@ class Watcher:
 
     def __init__(self, view: View, world: World, narrate: Narrator) -> None:
         view.open(visual_model(world.scene, world.robot))  # type: ignore[arg-type]  # frozen, so hashable
-        self._view, self._narrate = view, narrate
+        self._view = view
+        self._narrate = narrate
         self._brake = Brake(view.speed_max) if view.speed_max > 0.0 else None
         self._braked_s = float("-inf")
 
@@ -93,7 +104,8 @@ def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None
     if view is None:
         yield
         return
-    before, world.observer = world.observer, Watcher(view, world, narrate)
+    before = world.observer
+    world.observer = Watcher(view, world, narrate)
     try:
         yield
     finally:
@@ -113,9 +125,15 @@ def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
     def hook(world: World, method: Method) -> None:
         nonlocal narrate
         if narrate is None:
-            stack, words = getattr(method, "stack", None), Overlay(title=title, mode=bench.method, source=bench.method)
+            stack = getattr(method, "stack", None)
+            words = Overlay(title=title, mode=bench.method, source=bench.method)
             if isinstance(stack, ControlStack):
-                narrate = StackNarrator(stack, bench.kinematics, title, lambda: (method.phase, method.aborted))
+                narrate = StackNarrator(
+                    stack,
+                    bench.kinematics,
+                    title,
+                    lambda: (method.phase, method.aborted),
+                )
             else:  # the method computes torques itself
                 narrate = lambda: words._replace(state=method.phase, status=method.aborted or "")  # noqa: E731
         watcher(world)
@@ -129,7 +147,11 @@ def watch_recording(view: View | None) -> Observe | None:
 
 
 def _demonstration(view: View, rig: Rig, index: int) -> AbstractContextManager[None]:
-    return watched(view, rig.world, StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}"))
+    return watched(
+        view,
+        rig.world,
+        StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}"),
+    )
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
@@ -137,7 +159,9 @@ def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
     rows = np.unique(np.linspace(0, len(qs) - 1, min(len(qs), _PATH_POINTS)).round().astype(int))
     points = np.array([[T[:3, 3] for T in kinematics.tcp_poses(qs[row])] for row in rows])
     sides = zip(kinematics.robot.sides, points.swapaxes(0, 1), ARM_RGB, strict=True)
-    return Preview(tuple(PathLine(*side) for side in sides if np.ptp(side[1], axis=0).max() > _STATIC_M))
+    return Preview(
+        tuple(PathLine(*side) for side in sides if np.ptp(side[1], axis=0).max() > _STATIC_M),
+    )
 
 
 @dataclass
@@ -153,7 +177,8 @@ class StackNarrator:
 
     def __call__(self) -> Overlay:
         """Return the current overlay."""
-        stack, state = self.stack, str(self.stack.state)
+        stack = self.stack
+        state = str(self.stack.state)
         phase, aborted = self.tell()
         return Overlay(
             title=self.title,
@@ -169,12 +194,15 @@ class StackNarrator:
         commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
         if [id(command) for command in commands] != [id(command) for command in self._drawn]:
             self._drawn = commands
-            self._preview = Preview(tuple(line for command in commands for line in self._paths(command)))
+            self._preview = Preview(
+                tuple(line for command in commands for line in self._paths(command)),
+            )
         return self._preview
 
     def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
         times: Array = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS, dtype=np.float64)
         qs = np.tile(self.stack.plant.q, (len(times), 1))
-        group, found = self.kinematics.robot.groups[command.group], command.motion.sample_many(times)[0]
+        group = self.kinematics.robot.groups[command.group]
+        found = command.motion.sample_many(times)[0]
         qs[:, group] = found if found.shape[1] == qs[:, group].shape[1] else found[:, group]
         return tcp_preview(self.kinematics, qs).paths

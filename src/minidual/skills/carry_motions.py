@@ -37,7 +37,9 @@ _BRANCH_RAD = 2.0  # a posture that differs more in one joint is on another bran
 
 def _time(distance: float | Array, speed: float | Array, acceleration: float | Array) -> float:
     d = np.abs(distance)
-    return float(np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))))
+    return float(
+        np.max(np.maximum(_PEAK_SPEED * d / speed, np.sqrt(_PEAK_ACCELERATION * d / acceleration))),
+    )
 
 
 def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m: float) -> Array:
@@ -46,14 +48,22 @@ def posture_over(scene: SceneConfig, robot: Robot, T_world_level: Array, above_m
     nearest = posture_at(robot, (left, right), robot.home, robot.home)
     with suppress(PoseUnreachableError):
         over = grasp_posture(scene, robot, T_world_level, robot.home, above_m=above_m)
-        postures, jacobians = (over, grasp_posture(scene, robot, T_world_level, over)), Kinematics(robot).tcp_jacobians
+        postures = (over, grasp_posture(scene, robot, T_world_level, over))
+        jacobians = Kinematics(robot).tcp_jacobians
         hands = [J[:, robot.joints_of(arm)] for q in postures for arm, J in enumerate(jacobians(q))]
         if np.linalg.cond(hands).max() < SLOW_AT[0] and np.abs(over - nearest).max() < _BRANCH_RAD:
             return over
     return nearest
 
 
-def grasp_posture(scene: SceneConfig, robot: Robot, T_level: Array, q_near: Array, *, above_m: float = 0.0) -> Array:
+def grasp_posture(
+    scene: SceneConfig,
+    robot: Robot,
+    T_level: Array,
+    q_near: Array,
+    *,
+    above_m: float = 0.0,
+) -> Array:
     """Return joints (n,) with both hands `above_m` over their grasps.
 
     `T_level` is the level object's pose; the search starts at `q_near` to keep the arms' configuration.
@@ -65,7 +75,12 @@ def grasp_posture(scene: SceneConfig, robot: Robot, T_level: Array, q_near: Arra
 
 
 def object_duration_s(
-    scene: SceneConfig, robot: Robot, start: Waypoint, end: Waypoint, q_near: Array, pace: PaceConfig
+    scene: SceneConfig,
+    robot: Robot,
+    start: Waypoint,
+    end: Waypoint,
+    q_near: Array,
+    pace: PaceConfig,
 ) -> tuple[float, Array]:
     """Return the time [s] of a straight held motion, and the end posture; waypoint times are ignored.
 
@@ -80,8 +95,11 @@ def object_duration_s(
     q = np.array(postures[1:])
     # Samples are even in time: differences give speeds and accelerations for a duration of 1 s.
     speed = np.abs(np.diff(q, axis=0)) * _SAMPLES / (pace.joint_speed_share * robot.v_max)
-    acceleration = np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * robot.a_max)
-    distance, turn = float(np.linalg.norm(b[:3] - a[:3])), float(abs(b[3] - a[3]))
+    acceleration = (
+        np.abs(np.diff(q, 2, axis=0)) * _SAMPLES**2 / (pace.joint_acceleration_share * robot.a_max)
+    )
+    distance = float(np.linalg.norm(b[:3] - a[:3]))
+    turn = float(abs(b[3] - a[3]))
     return max(
         _LEAST_S,
         _time(distance, pace.object_speed_m_per_s, pace.object_acceleration_m_per_s2),
@@ -92,14 +110,22 @@ def object_duration_s(
 
 
 def joint_move(
-    q0: Array, q1: Array, robot: Robot, pace: PaceConfig, dt_s: float, duration_s: float | None = None
+    q0: Array,
+    q1: Array,
+    robot: Robot,
+    pace: PaceConfig,
+    dt_s: float,
+    duration_s: float | None = None,
 ) -> Trajectory:
     """Return a minimum-jerk motion of both arms, by default as fast as `pace` allows."""
     if duration_s is None:
-        speed, acceleration = pace.joint_speed_share * robot.v_max, pace.joint_acceleration_share * robot.a_max
+        speed = pace.joint_speed_share * robot.v_max
+        acceleration = pace.joint_acceleration_share * robot.a_max
         duration_s = max(_LEAST_S, _time(q1 - q0, speed, acceleration))
     steps = int(np.ceil(duration_s / dt_s))
-    s, ds, dds = np.array([minimum_jerk(k / steps) for k in range(steps + 1)]).T[:, :, None] * (q1 - q0)
+    s, ds, dds = np.array([minimum_jerk(k / steps) for k in range(steps + 1)]).T[:, :, None] * (
+        q1 - q0
+    )
     times: Array = np.arange(steps + 1, dtype=float) * dt_s
     return Trajectory(times, q0 + s, ds / times[-1], dds / times[-1] ** 2, "both_arms")
 
@@ -122,7 +148,10 @@ class HeldMotion:
 
 
 def held_motion(
-    phase: str, path: ObjectPath, T_level_object: Array, squeeze_n: float
+    phase: str,
+    path: ObjectPath,
+    T_level_object: Array,
+    squeeze_n: float,
 ) -> tuple[HeldMotion, Callable[[float], float]]:
     """Return a phase's object motion, and its internal force [N] by time [s].
 
@@ -134,15 +163,29 @@ def held_motion(
         most = min(_TESTED, SQUEEZE_MAX_N / max(squeeze_n, 1.0))
         duration_s = (2.0 * most - 1.0) * ramp_s + PHASES["settle"].force_s
         motion = HeldMotion(path, T_level_object, -duration_s, duration_s)
-        return motion, lambda t_s: squeeze_n * min(t_s / ramp_s, max(1.0, 2.0 * most - t_s / ramp_s))
+        return (
+            motion,
+            lambda t_s: squeeze_n * min(t_s / ramp_s, max(1.0, 2.0 * most - t_s / ramp_s)),
+        )
     if phase == "carry":
-        return HeldMotion(path, T_level_object, 0.0, path.duration_s + LANDED_S), lambda _: squeeze_n
+        return HeldMotion(
+            path,
+            T_level_object,
+            0.0,
+            path.duration_s + LANDED_S,
+        ), lambda _: squeeze_n
     motion = HeldMotion(path, T_level_object, path.duration_s, ramp_s)
     return motion, lambda t_s: squeeze_n * (1.0 - min(1.0, t_s / ramp_s))
 
 
 def plan_path(
-    scene: SceneConfig, robot: Robot, pace: PaceConfig, goal: Placement, T_world_object: Array, q: Array, rest_m: float
+    scene: SceneConfig,
+    robot: Robot,
+    pace: PaceConfig,
+    goal: Placement,
+    T_world_object: Array,
+    q: Array,
+    rest_m: float,
 ) -> ObjectPath:
     """Return the path to `goal` (x [m], y [m], yaw [rad]), as fast as limits allow.
 
@@ -151,21 +194,42 @@ def plan_path(
     Raises:
         PoseUnreachableError: A hand cannot follow.
     """
-    (x, y, yaw), z = placement(T_world_object), float(T_world_object[2, 3])
+    (x, y, yaw) = placement(T_world_object)
+    z = float(T_world_object[2, 3])
     gx, gy, goal_yaw = goal
     high = z + scene.task.lift_height_m
     waypoints = [Waypoint((x, y, z), yaw, 0.0)]
-    ends = [((x, y, high), yaw), ((gx, gy, high), goal_yaw), ((gx, gy, rest_m + pace.landing_m), goal_yaw)]
+    ends = [
+        ((x, y, high), yaw),
+        ((gx, gy, high), goal_yaw),
+        ((gx, gy, rest_m + pace.landing_m), goal_yaw),
+    ]
     for xyz, direction in ends:
-        duration_s, q = object_duration_s(scene, robot, waypoints[-1], Waypoint(xyz, direction, 0.0), q, pace)
+        duration_s, q = object_duration_s(
+            scene,
+            robot,
+            waypoints[-1],
+            Waypoint(xyz, direction, 0.0),
+            q,
+            pace,
+        )
         waypoints.append(Waypoint(xyz, direction, duration_s))
     if pace.landing_m > 0.0:
         waypoints.append(Waypoint((gx, gy, rest_m), goal_yaw, pace.landing_s))
     return ObjectPath(waypoints[0], waypoints[1:])
 
 
-def held_object(scene: SceneConfig, T_world_object: Array, T_world_tcps: tuple[Array, Array]) -> HeldObject:
+def held_object(
+    scene: SceneConfig,
+    T_world_object: Array,
+    T_world_tcps: tuple[Array, Array],
+) -> HeldObject:
     """Return the law's object model."""
     rod = scene.object
     left, right = (inverse(T_world_object) @ T for T in T_world_tcps)
-    return HeldObject(rod.mass_kg, np.diag(rod.inertia_kg_m2), (left, right), np.array([0.0, 1.0, 0.0]))
+    return HeldObject(
+        rod.mass_kg,
+        np.diag(rod.inertia_kg_m2),
+        (left, right),
+        np.array([0.0, 1.0, 0.0]),
+    )

@@ -16,8 +16,13 @@ from minidual.tasks.task import tilt_rad
 
 _GRIPPED = 0.9
 _MOVED_M = 0.0005  # motion of the hands between two poses that the second must show
-_COMPARE_S, _CHECK_S = 0.01, 0.004
-_FORCES = {"the left hand's force": slice(3), "the right hand's force": slice(3, 6), "the pinch": slice(6, 8)}
+_COMPARE_S = 0.01
+_CHECK_S = 0.004
+_FORCES = {
+    "the left hand's force": slice(3),
+    "the right hand's force": slice(3, 6),
+    "the pinch": slice(6, 8),
+}
 _SETTLING = 0.2  # least gain of a pose while hands close: the held estimate takes the result for five samples
 _EASED = 0.75  # share of the force felt at slip onset, requested afterwards
 _EASE_MARGIN = 1.25  # lower bound of that request in the air, relative to the task's need; on the table half of it
@@ -30,10 +35,21 @@ class CarryWatch:
         RuntimeError: The first reading has no pose.
     """
 
-    def __init__(self, world: World, kinematics: Kinematics, config: CarryConfig, sensors: ObjectSensors) -> None:
-        self._world, self._kinematics, self._config, self._sensors = world, kinematics, config, sensors
-        self._body, self._width_m = world.scene.object, 2.0 * world.scene.object.half_width_m
-        faults, pinch_n = config.faults, config.impedance.pinch_n
+    def __init__(
+        self,
+        world: World,
+        kinematics: Kinematics,
+        config: CarryConfig,
+        sensors: ObjectSensors,
+    ) -> None:
+        self._world = world
+        self._kinematics = kinematics
+        self._config = config
+        self._sensors = sensors
+        self._body = world.scene.object
+        self._width_m = 2.0 * world.scene.object.half_width_m
+        faults = config.faults
+        pinch_n = config.impedance.pinch_n
         self._monitor = FaultMonitor(faults, dt_s=world.dt, width_m=self._width_m, pinch_n=pinch_n)
         self._reading: Reading = sensors.sense()
         if self._reading.pose is None:
@@ -43,18 +59,25 @@ class CarryWatch:
         self._felt = np.nan_to_num(self._raw)
         self._pinch = self._felt[6:]  # a view
         self._period_s = 1.0 / config.sensing.pose_rate_hz  # of poses
-        self._odd_n, self._forces_s, self._gripped_s, self._check_s = 0, world.time, 0.0, 0.0
-        self._odd_max_n, self._creep_m = round(faults.persistence_s / world.dt), faults.creep_m
+        self._odd_n = 0
+        self._forces_s = world.time
+        self._gripped_s = 0.0
+        self._check_s = 0.0
+        self._odd_max_n = round(faults.persistence_s / world.dt)
+        self._creep_m = faults.creep_m
         self._felt_max_s = sensors.delay_ticks * world.dt + faults.sensor_age_max_s
         self._posed_max_s = self._felt_max_s + self._period_s
-        self._posed, self._compared = self._reading.pose.T_world_object.tobytes(), (self._raw.tolist(), world.time)
+        self._posed = self._reading.pose.T_world_object.tobytes()
+        self._compared = (self._raw.tolist(), world.time)
         share = world.dt / (config.sensing.force_filter_s + world.dt)
         self._filter = self._raw, self._felt, share, faults.force_glitch_n
         self._resting = RestingEstimate(self._reading.pose.T_world_object)
         self._held: HeldEstimate | None = None
         self._spread_m: float | None = None
-        self._felt_n, self._squeeze_n = 0.0, config.impedance.internal_force_n
-        self._least_n, self.grip_limit_n = 0.5 * _EASE_MARGIN * world.scene.task.internal_force_min_n, math.inf
+        self._felt_n = 0.0
+        self._squeeze_n = config.impedance.internal_force_n
+        self._least_n = 0.5 * _EASE_MARGIN * world.scene.task.internal_force_min_n
+        self.grip_limit_n = math.inf
         """Internal force [N] that friction carries, learnt at slip onset."""
         self.shifted = False
         """Whether the untouched object was shifted, and followed."""
@@ -79,7 +102,8 @@ class CarryWatch:
     @property
     def squeeze_n(self) -> float:
         """Requested internal force [N]; reduced on slip."""
-        wanted_n, most_n = self._squeeze_n, self.grip_limit_n
+        wanted_n = self._squeeze_n
+        most_n = self.grip_limit_n
         return wanted_n if wanted_n < most_n else most_n
 
     @property
@@ -95,7 +119,8 @@ class CarryWatch:
 
     def sense(self) -> None:
         """Read and filter the sensors; call once a control step."""
-        world, held = self._world, self._held
+        world = self._world
+        held = self._held
         self._now_s = now_s = world.time
         if now_s > self._sensed_s:  # the constructor sensed the first step
             self._reading = self._sensors.sense()
@@ -104,15 +129,25 @@ class CarryWatch:
             if np.isfinite(pose.T_world_object).all():
                 self._posed_s = now_s - pose.age_ticks * world.dt
             else:
-                pose, self._reading = None, self._reading._replace(pose=None)
-        T = (self._resting if held is None else held.update(world.q, world.v, *(pose or (None, 0)))).T_world_object
-        odd, self._felt_n = smooth(hand_forces, pinch, *self._filter, self._odd_n < self._odd_max_n, T)
+                pose = None
+                self._reading = self._reading._replace(pose=None)
+        T = (
+            self._resting if held is None else held.update(world.q, world.v, *(pose or (None, 0)))
+        ).T_world_object
+        odd, self._felt_n = smooth(
+            hand_forces,
+            pinch,
+            *self._filter,
+            self._odd_n < self._odd_max_n,
+            T,
+        )
         self._odd_n = self._odd_n + 1 if odd else 0
         self._forces_s = stamp_s if odd < 2 else self._forces_s
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
-        world, sensing = self._world, self._config.sensing
+        world = self._world
+        sensing = self._config.sensing
         self._held = HeldEstimate(
             self._kinematics,
             world.q,
@@ -125,34 +160,42 @@ class CarryWatch:
 
     def lift(self) -> None:
         """From now on, keep what the task needs of the squeeze, and count slip anew: on the table it was a test."""
-        self._least_n, self._monitor.spread_m = 2.0 * self._least_n, None
+        self._least_n = 2.0 * self._least_n
+        self._monitor.spread_m = None
         self.grip_limit_n = max(self.grip_limit_n, self._least_n)
 
     def let_go(self) -> None:
         """From now on, estimate an object at rest."""
-        self._resting, self._held = RestingEstimate(self.T_world_object), None
+        self._resting = RestingEstimate(self.T_world_object)
+        self._held = None
 
     # Faults ------------------------------------------------------------------------------------------------
 
     def sensors(self, *, moving: bool) -> Fault | None:
         """Check that poses and forces arrive and, while a held object moves, change."""
-        now_s, pose = self._now_s, self._reading.pose
+        now_s = self._now_s
+        pose = self._reading.pose
         if pose is None and now_s < self._check_s:
             return None
         before, compared_s = self._compared
         self._check_s = min(now_s + _CHECK_S, compared_s + _COMPARE_S)
-        posed_s, felt_s, compare = now_s - self._posed_s, now_s - self._forces_s, now_s - compared_s >= _COMPARE_S
-        monitor, held = self._monitor, self._held
+        posed_s = now_s - self._posed_s
+        felt_s = now_s - self._forces_s
+        compare = now_s - compared_s >= _COMPARE_S
+        monitor = self._monitor
+        held = self._held
         found = monitor.silent("pose", posed_s, self._posed_max_s)
         found = found or monitor.silent("usable force", felt_s, self._felt_max_s)
         if pose is not None:
             posed = pose.T_world_object.tobytes()
-            same, self._posed = posed == self._posed, posed
+            same = posed == self._posed
+            self._posed = posed
             if held is not None and moving:
                 found = found or monitor.frozen("the pose", same and held.moved_m > _MOVED_M, 2)
         if compare:
             raw = self._raw.tolist()
-            same, self._compared = [a == b for a, b in zip(raw, before, strict=True)], (raw, now_s)
+            same = [a == b for a, b in zip(raw, before, strict=True)]
+            self._compared = (raw, now_s)
             for name, part in _FORCES.items():
                 found = found or monitor.frozen(name, moving and any(same[part]), 3)
         return found
@@ -161,11 +204,18 @@ class CarryWatch:
         """Average a pose of the untouched object; check it, or `follow` where it was shifted."""
         if self._reading.pose is None:
             return None
-        now, before = self._reading.pose.T_world_object, self.T_world_object
+        now = self._reading.pose.T_world_object
+        before = self.T_world_object
         self._resting.add(now)
         found = self._monitor.resting(self._resting.innovation)
-        if found is not None and follow and abs(now[2, 3] - before[2, 3]) < self._config.faults.displaced_m:
-            found, self._resting, self.shifted = None, RestingEstimate(now), True
+        if (
+            found is not None
+            and follow
+            and abs(now[2, 3] - before[2, 3]) < self._config.faults.displaced_m
+        ):
+            found = None
+            self._resting = RestingEstimate(now)
+            self.shifted = True
         return found
 
     def closing(self, t_s: float) -> Fault | None:
@@ -176,10 +226,12 @@ class CarryWatch:
 
     def holding(self, *, steady: bool) -> Fault | None:
         """Check a held object, reducing the internal force on slip; `steady` also checks that force."""
-        estimate, monitor = self._held, self._monitor
+        estimate = self._held
+        monitor = self._monitor
         if estimate is None:
             return None
-        tilt, spread_m = tilt_rad(estimate.state.T_world_object, self._body), estimate.spread_m
+        tilt = tilt_rad(estimate.state.T_world_object, self._body)
+        spread_m = estimate.spread_m
         found = monitor.holding(self._pinch.tolist(), self._world.gaps_m, spread_m, tilt)
         if self._spread_m is None or abs(spread_m - self._spread_m) > self._creep_m:
             self._ease(spread_m)
@@ -191,9 +243,20 @@ class CarryWatch:
         now_s = self._now_s
         if now_s - self._gripped_s < _CHECK_S:
             return None
-        self._gripped_s, margin_m = now_s, self._config.faults.gap_margin_m
-        target_m = 2.0 * self._world.robot.hand.travel_m - margin_m if told == "open" else self._width_m + margin_m
-        return self._monitor.grippers(now_s, told, self._world.gaps_m, self._pinch.tolist(), target_m)
+        self._gripped_s = now_s
+        margin_m = self._config.faults.gap_margin_m
+        target_m = (
+            2.0 * self._world.robot.hand.travel_m - margin_m
+            if told == "open"
+            else self._width_m + margin_m
+        )
+        return self._monitor.grippers(
+            now_s,
+            told,
+            self._world.gaps_m,
+            self._pinch.tolist(),
+            target_m,
+        )
 
     def motors(self, told: Array) -> Fault | None:
         """Compare commanded torques (n,) [Nm] with applied ones."""
@@ -206,5 +269,8 @@ class CarryWatch:
         """
         if self._spread_m is not None:
             wanted_n = self.squeeze_n
-            self.grip_limit_n = max(min(wanted_n, self._least_n), min(wanted_n, _EASED * self._felt_n))
+            self.grip_limit_n = max(
+                min(wanted_n, self._least_n),
+                min(wanted_n, _EASED * self._felt_n),
+            )
         self._spread_m = spread_m

@@ -19,7 +19,16 @@ from minidual.plant.model import OBSTACLE
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.skills.phases import PHASES, State, Thing
 from minidual.skills.pipeline.carrying import Carry, Place
-from minidual.skills.pipeline.hands import Grip, close, descend, home, insert, open_hands, reach, retreat
+from minidual.skills.pipeline.hands import (
+    Grip,
+    close,
+    descend,
+    home,
+    insert,
+    open_hands,
+    reach,
+    retreat,
+)
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
 from minidual.skills.supervised import arm_distance
@@ -30,9 +39,18 @@ _PRISM = 16  # sides of the prism round a cylinder
 _KEENNESS = 0.5  # where grasps can be chosen, the cheapest of all plans would take too long to find
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
-_CLEAR_M, _GAP_MARGIN_M = 0.005, 0.005  # over the height that the task asks for, and the distance of the arms
-_PLANNED_TILT = 0.9  # share of the task's limit; driven, the object tilts a little more than planned
-_OF_HANDS = {"descend": descend, "close": close, "open": open_hands, "retreat": retreat, "home": home}
+_CLEAR_M = 0.005  # over the height that the task asks for, and the distance of the arms
+_GAP_MARGIN_M = 0.005
+_PLANNED_TILT = (
+    0.9  # share of the task's limit; driven, the object tilts a little more than planned
+)
+_OF_HANDS = {
+    "descend": descend,
+    "close": close,
+    "open": open_hands,
+    "retreat": retreat,
+    "home": home,
+}
 
 
 def thing_of(body: ObjectConfig) -> Thing:
@@ -65,10 +83,13 @@ def _corners(part: PartConfig) -> Array:
 
 def around(scene: SceneConfig, robot: Robot) -> PlanningScene:
     """Return a task's obstacles."""
-    room, block = PlanningScene(robot=robot), scene.task.obstacle
+    room = PlanningScene(robot=robot)
+    block = scene.task.obstacle
     if block is None:
         return room
-    return room.with_obstacles(Box(OBSTACLE, (*block.xy_m, block.size_m[2] / 2), size_m=block.size_m))
+    return room.with_obstacles(
+        Box(OBSTACLE, (*block.xy_m, block.size_m[2] / 2), size_m=block.size_m),
+    )
 
 
 def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -> Pipeline:
@@ -77,8 +98,12 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
     Raises:
         UsageError: Unknown phase or object, or missing grasp.
     """
-    asked, stages, taken = task.scene.task, list[Stage](), Counter[str]()
-    steps = [step for step in (task.steps if steps is None else steps) if step.phase not in _BY_FORCE]
+    asked = task.scene.task
+    stages = list[Stage]()
+    taken = Counter[str]()
+    steps = [
+        step for step in (task.steps if steps is None else steps) if step.phase not in _BY_FORCE
+    ]
     for step in steps:
         check_name("phase", step.phase, PHASES)
         for name in step.objects:
@@ -98,9 +123,19 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
         if carrying:  # one stage for lift, carry and lower
             moves = list(run)
             rests = any(step.phase == "lower" for step in moves)
-            asked_for = [T if isinstance(T, Mapping) else {handled[0]: T} for step in moves for T in step.places]
-            if not (places := [Place(f"place {k + 1}", Ts, 0.5 * k, rests) for k, Ts in enumerate(asked_for)]):
-                goals = {name: pose_of(task.objects[name].body, trial.goal[name]) for name in handled}
+            asked_for = [
+                T if isinstance(T, Mapping) else {handled[0]: T}
+                for step in moves
+                for T in step.places
+            ]
+            if not (
+                places := [
+                    Place(f"place {k + 1}", Ts, 0.5 * k, rests) for k, Ts in enumerate(asked_for)
+                ]
+            ):
+                goals = {
+                    name: pose_of(task.objects[name].body, trial.goal[name]) for name in handled
+                }
                 places = [Place("the goal", goals)]
             least_m = asked.clear_height_m + _CLEAR_M
             carry = Carry(places, asked.lift_height_m, _PLANNED_TILT * asked.tilt_max_rad, least_m)
@@ -113,8 +148,12 @@ def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -
                 ways = [{hands[0]: T} for T in step.grasps]
                 for hand, name in about.items() if not ways else ():
                     if hand not in (grasps := task.objects[name].grasps):
-                        raise UsageError(f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}")
-                ways = ways or [{hand: task.objects[name].grasps[hand] for hand, name in about.items()}]
+                        raise UsageError(
+                            f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}",
+                        )
+                ways = ways or [
+                    {hand: task.objects[name].grasps[hand] for hand, name in about.items()},
+                ]
                 grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
                 offers = partial(reach, hands, grips, about)
             else:
@@ -142,9 +181,19 @@ def solve(
     things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
     far = arm_distance(planner.robot), Reach(planner.kinematics).m
     gap = None if apart_m is None else Gap(*far, apart_m + _GAP_MARGIN_M)
-    room_m = planner.robot.hand.travel_m - min(item.body.half_width_m for item in task.objects.values())
+    room_m = planner.robot.hand.travel_m - min(
+        item.body.half_width_m for item in task.objects.values()
+    )
     fingers_s = room_m / task.config.arbiter.finger_speed_m_per_s
-    tools = Tools(around(task.scene, planner.robot), things, planner, seed, gap, by_force, fingers_s)
+    tools = Tools(
+        around(task.scene, planner.robot),
+        things,
+        planner,
+        seed,
+        gap,
+        by_force,
+        fingers_s,
+    )
     ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
     *others, last = (pipeline_of(task, trial, steps) for steps in ways)
     for pipeline in others:

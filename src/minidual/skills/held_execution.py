@@ -42,23 +42,32 @@ def execute(plan: CarriedTrajectory, world: World, *, close_s: float = 0.7) -> D
     """
     T_start = plan.Ts_world_object[0]
     if abs(T_start[2, 1]) > _FLAT or abs(T_start[2, 0]) > _FLAT:
-        raise ValueError(f"the plan starts with the object tilted: {T_start[2, :3]}; it must lie level on the table")
+        raise ValueError(
+            f"the plan starts with the object tilted: {T_start[2, :3]}; it must lie level on the table",
+        )
     yaw = float(np.arctan2(T_start[1, 0], T_start[0, 0]))
-    world.reset(plan.q[0], poses={world.objects[0]: (float(T_start[0, 3]), float(T_start[1, 3]), yaw)})
+    world.reset(
+        plan.q[0],
+        poses={world.objects[0]: (float(T_start[0, 3]), float(T_start[1, 3]), yaw)},
+    )
     segments = [
         still("close", plan.q[0], close_s, _CLOSED),
         Segment("carry", plan, _CLOSED),
         still("settle", plan.q[-1], PHASES["settle"].hold_s, _CLOSED),
     ]
     drive = Drive(ControlStack(world, Kinematics(world.robot)), segments)
-    errors, pinch, way = [], [], np.empty(6)
+    errors = []
+    pinch = []
+    way = np.empty(6)
     while not drive.done:
-        T_before, pinch_before = world.object_pose(), float(world.truth().pinch().min())
+        T_before = world.object_pose()
+        pinch_before = float(world.truth().pinch().min())
         drive.step()
         if drive.phase not in ("carry", "settle") or drive.elapsed_s == 0.0:
             continue
         if not errors:
-            errors, pinch = [apart(T_before, T_start, way)], [pinch_before]
+            errors = [apart(T_before, T_start, way)]
+            pinch = [pinch_before]
         elapsed = drive.elapsed_s if drive.phase == "carry" else plan.duration_s
         row = min(round(elapsed / plan.dt_s), len(plan.times) - 1)
         errors.append(apart(world.object_pose(), plan.Ts_world_object[row], way))

@@ -10,7 +10,13 @@ import numpy as np
 
 from minidual.config.control import ArbiterConfig, CarryConfig
 from minidual.config.seeds import stream
-from minidual.control.commands import ArbiterState, Command, JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.commands import (
+    ArbiterState,
+    Command,
+    JointCommand,
+    ObjectCommand,
+    TrajectoryCommand,
+)
 from minidual.control.impedance import ObjectPath, SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import STOP_SHARE, SoftStop
@@ -23,7 +29,14 @@ from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
-from minidual.skills.carry_motions import grasp_posture, held_motion, held_object, joint_move, plan_path, posture_over
+from minidual.skills.carry_motions import (
+    grasp_posture,
+    held_motion,
+    held_object,
+    joint_move,
+    plan_path,
+    posture_over,
+)
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING, Fault
@@ -31,13 +44,18 @@ from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.tasks.task import Trial, level_part, placement, pose_of
 
-_OPEN, _CLOSED = np.ones(2), np.zeros(2)
+_OPEN = np.ones(2)
+_CLOSED = np.zeros(2)
 # what the hands are told in a phase
 _TOLD = {"close": "close", "open": "open", "retreat": "open"}
 _BRAKED_S = 0.6  # longest braking along the path
-_ARRIVALS, _ONWARD_S, _ARRIVED_M, _STRETCH_M = 4, 0.8, 0.003, 0.018
+_ARRIVALS = 4
+_ONWARD_S = 0.8
+_ARRIVED_M = 0.003
+_STRETCH_M = 0.018
 # most corrections of a path's end, their time, the distance that needs none, the longest stretch of the spring
-_STOPPED_S, _CALM_S = 0.5, 2.0
+_STOPPED_S = 0.5
+_CALM_S = 2.0
 
 
 class _RefusedError(Exception):
@@ -66,25 +84,49 @@ class ImpedanceCarry:
         supervisor: Supervisor | None = None,
         arbiter: ArbiterConfig | None = None,
     ) -> None:
-        self.world, self._kinematics, self._config, self._trial = world, kinematics, config, trial
+        self.world = world
+        self._kinematics = kinematics
+        self._config = config
+        self._trial = trial
         if sensors is None:
-            sensors = Sensors(world, config.sensing, stream(seed, f"sensing/{trial.purpose}", trial.index))
+            sensors = Sensors(
+                world,
+                config.sensing,
+                stream(seed, f"sensing/{trial.purpose}", trial.index),
+            )
         self.watch = CarryWatch(world, kinematics, config, sensors)
-        supervisor = self._supervisor = supervisor or Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
+        supervisor = self._supervisor = supervisor or Supervisor(
+            dt_s=world.dt,
+            kinematics=Kinematics(world.robot),
+        )
         self.stack = ControlStack(
-            world, kinematics, arbiter, pinch_force_n=config.impedance.pinch_n, sensor=self.watch, supervisor=supervisor
+            world,
+            kinematics,
+            arbiter,
+            pinch_force_n=config.impedance.pinch_n,
+            sensor=self.watch,
+            supervisor=supervisor,
         )
         self.stack.on_flush(self._flushed)
         usual = ArbiterConfig()
-        self._open_s = PHASES["open"].force_s * usual.finger_speed_m_per_s / (arbiter or usual).finger_speed_m_per_s
-        self.phase, self._began_s, self._sequence = "approach", world.time, 0
+        self._open_s = (
+            PHASES["open"].force_s
+            * usual.finger_speed_m_per_s
+            / (arbiter or usual).finger_speed_m_per_s
+        )
+        self.phase = "approach"
+        self._began_s = world.time
+        self._sequence = 0
         self.fault: Fault | None = None
-        self._halted, self._follows, self._stop_s = False, True, 0.0
+        self._halted = False
+        self._follows = True
+        self._stop_s = 0.0
         self._told: Array | None = None
         self._dead: tuple[int, ...] = ()
         self._broken: BaseException | None = None
         self._asked_for: str | None = None
-        self._refusals_seen, self._heeded = 0, self.stack.output
+        self._refusals_seen = 0
+        self._heeded = self.stack.output
         self._cycle = self._phases()
         self._advance()
 
@@ -114,7 +156,8 @@ class ImpedanceCarry:
         try:
             self.stack.step()
         except ReflexError as error:
-            self._halted, cause = True, error.__cause__
+            self._halted = True
+            cause = error.__cause__
             if self.fault is not None and self.fault.at_s == error.reflex.time_s:
                 self.fault = None  # a consequence, sensed in the same tick
             if error.reflex.name == "controller_failed" and not isinstance(cause, MinidualError):
@@ -148,7 +191,9 @@ class ImpedanceCarry:
                 self._note("interrupted", str(error), _BRAKED_S)
 
     def _phases(self) -> Iterator[None]:
-        world, watch, stack = self.world, self.watch, self.stack
+        world = self.world
+        watch = self.watch
+        stack = self.stack
         q_over = posture_over(world.scene, world.robot, self._lying(), PHASES["approach"].rise_m)
         self._grasp(q_over)  # before anything moves
         stack.request(SOURCE)
@@ -159,7 +204,8 @@ class ImpedanceCarry:
             yield from self._move("approach", q, q_over)
             if not watch.shifted:
                 break
-            q, watch.shifted = q_over, False
+            q = q_over
+            watch.shifted = False
             q_over = self._grasp(q, above_m=PHASES["approach"].rise_m)
         q = self._grasp(q_over)  # of the mean of all poses so far, about a hundred
         rest_m = float(watch.T_world_object[2, 3])
@@ -172,20 +218,30 @@ class ImpedanceCarry:
             if stack.tick_next:
                 self._propose("close", JointCommand, q, _CLOSED)
 
-        T_object, scene = watch.T_world_object, world.scene
+        T_object = watch.T_world_object
+        scene = world.scene
         goal = placement(self._trial.goal[scene.object.name])
         path = plan_path(scene, world.robot, self._config.pace, goal, T_object, world.q, rest_m)
-        T_level_object, tcps = inverse(level_part(T_object)) @ T_object, self._kinematics.tcp_poses(world.q)
+        T_level_object = inverse(level_part(T_object)) @ T_object
+        tcps = self._kinematics.tcp_poses(world.q)
         stack.impedance.configure(held_object(scene, T_object, tcps), self._config.impedance)
         watch.take_hold()
-        self._supervisor.hold(0, inverse(tcps[0]) @ self._lying() @ thing_of(scene.object).shape.T_parent_shape)
+        self._supervisor.hold(
+            0,
+            inverse(tcps[0]) @ self._lying() @ thing_of(scene.object).shape.T_parent_shape,
+        )
         stack.switch_controllers(OBJECT_CONTROLLERS)
         for phase in ("squeeze", "carry", "unload"):
             if phase == "carry":
                 watch.lift()
             if phase == "unload":
                 path = yield from self._arrive(path, T_level_object)
-            self._propose(phase, ObjectCommand, *held_motion(phase, path, T_level_object, watch.squeeze_n), _CLOSED)
+            self._propose(
+                phase,
+                ObjectCommand,
+                *held_motion(phase, path, T_level_object, watch.squeeze_n),
+                _CLOSED,
+            )
             yield from self._executing()
         while not stack.calm and world.time < self._began_s + _CALM_S:
             yield  # the object is down, an elbow may still swing
@@ -206,7 +262,8 @@ class ImpedanceCarry:
             if short < _ARRIVED_M or stretched >= _STRETCH_M:
                 break
             onward_m = (goal_m - p_m) * min(1.0, (_STRETCH_M - stretched) / short)
-            path, end_m = path.onward(onward_m, _ONWARD_S), end_m + onward_m
+            path = path.onward(onward_m, _ONWARD_S)
+            end_m = end_m + onward_m
             motion = held_motion("carry", path, T_level_object, self.watch.squeeze_n)
             self._propose("carry", ObjectCommand, *motion, _CLOSED)
             yield from self._executing()
@@ -214,13 +271,25 @@ class ImpedanceCarry:
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array:
         """Return the posture (n,) at or over the grasps."""
-        return grasp_posture(self.world.scene, self.world.robot, self._lying(), q_near, above_m=above_m)
+        return grasp_posture(
+            self.world.scene,
+            self.world.robot,
+            self._lying(),
+            q_near,
+            above_m=above_m,
+        )
 
     def _lying(self) -> Array:
         """Return the object's pose (4, 4) at its known height on the table."""
         return pose_of(self.world.scene.object, placement(self.watch.T_world_object))
 
-    def _move(self, phase: str, q: Array, q_goal: Array, duration_s: float | None = None) -> Iterator[None]:
+    def _move(
+        self,
+        phase: str,
+        q: Array,
+        q_goal: Array,
+        duration_s: float | None = None,
+    ) -> Iterator[None]:
         world = self.world
         motion = joint_move(q, q_goal, world.robot, self._config.pace, world.dt, duration_s)
         self._propose(phase, TrajectoryCommand, motion, _OPEN)
@@ -239,7 +308,8 @@ class ImpedanceCarry:
             self._enter(phase)
 
     def _enter(self, phase: str) -> None:
-        self.phase, self._began_s = phase, self.world.time
+        self.phase = phase
+        self._began_s = self.world.time
 
     # Faults ---------------------------------------------------------------------------------------------
 
@@ -254,13 +324,24 @@ class ImpedanceCarry:
             self.stack.grippers.firmer()
 
     def _sensed(self) -> Fault | None:
-        watch, phase = self.watch, self.phase
+        watch = self.watch
+        phase = self.phase
         if phase in ("squeeze", "carry"):
-            return watch.sensors(moving=True) or watch.grippers("") or watch.holding(steady=phase == "carry")
-        if phase not in ("open", "retreat", "stop", "done") and (lost := watch.sensors(moving=False)):
+            return (
+                watch.sensors(moving=True)
+                or watch.grippers("")
+                or watch.holding(steady=phase == "carry")
+            )
+        if phase not in ("open", "retreat", "stop", "done") and (
+            lost := watch.sensors(moving=False)
+        ):
             return lost
         untouched = phase in ("approach", "descend", "retreat")
-        hands = None if phase in ("approach", "descend", "stop", "done") else watch.grippers(_TOLD.get(phase, ""))
+        hands = (
+            None
+            if phase in ("approach", "descend", "stop", "done")
+            else watch.grippers(_TOLD.get(phase, ""))
+        )
         if hands is not None or untouched:
             return hands or watch.resting(follow=self._follows and phase == "approach")
         if phase == "close":
@@ -273,7 +354,10 @@ class ImpedanceCarry:
         if fault is None or self._halted:
             return
         self._halted = True
-        self.stack.halt(SOURCE, _OPEN if fault.name in OPENING and self.stack.source == SOURCE else None)
+        self.stack.halt(
+            SOURCE,
+            _OPEN if fault.name in OPENING and self.stack.source == SOURCE else None,
+        )
         self._note(fault.name, fault.detail)
 
     def _heed_arbiter(self) -> None:
@@ -281,7 +365,8 @@ class ImpedanceCarry:
         if (stack.output is self._heeded and stack.refused_n == self._refusals_seen) or self.done:
             return
         self._heeded = stack.output
-        news, self._refusals_seen = stack.refused_since(self._refusals_seen), stack.refused_n
+        news = stack.refused_since(self._refusals_seen)
+        self._refusals_seen = stack.refused_n
         refused = next((r for r in news if r.source == SOURCE), None)
         if stack.output.halted:  # first: sources see a halt as a hold request
             self._note("interrupted", "the arms were halted")
@@ -292,9 +377,19 @@ class ImpedanceCarry:
         elif self._asked_for is not None:
             self._note("interrupted", f"'{self._asked_for}' was asked for", _BRAKED_S)
         elif stack.state in (ArbiterState.STALE, ArbiterState.STOPPED):
-            self._note("interrupted", f"the arbiter is {stack.state}: it has not heard of the carry", _BRAKED_S)
+            self._note(
+                "interrupted",
+                f"the arbiter is {stack.state}: it has not heard of the carry",
+                _BRAKED_S,
+            )
 
-    def _note(self, name: str, detail: str, stop_s: float | None = None, at_s: float | None = None) -> None:
+    def _note(
+        self,
+        name: str,
+        detail: str,
+        stop_s: float | None = None,
+        at_s: float | None = None,
+    ) -> None:
         if self.fault is not None:
             return
         world = self.world

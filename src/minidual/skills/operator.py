@@ -20,12 +20,21 @@ from minidual.skills.cycle import solve
 from minidual.skills.phases import OPEN, PHASES, State
 from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
 
-_LASTS_S = {"approach": 1.8, "correct": 0.6, "descend": 0.9, "close": 0.7, "lift": 0.8, "carry": 2.0}
+_LASTS_S = {
+    "approach": 1.8,
+    "correct": 0.6,
+    "descend": 0.9,
+    "close": 0.7,
+    "lift": 0.8,
+    "carry": 2.0,
+}
 _LASTS_S |= {"lower": 0.8, "open": PHASES["open"].hold_s, "retreat": 0.5, "rest": 0.1}
-_OVERLAPPING, _PAUSED = ("correct", "descend"), ("lift", "lower")
+_OVERLAPPING = ("correct", "descend")
+_PAUSED = ("lift", "lower")
 # The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
 # as fast.
-_CONFIG, _WRIST_COST = OperatorConfig(), 0.1
+_CONFIG = OperatorConfig()
+_WRIST_COST = 0.1
 
 _SPEED_SHARE = 0.6  # of the joints' limits, where a plan is demonstrated
 
@@ -76,28 +85,44 @@ class ScriptedOperator:
     """Plans demonstrations of the rod task."""
 
     def __init__(
-        self, scene: SceneConfig, config: OperatorConfig = _CONFIG, *, kinematics: Kinematics | None = None
+        self,
+        scene: SceneConfig,
+        config: OperatorConfig = _CONFIG,
+        *,
+        kinematics: Kinematics | None = None,
     ) -> None:
-        self.scene, self.config = scene, config
+        self.scene = scene
+        self.config = config
         kinematics = kinematics or Kinematics()
         self._robot = robot = kinematics.robot
         self._costs = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
-        self._home_poses, self._grasps = kinematics.tcp_poses(robot.home), grasp_offsets(scene)
+        self._home_poses = kinematics.tcp_poses(robot.home)
+        self._grasps = grasp_offsets(scene)
 
     def style(self, seed: int, trial: Trial) -> Style:
         """Draw the style of a trial."""
-        rng, config = stream(seed, f"operator-style/{trial.purpose}", trial.index), self.config
+        rng = stream(seed, f"operator-style/{trial.purpose}", trial.index)
+        config = self.config
         pace = 1.0 + config.speed_spread * rng.uniform(-1.0, 1.0, len(_LASTS_S))
         pauses = config.pause_s * rng.uniform(0.0, 1.0, len(_PAUSED))
         left, right = config.grasp_spread_m * rng.uniform(-1.0, 1.0, 2)
-        return Style(dict(zip(_LASTS_S, pace, strict=True)), dict(zip(_PAUSED, pauses, strict=True)), (left, right))
+        return Style(
+            dict(zip(_LASTS_S, pace, strict=True)),
+            dict(zip(_PAUSED, pauses, strict=True)),
+            (left, right),
+        )
 
     def phases(self, style: Style = _PLAIN) -> dict[str, tuple[float, float]]:
         """Return {name: (start, end) [s]}."""
         # they overlap over the rod, where a policy without speed or time could learn to wait for ever
-        phases, end = {}, 0.0
+        phases = {}
+        end = 0.0
         for name, lasts_s in _LASTS_S.items():
-            start = end - (self.config.overlap_s if name in _OVERLAPPING else 0.0) + style.pauses_s.get(name, 0.0)
+            start = (
+                end
+                - (self.config.overlap_s if name in _OVERLAPPING else 0.0)
+                + style.pauses_s.get(name, 0.0)
+            )
             phases[name] = start, (end := start + lasts_s * style.pace.get(name, 1.0))
         return phases
 
@@ -115,22 +140,35 @@ class ScriptedOperator:
             UsageError: A pose is out of reach.
         """
         style = self.style(seed, trial)
-        phases, shifts = self.phases(style), zip(style.shifts_m, self._grasps, strict=True)
+        phases = self.phases(style)
+        shifts = zip(style.shifts_m, self._grasps, strict=True)
         grasps = [pose(np.eye(3), (0.0, shift, 0.0)) @ T for shift, T in shifts]
         ticks = round(phases["rest"][1] * rate_hz)
-        times, error = np.arange(ticks) / rate_hz, self.approach_error(seed, trial)
-        q, current = np.empty((ticks, self._robot.dof)), self._robot.home.copy()
+        times = np.arange(ticks) / rate_hz
+        error = self.approach_error(seed, trial)
+        q = np.empty((ticks, self._robot.dof))
+        current = self._robot.home.copy()
         for k, t in enumerate(times.tolist()):
-            progress = {name: minimum_jerk((t - start) / (end - start))[0] for name, (start, end) in phases.items()}
+            progress = {
+                name: minimum_jerk((t - start) / (end - start))[0]
+                for name, (start, end) in phases.items()
+            }
             hands = self._hand_poses(trial, error, grasps, progress)
             q[k] = current = posture_at(self._robot, hands, current, self._robot.home, self._costs)
         closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
         return Demonstration(rate_hz, q, np.where(closed[:, None], 0.0, 1.0) * np.ones(2))
 
     def _hand_poses(
-        self, trial: Trial, error: Array, grasps: Sequence[Array], progress: Mapping[str, float]
+        self,
+        trial: Trial,
+        error: Array,
+        grasps: Sequence[Array],
+        progress: Mapping[str, float],
     ) -> tuple[Array, Array]:
-        begin, goal = (np.array(placement(where[self.scene.object.name])) for where in (trial.start, trial.goal))
+        begin, goal = (
+            np.array(placement(where[self.scene.object.name]))
+            for where in (trial.start, trial.goal)
+        )
         # Along the object on the way down: corrected any earlier, the hands would tell a policy where the grasp is, and
         # its own error would feed itself (docs/learning.md).
         left = 1.0 - np.array([progress[phase] for phase in ("correct", "descend", "correct")])
@@ -139,9 +177,13 @@ class ScriptedOperator:
         above = PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
         raised = self.scene.task.lift_height_m * (progress["lift"] - progress["lower"])
         T_world_rod = level_pose(x, y, self.scene.object.rest_height_m + above + raised, yaw)
-        hands, s = [T_world_rod @ T_rod_tcp for T_rod_tcp in grasps], progress["approach"]
+        hands = [T_world_rod @ T_rod_tcp for T_rod_tcp in grasps]
+        s = progress["approach"]
         if s < 1.0:
-            hands = [_between(T_home, T_goal, s) for T_home, T_goal in zip(self._home_poses, hands, strict=True)]
+            hands = [
+                _between(T_home, T_goal, s)
+                for T_home, T_goal in zip(self._home_poses, hands, strict=True)
+            ]
         return hands[0], hands[1]
 
 
@@ -152,19 +194,38 @@ def _between(T_from: Array, T_to: Array, s: float) -> Array:
     return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)
 
 
-def demonstrate_plan(task: Task, trial: Trial, planner: Planner, *, seed: int, rate_hz: float) -> Demonstration:
+def demonstrate_plan(
+    task: Task,
+    trial: Trial,
+    planner: Planner,
+    *,
+    seed: int,
+    rate_hz: float,
+) -> Demonstration:
     """Return the task's plan as a demonstration; while both are open, hands err along what they grasp until they are down.
 
     Raises:
         TaskFailedError: There is no plan.
     """
     robot = planner.robot
-    start = State(robot.home, {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()})
+    start = State(
+        robot.home,
+        {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()},
+    )
     own = subseed(seed, f"operator/{trial.purpose}", trial.index)
-    segments = solve(task, trial, start, planner, own, task.config.supervisor.self_collision_min_m).segments
-    rng, noise_m = stream(seed, f"operator/{trial.purpose}", trial.index), task.config.teleop.operator.along_noise_m
+    segments = solve(
+        task,
+        trial,
+        start,
+        planner,
+        own,
+        task.config.supervisor.self_collision_min_m,
+    ).segments
+    rng = stream(seed, f"operator/{trial.purpose}", trial.index)
+    noise_m = task.config.teleop.operator.along_noise_m
     errors_m = noise_m * np.clip(rng.standard_normal(len(SIDES)), -2.0, 2.0)
-    q, gripper = list[Array](), list[Array]()
+    q = list[Array]()
+    gripper = list[Array]()
     for segment in segments:
         # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.
         motion = segment.trajectory

@@ -19,7 +19,8 @@ from minidual.registry import rows_beside
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array
 
-OPEN, CLOSED = 1.0, 0.0
+OPEN = 1.0
+CLOSED = 0.0
 Arms = tuple[str, ...]
 
 
@@ -74,7 +75,9 @@ class State:
 
     def opened(self, arms: Iterable[str], opening: float) -> State:
         """Return the state with some hands' opening changed."""
-        left, right = (opening if arm in arms else now for arm, now in zip(SIDES, self.openings, strict=True))
+        left, right = (
+            opening if arm in arms else now for arm, now in zip(SIDES, self.openings, strict=True)
+        )
         return replace(self, openings=(left, right))
 
 
@@ -112,7 +115,12 @@ class Thing:
 
 
 def still(
-    phase: str, q: Array, duration_s: float, openings: tuple[float, float], kept_by: Arms = (), soft: Arms = ()
+    phase: str,
+    q: Array,
+    duration_s: float,
+    openings: tuple[float, float],
+    kept_by: Arms = (),
+    soft: Arms = (),
 ) -> Segment:
     """Return a segment that holds the arms at q (n,)."""
     return Segment(phase, resting(q, duration_s, "both_arms"), openings, kept_by=kept_by, soft=soft)

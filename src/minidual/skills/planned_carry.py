@@ -23,8 +23,12 @@ from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Stage
 from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
-_TRIES, _ASIDE_M = 3, 0.020  # of a trial; open fingers leave 15 mm on either side of a bottle
-_PRESSED_N, _BESIDE_M = 10.0, 0.010  # least force that a touch explains, and its least distance from the hand's middle
+_TRIES = 3  # of a trial; open fingers leave 15 mm on either side of a bottle
+_ASIDE_M = 0.020
+_PRESSED_N = (
+    10.0  # least force that a touch explains, and its least distance from the hand's middle
+)
+_BESIDE_M = 0.010
 
 
 class PlannedCarry(Drive):
@@ -46,12 +50,20 @@ class PlannedCarry(Drive):
         *,
         poses: Mapping[str, Array] | None = None,
     ) -> None:
-        self.task, self.world = task, (world := stack.plant)
-        self.poses = {name: world.object_pose(name) for name in task.objects} if poses is None else poses
+        self.task = task
+        self.world = (world := stack.plant)
+        self.poses = (
+            {name: world.object_pose(name) for name in task.objects} if poses is None else poses
+        )
         lying = {name for name, where in trial.start.items() if isinstance(where, tuple)}
-        level = {name: placement(T) if name in lying else level_part(T) for name, T in self.poses.items()}
-        known = self._poses = {name: pose_of(task.objects[name].body, where) for name, where in level.items()}
-        start, self._tries_left = State(world.q, dict(known)), _TRIES
+        level = {
+            name: placement(T) if name in lying else level_part(T) for name, T in self.poses.items()
+        }
+        known = self._poses = {
+            name: pose_of(task.objects[name].body, where) for name, where in level.items()
+        }
+        start = State(world.q, dict(known))
+        self._tries_left = _TRIES
         self._touch: tuple[Solution, Segment, Array] | None = None
         apart_m = None if stack.supervisor is None else stack.supervisor.config.self_collision_min_m
         self.solution: Solution | None = None
@@ -61,7 +73,8 @@ class PlannedCarry(Drive):
             super().__init__(stack, self.solution.segments)
         except TaskFailedError as error:
             super().__init__(stack, ())
-            self.aborted, self.record = error.summary, error.record
+            self.aborted = error.summary
+            self.record = error.record
 
     def step(self) -> None:
         """Run one control step; simulated time stands still while it plans anew."""
@@ -69,39 +82,58 @@ class PlannedCarry(Drive):
         if self.stack.output.halted:  # by somebody: the arms stay
             self._touch = None
         if self._touch is not None and not self.stack.stopping:
-            touch, self._touch = self._touch, None
-            with suppress(MinidualError, np.linalg.LinAlgError):  # moving, unmeasured or unplanned: it stays aborted
+            touch = self._touch
+            self._touch = None
+            with suppress(
+                MinidualError,
+                np.linalg.LinAlgError,
+            ):  # moving, unmeasured or unplanned: it stays aborted
                 self._grasp_again(*touch)
 
     def _tell_held(self, segment: Segment) -> None:
         super()._tell_held(segment)
         if segment.scene is not None and not self.task.together:
-            held = {held.link: self.task.objects[held.name].body.mass_kg for held in segment.scene.attached}
+            held = {
+                held.link: self.task.objects[held.name].body.mass_kg
+                for held in segment.scene.attached
+            }
             for arm, link in enumerate(self.world.robot.tcp_names):
                 self.stack.payload.bear(arm, held.get(link, 0.0))
 
     def _stopped(self, error: ReflexError) -> None:
-        solution, supervisor, touched = self.solution, self.stack.supervisor, error.reflex.name.endswith("_contact")
+        solution = self.solution
+        supervisor = self.stack.supervisor
+        touched = error.reflex.name.endswith("_contact")
         if solution and supervisor and touched and self.phase == "descend" and self._tries_left:
             self._touch = solution, self._left[0], supervisor.touch
         super()._stopped(error)
 
     def _grasp_again(self, solution: Solution, segment: Segment, torque: Array) -> None:
         """Back off from what a finger came down on, and grasp it further towards that finger."""
-        stack, q, arm = self.stack, self.world.q, int(np.argmax(np.abs(torque))) // (len(torque) // 2)
-        k, state = next((k, solution.states[k]) for k, part in enumerate(solution.parts) if segment in part)
-        name, own = state.object_of(SIDES[arm]), self.world.robot.joints_of(arm)
+        stack = self.stack
+        q = self.world.q
+        arm = int(np.argmax(np.abs(torque))) // (len(torque) // 2)
+        k, state = next(
+            (k, solution.states[k]) for k, part in enumerate(solution.parts) if segment in part
+        )
+        name = state.object_of(SIDES[arm])
+        own = self.world.robot.joints_of(arm)
         wrench = np.linalg.lstsq(stack.kinematics.tcp_jacobians(q)[arm][:, own].T, torque[own])[0]
         x, y, z = stack.kinematics.tcp_poses(q)[arm][:3, :3].T
-        pressed_n, aside_nm = -z @ wrench[:3], -x @ wrench[3:]
+        pressed_n = -z @ wrench[:3]
+        aside_nm = -x @ wrench[3:]
         on_a_finger = pressed_n > _PRESSED_N and abs(aside_nm) > _BESIDE_M * pressed_n
         if not on_a_finger or name in map(state.object_of, state.held_by):
             return
         self._tries_left -= 1
         self._poses[name] = moved(state.objects[name], np.sign(aside_nm) * _ASIDE_M * y)
         start = replace(state, q=q, objects={**state.objects, name: self._poses[name]})
-        was, back = solution.pipeline, Stage("back off", partial(retreat, tuple(state.reached)))
-        self.solution = Pipeline(was.name, (back, *was.stages[k - 1 :]), was.keenness).solve(start, solution.tools)
+        was = solution.pipeline
+        back = Stage("back off", partial(retreat, tuple(state.reached)))
+        self.solution = Pipeline(was.name, (back, *was.stages[k - 1 :]), was.keenness).solve(
+            start,
+            solution.tools,
+        )
         stack.recover()  # not before: without a plan the reflex stays latched
         super().__init__(stack, self.solution.segments)
 
@@ -112,7 +144,8 @@ class CompliantCarry(PlannedCarry):
     by_force = True
 
     def _take_control(self, segment: Segment) -> None:
-        stack, laws = self.stack, [hand.law for hand in self.stack.hands]
+        stack = self.stack
+        laws = [hand.law for hand in self.stack.hands]
         self._note_grasps(segment)
         names = tuple(f"{side}_{'hand' if side in segment.soft else 'arm'}" for side in SIDES)
         names = names if segment.soft else DEFAULT_CONTROLLERS
@@ -124,14 +157,16 @@ class CompliantCarry(PlannedCarry):
     def _note_grasps(self, segment: Segment) -> None:
         """Note where in closed hands objects are, from where they lay."""
         tips = self.stack.kinematics.tcp_poses(self.world.q)
-        laws, poses = [hand.law for hand in self.stack.hands], self._poses
+        laws = [hand.law for hand in self.stack.hands]
+        poses = self._poses
         for T_tcp, law, opening in zip(tips, laws, segment.openings, strict=True):
             if law.held.name:
                 poses[law.held.name] = T_tcp @ law.held.T_tcp_object
             if opening == OPEN:
                 law.held = InHand()
         for held in () if segment.scene is None else segment.scene.attached:
-            arm, item = self.world.robot.tcp_names.index(held.link), self.task.objects[held.name]
+            arm = self.world.robot.tcp_names.index(held.link)
+            item = self.task.objects[held.name]
             if laws[arm].held.name != held.name:
                 planned = held.shape.T_parent_shape
                 T = _centred(inverse(tips[arm]) @ poses[held.name], planned)

@@ -15,8 +15,11 @@ from minidual.control.supervisor import OnReflex, Supervisor
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, pose
 
-_WITHIN_M, _NEAR_M = 0.15, 0.02
-_APART_M, _FINGERS_TO_TABLE_M, _HELD_TO_TABLE_M = 0.005, -0.006, -0.008
+_WITHIN_M = 0.15
+_NEAR_M = 0.02
+_APART_M = 0.005
+_FINGERS_TO_TABLE_M = -0.006
+_HELD_TO_TABLE_M = -0.008
 """Least distances where a stop ends: fingers grasp 1 mm above the table."""
 
 
@@ -37,8 +40,13 @@ def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
 @cache
 def _engine(robot: Robot, shapes: tuple[Shape, ...]) -> MujocoEngine:
     hands = tuple(link for side in robot.sides for link in robot.hand_links(side))
-    held = [replace(shape, name=_in_hand(shape, side)) for shape, side in zip(shapes, robot.sides, strict=False)]
-    attached = [Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)]
+    held = [
+        replace(shape, name=_in_hand(shape, side))
+        for shape, side in zip(shapes, robot.sides, strict=False)
+    ]
+    attached = [
+        Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)
+    ]
     scene = PlanningScene(robot=robot, attached=tuple(attached))
     if len({shape.name for shape in shapes}) > 1:
         scene = scene.allowing(held[0].name, held[1].name, "they are put together")
@@ -55,10 +63,13 @@ class SceneClearance:
     def __init__(self, robot: Robot, *shapes: Shape) -> None:
         shapes = shapes * len(robot.sides) if len(shapes) == 1 else shapes
         self._engine = deepcopy(_engine(robot, shapes))
-        self._held = [_in_hand(shape, side) for shape, side in zip(shapes, robot.sides, strict=False)]
+        self._held = [
+            _in_hand(shape, side) for shape, side in zip(shapes, robot.sides, strict=False)
+        ]
         body = self._engine.body_names.index
         fingers = [body(link) for side in robot.sides for link in robot.hand_links(side)[1:]]
-        held, table = [body(name) for name in self._held], body("table")
+        held = [body(name) for name in self._held]
+        table = body("table")
         self._least_m = least_m = np.full([self._engine.model.nbody] * 2, _APART_M)
         least_m[held, :] = least_m[:, held] = 0.0
         least_m[fingers, table] = least_m[table, fingers] = _FINGERS_TO_TABLE_M
@@ -70,7 +81,10 @@ class SceneClearance:
         for index, name in enumerate(self._held):
             away = pose(np.eye(3), (0.0, 0.0, 100.0 * (1 + index)))
             if arm in (None, index):
-                self._engine.place(name, away if arm is None or T_tcp_shape is None else T_tcp_shape)
+                self._engine.place(
+                    name,
+                    away if arm is None or T_tcp_shape is None else T_tcp_shape,
+                )
 
     def __call__(self, q: Array) -> tuple[str, float, float]:
         """See `Clearance`; "none" beyond 20 mm."""
@@ -78,8 +92,18 @@ class SceneClearance:
 
 
 def trial_supervisor(
-    config: SupervisorConfig, dt_s: float, robot: Robot, on_reflex: OnReflex | None = None, shapes: Sequence[Shape] = ()
+    config: SupervisorConfig,
+    dt_s: float,
+    robot: Robot,
+    on_reflex: OnReflex | None = None,
+    shapes: Sequence[Shape] = (),
 ) -> Supervisor:
     """Return a supervisor that also watches distances, with objects as in `SceneClearance`."""
     distances = {"self_distance": arm_distance(robot), "clearance": SceneClearance(robot, *shapes)}
-    return Supervisor(config, dt_s=dt_s, kinematics=Kinematics(robot), on_reflex=on_reflex, **distances)
+    return Supervisor(
+        config,
+        dt_s=dt_s,
+        kinematics=Kinematics(robot),
+        on_reflex=on_reflex,
+        **distances,
+    )

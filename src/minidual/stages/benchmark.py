@@ -17,11 +17,20 @@ from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 
-_REPORTED = ("duration_median_s", "torque_ratio_max", "jerk_rms_median", "tilt_max_rad", "path_length_m")
+_REPORTED = (
+    "duration_median_s",
+    "torque_ratio_max",
+    "jerk_rms_median",
+    "tilt_max_rad",
+    "path_length_m",
+)
 
 
 def benchmark_checks(
-    summaries: Sequence[MethodSummary], success_rate_min: Mapping[str, float], asked_n: int, prefix: str = ""
+    summaries: Sequence[MethodSummary],
+    success_rate_min: Mapping[str, float],
+    asked_n: int,
+    prefix: str = "",
 ) -> list[Check]:
     """Return the checks of the undisturbed trials.
 
@@ -31,28 +40,50 @@ def benchmark_checks(
     for s in summaries:
         rows: Rows = {"success_rate": (s["success_rate"], ">", success_rate_min.get(s.method))}
         rows = {**rows, **{name: s[name] for name in _REPORTED}}
-        checks += worded("benchmark", rows, f"{prefix}{s.method}.", interval=s.interval, jerk_filter=JERK_FILTER)
+        checks += worded(
+            "benchmark",
+            rows,
+            f"{prefix}{s.method}.",
+            interval=s.interval,
+            jerk_filter=JERK_FILTER,
+        )
     evaluated = min((s.trials_n for s in summaries), default=0)
     return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", asked_n)}, prefix)
 
 
 def condition_checks(
-    cells: Sequence[benchmark.BenchmarkCell], methods: Sequence[str], conditions: Sequence[str], prefix: str = ""
+    cells: Sequence[benchmark.BenchmarkCell],
+    methods: Sequence[str],
+    conditions: Sequence[str],
+    prefix: str = "",
 ) -> list[Check]:
     """Return the checks of the methods-by-conditions table.
 
     It must be complete and finite; disturbed success has no limit.
     """
-    known, asked = {(c.method, c.condition): c for c in cells}, [(m, c) for m in methods for c in conditions]
+    known = {(c.method, c.condition): c for c in cells}
+    asked = [(m, c) for m in methods for c in conditions]
     holes: list[str] = []
     for m, c in asked:
         cell = known.get((m, c))
         if cell is None or not cell.settled:
-            missed = f" (trial {cell.undisturbed[0]} succeeded undisturbed)" if cell and cell.undisturbed else ""
+            missed = (
+                f" (trial {cell.undisturbed[0]} succeeded undisturbed)"
+                if cell and cell.undisturbed
+                else ""
+            )
             holes.append(f"{m} under {c}{missed}")
-    missing = [f"{c.method} under {c.condition}: {name}" for c in cells if c.summary for name in c.summary.not_finite()]
+    missing = [
+        f"{c.method} under {c.condition}: {name}"
+        for c in cells
+        if c.summary
+        for name in c.summary.not_finite()
+    ]
     n = len(asked)
-    rows: Rows = {"cells_settled": (n - len(holes), "==", n), "cells_not_finite": (len(missing), "==", 0)}
+    rows: Rows = {
+        "cells_settled": (n - len(holes), "==", n),
+        "cells_not_finite": (len(missing), "==", 0),
+    }
     checks = worded("benchmark", rows, prefix, holes=_first(holes), missing=_first(missing))
     for cell in cells:
         if cell.summary is not None and cell.condition != CLEAN:
@@ -67,16 +98,25 @@ def _first(names: Sequence[str]) -> str:
 
 def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
-    config, seed, folder = context.config.benchmark, context.seed, context.folder
-    methods, asked = METHODS.names(config.methods), benchmark.trials_asked(context.config)
-    trained, tasks = context.upstream.get("train-act"), tasks_of(context.config)
-    checkpoint, recorded = trained and trained / "checkpoint", context.upstream.get("teleop-record")
+    config = context.config.benchmark
+    seed = context.seed
+    folder = context.folder
+    methods = METHODS.names(config.methods)
+    asked = benchmark.trials_asked(context.config)
+    trained = context.upstream.get("train-act")
+    tasks = tasks_of(context.config)
+    checkpoint = trained and trained / "checkpoint"
+    recorded = context.upstream.get("teleop-record")
     of = recorded_task(recorded) if recorded else ""
     for name in methods:
         check_able(name, tasks.values(), of)
     inputs = {name: MethodInputs(task.config, seed, checkpoint, of) for name, task in tasks.items()}
-    count = sum(benchmark.count_trials(methods, asked[task], given) for task, given in inputs.items())
-    checks, data, watch = list[Check](), dict[str, Any](), watch_trials(context.view)
+    count = sum(
+        benchmark.count_trials(methods, asked[task], given) for task, given in inputs.items()
+    )
+    checks = list[Check]()
+    data = dict[str, Any]()
+    watch = watch_trials(context.view)
     captions: dict[str, str] = {}
     tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
     with context.progress.task("benchmark trials", count) as progress:
@@ -87,7 +127,12 @@ def run(context: StageContext) -> StageResult:
 
             trials_n = asked[task]
             cells, trials = benchmark.run_benchmark(
-                methods, trials_n, given, workers=context.workers, on_trial=tell, watch=watch
+                methods,
+                trials_n,
+                given,
+                workers=context.workers,
+                on_trial=tell,
+                watch=watch,
             )
             clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
             prefix = f"{task}." if len(tasks) > 1 else ""
@@ -97,7 +142,9 @@ def run(context: StageContext) -> StageResult:
             if lost := benchmark.first_failures(trials):
                 name = f"failures-{task}.png"
                 captions[name] = f"{task}: failed trials, the first of each kind"
-                drawn = [(given, benchmark.draw_under(given, t.condition)(t.index), t) for t in lost]
+                drawn = [
+                    (given, benchmark.draw_under(given, t.condition)(t.index), t) for t in lost
+                ]
                 draw_failures(drawn, folder / name)
             tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
             tables["methods"] += [{"task": task, **s.to_row()} for s in clean]

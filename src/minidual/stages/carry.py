@@ -28,25 +28,39 @@ RECORDED_FAILURES_MAX = 20
 """Failures recorded at most; trials.csv has all."""
 
 
-def carry_checks(trials: Sequence[TrialMetrics], limits: CarryLimits, task: TaskConfig) -> list[Check]:
+def carry_checks(
+    trials: Sequence[TrialMetrics],
+    limits: CarryLimits,
+    task: TaskConfig,
+) -> list[Check]:
     """Return the stage's checks of at least one trial; extremes include failed trials, NaN propagates."""
     least_n = float(np.min([t.internal_force_min_n for t in trials]))
     durations = [t.duration_s if t.success else task.time_limit_s for t in trials]
     rows: Rows = {
-        "success_rate": (float(np.mean([t.success for t in trials])), ">=", limits.success_rate_min),
+        "success_rate": (
+            float(np.mean([t.success for t in trials])),
+            ">=",
+            limits.success_rate_min,
+        ),
         "tilt_max_rad": (float(np.max([t.tilt_max_rad for t in trials])), "<", limits.tilt_max_rad),
         "internal_force_min_n": (least_n, ">", task.internal_force_min_n),
         "duration_max_s": (float(np.max(durations)), "<", limits.duration_max_s),
         "torque_ratio_max": (float(np.max([t.torque_ratio_max for t in trials])), "<", 1.0),
-        "saturated_max_s": (float(np.max([t.saturated_max_s for t in trials])), "<=", limits.saturation_max_s),
+        "saturated_max_s": (
+            float(np.max([t.saturated_max_s for t in trials])),
+            "<=",
+            limits.saturation_max_s,
+        ),
     }
     return worded("carry", rows)
 
 
 def run(context: StageContext) -> StageResult:
     """Run the trials; plot, film and record the median and worst, and record failures."""
-    config, task = context.config, make_task(context.config)
-    inputs, watch = MethodInputs(config, context.seed), watch_trials(context.view)
+    config = context.config
+    task = make_task(context.config)
+    inputs = MethodInputs(config, context.seed)
+    watch = watch_trials(context.view)
     trials = [task.trial(context.seed, "carry", i) for i in range(config.carry.trials_n)]
     results: list[TrialMetrics] = []
     with context.progress.task("carries", len(trials)) as bar:
@@ -63,7 +77,8 @@ def run(context: StageContext) -> StageResult:
         for (label, i), film in zip(shown.items(), ("carry.mp4", "worst.mp4"), strict=True):
             title = f"{config.carry.object}, {config.carry.motion}: {label} trial ({i}): {results[i].text}"
             goal = pose_of(task.objects[task.carried].body, trials[i].goal[task.carried])[:3, 3]
-            picture, robot = context.folder / f"{label}.png", robot_from(config.robot)
+            picture = context.folder / f"{label}.png"
+            robot = robot_from(config.robot)
             draw_trial(logs[label], task.scene, robot, picture, goal=goal, title=title)
             film_trial(METHOD, inputs, trials[i], context.folder / film)
             bar.advance()
@@ -80,17 +95,26 @@ def run(context: StageContext) -> StageResult:
 
 
 def _record(
-    context: StageContext, bench: Bench, trials: list[Trial], results: list[TrialMetrics], shown: dict[str, int]
+    context: StageContext,
+    bench: Bench,
+    trials: list[Trial],
+    results: list[TrialMetrics],
+    shown: dict[str, int],
 ) -> dict[str, TrialLog]:
     logs: dict[str, TrialLog] = {}
     failed = [i for i, result in enumerate(results) if not result.success]
-    named = [(i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()]
+    named = [
+        (i, f"trial{i:03d}") for i in failed[:RECORDED_FAILURES_MAX] if i not in shown.values()
+    ]
     named += [(i, label) for label, i in shown.items()]  # one trial may be both
     with context.progress.task("recordings", len(named)) as bar:
         for i, label in named:
             again, logs[label] = bench.record(trials[i], context.folder / f"{label}.npz")
             if again.text != results[i].text:
                 otherwise = f"trial {i} ended otherwise when it was recorded: {again.text}; before: {results[i].text}"
-                raise DataError(otherwise, remedy="trials must depend on their seed alone; report this")
+                raise DataError(
+                    otherwise,
+                    remedy="trials must depend on their seed alone; report this",
+                )
             bar.advance()
     return logs

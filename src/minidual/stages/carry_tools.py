@@ -12,7 +12,14 @@ from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.show.figures.tuning import draw_tuning
 from minidual.show.watch import watch_trials
 from minidual.tasks.task import task_config
-from minidual.trials.benchmark import DISTURBED_RATE_MIN, PERTURBED, count_trials, promised, robustness, run_benchmark
+from minidual.trials.benchmark import (
+    DISTURBED_RATE_MIN,
+    PERTURBED,
+    count_trials,
+    promised,
+    robustness,
+    run_benchmark,
+)
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, TuningStep, gains
@@ -26,20 +33,32 @@ def perturb(context: ToolContext) -> ToolResult:
     """Run the carry under every promised condition and compare with clean."""
     trials_n = int(context.options.get("trials", PERTURB_TRIALS_N))
     inputs = MethodInputs(task_config(context.config), context.seed)
-    asked, watch = (["impedance"], promised(trials_n), inputs), watch_trials(context.view)
+    asked = (["impedance"], promised(trials_n), inputs)
+    watch = watch_trials(context.view)
     with context.progress.task("disturbed carries", count_trials(*asked)) as task:
 
         def tell(result: TrialMetrics) -> None:
             task.advance(note=result.condition)
 
-        cells, trials = run_benchmark(*asked, workers=context.workers, purpose=PERTURBED, on_trial=tell, watch=watch)
+        cells, trials = run_benchmark(
+            *asked,
+            workers=context.workers,
+            purpose=PERTURBED,
+            on_trial=tell,
+            watch=watch,
+        )
     found = robustness(cells, trials, inputs.config.carry.limits.success_rate_min)
     measured = [r.row() for r in found]
-    rows = [{**dict.fromkeys(measured[0], "-"), **row} for row in measured]  # the first, undisturbed, has all columns
+    rows = [
+        {**dict.fromkeys(measured[0], "-"), **row} for row in measured
+    ]  # the first, undisturbed, has all columns
     write_csv(context.output / "conditions.csv", rows)
     write_csv(context.output / "trials.csv", [t.to_row() for t in trials])
     failed = [r for r in found if not r.holds]
-    notes = [f"{r.cell.condition}: {r.row()['successes']}, limit {100 * r.rate_min:.0f} %: {r.example}" for r in failed]
+    notes = [
+        f"{r.cell.condition}: {r.row()['successes']}, limit {100 * r.rate_min:.0f} %: {r.example}"
+        for r in failed
+    ]
     data = {"trials_n": trials_n, "success_rate_min": DISTURBED_RATE_MIN, "conditions": rows}
     code = ExitCode.ACCEPTANCE_FAILED if failed else ExitCode.PASS
     return ToolResult(markdown(rows), [*notes, f"written to {context.folder}"], data, code)
@@ -51,7 +70,9 @@ def tune(context: ToolContext) -> ToolResult:
     with context.progress.task("tuning") as task:
 
         def tell(step: TuningStep) -> None:
-            task.advance(note=f"{step.phase}: {step.force_n:.1f} N, {step.stiffness_n_per_m:.0f} N/m")
+            task.advance(
+                note=f"{step.phase}: {step.force_n:.1f} N, {step.stiffness_n_per_m:.0f} N/m",
+            )
 
         tuner = Tuner(config, context.seed, workers=context.workers, on_step=tell)
         try:
@@ -63,7 +84,9 @@ def tune(context: ToolContext) -> ToolResult:
     # With all settings given, for which the gains hold. What was not set stays so: an object brings its own values.
     base = load_config(context.shipped).config if context.shipped else Config()
     own, shipped = (c.model_dump(mode="json", exclude_unset=True) for c in (context.config, base))
-    given = {name: own[name] for name in own if name not in _OF_A_RUN and own[name] != shipped.get(name)}
+    given = {
+        name: own[name] for name in own if name not in _OF_A_RUN and own[name] != shipped.get(name)
+    }
     carry = {**given.get("carry", {}), "object": config.carry.object, "motion": config.carry.motion}
     found = gains(tuning.force_n, tuning.stiffness_n_per_m)
     carry["impedance"] = {**carry.get("impedance", {}), **found}

@@ -24,7 +24,10 @@ def check_carry(config: Config) -> None:
     """Raise UsageError unless both hands hold one object."""
     if not make_task(config).together:
         way = f"leave the task out; then teleop-record --task {config.task}, train-act, deploy --task {config.task}"
-        raise ConfigError(f"both hands carry one object; in the task '{config.task}' they do not", remedy=way)
+        raise ConfigError(
+            f"both hands carry one object; in the task '{config.task}' they do not",
+            remedy=way,
+        )
 
 
 def check_leader(config: Config) -> None:
@@ -49,7 +52,10 @@ def check_deploy(config: Config) -> None:
     _check_device(config, config.deploy.device)
     for name in config.deploy.conditions:
         if reason := CONDITIONS[name].why_not("act", config):
-            raise ConfigError(f"deploy.conditions: '{name}' does not apply: {reason}", remedy="leave it out")
+            raise ConfigError(
+                f"deploy.conditions: '{name}' does not apply: {reason}",
+                remedy="leave it out",
+            )
 
 
 def check_benchmark(config: Config) -> None:

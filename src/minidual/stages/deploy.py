@@ -38,19 +38,27 @@ HIDDEN = "object hidden"
 _INFERENCES_N = 60
 
 
-def deploy_starts(config: Config, seed: int, demonstrated: Sequence[int]) -> tuple[dict[str, list[Trial]], int]:
+def deploy_starts(
+    config: Config,
+    seed: int,
+    demonstrated: Sequence[int],
+) -> tuple[dict[str, list[Trial]], int]:
     """Return {"held_out": trials, "training": trials}, and the number of held-out trials drawn by a demonstration too.
 
     `demonstrated`: trial indices of the demonstrations.
     """
-    task, settings = make_task(config), config.deploy
-    shown, widen = demonstrated[: settings.training_trials], config.teleop.widen
+    task = make_task(config)
+    settings = config.deploy
+    shown = demonstrated[: settings.training_trials]
+    widen = config.teleop.widen
     held_out = range(settings.first_start, settings.first_start + settings.trials)
     starts = {
         "held_out": [task.trial(seed, HELD_OUT, i) for i in held_out],
         "training": [task.trial(seed, TRAINING, i, widen=widen) for i in shown],
     }
-    drawn = [_poses(task.trial(seed, TRAINING, i)) for i in demonstrated]  # as wide as the held-out ones
+    drawn = [
+        _poses(task.trial(seed, TRAINING, i)) for i in demonstrated
+    ]  # as wide as the held-out ones
     return starts, sum(_poses(trial) in drawn for trial in starts["held_out"])
 
 
@@ -58,7 +66,12 @@ def _poses(trial: Trial) -> list[object]:
     return [np.asarray(pose).tolist() for pose in (*trial.start.values(), *trial.goal.values())]
 
 
-def deploy_checks(held_out: MethodSummary, seen_n: int, inference_hz: float, settings: DeployConfig) -> list[Check]:
+def deploy_checks(
+    held_out: MethodSummary,
+    seen_n: int,
+    inference_hz: float,
+    settings: DeployConfig,
+) -> list[Check]:
     """Return the checks."""
     rows: Rows = {
         "success_rate": (held_out["success_rate"], ">", settings.success_rate_min),
@@ -77,28 +90,53 @@ def recorded_task(recorded: Path) -> str:
 
 def run(context: StageContext) -> StageResult:
     """Run every trained policy on held-out and training starts; film one success and one failure."""
-    config, trained = context.config, context.upstream["train-act"]
+    config = context.config
+    trained = context.upstream["train-act"]
     checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
-    watch, recorded = watch_trials(context.view), context.upstream["teleop-record"]
+    watch = watch_trials(context.view)
+    recorded = context.upstream["teleop-record"]
     check_able(METHOD, [make_task(config)], recorded_task(recorded))
     episodes = episode_paths(recorded / "episodes")
-    starts, seen_n = deploy_starts(config, context.seed, [read_meta(path).trial for path in episodes])
+    starts, seen_n = deploy_starts(
+        config,
+        context.seed,
+        [read_meta(path).trial for path in episodes],
+    )
     sets = {name: (CLEAN, trials) for name, trials in starts.items()}
     for name in config.deploy.conditions:
-        task, widen = make_task(config), CONDITIONS[name].widen
-        sets[name] = name, [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]]
+        task = make_task(config)
+        widen = CONDITIONS[name].widen
+        sets[name] = (
+            name,
+            [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]],
+        )
     sets.setdefault(HIDDEN, (HIDDEN, farthest(starts["held_out"], config.deploy.hidden_trials)))
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
     results: dict[str, list[TrialMetrics]] = {name: [] for name in sets}
-    with context.progress.task("policy trials", len(checkpoints) * sum(len(t) for _, t in sets.values())) as bar:
+    with context.progress.task(
+        "policy trials",
+        len(checkpoints) * sum(len(t) for _, t in sets.values()),
+    ) as bar:
         for k, given in enumerate(inputs):
             for name, (under, trials) in sets.items():
-                for result in run_trials(METHOD, given, trials, workers=context.workers, condition=under, watch=watch):
+                for result in run_trials(
+                    METHOD,
+                    given,
+                    trials,
+                    workers=context.workers,
+                    condition=under,
+                    watch=watch,
+                ):
                     # The tables list the undisturbed sets as conditions, too, and count on from policy to policy.
                     index = k * (1 + max(t.index for t in trials)) + result.index
                     results[name].append(replace(result, condition=name, index=index))
-                    bar.advance(note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}")
-    write_csv(context.folder / "trials.csv", [r.to_row() for rows in results.values() for r in rows])
+                    bar.advance(
+                        note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}",
+                    )
+    write_csv(
+        context.folder / "trials.csv",
+        [r.to_row() for rows in results.values() for r in rows],
+    )
     rng = stream(context.seed, "bootstrap/deploy")
     summaries = {name: summarise(rows, rng) for name, rows in results.items() if rows}
     film_outcomes(context, inputs, starts["held_out"], results["held_out"])
@@ -106,7 +144,8 @@ def run(context: StageContext) -> StageResult:
     checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
     data: dict[str, Any] = {}
     for name, summary in summaries.items():
-        record, rates = summary.record(), seed_rates(results[name], len(checkpoints))
+        record = summary.record()
+        rates = seed_rates(results[name], len(checkpoints))
         if len(rates) > 1:
             record["by_seed"] = rates
         checks += set_checks(name, summary, rates, config.deploy)
@@ -129,16 +168,32 @@ def farthest(trials: Sequence[Trial], n: int) -> list[Trial]:
     return [trials[k] for k in np.argsort(-off_m, kind="stable")[:n]]
 
 
-def set_checks(name: str, summary: MethodSummary, rates: Sequence[float], settings: DeployConfig) -> list[Check]:
+def set_checks(
+    name: str,
+    summary: MethodSummary,
+    rates: Sequence[float],
+    settings: DeployConfig,
+) -> list[Check]:
     """Return the checks of a set of trials with the rate of each training seed."""
     rows: dict[str, Any] = {}
     if name == HIDDEN:
-        return worded("deploy", {"hidden_success_rate": (summary["success_rate"], "<=", settings.hidden_rate_max)})
+        return worded(
+            "deploy",
+            {"hidden_success_rate": (summary["success_rate"], "<=", settings.hidden_rate_max)},
+        )
     if name != "held_out":
-        rows |= {"success_rate": (summary["success_rate"], ">=", settings.condition_rate_min.get(name))}
+        rows |= {
+            "success_rate": (summary["success_rate"], ">=", settings.condition_rate_min.get(name)),
+        }
     if len(rates) > 1:
         rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
-    return worded("deploy-set", rows, f"{name.replace(' ', '_')}_", set=name, interval=summary.interval)
+    return worded(
+        "deploy-set",
+        rows,
+        f"{name.replace(' ', '_')}_",
+        set=name,
+        interval=summary.interval,
+    )
 
 
 def seed_rates(results: Sequence[TrialMetrics], seeds_n: int) -> list[float]:
@@ -147,11 +202,16 @@ def seed_rates(results: Sequence[TrialMetrics], seeds_n: int) -> list[float]:
 
 
 def film_outcomes(
-    context: StageContext, inputs: Sequence[MethodInputs], trials: Sequence[Trial], results: Sequence[TrialMetrics]
+    context: StageContext,
+    inputs: Sequence[MethodInputs],
+    trials: Sequence[Trial],
+    results: Sequence[TrialMetrics],
 ) -> None:
     """Film a success and a failure; `results` of each of `inputs` in turn."""
     for label, wanted in (("success", True), ("failure", False)):
-        if (found := next((i for i, r in enumerate(results) if r.success is wanted), None)) is not None:
+        if (
+            found := next((i for i, r in enumerate(results) if r.success is wanted), None)
+        ) is not None:
             k, index = divmod(found, len(trials))
             filmed = film_trial(METHOD, inputs[k], trials[index], context.folder / f"{label}.mp4")
             who = f", seed {k + 1}" if k else ""
@@ -161,10 +221,14 @@ def film_outcomes(
 def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]:
     config = context.config
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
-    runtime, world = load_runtime(checkpoint, config.deploy, bench.world.robot), bench.world
+    runtime = load_runtime(checkpoint, config.deploy, bench.world.robot)
+    world = bench.world
     world.reset(poses=trial.start)
-    state, hidden = np.concatenate([world.q, world.gripper]), CONDITIONS[HIDDEN]
-    rng, maps, shares = stream(context.seed, "deploy/looks"), dict[str, tuple[Image, Array]](), list[float]()
+    state = np.concatenate([world.q, world.gripper])
+    hidden = CONDITIONS[HIDDEN]
+    rng = stream(context.seed, "deploy/looks")
+    maps = dict[str, tuple[Image, Array]]()
+    shares = list[float]()
     with Camera.recorded(world.model, config.scene.camera) as camera:
         pictures = {name: camera.picture(world.data, name) for name in runtime.cameras}
         with hidden.applied(world.model, bench.task, trial, rng):
@@ -186,8 +250,12 @@ def measure_inference(checkpoint: Path, context: StageContext) -> float:
     """Return inferences per second of the runtime, run alone."""
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
-    rng, state = stream(context.seed, "deploy/inference"), np.concatenate([robot.home, np.ones(2)])
+    rng = stream(context.seed, "deploy/inference")
+    state = np.concatenate([robot.home, np.ones(2)])
     for _ in range(_INFERENCES_N):
-        pictures = {c: rng.integers(0, 255, (*size, 3), dtype=np.uint8) for c, size in runtime.cameras.items()}
+        pictures = {
+            c: rng.integers(0, 255, (*size, 3), dtype=np.uint8)
+            for c, size in runtime.cameras.items()
+        }
         runtime.predict_chunk(pictures, state)
     return runtime.inference_hz

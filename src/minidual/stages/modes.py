@@ -45,7 +45,8 @@ def modes(context: ToolContext) -> ToolResult:
     """Run the demonstration; write film and log; exit 1 if a switch exceeds a bound or it ends early."""
     check_carry(context.config)
     context = replace(context, config=task_config(context.config))
-    named, config = context.options.get("modes"), context.config
+    named = context.options.get("modes")
+    config = context.config
     wanted = DEFAULT_MODES if named is None else parse_modes(named)
     checkpoint = find_checkpoint(context) if "policy" in wanted else None
     world = World(config.scene, robot_from(config.robot), visuals=True)
@@ -54,12 +55,24 @@ def modes(context: ToolContext) -> ToolResult:
         doing = lambda: ("" if demo.turn is None else demo.turn.caption, None)  # noqa: E731
         with (
             Camera(world.model, *_FILM_SIZE, shadows=True) as camera,
-            watched(context.view, world, StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing)),
+            watched(
+                context.view,
+                world,
+                StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing),
+            ),
             context.progress.task("modes", len(wanted)) as bar,
         ):
-            write_video(context.output / "modes.mp4", _filmed(_counted(demo, bar), demo.stack, camera), fps=FILM_FPS)
+            write_video(
+                context.output / "modes.mp4",
+                _filmed(_counted(demo, bar), demo.stack, camera),
+                fps=FILM_FPS,
+            )
     passed = demo.ended is None and not demo.exceeded(config.arbiter)
-    record = {"modes": list(wanted), "checkpoint": str(checkpoint) if checkpoint else None, "seed": context.seed}
+    record = {
+        "modes": list(wanted),
+        "checkpoint": str(checkpoint) if checkpoint else None,
+        "seed": context.seed,
+    }
     record |= demo.record(config.arbiter)
     write_csv(context.output / "modes.csv", demo.rows)
     write_text(context.output / "modes.json", dumps(record))
@@ -91,27 +104,51 @@ def find_checkpoint(context: ToolContext) -> Path:
     raise GateClosedError(none, remedy=f"{context.command('run --until train-act')}; {others}")
 
 
-def _demo(context: ToolContext, world: World, eyes: Camera, wanted: tuple[str, ...], policy: Path | None) -> ModesDemo:
-    config, seed, robot = context.config, context.seed, world.robot
+def _demo(
+    context: ToolContext,
+    world: World,
+    eyes: Camera,
+    wanted: tuple[str, ...],
+    policy: Path | None,
+) -> ModesDemo:
+    config = context.config
+    seed = context.seed
+    robot = world.robot
     task = make_task(config)
     trial = task.trial(seed, "modes", 0)
     world.reset(poses=trial.goal)  # as the last carry left it
     recorder = Recorder(world, window_s=1.0, seed=seed, folder=context.run_folder / "dumps")
-    world.recorder, supervisor = recorder, trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder))
+    world.recorder = recorder
+    supervisor = trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder))
     rate_hz = config.teleop.rate_hz
-    stack = ControlStack(world, Kinematics(robot), config.arbiter, rate_hz=rate_hz, supervisor=supervisor)
+    stack = ControlStack(
+        world,
+        Kinematics(robot),
+        config.arbiter,
+        rate_hz=rate_hz,
+        supervisor=supervisor,
+    )
     planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
     turns: list[Turn] = []
     for number, mode in enumerate(wanted, start=1):
         if mode == "moveit":
-            home, share = 1 < number == len(wanted), 1.0 if number == len(wanted) else _INTERRUPT_SHARE
+            home = 1 < number == len(wanted)
+            share = 1.0 if number == len(wanted) else _INTERRUPT_SHARE
             turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=share))
         elif mode == "teleop":
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
         elif policy is not None:
             picture = lambda name: (eyes.picture(world.data, name), world.time)  # noqa: E731
-            turns.append(modes_turns.policy(stack, load_runtime(policy, config.deploy, robot), picture, task, trial))
+            turns.append(
+                modes_turns.policy(
+                    stack,
+                    load_runtime(policy, config.deploy, robot),
+                    picture,
+                    task,
+                    trial,
+                ),
+            )
     return ModesDemo(stack, turns)
 
 
@@ -125,12 +162,17 @@ def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
     arbiter = context.config.arbiter
     notes = [
         f"switch to {s.mode} at {s.requested_s:.2f} s, confirmed after {s.confirmed_s - s.requested_s:.2f} s: "
-        + ", ".join(f"{name} {value:.3g} (bound {bound:g})" for name, (value, bound) in s.bounds(arbiter).items())
+        + ", ".join(
+            f"{name} {value:.3g} (bound {bound:g})"
+            for name, (value, bound) in s.bounds(arbiter).items()
+        )
         for s in demo.switches
     ]
     for outcome in demo.outcomes:
         said = (
-            f"{k} {np.round(v, 4) if isinstance(v, float | list) else v}" for k, v in outcome.items() if k != "mode"
+            f"{k} {np.round(v, 4) if isinstance(v, float | list) else v}"
+            for k, v in outcome.items()
+            if k != "mode"
         )
         notes.append(f"{outcome['mode']}: {', '.join(said)}")
     refused = [r.name for r in demo.stack.refusals]
@@ -140,7 +182,8 @@ def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
 
 def _filmed(steps: Iterator[Turn], stack: ControlStack[World], camera: Camera) -> Iterator[Image]:
     """Run `steps`; yield captioned frames at FILM_FPS, the last one for 1 s."""
-    frames, world = 0, stack.plant
+    frames = 0
+    world = stack.plant
     last: Image | None = None
     for turn in steps:
         if world.time * FILM_FPS >= frames:
@@ -155,10 +198,15 @@ def captioned(picture: Image, stack: ControlStack[World], turn: Turn) -> Image:
     """Return the picture above a caption bar."""
     height, width = picture.shape[:2]
     source = stack.output.active_source
-    whole = Picture.new("RGB", (width, height + _BAR_PX), _NOBODY if source is None else _COLOURS[source])
+    whole = Picture.new(
+        "RGB",
+        (width, height + _BAR_PX),
+        _NOBODY if source is None else _COLOURS[source],
+    )
     whole.paste(Picture.fromarray(picture), (0, 0))
     draw = ImageDraw.Draw(whole)
-    large, small = ImageFont.load_default(size=22), ImageFont.load_default(size=15)
+    large = ImageFont.load_default(size=22)
+    small = ImageFont.load_default(size=15)
     driver = f"{source} drives" if source is not None else f"{turn.mode} requested: arms held"
     state = f"arbiter: {stack.state}   t = {stack.plant.time:5.1f} s"
     active = f"controllers: {' + '.join(stack.manager.active)}"

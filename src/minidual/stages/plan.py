@@ -32,7 +32,9 @@ Moves = Mapping[str, Sequence[MoveOutcome]]
 
 def run(context: StageContext) -> StageResult:
     """Plan queries and carries, compare the engines, draw figures."""
-    config, folder, seed = context.config.plan, context.folder, context.seed
+    config = context.config.plan
+    folder = context.folder
+    seed = context.seed
     robot = robot_from(context.config.robot)
     with context.progress.task("queries", 3 * (config.queries_n + config.second_queries_n)) as task:
 
@@ -40,36 +42,68 @@ def run(context: StageContext) -> StageResult:
             task.advance(note=outcome.query.group)
 
         outcomes = evaluate.run_queries(context.config, seed, config.queries_n, advance)
-        second = evaluate.run_queries(context.config, config.second_seed, config.second_queries_n, advance)
+        second = evaluate.run_queries(
+            context.config,
+            config.second_seed,
+            config.second_queries_n,
+            advance,
+        )
     play_queries(context.view, context.config.scene, outcomes)
-    agreement = evaluate.engine_agreement(outcomes["both_arms"][0].query.scene, config.agreement_states_n, seed)
+    agreement = evaluate.engine_agreement(
+        outcomes["both_arms"][0].query.scene,
+        config.agreement_states_n,
+        seed,
+    )
     repeatable = all(evaluate.repeats(config, done[0]) for done in outcomes.values())
     carries = evaluate.failed_carries(context.config, _CARRIES_N)
     moves, executions, undriven = run_held(context)
-    checks, every = list[Check](), list[QueryOutcome]()
+    checks = list[Check]()
+    every = list[QueryOutcome]()
     for prefix, ending, of in (("", "", outcomes), ("second_seed.", "_second_seed", second)):
         if asked := [o for done in of.values() for o in done]:
             write_csv(folder / f"queries{ending}.csv", [o.row() for o in asked])
-            checks += [check for group, done in of.items() for check in group_checks(group, done, config, prefix)]
+            checks += [
+                check
+                for group, done in of.items()
+                for check in group_checks(group, done, config, prefix)
+            ]
         every += asked
-    pairs = [{"first": a, "second": b, "reason": reason} for a, b, reason in acm_report(robot).pairs]
+    pairs = [
+        {"first": a, "second": b, "reason": reason} for a, b, reason in acm_report(robot).pairs
+    ]
     write_csv(folder / "allowed_collisions.csv", pairs)
     for group, done in outcomes.items():
-        if (trajectory := next((o.result.trajectory for o in done if o.result is not None), None)) is not None:
+        if (
+            trajectory := next((o.result.trajectory for o in done if o.result is not None), None)
+        ) is not None:
             trajectory.write_csv(folder / f"trajectory_{group}.csv", robot.joint_names)
-            trajectory.write_json(folder / f"trajectory_{group}.json", robot.joint_names, _JSON_EVERY)
+            trajectory.write_json(
+                folder / f"trajectory_{group}.json",
+                robot.joint_names,
+                _JSON_EVERY,
+            )
     write_paths(folder / "paths.png", context.config.scene, outcomes)
     write_times(outcomes, folder / "times.png", config.time_median_max_s.model_dump())
     checks += common_checks(every, agreement, repeatable, len(carries), config)
     checks += held_checks(moves, executions, config)
     data = {"held_moves": {"executions": [dataclasses.asdict(e) for e in executions]}}
-    return StageResult(checks=checks, data=data, notes=[*notes(first=outcomes, second=second), *carries, *undriven])
+    return StageResult(
+        checks=checks,
+        data=data,
+        notes=[*notes(first=outcomes, second=second), *carries, *undriven],
+    )
 
 
-def group_checks(group: str, outcomes: Sequence[QueryOutcome], config: PlanConfig, prefix: str = "") -> list[Check]:
+def group_checks(
+    group: str,
+    outcomes: Sequence[QueryOutcome],
+    config: PlanConfig,
+    prefix: str = "",
+) -> list[Check]:
     """Return the checks of one planning group."""
     times = np.array([o.total_s for o in outcomes])
-    median, limits = float(np.median(times)), config.time_median_max_s
+    median = float(np.median(times))
+    limits = config.time_median_max_s
     blocked_n = sum(o.line_blocked for o in outcomes)
     core_share = sum(o.cpu_s for o in outcomes) / max(1e-9, sum(o.total_s for o in outcomes))
     rows: Rows = {
@@ -81,13 +115,24 @@ def group_checks(group: str, outcomes: Sequence[QueryOutcome], config: PlanConfi
         "core_share": core_share,
         "line_blocked_rate": blocked_n / len(outcomes),
     }
-    goal_s, names = _GOAL_S[group], {"core_share": core_share, "blocked_n": blocked_n, "queries_n": len(outcomes)}
+    goal_s = _GOAL_S[group]
+    names = {"core_share": core_share, "blocked_n": blocked_n, "queries_n": len(outcomes)}
     names |= {"excellent_s": _EXCELLENT_S[group], "goal_s": goal_s, "group": group}
-    return worded("plan", rows, f"{prefix}{group}.", reached="reached" if median < goal_s else "missed", **names)
+    return worded(
+        "plan",
+        rows,
+        f"{prefix}{group}.",
+        reached="reached" if median < goal_s else "missed",
+        **names,
+    )
 
 
 def common_checks(
-    outcomes: Sequence[QueryOutcome], agreement: float, repeatable: bool, carries_failed_n: int, config: PlanConfig
+    outcomes: Sequence[QueryOutcome],
+    agreement: float,
+    repeatable: bool,
+    carries_failed_n: int,
+    config: PlanConfig,
 ) -> list[Check]:
     """Return the checks common to all groups. Of the audit: dense samples of solved queries must be free."""
     audits = [o.audit for o in outcomes if o.audit is not None]
@@ -98,7 +143,11 @@ def common_checks(
         "proof.audit_disagreements": (sum(a.disagreements_n for a in audits), "==", 0),
         "engines.agreement": (agreement, ">=", config.agreement_min),
         "repeatable": (repeatable, "==", True),
-        "closed_chain.carries_rate": (1.0 - carries_failed_n / _CARRIES_N, ">=", config.success_rate_min),
+        "closed_chain.carries_rate": (
+            1.0 - carries_failed_n / _CARRIES_N,
+            ">=",
+            config.success_rate_min,
+        ),
     }
     return worded("plan", rows)
 
@@ -108,7 +157,11 @@ def notes(**sets: Outcomes) -> list[str]:
     lines = []
     for name, outcomes in sets.items():
         for group, done in outcomes.items():
-            lines += [f"{group} query {o.query.index} of the {name} seed failed: {o.message}" for o in done if not o.ok]
+            lines += [
+                f"{group} query {o.query.index} of the {name} seed failed: {o.message}"
+                for o in done
+                if not o.ok
+            ]
     return lines
 
 
@@ -117,11 +170,18 @@ def run_held(context: StageContext) -> tuple[Moves, list[DrivenMove], list[str]]
 
     Return the outcomes of both sets, the drives, and a line per failed or undriven move.
     """
-    config, seed, outcomes, executions = context.config, context.seed, {}, list[DrivenMove]()
+    config = context.config
+    seed = context.seed
+    outcomes = {}
+    executions = list[DrivenMove]()
     held = config.plan.held
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
-            outcomes[name] = evaluate.run_moves(config, own, lambda _, name=name: task.advance(note=name))
+            outcomes[name] = evaluate.run_moves(
+                config,
+                own,
+                lambda _, name=name: task.advance(note=name),
+            )
         world = World(config.scene, robot=robot_from(config.robot))
         driven, undriven = evaluate.table_plans(config, seed)
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
@@ -129,24 +189,41 @@ def run_held(context: StageContext) -> tuple[Moves, list[DrivenMove], list[str]]
             with watched(context.view, world, lambda: words):
                 executions.append(execute(trajectory, world))
             task.advance(note="driven")
-    write_csv(context.folder / "held_moves.csv", [o.row(name) for name, done in outcomes.items() for o in done])
+    write_csv(
+        context.folder / "held_moves.csv",
+        [o.row(name) for name, done in outcomes.items() for o in done],
+    )
     failed = [(name, o) for name, done in outcomes.items() for o in done if not o.ok]
-    lines = [f"held move {o.move.index} of the {name} seed failed: {o.message}" for name, o in failed]
+    lines = [
+        f"held move {o.move.index} of the {name} seed failed: {o.message}" for name, o in failed
+    ]
     return outcomes, executions, [*lines, *undriven]
 
 
 def held_checks(outcomes: Moves, driven: Sequence[DrivenMove], config: PlanConfig) -> list[Check]:
     """Return the checks of the held-object moves."""
-    held, first, second = config.held, outcomes["first"], outcomes["second"]
-    every, nothing = [*first, *second], [(np.nan, np.nan)]
-    strays = np.max([(o.residual_m, o.residual_rad) for o in every if o.ok] or nothing, axis=0).tolist()
+    held = config.held
+    first = outcomes["first"]
+    second = outcomes["second"]
+    every = [*first, *second]
+    nothing = [(np.nan, np.nan)]
+    strays = np.max(
+        [(o.residual_m, o.residual_rad) for o in every if o.ok] or nothing,
+        axis=0,
+    ).tolist()
     errors = np.max([(e.error_max_m, e.error_max_rad) for e in driven] or nothing, axis=0).tolist()
-    undecided, unreachable = (sum(getattr(o.move, n) for o in every) for n in ("undecided_n", "unreachable_n"))
+    undecided, unreachable = (
+        sum(getattr(o.move, n) for o in every) for n in ("undecided_n", "unreachable_n")
+    )
     rates = [sum(o.ok for o in done) / len(done) for done in (first, second)]
     rows: Rows = {
         "success_rate": (rates[0], ">=", config.success_rate_min),
         "second_seed_success_rate": (rates[1], ">=", config.success_rate_min),
-        "cpu_time_median_s": (float(np.median([o.cpu_s for o in first])), "<", held.cpu_time_median_max_s),
+        "cpu_time_median_s": (
+            float(np.median([o.cpu_s for o in first])),
+            "<",
+            held.cpu_time_median_max_s,
+        ),
         "time_median_s": float(np.median([o.total_s for o in first])),
         "residual_max_m": (strays[0], "<", RESIDUAL_MAX_M),
         "residual_max_rad": (strays[1], "<", RESIDUAL_MAX_RAD),

@@ -19,7 +19,8 @@ from minidual.trials.runner import Bench
 
 def plan_task(context: ToolContext) -> ToolResult:
     """Solve the --task; exit 1 if unsolved or failed, 2 if unknown."""
-    name, video = context.options["task"], target_file("video", context.options.get("video"), ".mp4")
+    name = context.options["task"]
+    video = target_file("video", context.options.get("video"), ".mp4")
     config = TASKS[name](replaced(context.config, task=name)).config
     bench = Bench("moveit", MethodInputs(config, context.seed))
     trial = bench.task.trial(context.seed, "plan", 0)
@@ -33,10 +34,13 @@ def plan_task(context: ToolContext) -> ToolResult:
 
     result, _ = bench.run(trial, on_step=on_step)
     carry = cast(PlannedCarry, bench.ran)
-    solution, record = carry.solution, carry.record
+    solution = carry.solution
+    record = carry.record
     lines = record.tree(name).splitlines()
     if solution is not None:
-        lines.append(f"planned {solution.duration_s:.2f} s of motion; driven in the simulator: {result.text}")
+        lines.append(
+            f"planned {solution.duration_s:.2f} s of motion; driven in the simulator: {result.text}",
+        )
     notes = []
     if video is not None and solution is not None:
         stage = World(config.scene, robot_from(config.robot), visuals=True)
@@ -44,7 +48,14 @@ def plan_task(context: ToolContext) -> ToolResult:
         with disk_errors(video):
             film_postures(stage.model, postures.qpos, video)
         notes.append(f"film: {video}")
-    found: dict[str, Any] = {"solved": solution is not None, "success": result.success, "result": result.text}
-    found |= {"duration_s": None if solution is None else solution.duration_s, "record": record.to_json()}
+    found: dict[str, Any] = {
+        "solved": solution is not None,
+        "success": result.success,
+        "result": result.text,
+    }
+    found |= {
+        "duration_s": None if solution is None else solution.duration_s,
+        "record": record.to_json(),
+    }
     code = ExitCode.PASS if result.success else ExitCode.ACCEPTANCE_FAILED
     return ToolResult(lines, notes, {"task": name, "seed": context.seed, **found}, code)

@@ -8,7 +8,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from minidual.collision.errors import ClosedChainError, LinearMoveError, NoPathInTimeError, TimingError
+from minidual.collision.errors import (
+    ClosedChainError,
+    LinearMoveError,
+    NoPathInTimeError,
+    TimingError,
+)
 from minidual.collision.scene import PlanningScene, acm_report
 from minidual.collision.scene_file import load_scene
 from minidual.durable import disk_errors
@@ -30,14 +35,26 @@ _MEANINGS: dict[str, str] = rows_beside(__file__)
 def plan_once(context: ToolContext) -> ToolResult:
     """Plan from --from to --to; exit 1 if no path, 2 if the query is invalid."""
     options = context.options
-    targets = {name: path for name, end in _ENDINGS.items() if (path := target_file(name, options.get(name), end))}
-    group, budget_s = options.get("group", "both_arms"), options.get("budget-s")
+    targets = {
+        name: path
+        for name, end in _ENDINGS.items()
+        if (path := target_file(name, options.get(name), end))
+    }
+    group = options.get("group", "both_arms")
+    budget_s = options.get("budget-s")
     if budget_s is not None and not 0.0 < budget_s <= _BUDGET_MAX_S:
         raise UsageError(f"--budget-s is {budget_s:g}; 0 < value <= {_BUDGET_MAX_S:g}")
     planner, scene, q_start, notes = _prepare(context, group)
     goal = goal_of(options["to"], planner.states)
     try:
-        result = planner.plan(group, q_start, goal, scene=scene, seed=context.seed, budget_s=budget_s)
+        result = planner.plan(
+            group,
+            q_start,
+            goal,
+            scene=scene,
+            seed=context.seed,
+            budget_s=budget_s,
+        )
     except (NoPathInTimeError, TimingError, ClosedChainError, LinearMoveError) as error:
         notes += [f"remedy: {error.remedy}"] if error.remedy else []
         data = {"solved": False, "group": group, "reason": error.reason, "message": error.message}
@@ -51,7 +68,10 @@ def plan_once(context: ToolContext) -> ToolResult:
         with suppress(KeyboardInterrupt):
             poser = Poser(context.config.scene, scene)
             play(context.view, poser, result.trajectory, title, rounds_n=1 if once else None)
-    clearance = _clearance(planner.planner.engines(scene).clearance(result.trajectory), scene.min_distance_m)
+    clearance = _clearance(
+        planner.planner.engines(scene).clearance(result.trajectory),
+        scene.min_distance_m,
+    )
     return ToolResult(_lines(title, result, clearance), notes, _document(group, result, targets))
 
 
@@ -61,7 +81,10 @@ def _scene(context: ToolContext, robot: Robot) -> tuple[PlanningScene, list[str]
     return PlanningScene(robot=robot), []
 
 
-def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
+def _prepare(
+    context: ToolContext,
+    group: str,
+) -> tuple[GoalPlanner, PlanningScene, Array, list[str]]:
     GROUP_ARMS[group]  # refuses an unknown name
     config = context.config
     scene, notes = _scene(context, robot_from(config.robot))
@@ -70,7 +93,13 @@ def _prepare(context: ToolContext, group: str) -> tuple[GoalPlanner, PlanningSce
     start = goal_of(context.options.get("from", "home"), planner.states)
     # A start places both arms; a one-hand start leaves the other at home.
     of_group = start.poses or start.move or len(start.joints_rad or q_home) != planner.robot.dof
-    q_start = planner.start_joints(group if of_group else "both_arms", q_home, start, scene, seed=context.seed)
+    q_start = planner.start_joints(
+        group if of_group else "both_arms",
+        q_home,
+        start,
+        scene,
+        seed=context.seed,
+    )
     return planner, scene, q_start, notes
 
 
@@ -87,12 +116,23 @@ def target_file(name: str, text: str | None, ending: str) -> Path | None:
     if path.is_dir():
         raise UsageError(f"--{name} {path} is a folder", remedy="name a file")
     if not os.access(path if path.exists() else folder, os.W_OK):
-        raise UsageError(f"--{name} {path} cannot be written: no permission", remedy="name another file")
+        raise UsageError(
+            f"--{name} {path} cannot be written: no permission",
+            remedy="name another file",
+        )
     return path
 
 
-def _write(targets: Targets, context: ToolContext, scene: PlanningScene, result: PlanResult, title: str) -> list[str]:
-    notes, motion, names = [*result.notes], result.trajectory, scene.robot.joint_names
+def _write(
+    targets: Targets,
+    context: ToolContext,
+    scene: PlanningScene,
+    result: PlanResult,
+    title: str,
+) -> list[str]:
+    notes = [*result.notes]
+    motion = result.trajectory
+    names = scene.robot.joint_names
     for name, target in targets.items():
         with disk_errors(target):
             if name == "picture":
@@ -108,7 +148,8 @@ def _write(targets: Targets, context: ToolContext, scene: PlanningScene, result:
 
 
 def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
-    proof, planned_s = result.verification, result.total_s - result.times_s.get("scene", 0.0)
+    proof = result.verification
+    planned_s = result.total_s - result.times_s.get("scene", 0.0)
     spent = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in result.times_s.items() if s > 0.0)
     way = "straight line" if result.direct else f"{len(result.path)} vertices"
     tried = f"{result.attempts_n} attempt{'s' if result.attempts_n != 1 else ''}"
@@ -126,7 +167,11 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
 
 def _clearance(clearance_m: float, min_distance_m: float) -> str:
     text = f"{'at least ' if clearance_m >= CLEARANCE_MAX_M else ''}{clearance_m * 1e3:.1f} mm"
-    return text if min_distance_m == 0.0 else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
+    return (
+        text
+        if min_distance_m == 0.0
+        else f"{text} beyond the {min_distance_m * 1e3:g} mm that the scene asks for"
+    )
 
 
 def _document(group: str, result: PlanResult, targets: Targets) -> dict[str, Any]:
@@ -134,7 +179,10 @@ def _document(group: str, result: PlanResult, targets: Targets) -> dict[str, Any
         "solved": True,
         "group": group,
         "duration_s": result.trajectory.duration_s,
-        **{name: getattr(result, name) for name in ("total_s", "times_s", "attempts_n", "direct", "notes")},
+        **{
+            name: getattr(result, name)
+            for name in ("total_s", "times_s", "attempts_n", "direct", "notes")
+        },
         "q_goal_rad": result.q_goal.tolist(),
         "proof": result.verification._asdict(),
         "digest": result.trajectory.digest(),
@@ -153,7 +201,10 @@ def plan_acm(context: ToolContext) -> ToolResult:
     kinds = Counter(word if word in _MEANINGS else "user" for word in words)
     notes += [f"{count:4d} {kind:9s} {_MEANINGS[kind]}" for kind, count in sorted(kinds.items())]
     checked = f"{len(scene.checked_pairs)} of this scene are checked"
-    notes += [f"{len(table)} pairs may touch, {checked}; pairs of different arms always are", *report.lines()]
+    notes += [
+        f"{len(table)} pairs may touch, {checked}; pairs of different arms always are",
+        *report.lines(),
+    ]
     data = {
         "allowed": [{"first": a, "second": b, "reason": r} for a, b, r in table],
         "checked": [list(pair) for pair in scene.checked_pairs],

@@ -7,4 +7,8 @@ from minidual.show.report.page import build_report
 def run(context: StageContext) -> StageResult:
     """Write report.html, report.json, figures and large films."""
     report = build_report(context, context.folder)
-    return StageResult(checks=report.checks, data={"state": report.state}, notes=[b.title for b in report.banners])
+    return StageResult(
+        checks=report.checks,
+        data={"state": report.state},
+        notes=[b.title for b in report.banners],
+    )

@@ -30,16 +30,24 @@ def joint_sliders(robot: Robot) -> list[Slider]:
     sliders = [
         Slider(f"{side} arm", f"joint {i + 1} [rad]", *map(float, row))
         for side in robot.sides
-        for i, row in enumerate(zip(robot.arm.q_lower, robot.arm.q_upper, robot.arm.home, strict=True))
+        for i, row in enumerate(
+            zip(robot.arm.q_lower, robot.arm.q_upper, robot.arm.home, strict=True),
+        )
     ]
-    return [*sliders, *(Slider(f"{side} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0) for side in robot.sides)]
+    return [
+        *sliders,
+        *(Slider(f"{side} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0) for side in robot.sides),
+    ]
 
 
 @contextlib.contextmanager
 def interruptions() -> Generator[threading.Event]:
     """Yield an event set by Ctrl-C or SIGTERM; libraries may swallow KeyboardInterrupt."""
     stop = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, lambda *_: stop.set())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield stop
     finally:
@@ -59,8 +67,11 @@ def view_scene(context: ToolContext) -> ToolResult:
     if not for_s > 0.0:
         raise UsageError(f"--for-s is {for_s:g}; it must be above 0")
     robot = robot_from(context.config.robot)
-    world, kinematics = World(task_config(context.config).scene, robot), Kinematics(robot)
-    stack, brake, sequence = ControlStack(world, kinematics, context.config.arbiter), Brake(1.0), itertools.count(1)
+    world = World(task_config(context.config).scene, robot)
+    kinematics = Kinematics(robot)
+    stack = ControlStack(world, kinematics, context.config.arbiter)
+    brake = Brake(1.0)
+    sequence = itertools.count(1)
     stack.request(_SOURCE)
     view.panel.offer(joint_sliders(robot))
     narrate = StackNarrator(stack, kinematics, "the scene, moved by the sliders")
@@ -69,11 +80,19 @@ def view_scene(context: ToolContext) -> ToolResult:
         while view.alive and not stop.is_set() and time.monotonic() - began < for_s:
             *joints, left, right = view.panel.values()
             target = np.clip(joints, robot.q_lower, robot.q_upper)
-            stack.propose(_SOURCE, JointCommand(target, np.array([left, right]), world.time, next(sequence)))
+            stack.propose(
+                _SOURCE,
+                JointCommand(target, np.array([left, right]), world.time, next(sequence)),
+            )
             for _ in range(round(_SLICE_S / world.dt)):
                 stack.step()
             brake.hold(world.time)
     spent = time.monotonic() - began
     notes = [f"showed {world.time:.1f} s of simulated time in {spent:.1f} s"]
-    data = {"view": view.name, "url": view.url, "simulated_s": world.time, "wall_s": round(spent, 3)}
+    data = {
+        "view": view.name,
+        "url": view.url,
+        "simulated_s": world.time,
+        "wall_s": round(spent, 3),
+    }
     return ToolResult(notes=notes, data=data)

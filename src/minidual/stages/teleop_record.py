@@ -45,7 +45,10 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
         "sync_error_max_s": (numbers["sync_error_max_s"], "<=", MAX_SYNC_S),
         "dataset_rows": (numbers["dataset_rows"], "==", numbers["recorded_ticks"]),
         "dataset_episodes": (numbers["dataset_episodes"], "==", numbers["episodes"]),
-        **{name: numbers[name] for name in ("success_rate", "attempts", "latency_p50_s", "recorded_per_min")},
+        **{
+            name: numbers[name]
+            for name in ("success_rate", "attempts", "latency_p50_s", "recorded_per_min")
+        },
     }
     return worded("teleop-record", rows)
 
@@ -59,17 +62,31 @@ def recording_inputs(config: Config) -> dict[str, Any]:
 
 def run(context: StageContext) -> StageResult:
     """Record, convert and film; write quality.csv and quality.png."""
-    from minidual.demos import lerobot_adapter  # takes seconds: interrupted there, no workers are left behind
+    from minidual.demos import (
+        lerobot_adapter,
+    )  # takes seconds: interrupted there, no workers are left behind
 
-    config, folder = context.config, context.folder
-    teleop, leader = config.teleop, LEADERS[config.teleop.leader]
+    config = context.config
+    folder = context.folder
+    teleop = config.teleop
+    leader = LEADERS[config.teleop.leader]
     within = rooms(teleop.conditions)
-    job = rig.Job(folder, make_task(config), teleop, config.arbiter, context.seed, config.supervisor, within)
+    job = rig.Job(
+        folder,
+        make_task(config),
+        teleop,
+        config.arbiter,
+        context.seed,
+        config.supervisor,
+        within,
+    )
     if earlier := recording.claim(folder, recording_inputs(config), "teleop-record"):
         context.progress.note(earlier)
     if leader.usage:
         context.progress.note(leader.usage)
-    watch, attempts, began = watch_recording(context.view), list[rig.Attempt](), 0.0
+    watch = watch_recording(context.view)
+    attempts = list[rig.Attempt]()
+    began = 0.0
 
     def demonstrations() -> Generator[Path]:
         nonlocal began
@@ -84,14 +101,24 @@ def run(context: StageContext) -> StageResult:
         write_csv(folder / "quality.csv", [attempt.row() for attempt in attempts])
 
     with closing(demonstrations()) as coming:  # an interruption ends the workers here
-        paths = iter(list(coming)) if leader.realtime else coming  # a person does not wait between two episodes
+        paths = (
+            iter(list(coming)) if leader.realtime else coming
+        )  # a person does not wait between two episodes
         if (first := next(paths, None)) is None:
             recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
-            none = f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}"
+            none = (
+                f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}"
+            )
             remedy = "read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator"
             raise NothingEvaluatedError(none, remedy=remedy)
-        context.progress.note("demonstrations go into the dataset as they come; at the end every picture is compared")
-        dataset = lerobot_adapter.convert(itertools.chain([first], paths), folder / "lerobot", job.robot)
+        context.progress.note(
+            "demonstrations go into the dataset as they come; at the end every picture is compared",
+        )
+        dataset = lerobot_adapter.convert(
+            itertools.chain([first], paths),
+            folder / "lerobot",
+            job.robot,
+        )
     recorded = recording.recording_of(job, context.workers, attempts)
     numbers = recorded.numbers(time.perf_counter() - began)
     numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}

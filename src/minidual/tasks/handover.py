@@ -41,18 +41,25 @@ def handover(config: Config) -> Task:
     )
 
 
-def draw_either_way(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
+def draw_either_way(
+    task: Task,
+    rng: np.random.Generator,
+    widen: float = 1.0,
+) -> tuple[Poses, Poses]:
     """Draw start and goal, mirrored in a share of the trials."""
     start, goal = draw_on_table(task, rng, widen)
     if rng.uniform() >= task.scene.task.mirrored_share:
         return start, goal
-    (x, y, yaw), (goal_x, goal_y, goal_yaw) = (placement(where[task.carried]) for where in (start, goal))
+    (x, y, yaw), (goal_x, goal_y, goal_yaw) = (
+        placement(where[task.carried]) for where in (start, goal)
+    )
     return {task.carried: (x, -y, -yaw)}, {task.carried: (goal_x, -goal_y, -goal_yaw)}
 
 
 def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[tuple[Step, ...]]:
     """Yield the steps, then those with another grasp of the giver."""
-    name, body = task.carried, task.scene.object
+    name = task.carried
+    body = task.scene.object
     to_the_right = bool(seen[name][1, 3] > 0.0)
     (giver,), (taker,) = (SIDES[:1], SIDES[1:]) if to_the_right else (SIDES[1:], SIDES[:1])
 
@@ -61,13 +68,25 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
 
     # Both hands close along one axis, along which the giver has centred the bottle. The last joint turns further one way
     # than the other: mirrored, the taker's hand is turned by half a turn.
-    above = tuple(pose(rot_z(turn) @ DOWN, (0.0, 0.0, body.grasp_offset_m)) for turn in (-np.pi / 2, np.pi / 2))
-    beside = tuple(pose(_FROM_THE_SIDE @ rot_z(0.0 if to_the_right else np.pi), (0.0, 0.0, z)) for z in (0.0, -0.04))
+    above = tuple(
+        pose(rot_z(turn) @ DOWN, (0.0, 0.0, body.grasp_offset_m))
+        for turn in (-np.pi / 2, np.pi / 2)
+    )
+    beside = tuple(
+        pose(_FROM_THE_SIDE @ rot_z(0.0 if to_the_right else np.pi), (0.0, 0.0, z))
+        for z in (0.0, -0.04)
+    )
     x, y, _ = placement(trial.goal[name])
-    goal = tuple(pose(rot_z(yaw if to_the_right else -yaw), (x, y, body.rest_height_m)) for yaw in _YAWS)
+    goal = tuple(
+        pose(rot_z(yaw if to_the_right else -yaw), (x, y, body.rest_height_m)) for yaw in _YAWS
+    )
 
     def grasp(hand: str, grasps: tuple[Array, ...]) -> tuple[Step, ...]:
-        return Step("approach", (hand,), grasps=grasps), Step("descend", (hand,)), Step("close", (hand,))
+        return (
+            Step("approach", (hand,), grasps=grasps),
+            Step("descend", (hand,)),
+            Step("close", (hand,)),
+        )
 
     def leave(hand: str, *phases: str) -> tuple[Step, ...]:
         return tuple(Step(phase, (hand,)) for phase in ("open", "retreat", *phases))
@@ -89,7 +108,12 @@ def hand_over(task: Task, trial: Trial, seen: Mapping[str, Array]) -> Iterator[t
 
 def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     """Return the conditions; the yaw of a bottle does not matter, and it may be put down for another grasp."""
-    found = (c for c in transported(task, trial, both=False) if not isinstance(c, success.Turned | success.Carried))
+    found = (
+        c
+        for c in transported(task, trial, both=False)
+        if not isinstance(c, success.Turned | success.Carried)
+    )
     level, held, rose, *rest = found
-    stood, exchanged = success.Stood(task.carried), success.Exchanged(task.carried, task.scene.task.pinch_min_n)
+    stood = success.Stood(task.carried)
+    exchanged = success.Exchanged(task.carried, task.scene.task.pinch_min_n)
     return level, held, stood, rose, exchanged, *rest

@@ -50,7 +50,14 @@ class Outcome:
         return self.measured.get(name, math.nan)
 
 
-def begin(world: World, task: Task, trial: Trial, demanding: Collection[str] = (), *, reset: bool = True) -> Judge:
+def begin(
+    world: World,
+    task: Task,
+    trial: Trial,
+    demanding: Collection[str] = (),
+    *,
+    reset: bool = True,
+) -> Judge:
     """Mark a trial's goal, reset the world to its start and return its judge."""
     world.mark_goal(*placement(trial.goal[task.carried]))
     if reset:
@@ -68,10 +75,13 @@ class Judge:
     """
 
     def __init__(self, task: Task, trial: Trial, demanding: Collection[str] = ()) -> None:
-        self.trial, self._conditions = trial, task.success(task, trial)
+        self.trial = trial
+        self._conditions = task.success(task, trial)
         names = [c.name for c in self._conditions]
         if len(set(names)) < len(names):
-            raise ValueError(f"task '{task.name}' has two conditions of one name: {', '.join(names)}")
+            raise ValueError(
+                f"task '{task.name}' has two conditions of one name: {', '.join(names)}",
+            )
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
         self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
@@ -125,7 +135,8 @@ class Judge:
 
     def outcome(self, world: World) -> Outcome:
         """Return the verdict."""
-        truth, failures = self.truth, dict(self.failures)
+        truth = self.truth
+        failures = dict(self.failures)
         truth.refresh(world)
         truth.duration_s = truth.time if self._done_at is None else self._done_at
         measured = {"progress": len(self.stages) / max(1, len(self._stages))}

@@ -23,5 +23,13 @@ def with_pinch(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _ROWS: dict[str, dict[str, dict[str, Any]]] = rows_beside(__file__)
-OBJECTS: Registry[Mapping[str, Any]] = Registry("object", _ROWS["objects"], group="minidual.objects")
-MOTIONS: Registry[Mapping[str, Any]] = Registry("motion", _ROWS["motions"], group="minidual.motions")
+OBJECTS: Registry[Mapping[str, Any]] = Registry(
+    "object",
+    _ROWS["objects"],
+    group="minidual.objects",
+)
+MOTIONS: Registry[Mapping[str, Any]] = Registry(
+    "motion",
+    _ROWS["motions"],
+    group="minidual.motions",
+)

@@ -25,9 +25,12 @@ _APART_M = 0.10
 _START_M = ((0.38, 0.58), (-0.42, 0.42))
 _WRONG_M = 0.15
 # Size and centre of a bin, and its places along y. However it stretches, the other arm ends 3 cm before it.
-_BIN_M, _BIN_XY_M, _SLOTS_M = (0.16, 0.18), (0.50, 0.65), (0.045, -0.045)
+_BIN_M = (0.16, 0.18)
+_BIN_XY_M = (0.50, 0.65)
+_SLOTS_M = (0.045, -0.045)
 # A passed cube is put down this far on its taker's side, at one of these x.
-_MIDDLE_M, _MIDDLE_X_M = 0.11, (0.48, 0.40, 0.56)
+_MIDDLE_M = 0.11
+_MIDDLE_X_M = (0.48, 0.40, 0.56)
 _ARMS_APART_M = 0.20
 _HANDLE = ("approach", "descend", "close", "lift", "carry", "lower", "open", "retreat")
 _DRAWS_MAX = 1000
@@ -37,7 +40,12 @@ def sort(config: Config) -> Task:
     """Return the task."""
     names = [f"{colour}_{k}" for colour in COLOURS for k in (1, 2)]
     cubes = [
-        ObjectConfig(name=name, colour=COLOURS[name.split("_")[0]], xy_m=(0.44, 0.3 - 0.2 * k), **_ROWS["cube"])
+        ObjectConfig(
+            name=name,
+            colour=COLOURS[name.split("_")[0]],
+            xy_m=(0.44, 0.3 - 0.2 * k),
+            **_ROWS["cube"],
+        )
         for k, name in enumerate(names)
     ]
     marks = tuple(mark for colour in COLOURS for mark in _bin(colour))
@@ -48,7 +56,10 @@ def sort(config: Config) -> Task:
         name="sort",
         instruction="Put the red cubes into the red bin on the left and the blue ones into the blue bin on the right.",
         config=config,
-        objects={name: TaskObject(body, grasps, symmetry=4) for name, body in config.scene.objects.items()},
+        objects={
+            name: TaskObject(body, grasps, symmetry=4)
+            for name, body in config.scene.objects.items()
+        },
         success=sorted_by_colour,
         draw=draw_cubes,
         stream="sort-trial",
@@ -58,9 +69,15 @@ def sort(config: Config) -> Task:
 
 def _bin(colour: str) -> tuple[MarkConfig, MarkConfig]:
     x, y = _BIN_XY_M
-    xy_m, (along_x, along_y) = (x, _WAY[SIDE_OF[colour]] * y), _BIN_M
+    xy_m = (x, _WAY[SIDE_OF[colour]] * y)
+    (along_x, along_y) = _BIN_M
     r, g, b, _ = (0.6 * c + 0.4 for c in COLOURS[colour])
-    rim = MarkConfig(name=f"{colour}_rim", xy_m=xy_m, size_m=(along_x + 0.016, along_y + 0.016), colour=COLOURS[colour])
+    rim = MarkConfig(
+        name=f"{colour}_rim",
+        xy_m=xy_m,
+        size_m=(along_x + 0.016, along_y + 0.016),
+        colour=COLOURS[colour],
+    )
     return rim, MarkConfig(name=bin_of(colour), xy_m=xy_m, size_m=_BIN_M, colour=(r, g, b, 1.0))
 
 
@@ -83,29 +100,47 @@ def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tupl
         UsageError: No such start was found.
     """
     (x_low, x_high), y_range = _START_M
-    middle, half = (x_low + x_high) / 2, widen * (x_high - x_low) / 2
+    middle = (x_low + x_high) / 2
+    half = widen * (x_high - x_low) / 2
     bin_x, bin_y = _BIN_XY_M
-    goal: Poses = {n: (bin_x, _WAY[side_of(n)] * (bin_y + _SLOTS_M[k % 2]), 0.0) for k, n in enumerate(task.objects)}
+    goal: Poses = {
+        n: (bin_x, _WAY[side_of(n)] * (bin_y + _SLOTS_M[k % 2]), 0.0)
+        for k, n in enumerate(task.objects)
+    }
     for _ in range(_DRAWS_MAX):
-        xy = {n: (float(rng.uniform(middle - half, middle + half)), float(rng.uniform(*y_range))) for n in goal}
+        xy = {
+            n: (float(rng.uniform(middle - half, middle + half)), float(rng.uniform(*y_range)))
+            for n in goal
+        }
         apart = all(math.dist(xy[a], xy[b]) >= _APART_M for a in xy for b in xy if a < b)
         if apart and any(_WAY[side_of(name)] * y < -_WRONG_M for name, (_, y) in xy.items()):
             yaws = rng.uniform(-np.pi / 4, np.pi / 4, size=len(xy)).tolist()
             near = sorted(xy, key=lambda name: -_WAY[side_of(name)] * xy[name][1])
-            of = {side: iter([xy[name] for name in near if side_of(name) == side]) for side in SIDES}
-            return {name: (*next(of[side_of(name)]), yaw) for name, yaw in zip(xy, yaws, strict=True)}, goal
-    raise UsageError("the cubes find no start apart from each other", remedy="take fewer or smaller objects")
+            of = {
+                side: iter([xy[name] for name in near if side_of(name) == side]) for side in SIDES
+            }
+            return {
+                name: (*next(of[side_of(name)]), yaw) for name, yaw in zip(xy, yaws, strict=True)
+            }, goal
+    raise UsageError(
+        "the cubes find no start apart from each other",
+        remedy="take fewer or smaller objects",
+    )
 
 
 def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
     """Return the conditions."""
-    asked, marks = task.scene.task, {mark.name: mark for mark in task.scene.marks}
+    asked = task.scene.task
+    marks = {mark.name: mark for mark in task.scene.marks}
 
     def each(make: type[success.OfObject], *values: float | bool) -> success.Each:
         return success.Each([make(name, *values) for name in task.objects])
 
-    inside = [_Inside(name, marks[bin_of(name)], placement(trial.goal[name])[:2]) for name in task.objects]
-    released, at_rest = each(success.Released), each(success.AtRest, asked.rest_speed_m_per_s)
+    inside = [
+        _Inside(name, marks[bin_of(name)], placement(trial.goal[name])[:2]) for name in task.objects
+    ]
+    released = each(success.Released)
+    at_rest = each(success.AtRest, asked.rest_speed_m_per_s)
     ends = list(zip(inside, released.parts, at_rest.parts, strict=True))
     return (
         each(success.Level, asked.tilt_max_rad),
@@ -129,15 +164,21 @@ class _Inside(success.OfObject):
     def holds(self, truth: success.Truth) -> bool:
         item = truth[self.object]
         (x, y, _), (a, b, _) = item.xyz, item.half_m
-        (x_mark, y_mark), (length, width) = self.mark.xy_m, self.mark.size_m
-        if not ((room_x := length / 2 - abs(x - x_mark)) > 0.0 < (room_y := width / 2 - abs(y - y_mark))):
+        (x_mark, y_mark) = self.mark.xy_m
+        (length, width) = self.mark.size_m
+        if not (
+            (room_x := length / 2 - abs(x - x_mark)) > 0.0 < (room_y := width / 2 - abs(y - y_mark))
+        ):
             return False
-        c, s = abs(math.cos(item.yaw_rad)), abs(math.sin(item.yaw_rad))
+        c = abs(math.cos(item.yaw_rad))
+        s = abs(math.sin(item.yaw_rad))
         return c * a + s * b <= room_x and s * a + c * b <= room_y
 
     def end(self, truth: success.Truth) -> str:
         x, y, _ = truth[self.object].xyz
-        return "" if self.holds(truth) else f"at ({x:.3f}, {y:.3f}) m, not inside the {self.mark.name}"
+        return (
+            "" if self.holds(truth) else f"at ({x:.3f}, {y:.3f}) m, not inside the {self.mark.name}"
+        )
 
     def measured(self, truth: success.Truth) -> dict[str, float]:
         return {"goal_error_m": truth[self.object].distance_m(self.goal)}
@@ -150,7 +191,8 @@ class _Placed(success.SuccessCondition):
 
     def __init__(self, count: int, ends: Sequence[Sequence[success.SuccessCondition]]) -> None:
         self.name = f"placed_{count}"
-        self._count, self._ends = count, ends
+        self._count = count
+        self._ends = ends
 
     def reached(self, truth: success.Truth) -> bool:
         placed = [a.holds(truth) and b.holds(truth) and c.holds(truth) for a, b, c in self._ends]
@@ -172,24 +214,36 @@ def arrange(task: Task, trial: Trial, poses: Mapping[str, Array]) -> Iterator[tu
 
 
 def _steps(task: Task, trial: Trial, poses: Mapping[str, Array], at_once: bool) -> Iterator[Step]:
-    at, left, in_middle = dict(poses), sorted(poses), set[str]()
+    at = dict(poses)
+    left = sorted(poses)
+    in_middle = set[str]()
     while left:
         found = [_job(task, trial, name, at) for name in left]
         jobs = [[job for job in found if job and job.arm == arm] for arm in SIDES]
         pairs = [pair for pair in itertools.product(*([*row, None] for row in jobs)) if any(pair)]
-        chosen = [job for job in max(pairs, key=lambda pair: _worth(pair, at_once)) if job is not None]
-        hands, names = tuple(job.arm for job in chosen), tuple(job.name for job in chosen)
-        yield from (Step("home", (arm,)) for arm in sorted(in_middle.difference(hands)))  # out of the other's way
+        chosen = [
+            job for job in max(pairs, key=lambda pair: _worth(pair, at_once)) if job is not None
+        ]
+        hands = tuple(job.arm for job in chosen)
+        names = tuple(job.name for job in chosen)
+        yield from (
+            Step("home", (arm,)) for arm in sorted(in_middle.difference(hands))
+        )  # out of the other's way
         choices = range(max(len(job.places) for job in chosen))
-        places = tuple({job.name: job.places[min(k, len(job.places) - 1)] for job in chosen} for k in choices)
-        yield from (Step(phase, hands, names, places if phase == "carry" else ()) for phase in _HANDLE)
+        places = tuple(
+            {job.name: job.places[min(k, len(job.places) - 1)] for job in chosen} for k in choices
+        )
+        yield from (
+            Step(phase, hands, names, places if phase == "carry" else ()) for phase in _HANDLE
+        )
         at |= {job.name: job.places[0] for job in chosen}
         left = sorted(set(left) - {job.name for job in chosen if not job.passes})
         in_middle = {job.arm for job in chosen if job.passes}
 
 
 def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job | None:
-    owner, rest_m = side_of(name), task.objects[name].body.rest_height_m
+    owner = side_of(name)
+    rest_m = task.objects[name].body.rest_height_m
     y = at[name].item(1, 3)
     if _WAY[owner] * y > -_WRONG_M:
         x_goal, y_goal, yaw = placement(trial.goal[name])
@@ -207,5 +261,8 @@ def _worth(pair: tuple[_Job | None, _Job | None], at_once: bool) -> tuple[int, i
     passes = sum(job.passes for job in pair if job is not None)
     if left is None or right is None:
         return 1, passes
-    apart = min(left.y_from - right.y_from, left.places[0][1, 3] - right.places[0][1, 3]) >= _ARMS_APART_M
+    apart = (
+        min(left.y_from - right.y_from, left.places[0][1, 3] - right.places[0][1, 3])
+        >= _ARMS_APART_M
+    )
     return (2 if at_once and apart else -1), passes

@@ -23,7 +23,11 @@ AIRBORNE_M = 0.003
 """An object is off the table above this clearance."""
 NEAR_M = 0.05
 """An object may be on the table this near to its start or goal."""
-_FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")  # measured numbers of which the least is the worst
+_FLOORS = (
+    "pinch_min_n",
+    "internal_force_min_n",
+    "rise_m",
+)  # measured numbers of which the least is the worst
 TOUCH_N = 0.1
 """Smaller forces do not count as touch."""
 
@@ -42,23 +46,31 @@ class ObjectTruth:
     """
 
     def __init__(self, name: str, body: ObjectConfig) -> None:
-        self.name, self.body, self._upright, self.half_m = name, body, body.upright, body.solids[0].half_m
+        self.name = name
+        self.body = body
+        self._upright = body.upright
+        self.half_m = body.solids[0].half_m
         self._world: World | None = None
 
     def refresh(self, world: World) -> None:
         """Read the world."""
         if world is not self._world:
-            self._world, self._object = world, world.truth(self.name)
+            self._world = world
+            self._object = world.truth(self.name)
             # A condition may have changed their size.
             solids = zip(self.body.solids, self._object.solids(self.body.solids), strict=True)
-            rows = [(*at, *half, p.shape == "cylinder", "xyz".index(p.axis)) for p, (at, half) in solids]
-            self.solids, self.half_m = np.array(rows), rows[0][3:6]
+            rows = [
+                (*at, *half, p.shape == "cylinder", "xyz".index(p.axis)) for p, (at, half) in solids
+            ]
+            self.solids = np.array(rows)
+            self.half_m = rows[0][3:6]
         seen = self._object.look()
         self.tilt_rad, self.clearance_m = lie(seen, self.solids, self._upright)
         # Plain floats: a success test of arrays costs four times as much.
         self._seen = numbers = seen.tolist()
         x, y, z, *_, left, right, self.squeeze_n, self.yaw_rad = numbers
-        self.xyz, self.pinch = (x, y, z), (left, right)
+        self.xyz = (x, y, z)
+        self.pinch = (left, right)
         self.airborne = self.clearance_m > AIRBORNE_M
 
     def distance_m(self, xy: Sequence[float]) -> float:
@@ -102,7 +114,8 @@ class Truth(dict[str, ObjectTruth]):
 
     def refresh(self, world: World) -> None:
         """Read the world."""
-        self._world, self.time = world, world.time
+        self._world = world
+        self.time = world.time
         for item in self.values():
             item.refresh(world)
 
@@ -259,7 +272,11 @@ class Held(OfObject):
         if not (item.airborne or item.distance_m(self._let_go) > self.slip_m):
             return ""
         who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
-        moving = "" if item.airborne else f" while it moves {1e3 * item.distance_m(self._let_go):.0f} mm on the table"
+        moving = (
+            ""
+            if item.airborne
+            else f" while it moves {1e3 * item.distance_m(self._let_go):.0f} mm on the table"
+        )
         return f"{who} {pinch:.1f} N{moving}, needs > {self.limit_n:.0f}"
 
     def reached(self, truth: Truth) -> bool:
@@ -281,7 +298,8 @@ class Carried(OfObject):
         item = truth[self.object]
         if item.airborne:
             return ""
-        start, goal = item.distance_m(self.start), item.distance_m(self.goal)
+        start = item.distance_m(self.start)
+        goal = item.distance_m(self.goal)
         if min(start, goal) < NEAR_M:
             return ""
         return f"on the table {1e3 * start:.0f} mm from its start and {1e3 * goal:.0f} mm from its goal"
@@ -302,7 +320,11 @@ class Stood(OfObject):
             return ""
         self._at = self._at or item.xyz[:2]
         off = item.distance_m(self._at)
-        return f"moved {1e3 * off:.0f} mm on the table, limit {1e3 * self.limit_m:.0f}" if off > self.limit_m else ""
+        return (
+            f"moved {1e3 * off:.0f} mm on the table, limit {1e3 * self.limit_m:.0f}"
+            if off > self.limit_m
+            else ""
+        )
 
     def disturbed(self) -> None:
         self._at = None
@@ -323,7 +345,11 @@ class Exchanged(AtEnd):
         return ""
 
     def end(self, truth: Truth) -> str:
-        return "" if self._seen else f"both hands never pinched it in the air with more than {self.limit_n:.0f} N"
+        return (
+            ""
+            if self._seen
+            else f"both hands never pinched it in the air with more than {self.limit_n:.0f} N"
+        )
 
 
 @dataclass
@@ -342,7 +368,11 @@ class Squeezed(OfObject):
         squeeze = item.squeeze_n
         if squeeze < self._least:
             self._least = squeeze
-        return "" if squeeze > self.limit_n else f"internal force {squeeze:.1f} N, needs > {self.limit_n:.0f}"
+        return (
+            ""
+            if squeeze > self.limit_n
+            else f"internal force {squeeze:.1f} N, needs > {self.limit_n:.0f}"
+        )
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"internal_force_min_n": self._least if math.isfinite(self._least) else 0.0}
@@ -370,7 +400,11 @@ class Rose(OfObject):
         return self._most > self.limit_m
 
     def end(self, truth: Truth) -> str:
-        return "" if self._most > self.limit_m else f"rose {1e3 * self._most:.0f} mm, needs > {1e3 * self.limit_m:.0f}"
+        return (
+            ""
+            if self._most > self.limit_m
+            else f"rose {1e3 * self._most:.0f} mm, needs > {1e3 * self.limit_m:.0f}"
+        )
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"rise_m": self._most}
@@ -390,7 +424,11 @@ class Arrived(AtEnd):
 
     def end(self, truth: Truth) -> str:
         error = truth[self.object].distance_m(self.goal)
-        return "" if error < self.limit_m else f"{1e3 * error:.1f} mm from the goal, limit {1e3 * self.limit_m:.0f}"
+        return (
+            ""
+            if error < self.limit_m
+            else f"{1e3 * error:.1f} mm from the goal, limit {1e3 * self.limit_m:.0f}"
+        )
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"goal_error_m": truth[self.object].distance_m(self.goal)}
@@ -406,7 +444,9 @@ class Turned(OfObject):
     symmetry: int = 1
 
     def _error(self, truth: Truth) -> float:
-        return abs(math.remainder(truth[self.object].yaw_rad - self.goal_rad, math.tau / self.symmetry))
+        return abs(
+            math.remainder(truth[self.object].yaw_rad - self.goal_rad, math.tau / self.symmetry),
+        )
 
     def holds(self, truth: Truth) -> bool:
         return self._error(truth) < self.limit_rad
@@ -449,14 +489,21 @@ class AtRest(AtEnd):
 
     def end(self, truth: Truth) -> str:
         item = truth[self.object]
-        return "" if self.holds(truth) else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+        return (
+            ""
+            if self.holds(truth)
+            else f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+        )
 
 
 class Each(SuccessCondition):
     """One condition of several objects; its numbers are the worst."""
 
     def __init__(self, parts: Sequence[OfObject], *, stage: bool = False) -> None:
-        self.name, self.optional, self.parts, self.stage = parts[0].name, parts[0].optional, parts, stage
+        self.name = parts[0].name
+        self.optional = parts[0].optional
+        self.parts = parts
+        self.stage = stage
 
     def each(self) -> Sequence[tuple[str, SuccessCondition]]:
         return [(f"{part.object}: ", part) for part in self.parts]
@@ -469,11 +516,16 @@ class Each(SuccessCondition):
         return all(part.reached(truth) for part in self.parts)
 
     def end(self, truth: Truth) -> str:
-        return next((f"{part.object}: {detail}" for part in self.parts if (detail := part.end(truth))), "")
+        return next(
+            (f"{part.object}: {detail}" for part in self.parts if (detail := part.end(truth))),
+            "",
+        )
 
     def measured(self, truth: Truth) -> dict[str, float]:
         rows = [part.measured(truth) for part in self.parts]
-        return {name: (min if name in _FLOORS else max)(row[name] for row in rows) for name in rows[0]}
+        return {
+            name: (min if name in _FLOORS else max)(row[name] for row in rows) for name in rows[0]
+        }
 
 
 @dataclass

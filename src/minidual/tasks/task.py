@@ -110,7 +110,9 @@ class Task:
     @property
     def together(self) -> bool:
         """Whether both hands hold one object all the way."""
-        return bool(self.steps) and all(step.hands == SIDES and len(step.objects) < 2 for step in self.steps)
+        return bool(self.steps) and all(
+            step.hands == SIDES and len(step.objects) < 2 for step in self.steps
+        )
 
     @property
     def time_limit_s(self) -> float:
@@ -127,7 +129,9 @@ _SHARED = {"judge", "objects", "success", "task"}
 _OWN = {module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)])} - _SHARED
 """Every other module of this folder is a task: its function of the same name."""
 TASKS: Registry[Callable[[Config], Task]] = Registry(
-    "task", {name: f"minidual.tasks.{name}:{name}" for name in sorted(_OWN)}, group="minidual.tasks"
+    "task",
+    {name: f"minidual.tasks.{name}:{name}" for name in sorted(_OWN)},
+    group="minidual.tasks",
 )
 
 
@@ -148,7 +152,10 @@ def tasks_of(config: Config) -> dict[str, Task]:
     """
     own = tuple(dict.fromkeys((config.task, *config.benchmark.further_tasks)))
     names = TASKS.names(config.benchmark.tasks or own)
-    return {name: make_task(config if name == config.task else changed(config, {"task": name})) for name in names}
+    return {
+        name: make_task(config if name == config.task else changed(config, {"task": name}))
+        for name in names
+    }
 
 
 def task_config(config: Config) -> Config:
@@ -158,7 +165,9 @@ def task_config(config: Config) -> Config:
 
 def benchmark_config(config: Config) -> Config:
     """Return `task_config`; several tasks are resolved when they run."""
-    return config if config.benchmark.tasks or config.benchmark.further_tasks else task_config(config)
+    return (
+        config if config.benchmark.tasks or config.benchmark.further_tasks else task_config(config)
+    )
 
 
 def placement(pose: ObjectPose) -> Placement:
@@ -186,24 +195,33 @@ def pose_of(body: ObjectConfig, where: ObjectPose) -> Array:
     return level_pose(x, y, body.rest_height_m, yaw)
 
 
-def near(rng: np.random.Generator, middle: Placement, range_m: float, range_rad: float) -> Placement:
+def near(
+    rng: np.random.Generator,
+    middle: Placement,
+    range_m: float,
+    range_rad: float,
+) -> Placement:
     """Draw a placement uniformly round a middle."""
-    (x, y, yaw), (dx, dy, turn) = middle, (rng.uniform(-1.0, 1.0, 3) * (range_m, range_m, range_rad)).tolist()
+    (x, y, yaw) = middle
+    (dx, dy, turn) = (rng.uniform(-1.0, 1.0, 3) * (range_m, range_m, range_rad)).tolist()
     return x + dx, y + dy, yaw + turn
 
 
 def beside(body: ObjectConfig, block: ObstacleConfig, place: Placement) -> bool:
     """Return whether a body keeps 2 cm from a block."""
-    (x, y, yaw), parts = place, body.solids
+    (x, y, yaw) = place
+    parts = body.solids
     a, b = (max(abs(part.position_m[k]) + part.half_m[k] for part in parts) for k in (0, 1))
-    c, s = abs(math.cos(yaw)), abs(math.sin(yaw))
+    c = abs(math.cos(yaw))
+    s = abs(math.sin(yaw))
     away = abs(x - block.xy_m[0]) - c * a - s * b, abs(y - block.xy_m[1]) - s * a - c * b
     return any(gap > size / 2 + _ROOM_M for gap, size in zip(away, block.size_m, strict=False))
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:
     """Return left and right T_object_tcp, pointing down; left is the +y end."""
-    y, z = scene.object.grasp_offset_m, scene.object.grasp_height_m
+    y = scene.object.grasp_offset_m
+    z = scene.object.grasp_height_m
     return pose(DOWN, (0.0, y, z)), pose(DOWN, (0.0, -y, z))
 
 

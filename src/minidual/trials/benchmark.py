@@ -19,7 +19,11 @@ from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_condi
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import Cell, MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import Watch, run_trials
-from minidual.trials.statistics import bootstrap_median_interval, mcnemar_p_value, paired_rate_interval
+from minidual.trials.statistics import (
+    bootstrap_median_interval,
+    mcnemar_p_value,
+    paired_rate_interval,
+)
 
 PURPOSE = "benchmark"
 """Random stream of the starts, used by no earlier stage."""
@@ -73,15 +77,22 @@ def trials_asked(config: Config) -> dict[str, dict[str, int]]:
     """Return {task: {condition: trials of each method}}."""
     asked = config.benchmark
     names = parse_conditions(asked.conditions)
-    trials_n = {name: asked.trials_n if name == CLEAN else asked.perturbed_trials_n for name in names}
+    trials_n = {
+        name: asked.trials_n if name == CLEAN else asked.perturbed_trials_n for name in names
+    }
     every = dict.fromkeys(asked.tasks or (config.task,), trials_n)
     further = {} if asked.tasks else asked.further_tasks
-    return every | {task: {CLEAN: min(n, asked.trials_n)} for task, n in further.items() if task not in every}
+    return every | {
+        task: {CLEAN: min(n, asked.trials_n)} for task, n in further.items() if task not in every
+    }
 
 
 def _why_not(method: str, name: str, inputs: MethodInputs) -> str:
     task = make_task(inputs.config)
-    return METHODS[method].cannot(task, inputs.trained) or condition(name).why_not(method, inputs.config)
+    return METHODS[method].cannot(task, inputs.trained) or condition(name).why_not(
+        method,
+        inputs.config,
+    )
 
 
 def count_trials(methods: Sequence[str], trials_n: Mapping[str, int], inputs: MethodInputs) -> int:
@@ -99,7 +110,9 @@ def draw_under(inputs: MethodInputs, name: str, purpose: str = PURPOSE) -> Draw:
 def first_failures(trials: Sequence[TrialMetrics]) -> list[TrialMetrics]:
     """Return the first failed trial of each method and kind of failure, `FAILURES_MAX` at most; clean ones first."""
     failed = sorted((t for t in trials if not t.success), key=lambda t: t.condition != CLEAN)
-    return sorted({(t.method, t.failure): t for t in reversed(failed)}.values(), key=failed.index)[:FAILURES_MAX]
+    return sorted({(t.method, t.failure): t for t in reversed(failed)}.values(), key=failed.index)[
+        :FAILURES_MAX
+    ]
 
 
 def run_benchmark(
@@ -128,19 +141,35 @@ def run_benchmark(
             if reason := _why_not(method, name, inputs):
                 cells.append(BenchmarkCell(method, name, n, None, reason))
                 continue
-            rows, asked = list[TrialMetrics](), [*map(drawn[name], range(n))]
-            for result in run_trials(method, inputs, asked, workers=workers, condition=name, watch=watch):
+            rows = list[TrialMetrics]()
+            asked = [*map(drawn[name], range(n))]
+            for result in run_trials(
+                method,
+                inputs,
+                asked,
+                workers=workers,
+                condition=name,
+                watch=watch,
+            ):
                 rows.append(result)
                 on_trial(result)
             rng = stream(inputs.seed, f"bootstrap/{purpose}/{method}/{name}")
             # Without its push or move, a success is an undisturbed trial.
-            missed = tuple(t.index for t in rows if under.act is not None and t.success and t.disturbed is not True)
+            missed = tuple(
+                t.index
+                for t in rows
+                if under.act is not None and t.success and t.disturbed is not True
+            )
             cells.append(BenchmarkCell(method, name, n, summarise(rows, rng), undisturbed=missed))
             everything += rows
     return cells, everything
 
 
-def benchmark_data(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], seed: int) -> dict[str, Any]:
+def benchmark_data(
+    cells: Sequence[BenchmarkCell],
+    trials: Sequence[TrialMetrics],
+    seed: int,
+) -> dict[str, Any]:
     """Return one task's part of the verdict."""
     return {
         "methods": {c.method: c.record() for c in cells if c.condition == CLEAN},
@@ -155,7 +184,11 @@ def conditions_data(cells: Sequence[BenchmarkCell]) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for cell in cells:
         if cell.condition != CLEAN:
-            entry = {"summary": condition(cell.condition).summary, "trials_n": cell.asked_n, "methods": {}}
+            entry = {
+                "summary": condition(cell.condition).summary,
+                "trials_n": cell.asked_n,
+                "methods": {},
+            }
             table.setdefault(cell.condition, entry)["methods"][cell.method] = cell.record()
     return table
 
@@ -167,7 +200,8 @@ def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str,
     for under in dict.fromkeys(t.condition for t in trials):
         for first, second in combinations(methods, 2):
             name = f"{under}/{'/'.join(sorted((first, second)))}"
-            one, two = _starts(trials, first, under), _starts(trials, second, under)
+            one = _starts(trials, first, under)
+            two = _starts(trials, second, under)
             rows += _compared(one, two, seed, name, condition=under, first=first, second=second)
     return rows
 
@@ -175,9 +209,20 @@ def compare_all(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str,
 def compare_with_clean(trials: Sequence[TrialMetrics], seed: int = 0) -> list[dict[str, Cell]]:
     """Compare each method's disturbed trials with its clean ones; differences are disturbed minus clean."""
     rows: list[dict[str, Cell]] = []
-    for method, under in dict.fromkeys((t.method, t.condition) for t in trials if t.condition != CLEAN):
-        one, two = _starts(trials, method, under), _starts(trials, method, CLEAN)
-        rows += _compared(one, two, seed, f"{method}/{under}/{CLEAN}", method=method, first=under, second=CLEAN)
+    for method, under in dict.fromkeys(
+        (t.method, t.condition) for t in trials if t.condition != CLEAN
+    ):
+        one = _starts(trials, method, under)
+        two = _starts(trials, method, CLEAN)
+        rows += _compared(
+            one,
+            two,
+            seed,
+            f"{method}/{under}/{CLEAN}",
+            method=method,
+            first=under,
+            second=CLEAN,
+        )
     return rows
 
 
@@ -185,20 +230,34 @@ def _starts(trials: Sequence[TrialMetrics], method: str, under: str) -> _Starts:
     return {t.index: t for t in trials if (t.method, t.condition) == (method, under)}
 
 
-def _compared(one: _Starts, two: _Starts, seed: int, name: str, **labels: Cell) -> list[dict[str, Cell]]:
+def _compared(
+    one: _Starts,
+    two: _Starts,
+    seed: int,
+    name: str,
+    **labels: Cell,
+) -> list[dict[str, Cell]]:
     if not (shared := sorted(one.keys() & two.keys())):
         return []
     won = [(one[i].success, two[i].success) for i in shared]
     both, first, second, neither = (won.count((a, b)) for a in (True, False) for b in (True, False))
     low, high = paired_rate_interval(both, first, second, neither)
-    times = [one[i].duration_s - two[i].duration_s for i in shared if one[i].success and two[i].success]
+    times = [
+        one[i].duration_s - two[i].duration_s for i in shared if one[i].success and two[i].success
+    ]
     if not np.isfinite(times).all():
-        raise DataError(f"{name}: a trial that succeeded has no completion time, so the pair has no difference")
+        raise DataError(
+            f"{name}: a trial that succeeded has no completion time, so the pair has no difference",
+        )
     least, most = bootstrap_median_interval(times, stream(seed, f"bootstrap/paired/{name}"))
     row: dict[str, Cell] = {**labels, "trials_n": len(shared), "both_n": both}
     row |= {"only_first_n": first, "only_second_n": second, "neither_n": neither}
     row |= {"rate_difference": (first - second) / len(shared)}
-    row |= {"rate_difference_low": low, "rate_difference_high": high, "p_value": mcnemar_p_value(first, second)}
+    row |= {
+        "rate_difference_low": low,
+        "rate_difference_high": high,
+        "p_value": mcnemar_p_value(first, second),
+    }
     row |= {"duration_difference_s": float(np.median(times)) if times else math.nan}
     row |= {"duration_difference_low_s": least, "duration_difference_high_s": most}
     return [{k: NO_PAIR if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}]
@@ -226,7 +285,8 @@ class Robustness(NamedTuple):
 
     def row(self) -> dict[str, Any]:
         """Return the table row, only condition and reason where it does not apply."""
-        s, name = self.cell.summary, self.cell.condition
+        s = self.cell.summary
+        name = self.cell.condition
         if s is None:
             return {"condition": name, "holds": f"does not apply: {self.cell.why_not}"}
         return {
@@ -255,20 +315,39 @@ def limits_of(config: Config, task: str, method: str, name: str) -> str:
     if method == "impedance" and task == "rod_carry" and CONDITIONS[name].promised:
         return f"{100 * DISTURBED_RATE_MIN:.0f} % or more (carry --perturb)"
     asked = config.deploy.condition_rate_min.get(name)
-    return f"{100 * asked:.0f} % or more (deploy)" if asked and method == "act" and task == config.task else ""
+    return (
+        f"{100 * asked:.0f} % or more (deploy)"
+        if asked and method == "act" and task == config.task
+        else ""
+    )
 
 
-def robustness(cells: Sequence[BenchmarkCell], trials: Sequence[TrialMetrics], rate_min: float) -> list[Robustness]:
+def robustness(
+    cells: Sequence[BenchmarkCell],
+    trials: Sequence[TrialMetrics],
+    rate_min: float,
+) -> list[Robustness]:
     """Return what each condition costs a method; undisturbed, its rate must reach `rate_min`."""
     rates = {c.condition: c.summary["success_rate"] for c in cells if c.summary is not None}
     rows: list[Robustness] = []
     for cell in cells:
-        failed = (f"trial {t.index}: {t.text}" for t in trials if t.condition == cell.condition and not t.success)
+        failed = (
+            f"trial {t.index}: {t.text}"
+            for t in trials
+            if t.condition == cell.condition and not t.success
+        )
         example = next(failed, "")
         if cell.undisturbed:
             example = f"trial {cell.undisturbed[0]}: success, but its push or move never took place"
         drop = rates[CLEAN] - rates.get(cell.condition, float("nan"))
-        rows.append(Robustness(cell, drop, example, rate_min if cell.condition == CLEAN else DISTURBED_RATE_MIN))
+        rows.append(
+            Robustness(
+                cell,
+                drop,
+                example,
+                rate_min if cell.condition == CLEAN else DISTURBED_RATE_MIN,
+            ),
+        )
     return rows
 
 

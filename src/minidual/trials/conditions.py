@@ -39,8 +39,20 @@ DRY_NM = 0.36
 """Coulomb friction of a Panda's joint, mean of seven: half of phi_1 (0.30 to 1.28 Nm) in Gaz et al., IEEE RA-L 4(4),
 2019."""
 _SHADE = (0.6, 1.4)  # factors of an object's colour
-OBJECT_COLOURS = ((0.78, 0.12, 0.12), (0.15, 0.55, 0.20), (0.50, 0.18, 0.60), (0.10, 0.65, 0.70), (0.88, 0.88, 0.86))
-TABLE_COLOURS = ((0.60, 0.45, 0.30), (0.85, 0.85, 0.83), (0.18, 0.18, 0.20), (0.35, 0.50, 0.38), (0.28, 0.38, 0.56))
+OBJECT_COLOURS = (
+    (0.78, 0.12, 0.12),
+    (0.15, 0.55, 0.20),
+    (0.50, 0.18, 0.60),
+    (0.10, 0.65, 0.70),
+    (0.88, 0.88, 0.86),
+)
+TABLE_COLOURS = (
+    (0.60, 0.45, 0.30),
+    (0.85, 0.85, 0.83),
+    (0.18, 0.18, 0.20),
+    (0.35, 0.50, 0.38),
+    (0.28, 0.38, 0.56),
+)
 """Discrete, unlike the trainer's augmentation."""
 _BESIDE_M = (0.64, -0.35), (0.80, 0.35)  # range of the distractors' places (x, y)
 _DRAWS_MAX = 100
@@ -92,14 +104,24 @@ class Condition:
         """Return why it does not apply, or an empty string."""
         if self.sense and self.sense not in METHODS[method].reads(make_task(config)):
             return f"{method} reads no {SENSES[self.sense]}"
-        values, told = {**self.instead_of, **self.settings_under(config)}, self.change is None or self.instead_of
-        if told and values and all(value == attrgetter(path)(config) for path, value in values.items()):
-            return "without it too, " + ", ".join(f"{path} is {value:g}" for path, value in values.items())
+        values = {**self.instead_of, **self.settings_under(config)}
+        told = self.change is None or self.instead_of
+        if (
+            told
+            and values
+            and all(value == attrgetter(path)(config) for path, value in values.items())
+        ):
+            return "without it too, " + ", ".join(
+                f"{path} is {value:g}" for path, value in values.items()
+            )
         return ""
 
     def settings_under(self, config: Config) -> dict[str, float]:
         """Return its changes of `config`."""
-        return {**self.settings, **{path: k * attrgetter(path)(config) for path, k in self.factors.items()}}
+        return {
+            **self.settings,
+            **{path: k * attrgetter(path)(config) for path, k in self.factors.items()},
+        }
 
     def config_under(self, config: Config) -> Config:
         """Return the configuration of its trials.
@@ -113,15 +135,29 @@ class Condition:
         except ValidationError as error:
             told = ", ".join(f"{path} = {value:g}" for path, value in values.items())
             refused = f"condition '{self.name}' sets {told}: {error.errors()[0]['msg']}"
-            raise UsageError(refused, remedy="leave the condition out, or configure less noise") from error
+            raise UsageError(
+                refused,
+                remedy="leave the condition out, or configure less noise",
+            ) from error
 
     @contextmanager
-    def applied(self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> Generator[None]:
+    def applied(
+        self,
+        model: mujoco.MjModel,
+        task: Task,
+        trial: Trial,
+        rng: np.random.Generator,
+    ) -> Generator[None]:
         """Change a model, then restore it."""
         if self.change is None:
             yield
             return
-        fields = (getattr(of, n) for of in (model, model.vis.headlight) for n in dir(of) if not n.startswith("_"))
+        fields = (
+            getattr(of, n)
+            for of in (model, model.vis.headlight)
+            for n in dir(of)
+            if not n.startswith("_")
+        )
         kept = [(values, values.copy()) for values in fields if isinstance(values, np.ndarray)]
         try:
             self.change(model, task, trial, rng)  # inside try: a partial change must be undone too
@@ -143,35 +179,68 @@ def _drawn(rng: np.random.Generator, amount: Amount) -> float:
     return amount if isinstance(amount, float | int) else float(rng.uniform(*amount))
 
 
-def mass(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
+def mass(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    factor: Amount,
+) -> None:
     """Scale the mass and inertia of every object."""
     for name in task.objects:
-        body, scale = model.body(name).id, _drawn(rng, factor)
+        body = model.body(name).id
+        scale = _drawn(rng, factor)
         model.body_mass[body] *= scale
         model.body_inertia[body] *= scale
 
 
-def size(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
+def size(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    factor: Amount,
+) -> None:
     """Scale all objects alike, so that parts still fit, about where they stand; frames and centres of mass stay."""
     scale = _drawn(rng, factor)
     for name in task.objects:
         body = model.body(name)
-        where, upright = trial.start[name], (task.objects[name].body.rest_height_m, np.eye(3)[2])
+        where = trial.start[name]
+        upright = (task.objects[name].body.rest_height_m, np.eye(3)[2])
         height_m, up = upright if isinstance(where, tuple) else (where[2, 3], where[2, :3])
         geoms = model.geom_bodyid == body.id
         model.geom_pos[geoms] = scale * model.geom_pos[geoms] + (scale - 1.0) * height_m * up
         for values in (model.geom_size, model.geom_rbound, model.geom_aabb):
             values[geoms] *= scale
-        boxes = slice(model.body_bvhadr[body.id], model.body_bvhadr[body.id] + model.body_bvhnum[body.id])
+        boxes = slice(
+            model.body_bvhadr[body.id],
+            model.body_bvhadr[body.id] + model.body_bvhnum[body.id],
+        )
         model.bvh_aabb[boxes, 3:] += 0.1  # too large a box loses no contact
 
 
-def friction(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, value: float) -> None:
+def friction(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    value: float,
+) -> None:
     """Set friction of objects, pads and table."""
     model.geom_friction[_touching(model, task), 0] = value
 
 
-def slip(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
+def slip(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    factor: Amount,
+) -> None:
     """Scale the same friction."""
     model.geom_friction[_touching(model, task), 0] *= _drawn(rng, factor)
 
@@ -180,34 +249,66 @@ def _touching(model: mujoco.MjModel, task: Task) -> list[int]:
     """Return the geoms of objects, pads and table: MuJoCo takes the larger friction of two, so all must change."""
     objects = {int(model.body(name).id) for name in task.objects}
     named = ((i, model.geom(i).name) for i in range(model.ngeom))
-    return [i for i, n in named if n.endswith("_pad") or n == "table_top" or int(model.geom_bodyid[i]) in objects]
+    return [
+        i
+        for i, n in named
+        if n.endswith("_pad") or n == "table_top" or int(model.geom_bodyid[i]) in objects
+    ]
 
 
 def joint_friction(
-    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount, every: bool = False
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    factor: Amount,
+    every: bool = False,
 ) -> None:
     """Scale the friction of every joint, or of one, another each trial; no dry friction counts as `DRY_NM`."""
     hinges = np.flatnonzero(model.jnt_type == _HINGE).tolist()
     for hinge in hinges if every else [hinges[trial.index % len(hinges)]]:
-        joint, scale = model.joint(hinge), _drawn(rng, factor)
+        joint = model.joint(hinge)
+        scale = _drawn(rng, factor)
         joint.damping[0] *= scale
         joint.frictionloss[0] = scale * (joint.frictionloss[0] or DRY_NM)
 
 
-def light(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, factor: Amount) -> None:
+def light(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    factor: Amount,
+) -> None:
     """Scale every light."""
-    lamp, scale = model.vis.headlight, _drawn(rng, factor)
-    for values in (model.light_diffuse, model.light_specular, lamp.ambient, lamp.diffuse, lamp.specular):
+    lamp = model.vis.headlight
+    scale = _drawn(rng, factor)
+    for values in (
+        model.light_diffuse,
+        model.light_specular,
+        lamp.ambient,
+        lamp.diffuse,
+        lamp.specular,
+    ):
         values *= scale
 
 
 def camera_moved(
-    model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator, *, distance_m: Amount, angle_rad: Amount
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+    *,
+    distance_m: Amount,
+    angle_rad: Amount,
 ) -> None:
     """Shift and turn every camera of the room in a random direction."""
     import mujoco
 
-    shift_m, half_rad = _drawn(rng, distance_m), _drawn(rng, angle_rad) / 2.0
+    shift_m = _drawn(rng, distance_m)
+    half_rad = _drawn(rng, angle_rad) / 2.0
     for camera in np.flatnonzero(model.cam_bodyid == 0):
         way, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
         model.cam_pos[camera] += shift_m * way
@@ -215,7 +316,12 @@ def camera_moved(
         mujoco.mju_mulQuat(model.cam_quat[camera], turn, model.cam_quat[camera].copy())
 
 
-def object_colour(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+def object_colour(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+) -> None:
     """Paint an object, not its bands; of several, change the shades."""
     if len(task.objects) == 1:
         model.geom(task.carried).rgba[:3] = OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))]
@@ -225,7 +331,12 @@ def object_colour(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.rando
         rgba[:3] = np.minimum(1.0, rgba[:3] * rng.uniform(*_SHADE, 3))
 
 
-def object_hidden(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+def object_hidden(
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+) -> None:
     """Make the objects invisible."""
     for name in task.objects:
         model.geom_rgba[model.geom_bodyid == model.body(name).id, 3] = 0.0
@@ -241,7 +352,8 @@ def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.
     size = 2.0 * DISTRACTOR_HALF_M
     places = [(n, placement(T)) for poses in (trial.start, trial.goal) for n, T in poses.items()]
     for name in DISTRACTORS:
-        thing, yaw = model.geom(name), rng.uniform(-np.pi, np.pi)
+        thing = model.geom(name)
+        yaw = rng.uniform(-np.pi, np.pi)
         for _ in range(_DRAWS_MAX):
             x, y = rng.uniform(*_BESIDE_M).tolist()
             block = ObstacleConfig(size_m=(size, size, size), xy_m=(x, y))
@@ -252,7 +364,13 @@ def distractors(model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.
         thing.rgba[:] = *OBJECT_COLOURS[rng.integers(len(OBJECT_COLOURS))], 1.0
 
 
-def _in_turn(each: Sequence[Change], model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator) -> None:
+def _in_turn(
+    each: Sequence[Change],
+    model: mujoco.MjModel,
+    task: Task,
+    trial: Trial,
+    rng: np.random.Generator,
+) -> None:
     for change in each:
         change(model, task, trial, rng)
 
@@ -260,15 +378,19 @@ def _in_turn(each: Sequence[Change], model: mujoco.MjModel, task: Task, trial: T
 class Push:
     """One ramped force on the carried object's centre of mass, at a random time after it has risen."""
 
-    duration_s, ramp_s, delays_s = 0.2, 0.02, _DELAY_S
+    duration_s = 0.2
+    ramp_s = 0.02
+    delays_s = _DELAY_S
 
     def __init__(self, task: Task, rng: np.random.Generator, *, force_n: Sequence[float]) -> None:
-        self._force, self._name = np.array(force_n, dtype=float), task.carried
+        self._force = np.array(force_n, dtype=float)
+        self._name = task.carried
         self._delay_s = float(rng.uniform(*self.delays_s))
         # without a ramp 20 N on 0.2 kg throws a rigid object off the pads
         self.length_s = self.duration_s + 2.0 * self.ramp_s
         self._rest_m: float | None = None
-        self._risen_s, self._aloft = np.inf, True
+        self._risen_s = np.inf
+        self._aloft = True
         self.took_place = False
 
     def at(self, t_s: float) -> Array:
@@ -296,7 +418,8 @@ class Move:
 
     def __init__(self, task: Task, rng: np.random.Generator, *, distance_m: float) -> None:
         direction = float(rng.uniform(0.0, 2.0 * np.pi))
-        self._by, self._name = distance_m * np.array([np.cos(direction), np.sin(direction)]), task.carried
+        self._by = distance_m * np.array([np.cos(direction), np.sin(direction)])
+        self._name = task.carried
         self.took_place = False
 
     def __call__(self, world: World) -> None:
@@ -307,7 +430,18 @@ class Move:
 
 
 _MADE: dict[str, Callable[..., Disturbance]] = {"push": Push, "move": Move}
-_CHANGED = (mass, size, friction, slip, joint_friction, light, camera_moved, object_colour, table_colour, object_hidden)
+_CHANGED = (
+    mass,
+    size,
+    friction,
+    slip,
+    joint_friction,
+    light,
+    camera_moved,
+    object_colour,
+    table_colour,
+    object_hidden,
+)
 _CHANGES: dict[str, Callable[..., None]] = {f.__name__: f for f in (*_CHANGED, distractors)}
 
 CONDITIONS: Registry[Condition] = Registry("condition", group="minidual.conditions")
@@ -315,14 +449,19 @@ for _name, _row in rows_beside(__file__).items():
     for _function, _arguments in _row.get("act", {}).items():
         _row["act"] = partial(_MADE[_function], **_arguments)
     if "change" in _row:
-        _row["change"] = partial(_in_turn, [partial(_CHANGES[f], **given) for f, given in _row["change"].items()])
+        _row["change"] = partial(
+            _in_turn,
+            [partial(_CHANGES[f], **given) for f, given in _row["change"].items()],
+        )
     CONDITIONS.add(_name, Condition(_name, **_row))
 
 
 def condition(name: str) -> Condition:
     """Return a condition; blanks may be underscores or omitted."""
     short = name.replace(" ", "").replace("_", "")
-    if (known := next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)) is None:
+    if (
+        known := next((n for n in CONDITIONS if n.replace(" ", "").replace("_", "") == short), None)
+    ) is None:
         raise unknown_name("condition", name, CONDITIONS)
     return CONDITIONS[known]
 
@@ -337,7 +476,9 @@ def rooms(names: Sequence[str]) -> tuple[Room, ...]:
     for row in chosen:
         if row.name != CLEAN and row.change is None:
             known = ", ".join(n for n, other in CONDITIONS.items() if n == CLEAN or other.change)
-            raise UsageError(f"demonstrations cannot be recorded under '{row.name}'; there are {known}")
+            raise UsageError(
+                f"demonstrations cannot be recorded under '{row.name}'; there are {known}",
+            )
     return tuple((row.name, row.applied) for row in chosen)
 
 
@@ -350,7 +491,9 @@ def parse_conditions(given: Sequence[str]) -> tuple[str, ...]:
     if list(given) == [ALL]:
         return tuple(CONDITIONS)
     if ALL in given:
-        raise UsageError(f"'{ALL}' stands for every condition; leave out the others of {', '.join(given)}")
+        raise UsageError(
+            f"'{ALL}' stands for every condition; leave out the others of {', '.join(given)}",
+        )
     names = CONDITIONS.names([condition(name).name for name in given])
     if CLEAN not in names:
         remedy = "--conditions " + ",".join(name.replace(" ", "_") for name in (CLEAN, *names))

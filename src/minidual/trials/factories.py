@@ -27,29 +27,53 @@ _REST_S = 2.0
 
 
 def _supervisor(inputs: MethodInputs) -> Supervisor:
-    config, task = inputs.config, make_task(inputs.config)
-    own = [next((i.body for i in task.objects.values() if side in i.grasps), task.scene.object) for side in SIDES]
+    config = inputs.config
+    task = make_task(inputs.config)
+    own = [
+        next((i.body for i in task.objects.values() if side in i.grasps), task.scene.object)
+        for side in SIDES
+    ]
     shapes = [thing_of(body).shape for body in own]
-    return trial_supervisor(config.supervisor, task.scene.physics.timestep_s, robot_from(config.robot), shapes=shapes)
+    return trial_supervisor(
+        config.supervisor,
+        task.scene.physics.timestep_s,
+        robot_from(config.robot),
+        shapes=shapes,
+    )
 
 
 def impedance(inputs: MethodInputs) -> Factory:
     """Impedance of the object in both hands, else of what one hand holds."""
     if not make_task(inputs.config).together:
         return planned(inputs, CompliantCarry)
-    config, supervisor = inputs.config, _supervisor(inputs)
+    config = inputs.config
+    supervisor = _supervisor(inputs)
     return lambda world, kinematics, trial: ImpedanceCarry(
-        world, kinematics, config.carry, trial, seed=inputs.seed, supervisor=supervisor, arbiter=config.arbiter
+        world,
+        kinematics,
+        config.carry,
+        trial,
+        seed=inputs.seed,
+        supervisor=supervisor,
+        arbiter=config.arbiter,
     )
 
 
 def _plans(
-    inputs: MethodInputs, task: Task, kind: type[PlannedCarry] = PlannedCarry
+    inputs: MethodInputs,
+    task: Task,
+    kind: type[PlannedCarry] = PlannedCarry,
 ) -> Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]:
-    config, supervisor = inputs.config, _supervisor(inputs)
+    config = inputs.config
+    supervisor = _supervisor(inputs)
     planner = Planner(config=config.plan.planner, robot=robot_from(config.robot))
 
-    def drive(world: World, kinematics: Kinematics, trial: Trial, poses: Mapping[str, Array]) -> PlannedCarry:
+    def drive(
+        world: World,
+        kinematics: Kinematics,
+        trial: Trial,
+        poses: Mapping[str, Array],
+    ) -> PlannedCarry:
         stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
         own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
         return kind(stack, planner, task, trial, own, poses=poses)
@@ -59,13 +83,17 @@ def _plans(
 
 def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Factory:
     """Plan from one pose reading, then control joint trajectories."""
-    config, task = inputs.config, make_task(inputs.config)
+    config = inputs.config
+    task = make_task(inputs.config)
     drive = _plans(inputs, task, kind)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
-        seen = {name: Sensors(world, config.carry.sensing, rng, name).sense().pose for name in task.objects}
+        seen = {
+            name: Sensors(world, config.carry.sensing, rng, name).sense().pose
+            for name in task.objects
+        }
         poses = {name: sample.T_world_object for name, sample in seen.items() if sample is not None}
         if len(poses) < len(seen):
             raise RuntimeError("the first reading of the sensors holds a pose")
@@ -76,8 +104,10 @@ def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Fa
 
 def replayed(inputs: MethodInputs) -> Factory:
     """Drive the plan of the first demonstration's trial, whatever the start."""
-    task, widen = make_task(inputs.config), inputs.config.teleop.widen
-    shown, drive = task.trial(inputs.seed, "demonstrations", 0, widen=widen), _plans(inputs, task)
+    task = make_task(inputs.config)
+    widen = inputs.config.teleop.widen
+    shown = task.trial(inputs.seed, "demonstrations", 0, widen=widen)
+    drive = _plans(inputs, task)
     poses = {name: pose_of(task.objects[name].body, T) for name, T in shown.start.items()}
     return lambda world, kinematics, trial: drive(world, kinematics, shown, poses)
 
@@ -92,8 +122,11 @@ class Rest(Drive):
 
 def resting(inputs: MethodInputs) -> Factory:
     """Hold still."""
-    config, supervisor = inputs.config, _supervisor(inputs)
-    return lambda world, kinematics, trial: Rest(ControlStack(world, kinematics, config.arbiter, supervisor=supervisor))
+    config = inputs.config
+    supervisor = _supervisor(inputs)
+    return lambda world, kinematics, trial: Rest(
+        ControlStack(world, kinematics, config.arbiter, supervisor=supervisor),
+    )
 
 
 def policy(inputs: MethodInputs) -> Factory:
@@ -108,7 +141,17 @@ def policy(inputs: MethodInputs) -> Factory:
     camera = functools.cache(lambda model: Camera.recorded(model, config.scene.camera))
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
-        stack = ControlStack(world, kinematics, config.arbiter, rate_hz=config.teleop.rate_hz, supervisor=supervisor)
-        return PolicyPilot(stack, runtime, lambda name: (camera(world.model).picture(world.data, name), world.time))
+        stack = ControlStack(
+            world,
+            kinematics,
+            config.arbiter,
+            rate_hz=config.teleop.rate_hz,
+            supervisor=supervisor,
+        )
+        return PolicyPilot(
+            stack,
+            runtime,
+            lambda name: (camera(world.model).picture(world.data, name), world.time),
+        )
 
     return make

@@ -79,9 +79,13 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             check_name("camera", name, CAMERAS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
-        self._task = make_task(Config(task=task) if scene is None else Config(task=task, scene=scene))
-        self.scene, self.render_mode = self._task.scene, render_mode
-        self._images, self._object_pose = tuple(images), object_pose
+        self._task = make_task(
+            Config(task=task) if scene is None else Config(task=task, scene=scene),
+        )
+        self.scene = self._task.scene
+        self.render_mode = render_mode
+        self._images = tuple(images)
+        self._object_pose = object_pose
         robot = robot_from(self._task.config.robot)
         self._world = World(self.scene, robot, visuals=bool(images) or render_mode is not None)
         self._kinematics = Kinematics(robot)
@@ -90,21 +94,33 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._camera: Camera | None = None
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
-        low, high = np.r_[robot.q_lower, 0.0, 0.0], np.r_[robot.q_upper, 1.0, 1.0]
-        self._actions = self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        low = np.r_[robot.q_lower, 0.0, 0.0]
+        high = np.r_[robot.q_upper, 1.0, 1.0]
+        self._actions = self.action_space = spaces.Box(
+            low.astype(np.float32),
+            high.astype(np.float32),
+        )
         beyond = np.r_[np.full(robot.dof, _OVERTRAVEL_RAD), 0.1, 0.1]
-        self._states = spaces.Box((low - beyond).astype(np.float32), (high + beyond).astype(np.float32))
+        self._states = spaces.Box(
+            (low - beyond).astype(np.float32),
+            (high + beyond).astype(np.float32),
+        )
         members: dict[str, spaces.Space[Any]] = {"state": self._states}
         if object_pose:
             members["object"] = spaces.Box(-_FAR, _FAR)
             members["goal"] = spaces.Box(-10.0, 10.0, (3,))
         if images:
             shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
-            members["images"] = spaces.Dict({name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in images})
+            members["images"] = spaces.Dict(
+                {name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in images},
+            )
         self.observation_space = spaces.Dict(members)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start a random trial, or `options["trial"]`.
 
@@ -115,7 +131,11 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         options = options or {}
         for name in options.keys() - {"trial"}:
             raise unknown_name("option", name, ["trial"])
-        trial = options.get("trial") or self._task.trial(int(self.np_random.integers(2**62)), "gym", 0)
+        trial = options.get("trial") or self._task.trial(
+            int(self.np_random.integers(2**62)),
+            "gym",
+            0,
+        )
         if not isinstance(trial, Trial):
             raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a Trial")
         self._judge = begin(self._world, self._task, trial)
@@ -123,19 +143,28 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._potential = self._measure_potential(trial)
         return self._observe(trial), {"trial": trial}
 
-    def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self,
+        action: npt.NDArray[np.float32],
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold one action, clipped to its space.
 
         Raises:
             UsageError: Wrong shape, not finite, or not reset.
         """
         if (judge := self._judge) is None:
-            raise UsageError("the environment was stepped before it was reset", remedy="call env.reset() first")
+            raise UsageError(
+                "the environment was stepped before it was reset",
+                remedy="call env.reset() first",
+            )
         wanted = np.asarray(action, dtype=float)
         if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
             finite = np.count_nonzero(np.isfinite(wanted))
-            raise UsageError(f"an action is {self.action_space.shape} finite numbers; {wanted.shape} has {finite}")
-        wanted, diverged = np.clip(wanted, self._actions.low, self._actions.high), False
+            raise UsageError(
+                f"an action is {self.action_space.shape} finite numbers; {wanted.shape} has {finite}",
+            )
+        wanted = np.clip(wanted, self._actions.low, self._actions.high)
+        diverged = False
         try:
             for _ in range(self._substeps):
                 self._loop.step(wanted[:-2], wanted[-2:])
@@ -149,20 +178,34 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         terminated = diverged or fallen or judge.finished
         truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
         potential = self._potential if diverged else self._measure_potential(judge.trial)
-        reward, self._potential = float(success) + (potential - self._potential), potential
-        info: dict[str, Any] = {"success": success, "trial": judge.trial, "time_s": self._world.time}
+        reward = float(success) + (potential - self._potential)
+        self._potential = potential
+        info: dict[str, Any] = {
+            "success": success,
+            "trial": judge.trial,
+            "time_s": self._world.time,
+        }
         if terminated or truncated:
             info["outcome"], info["stages"] = outcome, judge.stages
-            info["failures"] = ("diverged",) if diverged else tuple(failure.name for failure in outcome.failures)
+            info["failures"] = (
+                ("diverged",) if diverged else tuple(failure.name for failure in outcome.failures)
+            )
         return self._observe(judge.trial), reward, terminated, truncated, info
 
     def _measure_potential(self, trial: Trial) -> float:
         name = self._task.carried
         T = self._world.object_pose(name)
-        level, grasps = level_part(T), self._task.objects[name].grasps
+        level = level_part(T)
+        grasps = self._task.objects[name].grasps
         tcps = zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
-        hands = [float(np.linalg.norm((level @ grasps[s] - tcp)[:3, 3])) for s, tcp in tcps if s in grasps]
-        goal = float(np.linalg.norm((T - pose_of(self._task.objects[name].body, trial.goal[name]))[:3, 3]))
+        hands = [
+            float(np.linalg.norm((level @ grasps[s] - tcp)[:3, 3]))
+            for s, tcp in tcps
+            if s in grasps
+        ]
+        goal = float(
+            np.linalg.norm((T - pose_of(self._task.objects[name].body, trial.goal[name]))[:3, 3]),
+        )
         return -(sum(hands) / max(len(hands), 1) + goal)
 
     def _observe(self, trial: Trial) -> Observation:
@@ -171,18 +214,30 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         observation: Observation = {"state": np.clip(state, self._states.low, self._states.high)}
         if self._object_pose:
             body = world.data.body(self._task.carried)
-            observation["object"] = np.clip(np.concatenate([body.xpos, body.xquat]).astype(np.float32), -_FAR, _FAR)
-            observation["goal"] = np.array(placement(trial.goal[self._task.carried]), dtype=np.float32)
+            observation["object"] = np.clip(
+                np.concatenate([body.xpos, body.xquat]).astype(np.float32),
+                -_FAR,
+                _FAR,
+            )
+            observation["goal"] = np.array(
+                placement(trial.goal[self._task.carried]),
+                dtype=np.float32,
+            )
         if self._images:
             camera = self._camera = self._camera or Camera.recorded(world.model, self.scene.camera)
-            observation["images"] = {name: camera.picture(world.data, name) for name in self._images}
+            observation["images"] = {
+                name: camera.picture(world.data, name) for name in self._images
+            }
         return observation
 
     def render(self) -> Image | None:  # type: ignore[override]
         """Return the overview image, or None without a render mode."""
         if self.render_mode is None:
             return None
-        camera = self._render_camera = self._render_camera or Camera(self._world.model, *_RENDERED_PX)
+        camera = self._render_camera = self._render_camera or Camera(
+            self._world.model,
+            *_RENDERED_PX,
+        )
         return camera.picture(self._world.data, "overview")
 
     def close(self) -> None:

@@ -59,7 +59,11 @@ class TrialLog:
 
 def jerk(q: Array, cutoff_hz: float) -> float:
     """Return `rms_jerk` of a log's joints (T, n), or NaN if it is too short."""
-    return math.nan if (len(q) - 1) / LOG_RATE_HZ < MIN_DURATION_S else rms_jerk(q, LOG_RATE_HZ, cutoff_hz)
+    return (
+        math.nan
+        if (len(q) - 1) / LOG_RATE_HZ < MIN_DURATION_S
+        else rms_jerk(q, LOG_RATE_HZ, cutoff_hz)
+    )
 
 
 def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
@@ -69,8 +73,11 @@ def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
     """
     held = log.airborne & (log.pinch.min(axis=1) > _HELD_N)
     span = np.linalg.norm(log.tcp[held, 0] - log.tcp[held, 1], axis=1)
-    missed, velocity = log.internal_force[held] - wanted_n, np.diff(log.position, axis=0) * LOG_RATE_HZ
-    velocity[np.linalg.norm(velocity, axis=1) > _PUT_M_PER_S] = math.nan  # somebody put it there: no contact
+    missed = log.internal_force[held] - wanted_n
+    velocity = np.diff(log.position, axis=0) * LOG_RATE_HZ
+    velocity[np.linalg.norm(velocity, axis=1) > _PUT_M_PER_S] = (
+        math.nan
+    )  # somebody put it there: no contact
     change = np.linalg.norm(velocity[_IMPULSE_ROWS:] - velocity[:-_IMPULSE_ROWS], axis=1)
     return {
         "sync_error_m": float(np.abs(span - span[0]).max()) if len(span) else math.nan,

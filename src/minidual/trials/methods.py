@@ -92,12 +92,18 @@ class MethodSpec(NamedTuple):
 
     def factory(self, inputs: MethodInputs) -> Factory:
         """Return the trial factory."""
-        return load_target(self.target)(inputs._replace(config=changed(inputs.config, self.settings)))
+        return load_target(self.target)(
+            inputs._replace(config=changed(inputs.config, self.settings)),
+        )
 
 
 _CANNOT: dict[str, Callable[[Task, str], str]] = {
-    "another_task": lambda task, trained: "" if trained in ("", task.name) else f"its policy is trained on '{trained}'",
-    "held_apart": lambda task, trained: "" if task.together else "the hands hold no object together",
+    "another_task": lambda task, trained: (
+        "" if trained in ("", task.name) else f"its policy is trained on '{trained}'"
+    ),
+    "held_apart": lambda task, trained: (
+        "" if task.together else "the hands hold no object together"
+    ),
 }
 METHODS: Registry[MethodSpec] = Registry("method", group="minidual.methods")
 for _name, _row in _ROWS["methods"].items():
@@ -112,4 +118,7 @@ def check_able(method: str, tasks: Collection[Task], trained: str = "") -> None:
     reasons = [f"'{task.name}': {why}" for task in tasks if (why := spec.cannot(task, trained))]
     if len(reasons) == len(tasks):
         able = [name for name in TASKS if not spec.cannot(make_task(Config(task=name)), trained)]
-        raise UsageError(f"the method '{method}' cannot do {'; '.join(reasons)}", remedy=f"it can do {', '.join(able)}")
+        raise UsageError(
+            f"the method '{method}' cannot do {'; '.join(reasons)}",
+            remedy=f"it can do {', '.join(able)}",
+        )

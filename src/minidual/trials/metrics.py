@@ -80,7 +80,9 @@ class TrialMetrics:
         """Return the trial for CSV or JSON."""
         words = {"failed_at_s": "did not fail", "duration_s": "did not succeed"}
         hidden = ("saturated_max_s", "measured", "wall")
-        told = {name: value for name, value in vars(self).items() if name not in hidden} | self.measures
+        told = {
+            name: value for name, value in vars(self).items() if name not in hidden
+        } | self.measures
         row = {name: _said(value, words.get(name, NOT_MEASURED)) for name, value in told.items()}
         return {**row, "disturbed": "no push or move" if self.disturbed is None else self.disturbed}
 
@@ -121,7 +123,9 @@ class MethodSummary:
             name: _said(value, missing if name.startswith(_OVER_SUCCESSES) else NOT_MEASURED)
             for name, value in self.numbers.items()
         }
-        labels = {name: getattr(self, name) for name in ("method", "condition", "trials_n", "successes_n")}
+        labels = {
+            name: getattr(self, name) for name in ("method", "condition", "trials_n", "successes_n")
+        }
         failures = "; ".join(f"{name} {count}" for name, count in self.failures.items()) or "none"
         measures = {name: _said(value, NOT_MEASURED) for name, value in self.measures.items()}
         return {**labels, **numbers, **measures, "failures": failures, "stopped_n": self.stopped_n}
@@ -129,13 +133,21 @@ class MethodSummary:
     def record(self) -> dict[str, Any]:
         """Return the summary for a verdict; NaN becomes "nan"."""
         numbers = {name: _said(value, "nan") for name, value in self.numbers.items()}
-        counts = {"trials": self.trials_n, "successes_n": self.successes_n, "stopped_n": self.stopped_n}
+        counts = {
+            "trials": self.trials_n,
+            "successes_n": self.successes_n,
+            "stopped_n": self.stopped_n,
+        }
         measures = {name: _said(value, "nan") for name, value in self.measures.items()}
         return {**counts, **numbers, "failures": dict(self.failures), "measures": measures}
 
     def not_finite(self) -> list[str]:
         """Return the names of numbers that its trials should have given."""
-        due = [n for n in self.numbers if not n.startswith(_OF_SOME_TASKS if self.successes_n else _OVER_SUCCESSES)]
+        due = [
+            n
+            for n in self.numbers
+            if not n.startswith(_OF_SOME_TASKS if self.successes_n else _OVER_SUCCESSES)
+        ]
         return [n for n in due if not math.isfinite(self.numbers[n])]
 
     @property
@@ -145,7 +157,13 @@ class MethodSummary:
         return f"{self.successes_n} of {self.trials_n} trials, 95 % Wilson interval {within}"
 
 
-def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **known: Any) -> TrialMetrics:
+def trial_metrics(
+    method: str,
+    index: int,
+    outcome: Outcome,
+    log: TrialLog,
+    **known: Any,
+) -> TrialMetrics:
     """Return the metrics of one undisturbed trial; `known` are further fields.
 
     Raises:
@@ -161,7 +179,10 @@ def trial_metrics(method: str, index: int, outcome: Outcome, log: TrialLog, **kn
         path_length_m=float(path_length(log.tcp).mean()),
         pinch_force_min_n=outcome.number("pinch_min_n"),
         measured=outcome.measured,
-        **{name: outcome.number(name) for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")},
+        **{
+            name: outcome.number(name)
+            for name in ("tilt_max_rad", "internal_force_min_n", "goal_error_m")
+        },
         **known,
     )
 
@@ -177,39 +198,73 @@ def summarise(trials: Sequence[TrialMetrics], rng: np.random.Generator) -> Metho
         raise NothingEvaluatedError("no trials to summarise")
     labels = {(trial.method, trial.condition) for trial in trials}
     if len(labels) > 1:
-        raise UsageError(f"trials of {len(labels)} methods or conditions in one summary: {sorted(labels)}")
+        raise UsageError(
+            f"trials of {len(labels)} methods or conditions in one summary: {sorted(labels)}",
+        )
     if len({trial.index for trial in trials}) != len(trials):
-        raise UsageError(f"method {trials[0].method} ran the same trial twice; a trial would count double")
+        raise UsageError(
+            f"method {trials[0].method} ran the same trial twice; a trial would count double",
+        )
     won = [trial for trial in trials if trial.success]
     low, high = wilson_interval(len(won), len(trials))
 
     def spread(values: Sequence[float], *names: str) -> dict[str, float]:
         """Return median and interval under these names."""
-        return dict(zip(names, (_median(values), *bootstrap_median_interval(values, rng)), strict=True))
+        return dict(
+            zip(names, (_median(values), *bootstrap_median_interval(values, rng)), strict=True),
+        )
 
-    torques, tilts = [t.torque_ratio_max for t in trials], [t.tilt_max_rad for t in trials]
+    torques = [t.torque_ratio_max for t in trials]
+    tilts = [t.tilt_max_rad for t in trials]
     jerks = [t.jerk_rms for t in trials if math.isfinite(t.jerk_rms)]
     numbers = {  # np.max and np.min propagate NaN, the built-ins may not
         "success_rate": len(won) / len(trials),
         "success_low": low,
         "success_high": high,
-        **spread([t.duration_s for t in won], "duration_median_s", "duration_low_s", "duration_high_s"),
+        **spread(
+            [t.duration_s for t in won],
+            "duration_median_s",
+            "duration_low_s",
+            "duration_high_s",
+        ),
         "torque_ratio_max": float(np.max(torques)),
         **spread(torques, "torque_ratio_median", "torque_ratio_low", "torque_ratio_high"),
         **spread(jerks, "jerk_rms_median", "jerk_rms_low", "jerk_rms_high"),
         "tilt_max_rad": float(np.max(tilts)),
         **spread(tilts, "tilt_median_rad", "tilt_low_rad", "tilt_high_rad"),
-        **spread([t.path_length_m for t in won], "path_length_m", "path_length_low_m", "path_length_high_m"),
-        "internal_force_min_n": float(np.min([t.internal_force_min_n for t in won])) if won else math.nan,
+        **spread(
+            [t.path_length_m for t in won],
+            "path_length_m",
+            "path_length_low_m",
+            "path_length_high_m",
+        ),
+        "internal_force_min_n": float(np.min([t.internal_force_min_n for t in won]))
+        if won
+        else math.nan,
         "pinch_force_min_n": float(np.min([t.pinch_force_min_n for t in won])) if won else math.nan,
         "goal_error_median_m": _median([t.goal_error_m for t in trials]),
     }
-    counts = Counter(f"{t.failure} ({t.failed_in})" if t.failed_in else t.failure for t in trials if not t.success)
+    counts = Counter(
+        f"{t.failure} ({t.failed_in})" if t.failed_in else t.failure
+        for t in trials
+        if not t.success
+    )
     failures = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
     stopped_n = sum(bool(t.aborted) and not t.success for t in trials)
-    measures = {name: _median([x for t in trials if math.isfinite(x := t.measures[name])]) for name in MEASURES}
+    measures = {
+        name: _median([x for t in trials if math.isfinite(x := t.measures[name])])
+        for name in MEASURES
+    }
     measures["progress"] = float(np.mean([t.measures["progress"] for t in trials]))
-    return MethodSummary(*labels.pop(), len(trials), len(won), numbers, failures, stopped_n, measures)
+    return MethodSummary(
+        *labels.pop(),
+        len(trials),
+        len(won),
+        numbers,
+        failures,
+        stopped_n,
+        measures,
+    )
 
 
 def _median(values: Sequence[float]) -> float:

@@ -85,7 +85,8 @@ class ModesDemo:
     """
 
     def __init__(self, stack: ControlStack[World], turns: Sequence[Turn]) -> None:
-        self.stack, self._turns = stack, tuple(turns)
+        self.stack = stack
+        self._turns = tuple(turns)
         self.turn: Turn | None = None
         self.switches: list[Switch] = []
         self.outcomes: list[dict[str, Any]] = []
@@ -113,7 +114,8 @@ class ModesDemo:
                 raise
 
     def _drive(self, turn: Turn) -> Iterator[Turn]:
-        stack, world = self.stack, self.stack.plant
+        stack = self.stack
+        world = self.stack.plant
         self.turn = turn
         switch = Switch(turn.mode, world.time, speed_at_request_rad_s=float(np.abs(world.v).max()))
         switch.torque_step_max_nm = world.robot.arm.tau_rate_max * world.dt
@@ -122,7 +124,8 @@ class ModesDemo:
         while stack.source != turn.mode:
             self._step()
             yield turn
-        switch.confirmed_s, switch.controllers = world.time, stack.manager.active
+        switch.confirmed_s = world.time
+        switch.controllers = stack.manager.active
         for _ in self._driven(turn):
             self._step()
             yield turn
@@ -145,7 +148,10 @@ class ModesDemo:
         named = [(s.mode, s.bounds(arbiter).items()) for s in self.switches]
         return {
             "switches": [asdict(s) for s in self.switches],
-            "bounds": [{"mode": mode, **{n: {"value": v, "bound": b} for n, (v, b) in of}} for mode, of in named],
+            "bounds": [
+                {"mode": mode, **{n: {"value": v, "bound": b} for n, (v, b) in of}}
+                for mode, of in named
+            ],
             "outcomes": self.outcomes,
             "exceeded": self.exceeded(arbiter),
             "refusals": [asdict(r) for r in self.stack.refusals],
@@ -154,24 +160,40 @@ class ModesDemo:
         }
 
     def _step(self) -> None:
-        stack, switch = self.stack, self.switches[-1]
+        stack = self.stack
+        switch = self.switches[-1]
         stack.step()
-        now = np.array([stack.output.q_target, stack.manager.reference, stack.applied, stack.manager.tau])
-        steps, self._last = np.abs(now - (now if self._last is None else self._last)), now
+        now = np.array(
+            [stack.output.q_target, stack.manager.reference, stack.applied, stack.manager.tau],
+        )
+        steps = np.abs(now - (now if self._last is None else self._last))
+        self._last = now
         self._measure(switch, *steps)
         if self._steps % _LOG_EVERY == 0:
             names = ("reference_step_max_rad", "torque_step_max_nm", "torque_step_asked_max_nm")
-            largest = {name: f"{x:.6g}" for name, x in zip(names, steps[1:].max(axis=1), strict=True)}
+            largest = {
+                name: f"{x:.6g}" for name, x in zip(names, steps[1:].max(axis=1), strict=True)
+            }
             row = {"time_s": f"{stack.plant.time:.3f}", "mode": switch.mode}
             row |= {"active_source": stack.output.active_source or "", "state": str(stack.state)}
             self.rows.append({**row, "controllers": " ".join(stack.manager.active), **largest})
         self._steps += 1
         if stack.state == ArbiterState.STOPPED:
             last = stack.refusals[-1].detail if stack.refusals else "no command came"
-            raise SwitchError(f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {last}")
+            raise SwitchError(
+                f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {last}",
+            )
 
-    def _measure(self, switch: Switch, target: Array, reference: Array, applied: Array, asked: Array) -> None:
-        stack, plant = self.stack, self.stack.plant
+    def _measure(
+        self,
+        switch: Switch,
+        target: Array,
+        reference: Array,
+        applied: Array,
+        asked: Array,
+    ) -> None:
+        stack = self.stack
+        plant = self.stack.plant
         driven = stack.output.active_source == switch.mode
         if driven and np.isnan(switch.first_command_s):
             switch.first_command_s = plant.time
@@ -180,7 +202,10 @@ class ModesDemo:
             return
         if driven and stack.state in _DRIVEN:
             switch.target_step_rad = _larger(switch.target_step_rad, target)
-        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference / (plant.robot.v_max * plant.dt))
+        switch.reference_step_ratio = _larger(
+            switch.reference_step_ratio,
+            reference / (plant.robot.v_max * plant.dt),
+        )
         switch.torque_step_nm = _larger(switch.torque_step_nm, applied)
         switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
 

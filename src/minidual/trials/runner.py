@@ -34,7 +34,10 @@ from minidual.workers import in_workers
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
 # Errors that end a trial, with the failure name.
-_BROKEN: dict[type[MinidualError], str] = {SimulationDivergedError: "diverged", SingularPostureError: "singular"}
+_BROKEN: dict[type[MinidualError], str] = {
+    SimulationDivergedError: "diverged",
+    SingularPostureError: "singular",
+}
 
 StepHook = Callable[[World, Method], None]
 """Called after each step; read-only."""
@@ -52,17 +55,28 @@ class Bench:
         UsageError: The condition sets a value out of bounds.
     """
 
-    def __init__(self, method: str, inputs: MethodInputs, condition: str = CLEAN, *, visuals: bool = False) -> None:
-        self.method, self.seed = method, inputs.seed
+    def __init__(
+        self,
+        method: str,
+        inputs: MethodInputs,
+        condition: str = CLEAN,
+        *,
+        visuals: bool = False,
+    ) -> None:
+        self.method = method
+        self.seed = inputs.seed
         self.spec: MethodSpec = METHODS[method]
         self.condition = named_condition(condition)
         self.task: Task = make_task(self.condition.config_under(inputs.config))
         check_able(method, [self.task], inputs.trained)
         robot = robot_from(inputs.config.robot)
         model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
-        self.world, self.kinematics = World(self.task.scene, robot, model=model), Kinematics(robot)
+        self.world = World(self.task.scene, robot, model=model)
+        self.kinematics = Kinematics(robot)
         self.hands = Hands(self.kinematics)
-        self.factory = self.spec.factory(inputs._replace(config=self.task.config))  # with the settings of the task
+        self.factory = self.spec.factory(
+            inputs._replace(config=self.task.config),
+        )  # with the settings of the task
 
     def run(self, trial: Trial, *, on_step: StepHook = lambda world, method: None) -> Judged:
         """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
@@ -71,7 +85,11 @@ class Bench:
         disturb = None if spec.act is None else spec.act(self.task, rng)
         with spec.applied(self.world.model, self.task, trial, rng):
             result, log = self._run(trial, disturb, on_step)
-        return replace(result, condition=spec.name, disturbed=None if disturb is None else disturb.took_place), log
+        return replace(
+            result,
+            condition=spec.name,
+            disturbed=None if disturb is None else disturb.took_place,
+        ), log
 
     def record(self, trial: Trial, path: Path) -> Judged:
         """Run a trial and write it to `path` (.npz) for replay."""
@@ -79,34 +97,59 @@ class Bench:
         result, log = self.run(trial)
         self.world.recorder = None
         carry = self.task.config.carry
-        details = {"method": self.method, "purpose": trial.purpose, "trial": trial.index, "success": result.success}
+        details = {
+            "method": self.method,
+            "purpose": trial.purpose,
+            "trial": trial.index,
+            "success": result.success,
+        }
         details |= {"task": self.task.name, "object": carry.object, "motion": carry.motion}
-        write_recording(path, recorder.recording(f"{self.method}, trial {trial.index}: {result.text}", details=details))
+        write_recording(
+            path,
+            recorder.recording(
+                f"{self.method}, trial {trial.index}: {result.text}",
+                details=details,
+            ),
+        )
         return result, log
 
     def _run(self, trial: Trial, disturb: Disturbance | None, on_step: StepHook) -> Judged:
         world = self.world
         judge = begin(world, self.task, trial, self.spec.demands)
-        began_s, method = time.process_time(), self.factory(world, self.kinematics, trial)
+        began_s = time.process_time()
+        method = self.factory(world, self.kinematics, trial)
         self.ran = method
-        wall, every = {"planning_s": time.process_time() - began_s}, round(1.0 / (LOG_RATE_HZ * world.dt))
+        wall = {"planning_s": time.process_time() - began_s}
+        every = round(1.0 / (LOG_RATE_HZ * world.dt))
         seen = judge.truth[self.task.carried]
-        rows, phases = list[tuple[Any, ...]](), list[str]()
-        most, saturated, tau_max = np.zeros(2), np.zeros(world.robot.dof), np.array(world.robot.tau_max)
-        model, data, finished_s, broken = world.model, world.data, 0.0, None
-        time_s, qpos, qvel = data.time, data.qpos, data.qvel
-        last_q, last_v = qpos.copy(), qvel.copy()
+        rows = list[tuple[Any, ...]]()
+        phases = list[str]()
+        most = np.zeros(2)
+        saturated = np.zeros(world.robot.dof)
+        tau_max = np.array(world.robot.tau_max)
+        model = world.model
+        data = world.data
+        finished_s = 0.0
+        broken = None
+        time_s = data.time
+        qpos = data.qpos
+        qvel = data.qvel
+        last_q = qpos.copy()
+        last_v = qvel.copy()
         for step in range(round(self.task.time_limit_s / world.dt)):
             try:
                 method.step()
             except tuple(_BROKEN) as error:
-                data.time, qpos[:], qvel[:] = time_s, last_q, last_v  # a diverged world has been reset
+                data.time = time_s  # a diverged world has been reset
+                qpos[:] = last_q
+                qvel[:] = last_v
                 mujoco.mj_forward(model, data)
                 broken = Failure(_BROKEN[type(error)], world.time, error.message)
                 judge.truth.refresh(world)
                 rows = rows or [self._sample(seen)]
                 break
-            last_q, last_v = qpos.copy(), qvel.copy()  # half the time of writing into an array
+            last_q = qpos.copy()  # half the time of writing into an array
+            last_v = qvel.copy()
             judge.observe(world)
             time_s = judge.truth.time
             strain(world.tau, tau_max, SATURATED, saturated, most)
@@ -122,7 +165,8 @@ class Bench:
             finished_s = finished_s + world.dt if judge.finished else 0.0
             if method.done or finished_s > SETTLED_S:
                 break
-        log, outcome = TrialLog(*map(np.array, zip(*rows, strict=True))), judge.outcome(world)
+        log = TrialLog(*map(np.array, zip(*rows, strict=True)))
+        outcome = judge.outcome(world)
         if broken is not None:  # the cause comes before its consequences
             outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
         controls = self.task.together and "squeezed" in self.spec.demands
@@ -131,15 +175,30 @@ class Bench:
         found = {name: x for name, x in measure(log, mass_kg, wanted_n).items() if math.isfinite(x)}
         outcome = replace(outcome, measured={**outcome.measured, **found})
         wall["inference_s"] = getattr(method, "inference_s", math.nan)
-        known: Any = {"torque_ratio_max": most.item(0), "saturated_max_s": most.item(1) * world.dt, "wall": wall}
-        result = trial_metrics(self.method, trial.index, outcome, log, aborted=method.aborted or "", **known)
+        known: Any = {
+            "torque_ratio_max": most.item(0),
+            "saturated_max_s": most.item(1) * world.dt,
+            "wall": wall,
+        }
+        result = trial_metrics(
+            self.method,
+            trial.index,
+            outcome,
+            log,
+            aborted=method.aborted or "",
+            **known,
+        )
         if not result.success:
             until = phases[: int(result.failed_at_s * LOG_RATE_HZ) + 1]
-            result = replace(result, failed_in=next((p for p in reversed(until) if p not in ("stop", "done")), ""))
+            result = replace(
+                result,
+                failed_in=next((p for p in reversed(until) if p not in ("stop", "done")), ""),
+            )
         return result, log
 
     def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
-        world, q = self.world, self.world.q
+        world = self.world
+        q = self.world.q
         self.hands.update(q)
         thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n, seen.airborne
         return (world.time, q, world.tau, [p.copy() for p in self.hands.p], *thing)
@@ -149,7 +208,9 @@ _BENCHES: dict[str, Bench] = {}
 
 
 def _bench(method: str, inputs: MethodInputs, condition: str) -> Bench:
-    key = f"{method}/{condition}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
+    key = (
+        f"{method}/{condition}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
+    )
     if key not in _BENCHES:
         _BENCHES.clear()
         _BENCHES[key] = Bench(method, inputs, condition)
@@ -169,7 +230,13 @@ def run_trials(
     if watch is not None:
         bench = Bench(method, inputs, condition)
         for number, trial in enumerate(trials, start=1):
-            title = f"{method}, trial {number} of {len(trials)}" + (f", {condition}" if condition != CLEAN else "")
+            title = f"{method}, trial {number} of {len(trials)}" + (
+                f", {condition}" if condition != CLEAN else ""
+            )
             yield bench.run(trial, on_step=watch(bench, title))[0]
         return
-    yield from in_workers(lambda trial: _bench(method, inputs, condition).run(trial)[0], trials, workers)
+    yield from in_workers(
+        lambda trial: _bench(method, inputs, condition).run(trial)[0],
+        trials,
+        workers,
+    )

@@ -9,7 +9,8 @@ from scipy.stats import binomtest
 
 from minidual.errors import NothingEvaluatedError, UsageError
 
-_CONFIDENCE, _RESAMPLES_N = 0.95, 5000
+_CONFIDENCE = 0.95
+_RESAMPLES_N = 5000
 
 
 def wilson_interval(successes: int, n: int) -> tuple[float, float]:
@@ -48,7 +49,12 @@ def mcnemar_p_value(only_first: int, only_second: int) -> float:
     return float(binomtest(only_first, n).pvalue) if n else 1.0
 
 
-def paired_rate_interval(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
+def paired_rate_interval(
+    both: int,
+    only_first: int,
+    only_second: int,
+    neither: int,
+) -> tuple[float, float]:
     """Return the 95 % interval (low, high) of the difference of two paired success rates.
 
     Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635, method 10.
@@ -59,9 +65,15 @@ def paired_rate_interval(both: int, only_first: int, only_second: int, neither: 
     n = both + only_first + only_second + neither
     first_low, first_high = wilson_interval(both + only_first, n)
     second_low, second_high = wilson_interval(both + only_second, n)
-    first, second = (both + only_first) / n, (both + only_second) / n
+    first = (both + only_first) / n
+    second = (both + only_second) / n
     # Phi coefficient, continuity-corrected if positive; 0 if undefined.
-    margins = (both + only_first) * (only_second + neither) * (both + only_second) * (only_first + neither)
+    margins = (
+        (both + only_first)
+        * (only_second + neither)
+        * (both + only_second)
+        * (only_first + neither)
+    )
     covariance = both * neither - only_first * only_second
     if covariance > 0:
         covariance = max(covariance - n / 2.0, 0.0)

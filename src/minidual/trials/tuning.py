@@ -28,17 +28,22 @@ PURPOSE = "tuning"
 CARRIES_N = 5
 FORCES_N = (10.0, 20.0, 30.0, 40.0)
 STIFFNESSES_N_PER_M = (150.0, 300.0, 450.0, 600.0)  # the last is the largest recommended
-FORCE_FACTOR, STIFFNESS_FACTOR = 1.5, 0.8
+FORCE_FACTOR = 1.5
+STIFFNESS_FACTOR = 0.8
 OSCILLATION_MAX_M = 0.0003
 TRACKING_MAX_M = 0.01
 COMPARED_N = (20.0, 40.0, 80.0)
 _HIGH_PASS_HZ = 5.0
-_FORCE_STEP_N, _STEP_N_PER_M = 0.5, 10.0
+_FORCE_STEP_N = 0.5
+_STEP_N_PER_M = 10.0
 _SAFE_TORQUE = 0.95
 # The condition of success that the softest step may fail.
 _SQUEEZED = "squeezed"
 _WORST: dict[str, Callable[[Sequence[float]], Any]] = {
-    **dict.fromkeys(("tracking_max_m", "oscillation_m", "torque_ratio_max", "tilt_max_rad"), np.max),
+    **dict.fromkeys(
+        ("tracking_max_m", "oscillation_m", "torque_ratio_max", "tilt_max_rad"),
+        np.max,
+    ),
     "internal_force_min_n": np.min,
 }
 """What the worst of several carries is."""
@@ -110,9 +115,17 @@ class Tuner:
     """Runs the three phases."""
 
     def __init__(
-        self, config: Config, seed: int, *, workers: int = 1, on_step: Callable[[TuningStep], None] = lambda step: None
+        self,
+        config: Config,
+        seed: int,
+        *,
+        workers: int = 1,
+        on_step: Callable[[TuningStep], None] = lambda step: None,
     ) -> None:
-        self._config, self._seed, self._workers, self._on_step = config, seed, workers, on_step
+        self._config = config
+        self._seed = seed
+        self._workers = workers
+        self._on_step = on_step
         self.steps: list[TuningStep] = []
 
     def run(self) -> Tuning:
@@ -123,23 +136,38 @@ class Tuner:
         """
         self._safe(FORCES_N[0], STIFFNESSES_N_PER_M[0])
         start = self._config.carry.impedance.stiffness_n_per_m
-        _, least = _bracket(FORCES_N, _FORCE_STEP_N, lambda force: self._step("force", force, start).holds)
+        _, least = _bracket(
+            FORCES_N,
+            _FORCE_STEP_N,
+            lambda force: self._step("force", force, start).holds,
+        )
         if least is None:
             row = self.steps[-1].row()
             found = f"least force {row['internal_force_min_n']} N, needs > {self._config.scene.task.internal_force_min_n:.0f}"
-            remedy = "pinch harder (carry.impedance.pinch_n) or see whether the pads slip (friction)"
+            remedy = (
+                "pinch harder (carry.impedance.pinch_n) or see whether the pads slip (friction)"
+            )
             what = f"no squeeze up to {FORCES_N[-1]:.0f} N holds: {found}; {row['first_failure']}"
             raise TuningError(what, remedy=remedy)
         # Rounded before the final carries, so that exactly the written values are tried.
         force = round(FORCE_FACTOR * least, 1)
 
-        last, _ = _bracket(STIFFNESSES_N_PER_M, _STEP_N_PER_M, lambda k: not self._step("stiffness", force, k).steady)
+        last, _ = _bracket(
+            STIFFNESSES_N_PER_M,
+            _STEP_N_PER_M,
+            lambda k: not self._step("stiffness", force, k).steady,
+        )
         if last is None:
             row = self.steps[-1].row()
             found = f"{row['oscillation_rms_mm']} mm RMS above {_HIGH_PASS_HZ:.0f} Hz) {row['first_failure']}"
             what = f"the object oscillates even at {STIFFNESSES_N_PER_M[0]:.0f} N/m with {force:.1f} N ({found}"
-            raise TuningError(what, remedy="raise carry.impedance.damping_ratio or look at the sensing delay")
-        stiffness = last if last == STIFFNESSES_N_PER_M[-1] else float(round(STIFFNESS_FACTOR * last))
+            raise TuningError(
+                what,
+                remedy="raise carry.impedance.damping_ratio or look at the sensing delay",
+            )
+        stiffness = (
+            last if last == STIFFNESSES_N_PER_M[-1] else float(round(STIFFNESS_FACTOR * last))
+        )
         final = self._step("final", force, stiffness)
         if not (final.holds and final.worst("tracking_max_m") < TRACKING_MAX_M):
             row = final.row()
@@ -157,14 +185,21 @@ class Tuner:
         remedy = "carry more slowly: lower carry.pace.object_speed_m_per_s"
         what = f"the softest carry ({stiffness_n_per_m:.0f} N/m, {force_n:.0f} N)"
         if not (ratio := step.worst("torque_ratio_max")) < _SAFE_TORQUE:
-            raise TuningError(f"{what} already takes {100 * ratio:.0f} % of a motor's torque", remedy=remedy)
+            raise TuningError(
+                f"{what} already takes {100 * ratio:.0f} % of a motor's torque",
+                remedy=remedy,
+            )
         if failed := [c for c in step.carries if not c.success and c.failure != _SQUEEZED]:
-            raise TuningError(f"{what} is not safe: trial {failed[0].index}, {failed[0].text}", remedy=remedy)
+            raise TuningError(
+                f"{what} is not safe: trial {failed[0].index}, {failed[0].text}",
+                remedy=remedy,
+            )
 
     def _step(self, phase: str, force_n: float, stiffness_n_per_m: float) -> TuningStep:
         settings = {f"carry.impedance.{k}": v for k, v in gains(force_n, stiffness_n_per_m).items()}
         config = changed(self._config, settings)
-        inputs, task = MethodInputs(config, self._seed), make_task(config)
+        inputs = MethodInputs(config, self._seed)
+        task = make_task(config)
         trials = [task.trial(self._seed, PURPOSE, i) for i in range(CARRIES_N)]
         carries = list(in_workers(lambda trial: carry_once(inputs, trial), trials, self._workers))
         step = TuningStep(phase, force_n, stiffness_n_per_m, carries)
@@ -173,7 +208,11 @@ class Tuner:
         return step
 
 
-def _bracket(ladder: Sequence[float], step: float, stops: Callable[[float], bool]) -> tuple[float | None, float | None]:
+def _bracket(
+    ladder: Sequence[float],
+    step: float,
+    stops: Callable[[float], bool],
+) -> tuple[float | None, float | None]:
     """Return the last value for which `stops` is false and the first for which it is true, or None.
 
     Tries `ladder` in order, then bisects to `step`.
@@ -197,7 +236,9 @@ def carry_once(inputs: MethodInputs, trial: Trial) -> TrialMetrics:
     def watch(world: World, method: Method) -> None:
         desired = method.stack.impedance.desired if isinstance(method, ImpedanceCarry) else None
         if next(ticks) % every == 0 and method.phase == "carry" and desired is not None:
-            errors.append(world.object_pose(bench.task.carried)[:3, 3] - desired.T_world_object[:3, 3])
+            errors.append(
+                world.object_pose(bench.task.carried)[:3, 3] - desired.T_world_object[:3, 3],
+            )
 
     result, _ = bench.run(trial, on_step=watch)
     log = np.array(errors).reshape(-1, 3)

@@ -19,7 +19,10 @@ from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 
-SPACES: Registry[Any] = Registry("state space", {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace})
+SPACES: Registry[Any] = Registry(
+    "state space",
+    {"atlas": ob.AtlasStateSpace, "projected": ob.ProjectedStateSpace},
+)
 _DELTA_RAD = 0.15
 _BOX_RAD = 0.7
 _OMPL_TOLERANCE = 1e-4  # not finer: its states need another projection
@@ -32,19 +35,28 @@ class GraspConstraint(ob.Constraint):
 
     def __init__(self, T_left_right: Array, kinematics: Kinematics) -> None:
         super().__init__(kinematics.robot.dof, 6, _OMPL_TOLERANCE)
-        self._kinematics, self.robot = kinematics, kinematics.robot
+        self._kinematics = kinematics
+        self.robot = kinematics.robot
         grasp = pin.SE3(check_pose(T_left_right, "the relative pose of the hands"))
-        self._inverse, self._adjoint = grasp.inverse(), grasp.action
+        self._inverse = grasp.inverse()
+        self._adjoint = grasp.action
         self.calls_n = 0
 
     def value_and_jacobian(self, q: Array) -> tuple[Array, Array]:
         """Return F (6,) [m, rad] and dF/dq (6, n)."""
-        model, data = self._kinematics.model, self._kinematics.data
+        model = self._kinematics.model
+        data = self._kinematics.data
         pin.computeJointJacobians(model, data, q)
-        left, right = (pin.updateFramePlacement(model, data, tcp) for tcp in self._kinematics.tcp_ids)
+        left, right = (
+            pin.updateFramePlacement(model, data, tcp) for tcp in self._kinematics.tcp_ids
+        )
         E = left.actInv(right) * self._inverse
-        J_left, J_right = (pin.getFrameJacobian(model, data, tcp, pin.LOCAL) for tcp in self._kinematics.tcp_ids)
-        return pin.log6(E).vector, pin.Jlog6(E) @ (self._adjoint @ J_right - E.actionInverse @ J_left)
+        J_left, J_right = (
+            pin.getFrameJacobian(model, data, tcp, pin.LOCAL) for tcp in self._kinematics.tcp_ids
+        )
+        return pin.log6(E).vector, pin.Jlog6(E) @ (
+            self._adjoint @ J_right - E.actionInverse @ J_left
+        )
 
     def function(self, x: Any, out: Any) -> None:
         """Write F (6,), for OMPL."""
@@ -57,7 +69,13 @@ class GraspConstraint(ob.Constraint):
 
 
 def search_manifold(
-    constraint: GraspConstraint, checker: EdgeChecker, q_start: Array, q_goal: Array, *, space: str, seed: int
+    constraint: GraspConstraint,
+    checker: EdgeChecker,
+    q_start: Array,
+    q_goal: Array,
+    *,
+    space: str,
+    seed: int,
 ) -> Array | None:
     """Return configurations (m, n) on the manifold from start to goal, F below 1e-4 between them, or None.
 
@@ -86,7 +104,12 @@ def search_manifold(
             states.anchorChart(state)
     # Most states may fail before the collision check, so constraint calls are limited too.
     calls_end = constraint.calls_n + _CALLS_A_CHECK * (checker.checks_end - checker.checks_n)
-    path = exact_path(og.RRTConnect(si), 1.0, ends, lambda: checker.spent or constraint.calls_n >= calls_end)
+    path = exact_path(
+        og.RRTConnect(si),
+        1.0,
+        ends,
+        lambda: checker.spent or constraint.calls_n >= calls_end,
+    )
     if path is None:
         return None
     path.interpolate()

@@ -31,18 +31,26 @@ class HandsIK:
     def __init__(self, grasps: tuple[Array, Array], robot: Robot) -> None:
         left, right = grasps
         self.grasps = check_pose(left, "the left grasp"), check_pose(right, "the right grasp")
-        self.robot, self.arms = robot, tuple(solvers(robot).values())
+        self.robot = robot
+        self.arms = tuple(solvers(robot).values())
 
     def _nearest(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array:
         """Return q (n,) at the grasps; failed arms are NaN."""
         q = np.full(len(q_near), np.nan)
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             part = None if wish is None else wish[arm.joints]
-            if (solved := arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)) is not None:
+            if (
+                solved := arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)
+            ) is not None:
                 q[arm.joints] = solved
         return q
 
-    def solve(self, T_world_object: Array, q_near: Array, wish: Array | None = None) -> Array | None:
+    def solve(
+        self,
+        T_world_object: Array,
+        q_near: Array,
+        wish: Array | None = None,
+    ) -> Array | None:
         """Return q (n,) at the grasps, projected from q_near (n,); None if unsolved or outside limits.
 
         `wish` (n,) is a preferred step from q_near.
@@ -79,7 +87,11 @@ class HandsIK:
             q = moved
         return q
 
-    def follow(self, Ts_world_object: Array, q_start: Array) -> tuple[Array, ClosedChainError | None]:
+    def follow(
+        self,
+        Ts_world_object: Array,
+        q_start: Array,
+    ) -> tuple[Array, ClosedChainError | None]:
         """Follow object poses (n, 4, 4) from q_start at the first, away from joint limits.
 
         Returns:
@@ -88,7 +100,8 @@ class HandsIK:
         Q = np.empty((len(Ts_world_object), len(q_start)))
         Q[0] = q_start
         for k in range(1, len(Q)):
-            before, T = Ts_world_object[k - 1], Ts_world_object[k]
+            before = Ts_world_object[k - 1]
+            T = Ts_world_object[k]
             turn = float(np.linalg.norm(pin.log3(before[:3, :3].T @ T[:3, :3])))
             way = float(np.hypot(np.linalg.norm(T[:3, 3] - before[:3, 3]), _ARM_M * turn))
             Q[k] = self._nearest(T, Q[k - 1], way * self.off_limits(Q[k - 1]))
@@ -101,7 +114,9 @@ class HandsIK:
         """Return why the hands cannot follow from `before` to q (n,); arms that failed are NaN."""
         robot = self.robot
         where = place_text(T_world_object)
-        remedy = "choose waypoints within reach of both arms, or another grasp or posture to start from"
+        remedy = (
+            "choose waypoints within reach of both arms, or another grasp or posture to start from"
+        )
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             if not np.isfinite(q[arm.joints]).all():
                 away = arm.solve(T_world_object @ grasp, before[arm.joints])
@@ -109,16 +124,20 @@ class HandsIK:
                     why = f"the {arm.arm} hand cannot follow the object to {where}: it stays {away.off} away"
                     return ClosedChainError(why, remedy=remedy)
                 q[arm.joints] = away.q
-        steps, outside = np.abs(q - before), np.maximum(robot.q_lower - q, q - robot.q_upper)
+        steps = np.abs(q - before)
+        outside = np.maximum(robot.q_lower - q, q - robot.q_upper)
         jumps = float(steps.max()) > JUMP_MAX_RAD
         joint = int(np.argmax(steps if jumps else outside))
         if jumps:
             why = f"would jump by {steps[joint]:.2f} rad within a step (a joint limit or a singular posture)"
         else:
-            low, high = robot.q_lower[joint], robot.q_upper[joint]
+            low = robot.q_lower[joint]
+            high = robot.q_upper[joint]
             why = f"would go to {q[joint]:.3f} rad, its limits are {low:.3f} to {high:.3f} rad"
         side = robot.sides[joint // robot.dof_per_arm]
-        what = f"the {side} hand cannot follow the object to {where}: {robot.joint_names[joint]} {why}"
+        what = (
+            f"the {side} hand cannot follow the object to {where}: {robot.joint_names[joint]} {why}"
+        )
         return ClosedChainError(what, remedy=remedy)
 
     def require_held(self, q: Array, T_world_object: Array) -> None:
@@ -128,7 +147,10 @@ class HandsIK:
             ClosedChainError: A hand is off its grasp.
         """
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
-            distance, angle = _apart(arm.tcp_pose(q[arm.joints])[None], (T_world_object @ grasp)[None])
+            distance, angle = _apart(
+                arm.tcp_pose(q[arm.joints])[None],
+                (T_world_object @ grasp)[None],
+            )
             if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
                 off = f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp"
                 remedy = "take the grasps from the hands as they are, or solve the start first"
@@ -147,5 +169,8 @@ def _apart(A: Array, B: Array) -> tuple[float, float]:
     """Return the largest distance [m] and angle [rad] of poses (m, 4, 4)."""
     R = np.swapaxes(A[:, :3, :3], 1, 2) @ B[:, :3, :3]
     vee = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]])
-    angles = np.arctan2(0.5 * np.linalg.norm(vee, axis=0), 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
+    angles = np.arctan2(
+        0.5 * np.linalg.norm(vee, axis=0),
+        0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0),
+    )
     return float(np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1).max()), float(angles.max())

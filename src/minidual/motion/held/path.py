@@ -67,7 +67,9 @@ class HeldPath:
     """T_world_object(s), s in [0, length] [m]; the first six columns of `curve` are chart coordinates."""
 
     def __init__(self, chart: ObjectChart, curve: SmoothPath) -> None:
-        self.chart, self.curve, self.length = chart, curve, curve.length
+        self.chart = chart
+        self.curve = curve
+        self.length = curve.length
 
     @classmethod
     def through(cls, Ts_world_object: Sequence[Array], corner_m: float = 0.04) -> HeldPath:
@@ -76,7 +78,9 @@ class HeldPath:
         Raises:
             UsageError: Fewer than two distinct poses, invalid pose, or rotation over 3 rad.
         """
-        poses = [check_pose(T, f"waypoint {i} of the object") for i, T in enumerate(Ts_world_object)]
+        poses = [
+            check_pose(T, f"waypoint {i} of the object") for i, T in enumerate(Ts_world_object)
+        ]
         if len(poses) < 2:
             raise UsageError(f"an object path needs two or more waypoints; there are {len(poses)}")
         chart = ObjectChart(poses[0][:3, :3])
@@ -85,7 +89,9 @@ class HeldPath:
             if not kept or np.abs(point - kept[-1]).max() > _SAME:
                 kept.append(point)
         if len(kept) < 2:
-            raise UsageError("all waypoints of the object are the same pose; there is nothing to carry")
+            raise UsageError(
+                "all waypoints of the object are the same pose; there is nothing to carry",
+            )
         return cls(chart, rounded(np.array(kept), corner_m))
 
     def coordinates(self, s: Array, order: int = 0) -> Array:
@@ -121,15 +127,20 @@ class HeldCurve:
     """
 
     def __init__(self, path: HeldPath, marks: Array, Q: Array) -> None:
-        self.path, self.marks, self.knots = path, marks, path.curve.knots
-        self.spline, self.length = CubicSpline(marks, Q), float(marks[-1])
+        self.path = path
+        self.marks = marks
+        self.knots = path.curve.knots
+        self.spline = CubicSpline(marks, Q)
+        self.length = float(marks[-1])
         self.residual = (np.inf, np.inf)
         """Largest error between solved points ([m], [rad])."""
 
     def at(self, s: Array, order: int = 0) -> Array:
         """Return the columns or a derivative, (m, n + 7)."""
         s = np.asarray(s, dtype=float)
-        return np.column_stack([self.spline(s, order), self.path.coordinates(s, order), self._way(s, order)])
+        return np.column_stack(
+            [self.spline(s, order), self.path.coordinates(s, order), self._way(s, order)],
+        )
 
     def _way(self, s: Array, order: int) -> Array:
         if order == 0:
@@ -138,7 +149,13 @@ class HeldCurve:
         speed = np.sqrt(np.sum(first**2, axis=1) + _STILL)
         return speed if order == 1 else np.sum(first * self.path.coordinates(s, 2), axis=1) / speed
 
-    def timed(self, along: PathLimits, limits: MotionLimits, kinematics: Kinematics, how: str) -> CarriedTrajectory:
+    def timed(
+        self,
+        along: PathLimits,
+        limits: MotionLimits,
+        kinematics: Kinematics,
+        how: str,
+    ) -> CarriedTrajectory:
         """Return the fastest trajectory within the limits, unproven, or raise TimingError."""
         motion, s = time_path(self, "both_arms", limits, kinematics, along)
         samples = motion.times, motion.q, motion.v, motion.a, motion.group
@@ -158,7 +175,8 @@ def fine_curve(hands: HandsIK, path: HeldPath, solve: Callable[[Array, Array], A
     step = path.length
     for _ in range(_REFINEMENTS):
         marks = np.linspace(0.0, path.length, count + 1, dtype=np.float64)
-        curve, step = HeldCurve(path, marks, solve(marks, path.poses(marks))), float(marks[1])
+        curve = HeldCurve(path, marks, solve(marks, path.poses(marks)))
+        step = float(marks[1])
         between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])
         strays = curve.residual = hands.strays(curve.spline(between), path.poses(between))
         if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:

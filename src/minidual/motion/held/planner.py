@@ -12,7 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from minidual.collision.errors import ClosedChainError, NoPathInTimeError, PlanningError, TimingError
+from minidual.collision.errors import (
+    ClosedChainError,
+    NoPathInTimeError,
+    PlanningError,
+    TimingError,
+)
 from minidual.collision.scene import Attached, PlanningScene
 from minidual.collision.shapes import Shape
 from minidual.config.planning import MotionLimits
@@ -30,7 +35,15 @@ from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import SIDES, Array, inverse
 
 _LIMITS = MotionLimits(smoothing_s=0.1)  # gentler than with empty hands
-METHODS = ("object_rrt", "object_rrt", "object_rrt", "projected", "object_rrt", "object_rrt", "atlas")
+METHODS = (
+    "object_rrt",
+    "object_rrt",
+    "object_rrt",
+    "projected",
+    "object_rrt",
+    "object_rrt",
+    "atlas",
+)
 """Search methods by attempt, cyclic; the straight motion comes first."""
 _CORNERS_M = (0.06, 0.02, 0.006)
 _SHORTEN_ROUNDS_N = 10
@@ -63,12 +76,21 @@ def scene_holding(
 
     `grasps` is {arm: T_object_tcp (4, 4)}. The object may touch these hands, those `touching`, and `rests_on`.
     """
-    robot, first = scene.robot, next(iter(grasps))
+    robot = scene.robot
+    first = next(iter(grasps))
     hands = tuple(link for arm in (*grasps, *touching) for link in robot.hand_links(arm))
-    held = Attached(placed(shape, inverse(grasps[first])), robot.tcp_names[SIDES.index(first)], hands)
+    held = Attached(
+        placed(shape, inverse(grasps[first])),
+        robot.tcp_names[SIDES.index(first)],
+        hands,
+    )
     scene = scene.with_attached(held)
     for obstacle in rests_on:
-        scene = scene.allowing(shape.name, obstacle, "the object is lifted off it or put down on it")
+        scene = scene.allowing(
+            shape.name,
+            obstacle,
+            "the object is lifted off it or put down on it",
+        )
     return scene
 
 
@@ -127,10 +149,16 @@ class HeldPlanner:
             OutOfLimitsError, UsageError: Bad arguments.
         """
         q_start = check_joints(q_start, "start", self.planner.robot)
-        hands, path = HandsIK(grasps, self.planner.robot), HeldPath.through(Ts_world_object)
+        hands = HandsIK(grasps, self.planner.robot)
+        path = HeldPath.through(Ts_world_object)
         hands.require_held(q_start, path.poses(np.zeros(1))[0])
         curve = _continued(hands, path, q_start)
-        motion = curve.timed(along or PathLimits(), _LIMITS, self.planner.kinematics, "continuation")
+        motion = curve.timed(
+            along or PathLimits(),
+            _LIMITS,
+            self.planner.kinematics,
+            "continuation",
+        )
         return motion if scene is None else _proven(motion, self.planner.engines(scene))
 
 
@@ -157,11 +185,18 @@ class _Effort(NamedTuple):
 
     def after_no_path(self) -> _Effort:
         """Return less padding and more state checks."""
-        return self._replace(padding_m=max(0.6 * self.padding_m, 0.001), checks_n=min(2 * self.checks_n, 100_000))
+        return self._replace(
+            padding_m=max(0.6 * self.padding_m, 0.001),
+            checks_n=min(2 * self.checks_n, 100_000),
+        )
 
     def after(self, error: PlanningError) -> _Effort:
         """Return finer steps, and more padding for a path that is not proven."""
-        padding_m = more_padding(self.padding_m) if isinstance(error, NotFreeError | TimingError) else self.padding_m
+        padding_m = (
+            more_padding(self.padding_m)
+            if isinstance(error, NotFreeError | TimingError)
+            else self.padding_m
+        )
         return self._replace(step_scale=max(0.5 * self.step_scale, 0.125), padding_m=padding_m)
 
 
@@ -170,11 +205,14 @@ class HeldWork:
 
     def __init__(self, planner: Planner, query: HeldQuery, budget_s: float | None = None) -> None:
         budget_s = planner.budget(budget_s)
-        self._kinematics, self._config, self._query = planner.kinematics, planner.config, query
+        self._kinematics = planner.kinematics
+        self._config = planner.config
+        self._query = query
         self._q_start = check_joints(query.q_start, "start", planner.robot)
         self._hands = HandsIK(query.grasps, planner.robot)
         T_goal = check_pose(query.T_world_goal, "the goal of the object")
-        self._engines, self._deadline = planner.engines(query.scene), time.perf_counter() + budget_s
+        self._engines = planner.engines(query.scene)
+        self._deadline = time.perf_counter() + budget_s
         self._T_start = self._object_at(self._q_start)
         self._hands.require_held(self._q_start, self._T_start)
         require_free(self._engines, self._q_start, "start")
@@ -192,7 +230,9 @@ class HeldWork:
         effort = _Effort(self._config.padding_m)
         try:
             goals = self.goal_postures(straight, 1)
-        except PlanningError:  # free postures may be rare: look longer before saying that there is none
+        except (
+            PlanningError
+        ):  # free postures may be rare: look longer before saying that there is none
             goals = self.goal_postures(straight, 1, max(_MORE_GOALS.values()))
         for attempt, method in enumerate(itertools.cycle(METHODS)):
             if time.perf_counter() > self._deadline:
@@ -214,7 +254,10 @@ class HeldWork:
                 effort = effort.after(error)
         tried = f"the straight way: {self.notes[0]}; {len(self.notes)} attempts, the last one: {self.notes[-1]}"
         remedy = "raise the budget, make room in the scene, or choose another goal or grasp"
-        raise NoPathInTimeError(f"no proven path for the held object within the budget; {tried}", remedy=remedy)
+        raise NoPathInTimeError(
+            f"no proven path for the held object within the budget; {tried}",
+            remedy=remedy,
+        )
 
     def _straight(self) -> CarriedTrajectory | Array | None:
         end = None
@@ -230,28 +273,57 @@ class HeldWork:
         return end
 
     def _checker(self, q_goal: Array, padding_m: float) -> EdgeChecker:
-        return EdgeChecker(self._engines, padding_m, (self._q_start, q_goal), self._config.edge_step_rad)
+        return EdgeChecker(
+            self._engines,
+            padding_m,
+            (self._q_start, q_goal),
+            self._config.edge_step_rad,
+        )
 
     def _touching(self, joints: Array) -> str:
         near = [pair for q in joints for pair in self._engines.closest(q, self._config.padding_m)]
-        return str(min(near, key=lambda p: p.distance_m)) if near else "parts come nearer than the padding"
+        return (
+            str(min(near, key=lambda p: p.distance_m))
+            if near
+            else "parts come nearer than the padding"
+        )
 
-    def goal_postures(self, end: Array | None, wanted_n: int, restarts_scale: int = 1) -> list[Array]:
+    def goal_postures(
+        self,
+        end: Array | None,
+        wanted_n: int,
+        restarts_scale: int = 1,
+    ) -> list[Array]:
         """Return free goal postures (n,): the straight end first, then the nearest.
 
         Raises:
             IKUnreachableError, GoalInCollisionError: None exists.
             ClosedChainError: All lie at limits.
         """
-        config, engines, robot, T_goal = self._config, self._engines, self._hands.robot, self._query.T_world_goal
+        config = self._config
+        engines = self._engines
+        robot = self._hands.robot
+        T_goal = self._query.T_world_goal
         goals = [end] if end is not None and engines.solids.free(end) else []
         roomy = bool(goals) and not engines.closest(goals[0], config.padding_m)
         if not (roomy and wanted_n == 1):
             try:
-                targets = {arm: T_goal @ grasp for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)}
-                rng, most_n = stream(self._query.seed, "held/goals"), 1 if wanted_n == 1 else _CANDIDATES_N
+                targets = {
+                    arm: T_goal @ grasp
+                    for arm, grasp in zip(SIDES, self._hands.grasps, strict=True)
+                }
+                rng = stream(self._query.seed, "held/goals")
+                most_n = 1 if wanted_n == 1 else _CANDIDATES_N
                 restarts_n = restarts_scale * config.ik_restarts_n
-                goals += pose_goals("both_arms", self._q_start, targets, engines, rng, restarts_n, most_n)
+                goals += pose_goals(
+                    "both_arms",
+                    self._q_start,
+                    targets,
+                    engines,
+                    rng,
+                    restarts_n,
+                    most_n,
+                )
             except PlanningError:
                 if not goals:
                     raise
@@ -268,15 +340,30 @@ class HeldWork:
                 found.append(q)
         if not found:
             bent = f"every posture found for the goal at {place_text(T_goal)} lies at a joint limit"
-            raise ClosedChainError(bent, remedy="move the goal nearer to the middle, or choose another grasp")
+            raise ClosedChainError(
+                bent,
+                remedy="move the goal nearer to the middle, or choose another grasp",
+            )
         return found
 
     def _space(self, goals: Sequence[Array], effort: _Effort) -> HeldSpace:
-        return HeldSpace(self._hands, self._path.chart, self._checker(goals[0], effort.padding_m), effort.step_scale)
+        return HeldSpace(
+            self._hands,
+            self._path.chart,
+            self._checker(goals[0], effort.padding_m),
+            effort.step_scale,
+        )
 
-    def search(self, method: str, goals: Sequence[Array], effort: _Effort, attempt: int) -> Array | None:
+    def search(
+        self,
+        method: str,
+        goals: Sequence[Array],
+        effort: _Effort,
+        attempt: int,
+    ) -> Array | None:
         """Return points (m, 6 + n) to a goal, or None."""
-        query, space = self._query, self._space(goals, effort)
+        query = self._query
+        space = self._space(goals, effort)
         if method == "object_rrt":
             space.checker.allow(effort.checks_n, self._deadline)
             start = space.point(self._T_start, self._q_start)
@@ -284,15 +371,27 @@ class HeldWork:
             return search_object(space, start, ends, stream(query.seed, "held/search", attempt))
         left, right = self._hands.grasps
         constraint = GraspConstraint(inverse(left) @ right, self._kinematics)
-        start, seed = self._hands.solve(self._T_start, self._q_start), subseed(query.seed, "held/manifold", attempt)
+        start = self._hands.solve(self._T_start, self._q_start)
+        seed = subseed(query.seed, "held/manifold", attempt)
         for goal in goals[:_MANIFOLD_GOALS_N]:
             if start is None or time.perf_counter() > self._deadline:
                 break
             space.checker.allow(effort.checks_n, self._deadline)
-            if (found := search_manifold(constraint, space.checker, start, goal, space=method, seed=seed)) is not None:
+            if (
+                found := search_manifold(
+                    constraint,
+                    space.checker,
+                    start,
+                    goal,
+                    space=method,
+                    seed=seed,
+                )
+            ) is not None:
                 points = [space.solved_free(space.point(self._object_at(q), q)) for q in found]
                 kept = [z for z in points if z is not None]
-                joined = len(kept) == len(points) and all(itertools.starmap(space.edge_free, itertools.pairwise(kept)))
+                joined = len(kept) == len(points) and all(
+                    itertools.starmap(space.edge_free, itertools.pairwise(kept)),
+                )
                 return np.array(kept) if joined else None
         return None
 

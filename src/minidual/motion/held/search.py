@@ -18,7 +18,8 @@ from minidual.motion.held.path import ObjectChart
 from minidual.motion.search import EdgeChecker, bisection_order
 from minidual.robot.pair import Array
 
-X, Q = slice(0, 6), slice(6, None)
+X = slice(0, 6)
+Q = slice(6, None)
 JOINT_WEIGHT_M = 0.1
 """Distance per radian of joint motion [m/rad]."""
 _STEP_M = 0.03
@@ -33,17 +34,28 @@ _ELBOW_RAD = 0.6
 _GOAL_SHARE = 0.3
 _NEXT_N = 8
 _SAME_M = 1e-9
-_ROOM_START_M, _ROOM_GROWTH_M, _ROOM_MAX_M = 0.08, 0.02, 0.35
+_ROOM_START_M = 0.08
+_ROOM_GROWTH_M = 0.02
+_ROOM_MAX_M = 0.35
 _TURN_M = 0.12
 
 
 class HeldSpace:
     """Points and edges; `step_scale` scales the check steps."""
 
-    def __init__(self, hands: HandsIK, chart: ObjectChart, checker: EdgeChecker, step_scale: float = 1.0) -> None:
-        self._step_m, self._step_rad = step_scale * _STEP_M, step_scale * _STEP_RAD
+    def __init__(
+        self,
+        hands: HandsIK,
+        chart: ObjectChart,
+        checker: EdgeChecker,
+        step_scale: float = 1.0,
+    ) -> None:
+        self._step_m = step_scale * _STEP_M
+        self._step_rad = step_scale * _STEP_RAD
         self._jump_rad = step_scale * _JUMP_RAD
-        self.hands, self.chart, self.checker = hands, chart, checker
+        self.hands = hands
+        self.chart = chart
+        self.checker = checker
 
     def point(self, T_world_object: Array, q: Array) -> Array:
         """Return (6 + n,)."""
@@ -80,7 +92,15 @@ class HeldSpace:
             for k in np.flatnonzero(jumps > _SURE_RAD)
         )
 
-    def _continuous(self, a: Array, step: Array, u: float, v: float, q_u: Array, q_v: Array) -> bool:
+    def _continuous(
+        self,
+        a: Array,
+        step: Array,
+        u: float,
+        v: float,
+        q_u: Array,
+        q_v: Array,
+    ) -> bool:
         """Halve a joint step between shares u and v until it is small; False if it stays large."""
         jump = float(np.abs(q_v - q_u).max())
         if jump <= _SURE_RAD:
@@ -89,12 +109,20 @@ class HeldSpace:
         z = self.solved_free(a + middle * step)
         if z is None or max(np.abs(z[Q] - q_u).max(), np.abs(q_v - z[Q]).max()) > _HALVED * jump:
             return False
-        return self._continuous(a, step, u, middle, q_u, z[Q]) and self._continuous(a, step, middle, v, z[Q], q_v)
+        return self._continuous(a, step, u, middle, q_u, z[Q]) and self._continuous(
+            a,
+            step,
+            middle,
+            v,
+            z[Q],
+            q_v,
+        )
 
     @staticmethod
     def sample(rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Array:
         """Return random coordinates (6,) around both ends (2, 6)."""
-        low, high = ends[:, :3].min(axis=0) - room_m, ends[:, :3].max(axis=0) + room_m
+        low = ends[:, :3].min(axis=0) - room_m
+        high = ends[:, :3].max(axis=0) + room_m
         low[2] = max(low[2], 0.0)
         between = ends[0, 3:] + rng.uniform() * (ends[1, 3:] - ends[0, 3:])
         return np.concatenate([rng.uniform(low, high), between + rng.uniform(-turn_m, turn_m, 3)])
@@ -102,12 +130,17 @@ class HeldSpace:
 
 class _Tree:
     def __init__(self, roots: Sequence[Array]) -> None:
-        self.points, self.parents = np.array(roots, dtype=float), [-1] * len(roots)
+        self.points = np.array(roots, dtype=float)
+        self.parents = [-1] * len(roots)
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
         """Return one of the `among` nearest points."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
-        return int(np.argmin(away)) if among == 1 else int(rng.choice(np.argsort(away, kind="stable")[:among]))
+        return (
+            int(np.argmin(away))
+            if among == 1
+            else int(rng.choice(np.argsort(away, kind="stable")[:among]))
+        )
 
     def add(self, z: Array, parent: int) -> int:
         self.points = np.vstack([self.points, z])
@@ -123,15 +156,22 @@ class _Tree:
 
 
 def search_object(
-    space: HeldSpace, start: Array, goals: Sequence[Array], rng: np.random.Generator, *, any_posture: bool = True
+    space: HeldSpace,
+    start: Array,
+    goals: Sequence[Array],
+    rng: np.random.Generator,
+    *,
+    any_posture: bool = True,
 ) -> Array | None:
     """Return free points (m, 6 + n) from the start to a goal, joined by free edges, or None.
 
     All goals (6 + n,) have one object pose; `any_posture` accepts other joints there.
     """
-    here, there = _Tree([start]), _Tree(goals)
+    here = _Tree([start])
+    there = _Tree(goals)
     ends = np.array([start[X], goals[0][X]])
-    forward, rounds = True, 0
+    forward = True
+    rounds = 0
     for goal in goals:
         if space.edge_free(start, goal):
             return np.array([start, goal])
@@ -143,11 +183,15 @@ def search_object(
             arrived = _carry_to(space, here, ends[1], rng)
             if arrived is not None:
                 return np.array(here.branch(arrived))
-        x, swing = space.sample(rng, ends, room, _TURN_M), rng.random() < _ELBOW_SHARE
+        x = space.sample(rng, ends, room, _TURN_M)
+        swing = rng.random() < _ELBOW_SHARE
         # Growing only the nearest point would not spread the elbows.
         parent = here.near_object(x, rng, _NEXT_N if swing else 1)
-        if (new := _step_towards(space, here.points[parent], x, rng if swing else None)) is not None:
-            met, grown = _connect(space, there, new), here.add(new, parent)
+        if (
+            new := _step_towards(space, here.points[parent], x, rng if swing else None)
+        ) is not None:
+            met = _connect(space, there, new)
+            grown = here.add(new, parent)
             if met is not None:
                 path = here.branch(grown) + there.branch(met)[::-1][1:]
                 return np.array(path if forward else path[::-1])
@@ -155,9 +199,15 @@ def search_object(
     return None
 
 
-def _step_towards(space: HeldSpace, z: Array, x: Array, elbows: np.random.Generator | None) -> Array | None:
+def _step_towards(
+    space: HeldSpace,
+    z: Array,
+    x: Array,
+    elbows: np.random.Generator | None,
+) -> Array | None:
     way = x - z[X]
-    share, aim = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M)), z.copy()
+    share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
+    aim = z.copy()
     aim[X] = x if share == 1.0 else z[X] + share * way
     aim[Q] += _EXTEND_M * space.hands.off_limits(z[Q])
     if elbows is not None:
@@ -180,7 +230,8 @@ def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
     current = int(np.argmin(space.distance(z, tree.points)))
     while True:
         away = float(space.distance(z, tree.points[current][None])[0])
-        share, point = min(1.0, _CONNECT_M / max(away, _SAME_M)), tree.points[current]
+        share = min(1.0, _CONNECT_M / max(away, _SAME_M))
+        point = tree.points[current]
         step = z if share == 1.0 else space.solved_free(point + share * (z - point))
         if step is None or not space.edge_free(point, step):
             return None
@@ -195,7 +246,9 @@ def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: i
     for _ in range(rounds_n):
         if len(points) < 3:
             break
-        lengths = np.array([float(space.distance(a, b[None])[0]) for a, b in itertools.pairwise(points)])
+        lengths = np.array(
+            [float(space.distance(a, b[None])[0]) for a, b in itertools.pairwise(points)],
+        )
         _, _, (i, j), ends = random_stretch(points, lengths, rng)
         if i == j:
             continue

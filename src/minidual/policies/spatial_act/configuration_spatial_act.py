@@ -22,4 +22,6 @@ class SpatialActConfig(ACTConfig):
 
     def transformer(self, **changes: Any) -> ACTConfig:
         """Return the transformer's ACT configuration."""
-        return ACTConfig(**{f.name: getattr(self, f.name) for f in fields(ACTConfig) if f.init} | changes)
+        return ACTConfig(
+            **{f.name: getattr(self, f.name) for f in fields(ACTConfig) if f.init} | changes,
+        )

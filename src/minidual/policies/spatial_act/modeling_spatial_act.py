@@ -36,21 +36,26 @@ class SpatialSoftmax(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.channels, self.log_inverse_temperature = channels, nn.Parameter(torch.zeros(channels))
+        self.channels = channels
+        self.log_inverse_temperature = nn.Parameter(torch.zeros(channels))
 
     def forward(self, logits: Tensor) -> Tensor:
         """Map logits (B, K, h, w) in float32."""
         scaled = logits.float().flatten(2) * self.log_inverse_temperature.exp().unsqueeze(1)
         height, width = logits.shape[2:]
         moments = scaled.softmax(dim=-1) @ _pixel_centres(height, width, logits.device)
-        mean, square = moments[..., :2], moments[..., 2:]
+        mean = moments[..., :2]
+        square = moments[..., 2:]
         deviation = ((square - mean.square()).sum(-1).clamp_min(0.0) + 1e-6).sqrt()
         return torch.cat([mean[..., 0], mean[..., 1], deviation], dim=1)
 
 
 def _pixel_centres(height: int, width: int, device: torch.device) -> Tensor:
     """Return x, y, x^2 and y^2 of every pixel (height * width, 4)."""
-    along = [(torch.arange(n, dtype=torch.float32, device=device) + 0.5) * (2.0 / n) - 1.0 for n in (height, width)]
+    along = [
+        (torch.arange(n, dtype=torch.float32, device=device) + 0.5) * (2.0 / n) - 1.0
+        for n in (height, width)
+    ]
     y, x = (grid.flatten() for grid in torch.meshgrid(*along, indexing="ij"))
     return torch.stack([x, y, x.square(), y.square()], dim=1)
 
@@ -77,7 +82,8 @@ class KeypointEncoder(nn.Module):
         )
         around = [nn.Conv2d(64, 64, 3, padding=dilation, dilation=dilation) for dilation in (1, 2)]
         self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around))
-        self.heads, self.pool = nn.Conv2d(64, keypoints, 1), SpatialSoftmax(keypoints)
+        self.heads = nn.Conv2d(64, keypoints, 1)
+        self.pool = SpatialSoftmax(keypoints)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -89,7 +95,11 @@ class KeypointEncoder(nn.Module):
         """Map images (B, 3, H, W) to maps (B, K, H / 4, W / 4)."""
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
             features = self.features(image.to(memory_format=torch.channels_last))
-            around = nn.functional.interpolate(self.context(features), features.shape[-2:], mode="bilinear")
+            around = nn.functional.interpolate(
+                self.context(features),
+                features.shape[-2:],
+                mode="bilinear",
+            )
             return self.heads(features + around)
 
     def forward(self, image: Tensor) -> Tensor:
@@ -104,12 +114,19 @@ class KeyframeReader(nn.Module):
     def __init__(self, config: SpatialActConfig, action_dim: int) -> None:
         super().__init__()
         self.cameras = list(config.image_features)
-        self.encoders = nn.ModuleList([KeypointEncoder(config.keypoints, bf16=config.bf16) for _ in self.cameras])
-        self.keypoint_dim, self.shape = 3 * config.keypoints * len(self.cameras), (config.keyframes, action_dim)
+        self.encoders = nn.ModuleList(
+            [KeypointEncoder(config.keypoints, bf16=config.bf16) for _ in self.cameras],
+        )
+        self.keypoint_dim = 3 * config.keypoints * len(self.cameras)
+        self.shape = (config.keyframes, action_dim)
         # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few
         # centimetres that an object moves, and few demonstrations suffice for a linear map.
         self.linear = nn.Linear(self.keypoint_dim, math.prod(self.shape))
-        self.hidden = nn.Sequential(nn.Linear(self.keypoint_dim, 64), nn.ReLU(), nn.Linear(64, math.prod(self.shape)))
+        self.hidden = nn.Sequential(
+            nn.Linear(self.keypoint_dim, 64),
+            nn.ReLU(),
+            nn.Linear(64, math.prod(self.shape)),
+        )
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return keypoints (B, 3 P) and keyframes (B, K A)."""
@@ -127,11 +144,19 @@ class SpatialActModel(nn.Module):
         # LeRobot gives what is named backbone a learning rate of its own.
         self.backbone = KeyframeReader(config, config.action_feature.shape[0])
         token_dim = math.prod(self.backbone.shape) or self.backbone.keypoint_dim
-        inputs = {key: ft for key, ft in (config.input_features or {}).items() if ft.type is not FeatureType.VISUAL}
+        inputs = {
+            key: ft
+            for key, ft in (config.input_features or {}).items()
+            if ft.type is not FeatureType.VISUAL
+        }
         inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(token_dim,))
         self.act = ACT(config.transformer(input_features=inputs))
 
-    def forward(self, batch: dict[str, Tensor], filtered: Callable[[Tensor], Tensor] = lambda flat: flat) -> Parts:
+    def forward(
+        self,
+        batch: dict[str, Tensor],
+        filtered: Callable[[Tensor], Tensor] = lambda flat: flat,
+    ) -> Parts:
         """Return action chunk (B, S, A), latent parameters and keyframes (B, K, A), `filtered` as (B, K A)."""
         token, flat = self.backbone(batch)
         keyframe = filtered(flat).unflatten(1, self.backbone.shape)
@@ -142,7 +167,11 @@ class SpatialActModel(nn.Module):
             told = keyframe.detach()
             if self.training and "keyframe" in batch:
                 told = told * (torch.rand(len(told), 1, 1, device=told.device) < _BEGINS_BETWEEN)
-                told = torch.where(batch["keyframe_is_valid"].unsqueeze(-1), batch["keyframe"], told)
+                told = torch.where(
+                    batch["keyframe_is_valid"].unsqueeze(-1),
+                    batch["keyframe"],
+                    told,
+                )
             token = told.flatten(1)
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
         actions, latent = self.act({**inner, OBS_ENV_STATE: token})
@@ -165,7 +194,10 @@ class SpatialActPolicy(ACTPolicy):
     def reset(self) -> None:
         """Forget what was seen: a new episode."""
         super().reset()
-        self._total, self._at_first, self._due, self._count = torch.zeros(0), torch.zeros(0), -1, 0
+        self._total = torch.zeros(0)
+        self._at_first = torch.zeros(0)
+        self._due = -1
+        self._count = 0
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
@@ -180,10 +212,13 @@ class SpatialActPolicy(ACTPolicy):
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
         look = flat.unflatten(1, self.model.backbone.shape)
         if self._due < 0:
-            self._total, self._count = torch.zeros_like(look), 0
+            self._total = torch.zeros_like(look)
+            self._count = 0
         if self._due < 0 or (openings - self._at_first).abs().max() > _SWITCHED:
-            self._due, self._at_first = self._due + 1, openings
-        self._total, self._count = self._total + look, self._count + 1
+            self._due = self._due + 1
+            self._at_first = openings
+        self._total = self._total + look
+        self._count = self._count + 1
         mean = self._total / self._count
         mean[:, : self._due] = 0.0
         return mean.flatten(1)
@@ -202,7 +237,9 @@ class SpatialActPolicy(ACTPolicy):
             parts["keyframe_loss"] = float(posture.detach())
             loss = loss + posture
         if self.config.use_vae and mean is not None and log_variance is not None:
-            divergence = (-0.5 * (1 + log_variance - mean.square() - log_variance.exp())).sum(-1).mean()
+            divergence = (
+                (-0.5 * (1 + log_variance - mean.square() - log_variance.exp())).sum(-1).mean()
+            )
             parts["kld_loss"] = float(divergence.detach())
             loss = loss + self.config.kl_weight * divergence
         return loss, parts

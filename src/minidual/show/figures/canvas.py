@@ -8,11 +8,20 @@ from matplotlib.figure import Figure
 
 from minidual.durable import replacing
 
-INK, LIMIT = "#1f3b57", "#c0392b"
-BLUE, ORANGE, GREEN = "#2f6db5", "#e07b27", "#3a9a5b"
+INK = "#1f3b57"
+LIMIT = "#c0392b"
+BLUE = "#2f6db5"
+ORANGE = "#e07b27"
+GREEN = "#3a9a5b"
 
 
-def new_figure(rows: int, columns: int, width_in: float, height_in: float, **options: Any) -> tuple[Figure, Any]:
+def new_figure(
+    rows: int,
+    columns: int,
+    width_in: float,
+    height_in: float,
+    **options: Any,
+) -> tuple[Figure, Any]:
     """Return a figure and its axes (rows, columns)."""
     figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
@@ -28,11 +37,22 @@ def limit_line(axis: Any, at: float, label: str | None = "limit", style: str = "
     axis.axhline(at, color=LIMIT, lw=1, ls=style, label=label)
 
 
-def sheet(images: Sequence[tuple[str, Any]], columns: int, path: Path, title: str = "", width_in: float = 3.4) -> None:
+def sheet(
+    images: Sequence[tuple[str, Any]],
+    columns: int,
+    path: Path,
+    title: str = "",
+    width_in: float = 3.4,
+) -> None:
     """Write titled images (H, W, 3) to one PNG, atomically."""
     rows = -(-len(images) // columns)
     height, width = images[0][1].shape[:2]
-    figure, axes = new_figure(rows, columns, width_in * columns, (width_in * height / width + 0.3) * rows + 0.3)
+    figure, axes = new_figure(
+        rows,
+        columns,
+        width_in * columns,
+        (width_in * height / width + 0.3) * rows + 0.3,
+    )
     for axis in axes.flat:
         axis.set_axis_off()
     for axis, (name, image) in zip(axes.flat, images, strict=False):

@@ -27,7 +27,8 @@ CAMERAS = ("overview", "high", "left", "right")
 
 def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialMetrics:
     """Film a new run of `trial`; return that run's result."""
-    bench, postures = Bench(method, inputs, visuals=True), Postures(1.0 / FILM_FPS)
+    bench = Bench(method, inputs, visuals=True)
+    postures = Postures(1.0 / FILM_FPS)
     result, _ = bench.run(trial, on_step=lambda world, _method: postures(world))
     film_postures(bench.world.model, postures.qpos, path)
     return result
@@ -35,27 +36,44 @@ def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> T
 
 def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], path: Path) -> None:
     """Run failed trials again and draw each a second before it failed, then, and a second later, or as it ended."""
-    sheet([picture for inputs, trial, result in failed for picture in _failure(inputs, trial, result)], 3, path)
+    sheet(
+        [
+            picture
+            for inputs, trial, result in failed
+            for picture in _failure(inputs, trial, result)
+        ],
+        3,
+        path,
+    )
 
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
-    bench, taken = Bench(result.method, inputs, result.condition, visuals=True), list[Image]()
-    seen = bench.world.truth(next((n for n in bench.task.objects if n in result.reason), bench.task.carried))
+    bench = Bench(result.method, inputs, result.condition, visuals=True)
+    taken = list[Image]()
+    seen = bench.world.truth(
+        next((n for n in bench.task.objects if n in result.reason), bench.task.carried),
+    )
     with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as eye:
 
         def look(world: World, _method: object) -> None:
-            if len(taken) < len(_AROUND_S) and world.time >= result.failed_at_s + _AROUND_S[len(taken)]:
+            if (
+                len(taken) < len(_AROUND_S)
+                and world.time >= result.failed_at_s + _AROUND_S[len(taken)]
+            ):
                 taken.append(eye.close_up(world.data, seen.pose()[:3, 3]).copy())
 
         bench.run(trial, on_step=look)
-    title, failed = f"{result.method}, {result.condition}, trial {result.index}", f"not '{result.failure}'"
+    title = f"{result.method}, {result.condition}, trial {result.index}"
+    failed = f"not '{result.failure}'"
     names = title, f"{failed} at {result.failed_at_s:.2f} s", textwrap.fill(result.reason, 46)
     return list(zip(names, (taken[0], taken[min(1, len(taken) - 1)], taken[-1]), strict=True))
 
 
 def film_demonstration(job: Job, index: int, path: Path) -> None:
     """Lead trial `index` of a recording again and film it."""
-    rig, postures, trial = Rig(job, ()), Postures(1.0 / FILM_FPS), job.trial(index)
+    rig = Rig(job, ())
+    postures = Postures(1.0 / FILM_FPS)
+    trial = job.trial(index)
     rig.lead(trial, lambda _tick: postures(rig.world))
     rig.close()
     with rig.room(trial):
@@ -66,7 +84,8 @@ class Postures:
     """Step hook that samples qpos every `period_s` simulated seconds."""
 
     def __init__(self, period_s: float) -> None:
-        self._period_s, self._next_s = period_s, -np.inf
+        self._period_s = period_s
+        self._next_s = -np.inf
         self.times: list[float] = []
         self.qpos: list[Array] = []
 
@@ -79,24 +98,43 @@ class Postures:
 
 
 def film_postures(
-    model: mujoco.MjModel, qpos: Sequence[Array], path: Path, *, camera: str = "overview", shadows: bool = True
+    model: mujoco.MjModel,
+    qpos: Sequence[Array],
+    path: Path,
+    *,
+    camera: str = "overview",
+    shadows: bool = True,
 ) -> int:
     """Write an mp4 of a model with visuals; return the number of frames."""
     return write_video(path, _pictures(model, qpos, camera, shadows=shadows), fps=FILM_FPS)
 
 
 def sheet_of_postures(
-    model: mujoco.MjModel, postures: Postures, path: Path, *, frames: int, camera: str = "overview"
+    model: mujoco.MjModel,
+    postures: Postures,
+    path: Path,
+    *,
+    frames: int,
+    camera: str = "overview",
 ) -> int:
     """Draw up to `frames` evenly spaced postures of a model with visuals; return their number."""
     chosen = np.unique(np.linspace(0, len(postures.times) - 1, frames).round().astype(int))
     pictures = _pictures(model, [postures.qpos[i] for i in chosen], camera, shadows=True)
-    named = [(f"{postures.times[i]:.3f} s", picture.copy()) for i, picture in zip(chosen, pictures, strict=True)]
+    named = [
+        (f"{postures.times[i]:.3f} s", picture.copy())
+        for i, picture in zip(chosen, pictures, strict=True)
+    ]
     sheet(named, min(4, len(named)), path)
     return len(named)
 
 
-def _pictures(model: mujoco.MjModel, qpos: Sequence[Array], camera: str, *, shadows: bool) -> Iterator[Image]:
+def _pictures(
+    model: mujoco.MjModel,
+    qpos: Sequence[Array],
+    camera: str,
+    *,
+    shadows: bool,
+) -> Iterator[Image]:
     data = mujoco.MjData(model)
     with Camera(model, *FILM_SIZE, shadows=shadows) as eye:
         for posture in qpos:

@@ -15,14 +15,19 @@ _LINES = rows_beside(__file__)
 def draw_loss(result: TrainResult, path: Path) -> None:
     """Plot losses, smoothed but for the validation, and learning rate."""
     figure, ((above,), (below,)) = new_figure(2, 1, 11.0, 6.6, sharex=True, height_ratios=(4, 1))
-    columns = {name: np.array([getattr(row, name) for row in result.curve], float) for name in _LINES}
-    steps, span = np.array([row.step for row in result.curve]), 2 * max(1, len(result.curve) // 40) + 1
+    columns = {
+        name: np.array([getattr(row, name) for row in result.curve], float) for name in _LINES
+    }
+    steps = np.array([row.step for row in result.curve])
+    span = 2 * max(1, len(result.curve) // 40) + 1
     above.plot(steps, columns["l1"], color="#9ec5e8", linewidth=0.8)
     for name, (label, colour, style) in _LINES.items():
         known = ~np.isnan(columns[name])
         if known.any():
             found = columns[name][known]
-            values = found if "validation" in name else uniform_filter1d(found, span, mode="nearest")
+            values = (
+                found if "validation" in name else uniform_filter1d(found, span, mode="nearest")
+            )
             above.plot(steps[known], values, style, color=colour, label=label)
     above.set(yscale="log", ylabel="L1 [std of the actions]")
     title = f"Training: {result.parameters / 1e6:.2f} M parameters, {result.steps} steps, {result.train_s / 60:.1f} min"

@@ -11,7 +11,15 @@ from minidual.show.figures.canvas import BLUE, GREEN, INK, ORANGE, limit_line, n
 from minidual.trials.measures import TrialLog
 
 
-def draw_trial(log: TrialLog, scene: SceneConfig, robot: Robot, path: Path, *, goal: Array, title: str) -> None:
+def draw_trial(
+    log: TrialLog,
+    scene: SceneConfig,
+    robot: Robot,
+    path: Path,
+    *,
+    goal: Array,
+    title: str,
+) -> None:
     """Draw object pose, its goal (3,) [m], forces, and torque ratios."""
     figure, ((motion, tilt), (force, torque)) = new_figure(2, 2, 11, 6.4, sharex=True)
     task = scene.task

@@ -36,8 +36,11 @@ def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
     summary of each set of its trials, by condition; "held_out" is undisturbed. `margins`:
     stage, check and share of its limit, thinnest first. `at_best_n`: number of passed checks at their best value.
     """
-    ranked, at_best = list[dict[str, Any]](), 0
-    for stage, check in [(stage, check) for stage, verdict in verdicts.items() for check in verdict.checks]:
+    ranked = list[dict[str, Any]]()
+    at_best = 0
+    for stage, check in [
+        (stage, check) for stage, verdict in verdicts.items() for check in verdict.checks
+    ]:
         relative = check.relative_margin
         if relative is not None and relative >= 0.0 and _at_its_best(check):
             at_best += 1
@@ -46,15 +49,25 @@ def gather(verdicts: Mapping[str, Verdict]) -> dict[str, Any]:
     thinnest = sorted(ranked, key=lambda margin: margin["share_of_limit"])[:_THINNEST]
     deploy = verdicts.get("deploy")
     data = {} if deploy is None else {"held_out": deploy.data, **deploy.data}
-    sets = {name: row for name, row in data.items() if isinstance(row, Mapping) and "successes_n" in row}
+    sets = {
+        name: row for name, row in data.items() if isinstance(row, Mapping) and "successes_n" in row
+    }
     return {"gap": _gap(deploy), "sets": sets, "margins": thinnest, "at_best_n": at_best}
 
 
 def _gap(deploy: Verdict | None) -> dict[str, float] | None:
-    known = {} if deploy is None else {**deploy.data, **{check.name: check.observed for check in deploy.checks}}
+    known = (
+        {}
+        if deploy is None
+        else {**deploy.data, **{check.name: check.observed for check in deploy.checks}}
+    )
     names = ("success_rate", "success_low", "success_high", "training_success_rate")
     found = [number for name in names if (number := finite(known.get(name))) is not None]
-    return dict(zip(("held_out", "low", "high", "training"), found, strict=True)) if len(found) == len(names) else None
+    return (
+        dict(zip(("held_out", "low", "high", "training"), found, strict=True))
+        if len(found) == len(names)
+        else None
+    )
 
 
 def _at_its_best(check: Check) -> bool:
@@ -83,8 +96,11 @@ def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Med
         DataError: A file is missing.
     """
     media: list[Medium] = []
-    stage, captions = verdict.stage, WORDS["captions"].get(verdict.stage, {}) | verdict.data.get("captions", {})
-    for name in sorted(name for name in verdict.artefacts if Path(name).suffix in _KINDS and "/" not in name):
+    stage = verdict.stage
+    captions = WORDS["captions"].get(verdict.stage, {}) | verdict.data.get("captions", {})
+    for name in sorted(
+        name for name in verdict.artefacts if Path(name).suffix in _KINDS and "/" not in name
+    ):
         path = folder / name
         if not path.is_file():
             raise DataError(f"artefact {name} of stage {stage} is gone: {path}")
@@ -117,14 +133,23 @@ class Report:
     def not_passing(self) -> list[str]:
         """The preceding stages without a passing verdict."""
         verdicts = self.given.verdicts
-        return [name for name in self.given.summaries if name not in verdicts or verdicts[name].status != "pass"]
+        return [
+            name
+            for name in self.given.summaries
+            if name not in verdicts or verdicts[name].status != "pass"
+        ]
 
     @property
     def checks(self) -> list[Check]:
         """The report's own checks: complete tables of every task, passing stages."""
         short = self.not_passing
-        holes = [f"{task}.{hole}" for task, table in self.tables.items() for hole in table.missing()]
-        rows: Rows = {"missing_cells": (len(holes), "==", 0), "stages_not_passing": (len(short), "==", 0)}
+        holes = [
+            f"{task}.{hole}" for task, table in self.tables.items() for hole in table.missing()
+        ]
+        rows: Rows = {
+            "missing_cells": (len(holes), "==", 0),
+            "stages_not_passing": (len(short), "==", 0),
+        }
         missing = f"; missing: {shortened(holes)}" if holes else ""
         without = f"; without one: {', '.join(short)}" if short else ""
         return checks_of(WORDS["checks"], rows, missing=missing, without=without)
@@ -138,17 +163,27 @@ class Report:
     @property
     def accepts(self) -> bool:
         """Whether all profiles count as acceptance."""
-        return self.given.config.acceptance and all(v.acceptance_profile for v in self.given.verdicts.values())
+        return self.given.config.acceptance and all(
+            v.acceptance_profile for v in self.given.verdicts.values()
+        )
 
     @property
     def weakened(self) -> list[str]:
         """Counts and limits less demanding than the shipped profile's."""
-        return list(dict.fromkeys(line for verdict in self.given.verdicts.values() for line in verdict.weakened))
+        return list(
+            dict.fromkeys(
+                line for verdict in self.given.verdicts.values() for line in verdict.weakened
+            ),
+        )
 
     @property
     def newest(self) -> Verdict | None:
         """The last finished verdict."""
-        return max(self.given.verdicts.values(), key=lambda verdict: verdict.finished_at, default=None)
+        return max(
+            self.given.verdicts.values(),
+            key=lambda verdict: verdict.finished_at,
+            default=None,
+        )
 
     @property
     def total_s(self) -> float:
@@ -167,13 +202,23 @@ class Report:
     @property
     def banners(self) -> list[Banner]:
         """The warnings, gravest first."""
-        given, waivers = self.given, self.given.waivers
-        verdicts, gates = given.verdicts.values(), f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
-        blocked = [joined([f"{stage} was {state}" for stage, state in w.blocking.items()]) for w in waivers]
+        given = self.given
+        waivers = self.given.waivers
+        verdicts = given.verdicts.values()
+        gates = f"{len(waivers)} gate{'s' if len(waivers) > 1 else ''}"
+        blocked = [
+            joined([f"{stage} was {state}" for stage, state in w.blocking.items()]) for w in waivers
+        ]
         by_hand = zip(waivers, blocked, strict=True)
-        opened = [f"gate of {w.stage}, {moment(w.at)}: “{w.reason}” ({states})" for w, states in by_hand]
-        failed = [f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False]
-        changed = [f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()]
+        opened = [
+            f"gate of {w.stage}, {moment(w.at)}: “{w.reason}” ({states})" for w, states in by_hand
+        ]
+        failed = [
+            f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False
+        ]
+        changed = [
+            f"{stage}: {shortened(modules)}" for stage, modules in given.code_changes.items()
+        ]
         wiring = "Few trials and little training show that the parts fit together. The rates prove nothing else."
         overrides = sorted({text for verdict in verdicts for text in verdict.overrides})
         commits = sorted({commit(verdict.fingerprint.commit) for verdict in verdicts})
@@ -181,9 +226,21 @@ class Report:
             Banner("tainted", f"Tainted: {gates} opened by hand. This report cannot pass.", opened),
             Banner("fail", "This report does not pass", failed),
             Banner("fail", "Results of other code: this report cannot pass", changed),
-            Banner("smoke", f"{given.profile}: wiring only, not acceptance", () if self.accepts else (wiring,)),
-            Banner("smoke", f"Less was asked than the {given.profile} profile asks: not acceptance", self.weakened),
+            Banner(
+                "smoke",
+                f"{given.profile}: wiring only, not acceptance",
+                () if self.accepts else (wiring,),
+            ),
+            Banner(
+                "smoke",
+                f"Less was asked than the {given.profile} profile asks: not acceptance",
+                self.weakened,
+            ),
             Banner("note", f"Values of the {given.profile} profile were overridden", overrides),
-            Banner("note", f"The stages were run at {len(commits)} commits", commits if len(commits) > 1 else ()),
+            Banner(
+                "note",
+                f"The stages were run at {len(commits)} commits",
+                commits if len(commits) > 1 else (),
+            ),
         )
         return [banner for banner in every if banner.lines]

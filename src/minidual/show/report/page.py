@@ -39,30 +39,54 @@ def build_report(given: StageContext, folder: Path) -> Report:
     Raises:
         DataError: An artefact is missing or unreadable.
     """
-    benchmark, wanted = given.verdicts.get("benchmark"), given.config.benchmark
+    benchmark = given.verdicts.get("benchmark")
+    wanted = given.config.benchmark
     media: list[Medium] = []
     try:
         for stage, verdict in given.verdicts.items():
             media += collect_media(verdict, given.upstream[stage], folder)
         data = benchmark.data["tasks"] if benchmark else {}
-        asked, own = trials_asked(given.config).items(), next(iter(trials_asked(given.config)))
+        asked = trials_asked(given.config).items()
+        own = next(iter(trials_asked(given.config)))
         limits = {task: partial(limits_of, given.config, task) for task, _ in asked}
         tables = {
-            task: tabulate(wanted.methods, tuple(under), data.get(task, {}), own=task == own, limit=limits[task])
+            task: tabulate(
+                wanted.methods,
+                tuple(under),
+                data.get(task, {}),
+                own=task == own,
+                limit=limits[task],
+            )
             for task, under in asked
         }
         trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
-        figures = {k: benchmark_figures(table, [t for t in trials if t["task"] == k]) for k, table in tables.items()}
+        figures = {
+            k: benchmark_figures(table, [t for t in trials if t["task"] == k])
+            for k, table in tables.items()
+        }
         report = Report(given, tables, figures, media)
-        content, page = dumps(document(report)), render_page(report)
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, jinja2.UndefinedError) as error:
-        damaged = f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}"
+        content = dumps(document(report))
+        page = render_page(report)
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+        jinja2.UndefinedError,
+    ) as error:
+        damaged = (
+            f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}"
+        )
         raise DataError(damaged, remedy="minidual benchmark --force") from error
     (folder / "figures").mkdir()
     for task, drawn in figures.items():
         prefix = f"{task}-" if len(figures) > 1 else ""
         for figure in drawn:
-            (folder / "figures" / f"{prefix}{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+            (folder / "figures" / f"{prefix}{figure.name}.svg").write_text(
+                figure.svg,
+                encoding="utf-8",
+            )
     (folder / "report.json").write_text(content, encoding="utf-8")
     (folder / "report.html").write_text(page, encoding="utf-8")
     return report
@@ -76,7 +100,11 @@ def render_page(report: Report) -> str:
         measures=MEASURES,
         digits=three_digits,
         certain=CERTAIN,
-        summaries={name: METHODS[name].summary for name in report.given.config.benchmark.methods if name in METHODS},
+        summaries={
+            name: METHODS[name].summary
+            for name in report.given.config.benchmark.methods
+            if name in METHODS
+        },
     )
 
 
@@ -91,7 +119,9 @@ def document(report: Report) -> dict[str, Any]:
         **head,
         "banners": [banner._asdict() for banner in report.banners],
         "checks": [check.to_json() for check in report.shown_checks],
-        "made_with": {n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made},
+        "made_with": {
+            n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made
+        },
         "total_s": report.total_s,
         "stages": [_stage(given, name) for name in given.summaries],
         "tasks": {task: _task(tables) for task, tables in report.tables.items()},
@@ -102,9 +132,15 @@ def document(report: Report) -> dict[str, Any]:
 def _task(tables: Tables) -> dict[str, Any]:
     clean, *disturbed = tables.rows
     return {
-        "comparison": {"missing": tables.missing(), "methods": {c.method: _cell(c, tables.own) for c in clean.cells}},
+        "comparison": {
+            "missing": tables.missing(),
+            "methods": {c.method: _cell(c, tables.own) for c in clean.cells},
+        },
         "conditions": {
-            row.condition: {"summary": row.summary, "methods": {c.method: _cell(c, tables.own) for c in row.cells}}
+            row.condition: {
+                "summary": row.summary,
+                "methods": {c.method: _cell(c, tables.own) for c in row.cells},
+            }
             for row in disturbed
         },
         "analysis": {name: getattr(tables, name) for name in ("pairs", "partings", "losses")},
@@ -113,7 +149,12 @@ def _task(tables: Tables) -> dict[str, Any]:
 
 def _cell(cell: Cell, own: bool) -> dict[str, Any]:
     excellent = [indicator.key for indicator in INDICATORS if own and cell.excellent(indicator)]
-    return {**asdict(cell), "failures": dict(cell.failures), "holes": cell.holes, "excellent": excellent}
+    return {
+        **asdict(cell),
+        "failures": dict(cell.failures),
+        "holes": cell.holes,
+        "excellent": excellent,
+    }
 
 
 def _stage(given: StageContext, name: str) -> dict[str, Any]:

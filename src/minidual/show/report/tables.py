@@ -137,7 +137,9 @@ class Cell:
         """Names of missing numbers."""
         if self.state == "spared":
             return []
-        holes = [i.key for i in INDICATORS if self.measures[i.key] is None and not self.undefined(i)]
+        holes = [
+            i.key for i in INDICATORS if self.measures[i.key] is None and not self.undefined(i)
+        ]
         holes += ["trials"] * (self.trials is None)
         return holes + ["loss"] * (self.loss is None and self.condition != CLEAN)
 
@@ -147,7 +149,8 @@ class Cell:
 
     def excellent(self, indicator: Indicator) -> bool:
         """Return whether the value beats the excellent limit."""
-        measure, judged = self.measures.get(indicator.key), self.competes or indicator is SUCCESS
+        measure = self.measures.get(indicator.key)
+        judged = self.competes or indicator is SUCCESS
         return judged and measure is not None and indicator.is_excellent(measure.value)
 
 
@@ -198,7 +201,9 @@ class Tables(NamedTuple):
 
     def missing(self) -> list[str]:
         """Return "method.condition.number" per hole."""
-        holes = [f"{cell.method}.{cell.condition}.{hole}" for cell in self.cells for hole in cell.holes]
+        holes = [
+            f"{cell.method}.{cell.condition}.{hole}" for cell in self.cells for hole in cell.holes
+        ]
         return holes if self.clean.cells else ["no method"]
 
 
@@ -234,18 +239,34 @@ def tabulate(
     lost = {(pair["first"], pair["method"]): pair for pair in corrected(data.get("losses", []))}
     # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
     pairs = data.get("comparisons", [])
-    clean, disturbed = (corrected([p for p in pairs if (p["condition"] == CLEAN) is c]) for c in (True, False))
+    clean, disturbed = (
+        corrected([p for p in pairs if (p["condition"] == CLEAN) is c]) for c in (True, False)
+    )
     rows = (
-        Row(name, summary, tuple(_cell(m, name, mine.get(m, {}), lost.get((name, m)), limit(m, name)) for m in methods))
+        Row(
+            name,
+            summary,
+            tuple(
+                _cell(m, name, mine.get(m, {}), lost.get((name, m)), limit(m, name))
+                for m in methods
+            ),
+        )
         for name, (summary, mine) in records.items()
     )
     return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]], own)
 
 
-def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | None, limit: str) -> Cell:
+def _cell(
+    method: str,
+    condition: str,
+    record: Mapping[str, Any],
+    loss: Pair | None,
+    limit: str,
+) -> Cell:
     if record.get("applies") is False and record.get("why"):
         return Cell(method, condition, "spared", why=record["why"])
-    trials, failures = finite(record.get("trials")), record.get("failures", {})
+    trials = finite(record.get("trials"))
+    failures = record.get("failures", {})
     return Cell(
         method,
         condition,
@@ -261,5 +282,9 @@ def _cell(method: str, condition: str, record: Mapping[str, Any], loss: Pair | N
 
 
 def _measure(indicator: Indicator, record: Mapping[str, Any]) -> IndicatorValue | None:
-    found = [number for name in (indicator.key, *indicator.spread) if (number := finite(record.get(name))) is not None]
+    found = [
+        number
+        for name in (indicator.key, *indicator.spread)
+        if (number := finite(record.get(name))) is not None
+    ]
     return IndicatorValue(*found) if len(found) == 4 else None

@@ -44,7 +44,11 @@ def duration(seconds: float) -> str:
 
 def percent(share: float) -> str:
     """Return "85 %"; one decimal below 1 % and above 99 %."""
-    return f"{share * 100:.1f} %" if 0.0 < share < 0.01 or 0.99 < share < 1.0 else f"{share * 100:.0f} %"
+    return (
+        f"{share * 100:.1f} %"
+        if 0.0 < share < 0.01 or 0.99 < share < 1.0
+        else f"{share * 100:.0f} %"
+    )
 
 
 def points(difference: float) -> str:
@@ -56,6 +60,11 @@ def points(difference: float) -> str:
 def quantity(value: Number | None, unit: str) -> str:
     """Return a value with its unit, angles in degrees too."""
     text = with_unit(value, unit)
-    if unit == "rad" and isinstance(value, float) and math.isfinite(value) and abs(math.degrees(value)) >= 0.01:
+    if (
+        unit == "rad"
+        and isinstance(value, float)
+        and math.isfinite(value)
+        and abs(math.degrees(value)) >= 0.01
+    ):
         text += f" ({math.degrees(value):.3g}°)"
     return text

@@ -15,7 +15,12 @@ NAMES = ("none", "web")
 """Values of `--view`."""
 
 
-def make_view(name: str, config: ViewConfig | None = None, *, say: Callable[[str], None] = print) -> View | None:
+def make_view(
+    name: str,
+    config: ViewConfig | None = None,
+    *,
+    say: Callable[[str], None] = print,
+) -> View | None:
     """Return the view `name`, None for "none"; `say` gets messages.
 
     Raises:

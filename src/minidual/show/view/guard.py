@@ -71,7 +71,9 @@ class Guard:
 
     def __init__(self, host: str, remote_drives: bool, say: Callable[[str], None]) -> None:
         self.token = secrets.token_urlsafe(24)
-        self._host, self._remote_drives, self._say = host, remote_drives, say
+        self._host = host
+        self._remote_drives = remote_drives
+        self._say = say
         self._refused = False
 
     def start(self, make: Callable[[], viser.ViserServer]) -> viser.ViserServer:
@@ -81,19 +83,35 @@ class Guard:
             EnvironmentMissingError: viser did not call it; the server is stopped.
         """
         # viser takes no hooks for requests; the public `serve` of websockets, which it calls, does
-        plain, hooked = websockets_server.serve, False
+        plain = websockets_server.serve
+        hooked = False
 
-        def serve(*arguments: Any, process_request: Any, **settings: Any) -> websockets_server.serve:
+        def serve(
+            *arguments: Any,
+            process_request: Any,
+            **settings: Any,
+        ) -> websockets_server.serve:
             nonlocal hooked
             hooked = True
 
             def answer(connection: _Connection, request: Request) -> Response | None:
                 return self._answer(connection, request, process_request)
 
-            settings |= {"process_request": answer, "create_connection": _Connection, "logger": _LOGGER}
+            settings |= {
+                "process_request": answer,
+                "create_connection": _Connection,
+                "logger": _LOGGER,
+            }
             # browsers keep a spare connection open without a request, and a server that stops waits for its timeout
-            settings |= {"max_size": _MESSAGE_MAX_BYTES, "select_subprotocol": None, "open_timeout": _OPEN_S}
-            return plain(*arguments, **settings | {"subprotocols": [Subprotocol(f"viser-v{viser.__version__}")]})
+            settings |= {
+                "max_size": _MESSAGE_MAX_BYTES,
+                "select_subprotocol": None,
+                "open_timeout": _OPEN_S,
+            }
+            return plain(
+                *arguments,
+                **settings | {"subprotocols": [Subprotocol(f"viser-v{viser.__version__}")]},
+            )
 
         websockets_server.serve = serve  # type: ignore[assignment, misc]
         try:
@@ -107,22 +125,36 @@ class Guard:
             raise EnvironmentMissingError(other, remedy=remedy)
         return made
 
-    def _answer(self, connection: _Connection, request: Request, process_request: Any) -> Response | None:
-        cookie, peer = f"minidual-{connection.local_address[1]}", str(connection.remote_address[0])
+    def _answer(
+        self,
+        connection: _Connection,
+        request: Request,
+        process_request: Any,
+    ) -> Response | None:
+        cookie = f"minidual-{connection.local_address[1]}"
+        peer = str(connection.remote_address[0])
         if why := self._refusal(request, cookie):
             if not self._refused:
-                self._say(f"view: refused a request from {peer}: {why} (later ones are refused without a message)")
+                self._say(
+                    f"view: refused a request from {peer}: {why} (later ones are refused without a message)",
+                )
             self._refused = True
             return connection.respond(HTTPStatus.FORBIDDEN, f"minidual: {why}\n")
         connection.drives = self._remote_drives or is_loopback(peer)
         response: Response | None = process_request(connection, request)
         if response is not None:
-            response.headers["Set-Cookie"] = f"{cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-            response.headers["Referrer-Policy"], response.headers["Cache-Control"] = "no-referrer", "no-store"
+            response.headers["Set-Cookie"] = (
+                f"{cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+            )
+            response.headers["Referrer-Policy"], response.headers["Cache-Control"] = (
+                "no-referrer",
+                "no-store",
+            )
         return response
 
     def _refusal(self, request: Request, cookie: str) -> str:
-        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        hosts = request.headers.get_all("Host")
+        origins = request.headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_here(hosts[0]):
             return f"it asks for host {', '.join(hosts)[:80] or 'none'}, not for this machine"
         if origins not in ([], [f"http://{hosts[0]}"]):
@@ -130,7 +162,10 @@ class Guard:
         given = parse_qs(request.path.partition("?")[2]).get("token", [])
         for kept in request.headers.get_all("Cookie"):
             given += re.findall(rf"(?:^|; *){cookie}=([^;]*)", kept)
-        if not any(secrets.compare_digest(one.encode(errors="replace"), self.token.encode()) for one in given):
+        if not any(
+            secrets.compare_digest(one.encode(errors="replace"), self.token.encode())
+            for one in given
+        ):
             return "it lacks the token of the address that this command printed"
         return ""
 
@@ -142,7 +177,10 @@ class Guard:
             return False
         if is_loopback(name) or is_loopback(self._host):
             return is_loopback(name)
-        return bool(re.fullmatch(r"[\d.]+|.*:.*", name)) or name in (self._host, socket.gethostname())
+        return bool(re.fullmatch(r"[\d.]+|.*:.*", name)) or name in (
+            self._host,
+            socket.gethostname(),
+        )
 
 
 def is_loopback(host: str) -> bool:

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 from minidual.robot.pair import Array
 
-ARM_RGB, OBJECT_RGB = ((32, 108, 214), (150, 62, 190)), (20, 150, 90)
+ARM_RGB = ((32, 108, 214), (150, 62, 190))
+OBJECT_RGB = (20, 150, 90)
 """Colours of left arm, right arm and object."""
 
 

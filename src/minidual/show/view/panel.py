@@ -11,7 +11,11 @@ import numpy as np
 from minidual import emergency
 from minidual.show.view.overlay import ARM_RGB, OBJECT_RGB, Array, Overlay, Slider
 
-_FORCES = {"pinch, left hand": ARM_RGB[0], "pinch, right hand": ARM_RGB[1], "squeeze along the object": OBJECT_RGB}
+_FORCES = {
+    "pinch, left hand": ARM_RGB[0],
+    "pinch, right hand": ARM_RGB[1],
+    "squeeze along the object": OBJECT_RGB,
+}
 
 
 def table_html(overlay: Overlay, speed: float | None) -> str:
@@ -26,8 +30,16 @@ def table_html(overlay: Overlay, speed: float | None) -> str:
     ]
     cells = "".join(_row(name, text) for name, text in rows if text)
     if overlay.pinch_n is not None and overlay.internal_n is not None:
-        for (name, rgb), force in zip(_FORCES.items(), (*overlay.pinch_n, overlay.internal_n), strict=True):
-            cells += _row(name, f"{round(force, 1) + 0.0:.1f} N", rgb)  # adding zero removes the sign of -0.0
+        for (name, rgb), force in zip(
+            _FORCES.items(),
+            (*overlay.pinch_n, overlay.internal_n),
+            strict=True,
+        ):
+            cells += _row(
+                name,
+                f"{round(force, 1) + 0.0:.1f} N",
+                rgb,
+            )  # adding zero removes the sign of -0.0
     title = f"<b>{html.escape(overlay.title)}</b>" if overlay.title else ""
     return f"<div style='padding:4px 12px;font-size:13px'>{title}<table style='width:100%'>{cells}</table></div>"
 
@@ -54,14 +66,17 @@ class Panel:
 
     def show(self, overlay: Overlay) -> None:
         """Show one instant, and the speed since the last one shown."""
-        (then, before_s), now = self._seen, time.monotonic()
+        (then, before_s) = self._seen
+        now = time.monotonic()
         speed = (overlay.time_s - before_s) / (now - then) if overlay.time_s > before_s else None
         self._seen = (now, overlay.time_s)
         self._table.content = table_html(overlay, speed)
 
     def note(self, text: str) -> None:
         """Add a line below the state."""
-        self._gui.add_html(f"<div style='padding:4px 12px;font-size:13px;opacity:.6'>{html.escape(text)}</div>")
+        self._gui.add_html(
+            f"<div style='padding:4px 12px;font-size:13px;opacity:.6'>{html.escape(text)}</div>",
+        )
 
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders, a folder per group."""
@@ -71,7 +86,13 @@ class Panel:
         for s in sliders:
             step = round((s.upper - s.lower) / 500, 4)
             with folders[s.group]:
-                handle = self._gui.add_slider(s.label, s.lower, s.upper, step, initial_value=s.value)
+                handle = self._gui.add_slider(
+                    s.label,
+                    s.lower,
+                    s.upper,
+                    step,
+                    initial_value=s.value,
+                )
             self._sliders.append((handle, s))
 
     def values(self) -> Array:

@@ -47,18 +47,24 @@ class WebView:
     name = "web"
 
     def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
-        self._say, self.speed_max = say, config.speed_max
-        guard, port = Guard(config.host, config.remote_drives, say), free_port(config.host, config.port)
+        self._say = say
+        self.speed_max = config.speed_max
+        guard = Guard(config.host, config.remote_drives, say)
+        port = free_port(config.host, config.port)
         with _quiet():
-            self._server = guard.start(lambda: _Server(config.host, port, "minidual", verbose=False))
+            self._server = guard.start(
+                lambda: _Server(config.host, port, "minidual", verbose=False),
+            )
         self.port = self._server.get_port()
         self.url: str | None = f"{url(config.host, self.port)}/?token={guard.token}"
         self.alive = True
         """Whether it is visible."""
-        self._closed, self.panel = False, Panel(self._server)
+        self._closed = False
+        self.panel = Panel(self._server)
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
-        self._overlay, self._period_s = Overlay(), 1.0 / config.rate_hz
+        self._overlay = Overlay()
+        self._period_s = 1.0 / config.rate_hz
         self._frame_due_s = self._panel_due_s = 0.0
         self._config = config
 
@@ -81,7 +87,8 @@ class WebView:
         if self._model is None:
             self._introduce(self._config)
         if model is not self._model and self.alive:
-            self._scene, self._model = Scene(self._server, model), model
+            self._scene = Scene(self._server, model)
+            self._model = model
 
     def due(self) -> bool:
         """Return whether a new frame is due."""
@@ -96,20 +103,26 @@ class WebView:
                 self._scene.move(data.xpos, data.xquat)
                 self._scene.draw_forces(overlay.arrows)
             self._scene.draw_preview(overlay.preview)
-            self._overlay, now = overlay, time.monotonic()
+            self._overlay = overlay
+            now = time.monotonic()
             if now >= self._panel_due_s:
                 self.panel.show(overlay)
                 self._panel_due_s = now + _PANEL_PERIOD_S
-            self._frame_due_s = now + self._period_s * (1.0 if self._server.get_clients() else _UNWATCHED)
+            self._frame_due_s = now + self._period_s * (
+                1.0 if self._server.get_clients() else _UNWATCHED
+            )
         except Exception as error:  # no error may reach the simulation
             self.alive = False
-            self._say(f"the view ended early ({type(error).__name__}: {error}); what it showed goes on")
+            self._say(
+                f"the view ended early ({type(error).__name__}: {error}); what it showed goes on",
+            )
 
     def close(self) -> None:
         """Mark the page as ended; stop the server."""
         if self._closed:
             return
-        self._closed, self.alive = True, False
+        self._closed = True
+        self.alive = False
         with contextlib.suppress(Exception):  # the page also notices the closed connection
             self.panel.show(self._overlay._replace(status="ended: the command has finished"))
             self._server.flush()
@@ -134,7 +147,9 @@ def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 refused = f"the view cannot bind interface '{host}', port {port}: {error.strerror or error}"
-                remedy = "--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up"
+                remedy = (
+                    "--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up"
+                )
                 raise UsageError(refused, remedy=remedy) from error
     remedy = "end the program that holds them, or --view-port N"
     raise UsageError(f"no free port for the view among {first} to {last}", remedy=remedy)

@@ -26,7 +26,9 @@ class Drive:
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
         self.stack = stack
         self.aborted: str | None = None
-        self._left, self._proposed, self._refused_n = list(segments), 0, stack.refused_n
+        self._left = list(segments)
+        self._proposed = 0
+        self._refused_n = stack.refused_n
         self._began_s = self._ended_s = 0.0
         self._under_way = False
         if self._left:
@@ -61,34 +63,53 @@ class Drive:
             stack.step()
         except ReflexError as error:
             self._stopped(error)
-        if self._left and stack.source != SOURCE and (self._proposed or not stack.arbiter.switching):
-            self._abort("the arms were taken over" if self._proposed else "the arms were not handed over")
+        if (
+            self._left
+            and stack.source != SOURCE
+            and (self._proposed or not stack.arbiter.switching)
+        ):
+            self._abort(
+                "the arms were taken over" if self._proposed else "the arms were not handed over",
+            )
 
     def _propose_next(self) -> None:
-        refused = next((r for r in self.stack.refused_since(self._refused_n) if r.source == SOURCE), None)
+        refused = next(
+            (r for r in self.stack.refused_since(self._refused_n) if r.source == SOURCE),
+            None,
+        )
         if refused is None:
             if self._under_way:
                 self._left.pop(0)
-                self._under_way, self._ended_s = False, self.stack.plant.time
+                self._under_way = False
+                self._ended_s = self.stack.plant.time
             if not self._left or not self._felt(self._left[0]):
                 return
-            self._under_way, segment = True, self._left[0]
+            self._under_way = True
+            segment = self._left[0]
             self._proposed += 1
             self._began_s = self.stack.plant.time
             self._tell_held(segment)
             self._take_control(segment)
-            command = TrajectoryCommand(segment.trajectory, np.array(segment.openings), self._began_s, self._proposed)
+            command = TrajectoryCommand(
+                segment.trajectory,
+                np.array(segment.openings),
+                self._began_s,
+                self._proposed,
+            )
             refused = self.stack.propose(SOURCE, command)
         if refused is not None:
             self._abort(f"{refused.name}: {refused.detail}")
 
     def _felt(self, segment: Segment) -> bool:
         """Return whether the keeping hands feel the object; too long without is a fault."""
-        unfelt = [hand for hand in segment.kept_by if not self.stack.grippers.holds(SIDES.index(hand))]
+        unfelt = [
+            hand for hand in segment.kept_by if not self.stack.grippers.holds(SIDES.index(hand))
+        ]
         now_s = self.stack.plant.time
         if unfelt and now_s - self._ended_s > _FEEL_S:
             detail = f"the {unfelt[0]} hand feels no grip after {_FEEL_S} s"
-            self.aborted, self._left = Fault("missed_grasp", detail, now_s).text, []
+            self.aborted = Fault("missed_grasp", detail, now_s).text
+            self._left = []
         return not unfelt
 
     def _tell_held(self, segment: Segment) -> None:
@@ -97,13 +118,18 @@ class Drive:
             return
         supervisor.hold(None)
         for held in segment.scene.attached:
-            supervisor.hold(segment.scene.robot.tcp_names.index(held.link), held.shape.T_parent_shape)
+            supervisor.hold(
+                segment.scene.robot.tcp_names.index(held.link),
+                held.shape.T_parent_shape,
+            )
 
     def _take_control(self, segment: Segment) -> None:
         """Choose the controllers of a segment."""
 
     def _stopped(self, error: ReflexError) -> None:
-        self.aborted, self._left = f"phase '{self.phase}': {error.message}", []
+        self.aborted = f"phase '{self.phase}': {error.message}"
+        self._left = []
 
     def _abort(self, reason: str) -> None:
-        self.aborted, self._left = f"the arbiter stopped phase '{self.phase}' ({reason})", []
+        self.aborted = f"the arbiter stopped phase '{self.phase}' ({reason})"
+        self._left = []

@@ -33,7 +33,10 @@ class StageRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data; reasons with count and first message, most frequent first."""
-        reasons = [{"reason": reason, "count": len(m), "first": m[0]} for reason, m in self.failures.items()]
+        reasons = [
+            {"reason": reason, "count": len(m), "first": m[0]}
+            for reason, m in self.failures.items()
+        ]
         reasons.sort(key=lambda entry: -entry["count"])
         counts = {"tried_n": self.solved_n + self.failed_n, "solved_n": self.solved_n}
         return {"stage": self.name, **counts, "chosen": self.chosen, "failures": reasons}
@@ -49,24 +52,35 @@ class Record:
 
     def deepest(self) -> StageRecord | None:
         """Return the stage without success that has most failures."""
-        return max((s for s in self.stages if s.failures and not s.solved_n), key=lambda s: s.failed_n, default=None)
+        return max(
+            (s for s in self.stages if s.failures and not s.solved_n),
+            key=lambda s: s.failed_n,
+            default=None,
+        )
 
     def tree(self, title: str) -> str:
         """Return a text tree."""
         lines = [f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"]
         for stage in self.stages:
             branch, below = ("└─", "   ") if stage is self.stages[-1] else ("├─", "│  ")
-            chosen, row = f"  -> {stage.chosen}" if stage.chosen else "", stage.to_json()
+            chosen = f"  -> {stage.chosen}" if stage.chosen else ""
+            row = stage.to_json()
             counts = f"{stage.solved_n} of {row['tried_n']}" if row["tried_n"] else "not reached"
             lines.append(f"{branch} {stage.name:14s} {counts}{chosen}")
             for entry in row["failures"]:
                 text = f"{entry['count']} x {entry['reason']}: {entry['first']}"
-                lines.append(f"{below}    {text if len(text) <= _WIDTH else text[: _WIDTH - 3] + '...'}")
+                lines.append(
+                    f"{below}    {text if len(text) <= _WIDTH else text[: _WIDTH - 3] + '...'}",
+                )
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data."""
-        return {"took_s": self.took_s, "ended": self.ended, "stages": [stage.to_json() for stage in self.stages]}
+        return {
+            "took_s": self.took_s,
+            "ended": self.ended,
+            "stages": [stage.to_json() for stage in self.stages],
+        }
 
 
 class TaskFailedError(PlanningError, reason="task_failed"):
@@ -76,7 +90,10 @@ class TaskFailedError(PlanningError, reason="task_failed"):
         blocking = record.deepest()
         where = "no stage stops it alone" if blocking is None else f"'{blocking.name}' stops it"
         what = f"the task '{name}' failed; {where}\n{record.tree(name)}"
-        super().__init__(what, remedy="offer more grasps or places, make room in the scene, or move start or goal")
+        super().__init__(
+            what,
+            remedy="offer more grasps or places, make room in the scene, or move start or goal",
+        )
         self.record = record
         messages = [] if blocking is None else ["; ".join(m[0] for m in blocking.failures.values())]
         self.summary = ": ".join([where, *messages])
@@ -127,20 +144,31 @@ class Pipeline:
     """
 
     def __init__(self, name: str, stages: Sequence[Stage], keenness: float = 0.0) -> None:
-        self.name, self.stages, self.keenness = name, tuple(stages), keenness
+        self.name = name
+        self.stages = tuple(stages)
+        self.keenness = keenness
         if not (names := [stage.name for stage in stages]):
             raise UsageError(f"the task '{name}' has no stage")
         if twice := sorted({n for n in names if names.count(n) > 1}):
             raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
 
-    def solve(self, start: State, tools: Tools, *, budget_s: float = 300.0, tries_max: int = 2000) -> Solution:
+    def solve(
+        self,
+        start: State,
+        tools: Tools,
+        *,
+        budget_s: float = 300.0,
+        tries_max: int = 2000,
+    ) -> Solution:
         """Return the first complete plan within the limits of wall time [s] and candidates.
 
         Raises:
             TaskFailedError: All candidates failed, or a limit was reached.
         """
         record = Record([StageRecord(stage.name) for stage in self.stages])
-        began, ticket, tries = time.perf_counter(), itertools.count(), 0
+        began = time.perf_counter()
+        ticket = itertools.count()
+        tries = 0
         heap: list[tuple[float, int, int, _Node]] = []
 
         def push(node: _Node) -> None:
@@ -177,8 +205,12 @@ class Pipeline:
                 record.took_s = time.perf_counter() - began
                 for found, candidate in zip(record.stages, done, strict=True):
                     found.chosen = candidate.label
-                parts, states = zip(*((candidate.segments, candidate.end) for candidate in done), strict=True)
+                parts, states = zip(
+                    *((candidate.segments, candidate.end) for candidate in done),
+                    strict=True,
+                )
                 return Solution(self, tools, parts, (start, *states), record)
             push(_Node(done, total, self.stages[len(done)].offers(offer.end, tools)))
-        record.took_s, record.ended = time.perf_counter() - began, record.ended or "no way through"
+        record.took_s = time.perf_counter() - began
+        record.ended = record.ended or "no way through"
         raise TaskFailedError(self.name, record)

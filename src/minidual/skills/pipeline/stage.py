@@ -57,15 +57,23 @@ class Gap:
         Raises:
             CandidateError: The arms come closer, or a joint comes within 3 mrad of a limit.
         """
-        room = min((s.verification.limit_margin_rad for s in segments if s.verification), default=np.inf)
+        room = min(
+            (s.verification.limit_margin_rad for s in segments if s.verification),
+            default=np.inf,
+        )
         if room < _LIMIT_ROOM_RAD:
             near = f"a joint comes to {1e3 * room:.1f} mrad from its limit; the supervisor stops it there"
             raise CandidateError("at_limit", near)
         found = [("", np.inf)]
         for motion in (s.trajectory for s in segments if s.verification is not None):
-            q = motion.sample_many(np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float))[0]
-            way_m, k = np.r_[0.0, np.cumsum(np.abs(np.diff(q, axis=0)) @ self.reach_m)], 0
-            while k < len(q):  # until both arms together have gone further than the gap is wide, it lasts
+            q = motion.sample_many(
+                np.arange(0.0, motion.duration_s + _GAP_STEP_S, _GAP_STEP_S, dtype=float),
+            )[0]
+            way_m = np.r_[0.0, np.cumsum(np.abs(np.diff(q, axis=0)) @ self.reach_m)]
+            k = 0
+            while k < len(
+                q,
+            ):  # until both arms together have gone further than the gap is wide, it lasts
                 found.append(self.distance(q[k]))
                 k = max(k + 1, int(np.searchsorted(way_m, way_m[k] + found[-1][1] - self.least_m)))
         pair, gap = min(found, key=lambda near: (near[1], near[0]))
@@ -93,7 +101,13 @@ class Tools:
     by_force: bool = False
     fingers_s: float = 0.5
 
-    def scene(self, state: State, *, touching: Collection[str] = (), resting: bool = False) -> PlanningScene:
+    def scene(
+        self,
+        state: State,
+        *,
+        touching: Collection[str] = (),
+        resting: bool = False,
+    ) -> PlanningScene:
         """Return the scene: an object is an obstacle, or attached to its first holder.
 
         Hands of the arms `touching` may touch their objects; `resting` lets held objects touch what they rest on.
@@ -108,7 +122,11 @@ class Tools:
                 continue
             scene = scene.with_obstacles(placed(thing.shape, state.objects[name]))
             for link in (link for arm in near for link in self.around.robot.hand_links(arm)):
-                scene = scene.allowing(name, link, "the hand is at the object to hold it or let it go")
+                scene = scene.allowing(
+                    name,
+                    link,
+                    "the hand is at the object to hold it or let it go",
+                )
         return scene
 
 

@@ -30,7 +30,10 @@ class Library:
     @property
     def fits(self) -> bool:
         """Whether the installed version is supported."""
-        return self.found is not None and SpecifierSet(self.wanted).contains(self.found, prereleases=True)
+        return self.found is not None and SpecifierSet(self.wanted).contains(
+            self.found,
+            prereleases=True,
+        )
 
 
 def required_libraries() -> list[Library]:
@@ -55,12 +58,26 @@ def print_bill(context: ToolContext) -> ToolResult:
     except (EnvironmentMissingError, ImportError) as error:
         renderer = f"none: {error}"
     now = circumstances_now(())
-    about = {"minidual": now["version"], "commit": now["commit"] or "none (installed package)", **now["machine"]}
-    about |= {"platform": platform.platform(), "mujoco_gl": os.environ.get("MUJOCO_GL", ""), "gl_renderer": renderer}
-    libraries, verdict = required_libraries(), None
+    about = {
+        "minidual": now["version"],
+        "commit": now["commit"] or "none (installed package)",
+        **now["machine"],
+    }
+    about |= {
+        "platform": platform.platform(),
+        "mujoco_gl": os.environ.get("MUJOCO_GL", ""),
+        "gl_renderer": renderer,
+    }
+    libraries = required_libraries()
+    verdict = None
     lines = ["### minidual environment", ""]
     lines += [*markdown([{"what": k.replace("_", " "), "value": v} for k, v in about.items()]), ""]
-    lines += markdown([{**asdict(library), "state": "fits" if library.fits else "**unfit**"} for library in libraries])
+    lines += markdown(
+        [
+            {**asdict(library), "state": "fits" if library.fits else "**unfit**"}
+            for library in libraries
+        ],
+    )
     try:
         verdict, _ = read_verdict(context.run_folder / "env-check" / "verdict.json")
         status = f"env-check: **{verdict.status}** on {verdict.finished_at}, profile {verdict.fingerprint.profile}"

@@ -26,16 +26,24 @@ def drivable_joints(model: mujoco.MjModel, robot: Robot) -> list[str]:
 
 
 def torque_pulse_mapping(
-    world: World, supervisor: Supervisor, kinematics: Kinematics, *, tolerance: float = 0.01
+    world: World,
+    supervisor: Supervisor,
+    kinematics: Kinematics,
+    *,
+    tolerance: float = 0.01,
 ) -> tuple[int, ...]:
     """Return the joint that a one-step torque pulse on each command moves, -1 if none as predicted.
 
     One step from rest: (M + dt D) dv = dt tau. Coupling can move a neighbour more than the joint.
     """
-    robot, n = world.robot, world.robot.dof
+    robot = world.robot
+    n = world.robot.dof
     world.reset()
-    predicted = np.linalg.inv(kinematics.mass_matrix(robot.home) + world.dt * robot.arm.damping * np.eye(n))
-    gravity, fingers = kinematics.gravity(robot.home), world.fingers
+    predicted = np.linalg.inv(
+        kinematics.mass_matrix(robot.home) + world.dt * robot.arm.damping * np.eye(n),
+    )
+    gravity = kinematics.gravity(robot.home)
+    fingers = world.fingers
 
     def after(tau: Array) -> tuple[Array, Array]:
         world.reset()
@@ -57,26 +65,40 @@ def torque_pulse_mapping(
         with np.errstate(invalid="ignore"):  # NaN: no pulse was let through
             response[:, j] = (v - rest) / ((applied[j] - gravity[j]) * world.dt)
     scale = np.abs(predicted).max(axis=0)
-    distance = np.abs(response[:, :, None] - predicted[:, None, :]).max(axis=0) / scale  # (command, joint)
+    distance = (
+        np.abs(response[:, :, None] - predicted[:, None, :]).max(axis=0) / scale
+    )  # (command, joint)
     world.reset()
-    return tuple(int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(distance.argmin(axis=1)))
+    return tuple(
+        int(i) if distance[j, i] <= tolerance else -1 for j, i in enumerate(distance.argmin(axis=1))
+    )
 
 
-def model_agreement(world: World, kinematics: Kinematics, rng: np.random.Generator, states_n: int) -> dict[str, float]:
+def model_agreement(
+    world: World,
+    kinematics: Kinematics,
+    rng: np.random.Generator,
+    states_n: int,
+) -> dict[str, float]:
     """Compare MuJoCo with Pinocchio at random states.
 
     Returns:
         Largest absolute difference of `position_m` and `rotation` (TCPs), `inertia_kg_m2` and `bias_nm`.
     """
-    robot, rows = world.robot, world.joints.qvel
-    largest: dict[str, float] = dict.fromkeys(("position_m", "rotation", "inertia_kg_m2", "bias_nm"), 0.0)
+    robot = world.robot
+    rows = world.joints.qvel
+    largest: dict[str, float] = dict.fromkeys(
+        ("position_m", "rotation", "inertia_kg_m2", "bias_nm"),
+        0.0,
+    )
     full = np.zeros((world.model.nv, world.model.nv))
 
     def compare(name: str, a: Array, b: Array) -> None:
         largest[name] = float(np.maximum(largest[name], np.abs(a - b).max()))  # keeps NaN
 
     for _ in range(states_n):
-        q, v = rng.uniform(robot.q_lower, robot.q_upper), rng.uniform(-robot.v_max, robot.v_max)
+        q = rng.uniform(robot.q_lower, robot.q_upper)
+        v = rng.uniform(-robot.v_max, robot.v_max)
         world.reset(q)
         world.data.qvel[rows] = v
         mujoco.mj_forward(world.model, world.data)

@@ -36,11 +36,21 @@ def check_cameras(world: World, path: Path | None = None) -> CameraCheck:
     with Camera(world.model, 480, 360, supersample=2) as camera:
         pictures = {name: camera.picture(world.data, name) for name in (*CAMERAS, "overview")}
         seen = {name: camera.bodies_seen(world.data, name) for name in ("high", *world.robot.sides)}
-        fingers = [seen[side].get(f, 0.0) for side in world.robot.sides for f in world.robot.hand_links(side)[1:]]
-        objects, renderer = [seen["high"].get(name, 0.0) for name in world.objects], _gl_renderer()
+        fingers = [
+            seen[side].get(f, 0.0)
+            for side in world.robot.sides
+            for f in world.robot.hand_links(side)[1:]
+        ]
+        objects = [seen["high"].get(name, 0.0) for name in world.objects]
+        renderer = _gl_renderer()
     if path is not None:
         kinds = {"high": "from above", "left": "wrist", "right": "wrist", "overview": "for people"}
-        sheet([(f"{name} ({kinds[name]})", picture) for name, picture in pictures.items()], 2, path, width_in=4.8)
+        sheet(
+            [(f"{name} ({kinds[name]})", picture) for name, picture in pictures.items()],
+            2,
+            path,
+            width_in=4.8,
+        )
     contrast = min(float(pictures[name].mean(axis=2).std()) for name in CAMERAS)
     return CameraCheck(contrast, min(objects), min(fingers), renderer)
 
@@ -51,7 +61,9 @@ def renderer_name() -> str:
     Raises:
         EnvironmentMissingError: No off-screen OpenGL context.
     """
-    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='eye'/></worldbody></mujoco>")
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><camera name='eye'/></worldbody></mujoco>",
+    )
     with Camera(model, 32, 32) as camera:
         camera.picture(mujoco.MjData(model), "eye")
         return _gl_renderer()

@@ -25,7 +25,9 @@ from minidual.stages.words import worded
 _REACHED_RAD = 0.005
 """Error norm of all joints below which a single step has settled."""
 _REAL_TIME_US = 1000.0
-_CONTRAST_MIN, _OBJECT_SHARE_MIN, _FINGER_SHARE_MIN = 5.0, 0.001, 0.002
+_CONTRAST_MIN = 5.0
+_OBJECT_SHARE_MIN = 0.001
+_FINGER_SHARE_MIN = 0.002
 
 
 class Measured(NamedTuple):
@@ -50,15 +52,24 @@ class Measured(NamedTuple):
 
 def installation_checks(libraries: list[Library], joints_n: int, robot: Robot) -> list[Check]:
     """Return the checks of libraries and actuated joints."""
-    unfit = [f"{lib.name} {lib.wanted} (found {lib.found or 'none'})" for lib in libraries if not lib.fits]
-    rows: Rows = {"libraries.unfit": (len(unfit), "==", 0), "joints.count": (joints_n, "==", robot.dof)}
+    unfit = [
+        f"{lib.name} {lib.wanted} (found {lib.found or 'none'})"
+        for lib in libraries
+        if not lib.fits
+    ]
+    rows: Rows = {
+        "libraries.unfit": (len(unfit), "==", 0),
+        "joints.count": (joints_n, "==", robot.dof),
+    }
     return worded("env-check", rows, unfit=", ".join(unfit))
 
 
 def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[Check]:
     """Return the checks of joints, engines, commands and cameras."""
     astray = [str(j + 1) for j, joint in enumerate(m.moved) if joint != j]
-    late = [str(j + 1) for j, row in enumerate(m.responses) if not row["settled_rad"] < _REACHED_RAD]
+    late = [
+        str(j + 1) for j, row in enumerate(m.responses) if not row["settled_rad"] < _REACHED_RAD
+    ]
     rise, overshoot = ([row[name] for row in m.responses] for name in ("rise_s", "overshoot_rad"))
     stops = [t.stopped for t in (*m.steps, m.step, m.sine) if t.stopped]
     names = {
@@ -79,7 +90,11 @@ def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[C
         "joints.overshoot_max_rad": (float(np.max(overshoot)), "<", limits.overshoot_max_rad),
         "control.stopped": (len(stops), "==", 0),
         "contacts.home": (len(m.contacts), "==", 0),
-        "model.agreement_max": (float(np.max(list(m.agreement.values()))), "<=", limits.agreement_max),
+        "model.agreement_max": (
+            float(np.max(list(m.agreement.values()))),
+            "<=",
+            limits.agreement_max,
+        ),
         "control.step_median_us": (m.sine.step_us, "<", _REAL_TIME_US),
         "latency.late_steps": (m.latency.late_steps, "==", 0),
         "latency.wall_median_us": (m.latency.wall_us, "<", limits.latency_max_us),
@@ -96,70 +111,136 @@ def measured_checks(m: Measured, limits: EnvCheckConfig, robot: Robot) -> list[C
 def save_tracking(path: Path, m: Measured, limits: EnvCheckConfig, robot: Robot) -> None:
     """Save a figure of the steps, the swing, their errors and the rise times."""
     figure, ((norm, alone), (swing, rise)) = new_figure(2, 2, 11.0, 7.2)
-    step, sine, rows = m.step, m.sine, m.responses
-    n, x, every = robot.dof_per_arm, np.arange(robot.dof), max(1, len(sine.t) // 2000)
+    step = m.step
+    sine = m.sine
+    rows = m.responses
+    n = robot.dof_per_arm
+    x = np.arange(robot.dof)
+    every = max(1, len(sine.t) // 2000)
     colours = np.repeat([BLUE, ORANGE], n)
     for j in range(robot.dof):
         label = f"{robot.sides[j // n]} arm" if j % n == 0 else None
         style: dict[str, Any] = {"color": colours[j], "lw": 1.0, "label": label}
-        alone.plot(m.steps[j].t, m.steps[j].share(j), ls=("-", (0, (4, 4)))[j // n], **style)  # the arms answer alike
-        swing.plot(sine.t[::every], 1e3 * (sine.measured - sine.reference)[::every, j], alpha=0.55, **style)
+        alone.plot(
+            m.steps[j].t,
+            m.steps[j].share(j),
+            ls=("-", (0, (4, 4)))[j // n],
+            **style,
+        )  # the arms answer alike
+        swing.plot(
+            sine.t[::every],
+            1e3 * (sine.measured - sine.reference)[::every, j],
+            alpha=0.55,
+            **style,
+        )
     norm.semilogy(step.t, np.maximum(step.error_norm, 1e-16), color=INK)
     limit_line(norm, limits.step_error_max_rad, f"limit {limits.step_error_max_rad:g} rad")
     rise.bar(x, [1e3 * row["rise_s"] for row in rows], width=0.7, color=colours, alpha=0.85)
     limit_line(rise, 1e3 * limits.rise_max_s, f"limit {1e3 * limits.rise_max_s:g} ms")
     rise.set_xticks(x, [f"{'LR'[j // n]}{j % n + 1}" for j in x], fontsize=8)
     texts = {
-        norm: (f"Step of joint 1 of both arms leaves {step.settled:.1e} rad", "time [s]", "error of all joints [rad]"),
-        alone: (f"A step of {abs(rows[0]['step_rad']):g} rad, each joint alone", "time [s]", "share of the step"),
-        swing: (f"All {robot.dof} joints swinging: RMS {1e3 * sine.rms:.2g} mrad", "time [s]", "error [mrad]"),
+        norm: (
+            f"Step of joint 1 of both arms leaves {step.settled:.1e} rad",
+            "time [s]",
+            "error of all joints [rad]",
+        ),
+        alone: (
+            f"A step of {abs(rows[0]['step_rad']):g} rad, each joint alone",
+            "time [s]",
+            "share of the step",
+        ),
+        swing: (
+            f"All {robot.dof} joints swinging: RMS {1e3 * sine.rms:.2g} mrad",
+            "time [s]",
+            "error [mrad]",
+        ),
         rise: ("Rise time of each joint's own step, 10 % to 90 %", "joint", "time [ms]"),
     }
     for axes, (title, across, up) in texts.items():
         axes.set(title=title, xlabel=across, ylabel=up)
         axes.legend(frameon=False, fontsize=8)
-    figure.savefig(path, metadata={"Software": None})  # no date inside: the same run writes the same bytes
+    figure.savefig(
+        path,
+        metadata={"Software": None},
+    )  # no date inside: the same run writes the same bytes
 
 
 def run(context: StageContext) -> StageResult:
     """Measure; write joints.csv, sine.mp4, cameras.png and tracking.png."""
-    config, folder = context.config.env_check, context.folder
+    config = context.config.env_check
+    folder = context.folder
     robot = robot_from(context.config.robot)
     sine_wave = config.sine_amplitude_rad, config.sine_frequency_hz
     with context.progress.task("environment", 8) as task:
-        libraries, model = required_libraries(), build_model(context.config.scene, robot, visuals=True)
+        libraries = required_libraries()
+        model = build_model(context.config.scene, robot, visuals=True)
         joints = measure.drivable_joints(model, robot)
         installed = installation_checks(libraries, len(joints), robot)
         if len(joints) != robot.dof:  # no world can be built on it; this check says why
             return StageResult(checks=installed)
-        world, kinematics = World(context.config.scene, robot, model=model), Kinematics(robot)
-        contacts, cameras = tracking.arm_contacts(world), pictures.check_cameras(world, folder / "cameras.png")
+        world = World(context.config.scene, robot, model=model)
+        kinematics = Kinematics(robot)
+        contacts = tracking.arm_contacts(world)
+        cameras = pictures.check_cameras(world, folder / "cameras.png")
         task.advance(note="cameras")
-        rig, postures = tracking.TrackingRig(world, kinematics, context.config), Postures(1.0 / FILM_FPS)
+        rig = tracking.TrackingRig(world, kinematics, context.config)
+        postures = Postures(1.0 / FILM_FPS)
         moved = measure.torque_pulse_mapping(world, rig.supervisor, kinematics)
         task.advance(note="mapping")
         states = stream(context.seed, "env-check/states")
         agreement = measure.model_agreement(world, kinematics, states, config.agreement_states_n)
         task.advance(note="two engines")
         with watched(context.view, world, StackNarrator(rig.stack, kinematics, "env-check")):
-            steps = tracking.single_joint_steps(rig, config.single_step_rad, config.single_duration_s)
+            steps = tracking.single_joint_steps(
+                rig,
+                config.single_step_rad,
+                config.single_duration_s,
+            )
             task.advance(note="each joint alone")
-            step = tracking.step_response(rig, tracking.outward_step(robot, config.step_rad), config.step_duration_s)
+            step = tracking.step_response(
+                rig,
+                tracking.outward_step(robot, config.step_rad),
+                config.step_duration_s,
+            )
             task.advance(note="a step")
             sine = tracking.sine_response(rig, *sine_wave, config.sine_duration_s, on_step=postures)
             task.advance(note="all joints swing")
-        latency, stop = tracking.command_latency(rig), tracking.emergency_stop(rig, *sine_wave)
+        latency = tracking.command_latency(rig)
+        stop = tracking.emergency_stop(rig, *sine_wave)
         task.advance(note="latency")
         frames = film_postures(model, postures.qpos, folder / "sine.mp4", shadows=False)
         responses = tracking.joint_responses(robot, steps, sine)
         write_csv(folder / "joints.csv", responses)
-        measured = Measured(moved, contacts, steps, responses, step, sine, agreement, latency, stop, cameras, frames)
+        measured = Measured(
+            moved,
+            contacts,
+            steps,
+            responses,
+            step,
+            sine,
+            agreement,
+            latency,
+            stop,
+            cameras,
+            frames,
+        )
         save_tracking(folder / "tracking.png", measured, config, robot)
         task.advance(note="film")
 
     versions = {lib.name: {"wanted": lib.wanted, "found": lib.found} for lib in libraries}
     data: dict[str, Any] = {"arm": robot.arm.name, "libraries": versions}
     data |= {"latency": latency._asdict(), "emergency_stop": stop._asdict()}
-    data |= {"agreement": agreement, "contacts_home": [list(pair) for pair in contacts], "cameras": cameras._asdict()}
-    notes = [f"pictures are drawn by {cameras.gl_renderer}", f"the step leaves {step.settled:.1e} rad"]
-    return StageResult(checks=[*installed, *measured_checks(measured, config, robot)], data=data, notes=notes)
+    data |= {
+        "agreement": agreement,
+        "contacts_home": [list(pair) for pair in contacts],
+        "cameras": cameras._asdict(),
+    }
+    notes = [
+        f"pictures are drawn by {cameras.gl_renderer}",
+        f"the step leaves {step.settled:.1e} rad",
+    ]
+    return StageResult(
+        checks=[*installed, *measured_checks(measured, config, robot)],
+        data=data,
+        notes=notes,
+    )

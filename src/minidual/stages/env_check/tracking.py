@@ -29,7 +29,8 @@ _CONTACTS_EVERY = 10  # steps between contact checks, each of which costs more t
 _NUDGE_RAD = 0.02
 _CHANGED_SHARE = 0.1  # of the supervisor's torque step (1 Nm): a nudge asks for 0.3 Nm at once, still arms for 0.013
 _SETTLE_STEPS = 120
-_STILL_RAD_S, _REST_MAX_S = 0.01, 2.0
+_STILL_RAD_S = 0.01
+_REST_MAX_S = 2.0
 
 
 class TrackingRig:
@@ -42,10 +43,17 @@ class TrackingRig:
     """
 
     def __init__(self, world: World, kinematics: Kinematics, config: Config) -> None:
-        self.world, rate_hz = world, config.teleop.rate_hz
+        self.world = world
+        rate_hz = config.teleop.rate_hz
         self.supervisor = trial_supervisor(config.supervisor, world.dt, world.robot)
         arbiter = config.arbiter.model_copy(update={"switch_step_max_rad": _STEP_MAX_RAD})
-        self.stack = ControlStack(world, kinematics, arbiter, rate_hz=rate_hz, supervisor=self.supervisor)
+        self.stack = ControlStack(
+            world,
+            kinematics,
+            arbiter,
+            rate_hz=rate_hz,
+            supervisor=self.supervisor,
+        )
         self.period = self.stack.every
         self._sequence = itertools.count(1)
         self.reset()
@@ -54,7 +62,8 @@ class TrackingRig:
         """Start at rest at `q` (n,), by default home, and request the source."""
         self.world.reset(q)
         self.stack.reset()
-        self.target, self._swinging = self.world.q, False
+        self.target = self.world.q
+        self._swinging = False
         self.stack.request(_SOURCE)
         for _ in range(_WAIT_STEPS):
             if self.stack.source != _SOURCE:
@@ -65,16 +74,26 @@ class TrackingRig:
         """The supervisor's reflex, or why the source does not drive; "" if it does."""
         if self.stack.reflex is not None:
             return self.stack.reflex.message
-        return "" if self.stack.source == _SOURCE else f"the arms were not given: the arbiter is {self.stack.state}"
+        return (
+            ""
+            if self.stack.source == _SOURCE
+            else f"the arms were not given: the arbiter is {self.stack.state}"
+        )
 
     def propose(self) -> None:
         """Propose the target, stamped now."""
-        self.stack.propose(_SOURCE, JointCommand(self.target.copy(), _OPEN, self.world.time, next(self._sequence)))
+        self.stack.propose(
+            _SOURCE,
+            JointCommand(self.target.copy(), _OPEN, self.world.time, next(self._sequence)),
+        )
 
     def swing(self, motion: Trajectory) -> None:
         """Start a trajectory from the current posture."""
         self._swinging = True
-        self.stack.propose(_SOURCE, TrajectoryCommand(motion, _OPEN, self.world.time, next(self._sequence)))
+        self.stack.propose(
+            _SOURCE,
+            TrajectoryCommand(motion, _OPEN, self.world.time, next(self._sequence)),
+        )
 
     def step(self) -> None:
         """Run one control step; keep the source alive."""
@@ -133,19 +152,27 @@ class Tracking(NamedTuple):
 
     def share(self, joint: int) -> Array:
         """Return a joint's share of its step (T,), 1 at the target."""
-        return (self.measured[:, joint] - self.start[joint]) / (self.reference[-1, joint] - self.start[joint])
+        return (self.measured[:, joint] - self.start[joint]) / (
+            self.reference[-1, joint] - self.start[joint]
+        )
 
 
 def arm_contacts(world: World) -> list[tuple[str, str, float]]:
     """Return contacts (body, body, distance [m]) of arm links."""
     prefixes = tuple(f"{side}_" for side in world.robot.sides)
-    return [pair for pair in world.contact_pairs() if pair[0].startswith(prefixes) or pair[1].startswith(prefixes)]
+    return [
+        pair
+        for pair in world.contact_pairs()
+        if pair[0].startswith(prefixes) or pair[1].startswith(prefixes)
+    ]
 
 
 def track(rig: TrackingRig, reference: Array, on_step: OnStep = None) -> Tracking:
     """Run one control step per row of `reference` (T, n), the posture wanted after it."""
-    world, start = rig.world, rig.world.q
-    measured, cost = np.empty_like(reference), np.empty(len(reference))
+    world = rig.world
+    start = rig.world.q
+    measured = np.empty_like(reference)
+    cost = np.empty(len(reference))
     touching = 0
     for k in range(len(reference)):
         began = time.perf_counter_ns()
@@ -182,7 +209,12 @@ def single_joint_steps(rig: TrackingRig, step_rad: float, duration_s: float) -> 
     return [step_response(rig, robot.home + alone, duration_s) for alone in np.diag(away)]
 
 
-def sine_reference(robot: Robot, amplitude_rad: float, rate_hz: float, t: float | Array) -> tuple[Array, Array, Array]:
+def sine_reference(
+    robot: Robot,
+    amplitude_rad: float,
+    rate_hz: float,
+    t: float | Array,
+) -> tuple[Array, Array, Array]:
     """Return (q, v, a) of all joints swinging about home, each (n,), or (T, n) for `t` (T, 1).
 
     q = home - A cos(w t), from rest. Arms that were mirrored would meet.
@@ -190,18 +222,28 @@ def sine_reference(robot: Robot, amplitude_rad: float, rate_hz: float, t: float 
     Raises:
         ValueError: The swing exceeds position or velocity limits.
     """
-    w, home = 2.0 * np.pi * rate_hz, robot.home
+    w = 2.0 * np.pi * rate_hz
+    home = robot.home
     if (home + amplitude_rad > robot.q_upper).any() or (home - amplitude_rad < robot.q_lower).any():
         raise ValueError(f"a swing of {amplitude_rad} rad about home leaves the joint limits")
     if (amplitude_rad * w > robot.v_max).any():
-        raise ValueError(f"a swing of {amplitude_rad} rad at {rate_hz} Hz leaves the joints' velocity limits")
+        raise ValueError(
+            f"a swing of {amplitude_rad} rad at {rate_hz} Hz leaves the joints' velocity limits",
+        )
     swing = np.full(robot.dof, amplitude_rad)
     return home - swing * np.cos(w * t), swing * w * np.sin(w * t), swing * w**2 * np.cos(w * t)
 
 
-def start_swing(rig: TrackingRig, amplitude_rad: float, frequency_hz: float, duration_s: float) -> Trajectory:
+def start_swing(
+    rig: TrackingRig,
+    amplitude_rad: float,
+    frequency_hz: float,
+    duration_s: float,
+) -> Trajectory:
     """Start a swing of all joints about home, at least `duration_s` long, rest to rest; return it."""
-    halves = np.ceil(2.0 * frequency_hz * duration_s - 1e-9)  # the swing rests after each half period
+    halves = np.ceil(
+        2.0 * frequency_hz * duration_s - 1e-9,
+    )  # the swing rests after each half period
     times = np.arange(round(0.5 * halves / (frequency_hz * rig.world.dt)) + 1) * rig.world.dt
     reference = sine_reference(rig.world.robot, amplitude_rad, frequency_hz, times[:, None])
     rig.reset(reference[0][0])
@@ -211,7 +253,11 @@ def start_swing(rig: TrackingRig, amplitude_rad: float, frequency_hz: float, dur
 
 
 def sine_response(
-    rig: TrackingRig, swing_rad: float, rate_hz: float, duration_s: float, on_step: OnStep = None
+    rig: TrackingRig,
+    swing_rad: float,
+    rate_hz: float,
+    duration_s: float,
+    on_step: OnStep = None,
 ) -> Tracking:
     """Swing all joints about home."""
     motion = start_swing(rig, swing_rad, rate_hz, duration_s)
@@ -229,13 +275,21 @@ the swing.
 
 def joint_responses(robot: Robot, steps: list[Tracking], sine: Tracking) -> list[JointResponse]:
     """Return one row per joint."""
-    errors, rows = sine.reference - sine.measured, []
+    errors = sine.reference - sine.measured
+    rows = []
     for j, step in enumerate(steps):
-        way, share = float(step.reference[-1, j] - step.start[j]), step.share(j)
-        first, last = share >= 0.1, share >= 0.9
-        rise_s = float(step.t[np.argmax(last)] - step.t[np.argmax(first)]) if last.any() else math.nan
+        way = float(step.reference[-1, j] - step.start[j])
+        share = step.share(j)
+        first = share >= 0.1
+        last = share >= 0.9
+        rise_s = (
+            float(step.t[np.argmax(last)] - step.t[np.argmax(first)]) if last.any() else math.nan
+        )
         row = {"joint": robot.joint_names[j], "step_rad": way, "rise_s": rise_s}
-        row |= {"overshoot_rad": max(0.0, float(np.max(share) - 1.0) * abs(way)), "settled_rad": step.settled}
+        row |= {
+            "overshoot_rad": max(0.0, float(np.max(share) - 1.0) * abs(way)),
+            "settled_rad": step.settled,
+        }
         row |= {"sine_rms_rad": float(np.sqrt(np.mean(errors[:, j] ** 2)))}
         rows.append(row | {"sine_peak_rad": float(np.abs(errors[:, j]).max())})
     return rows
@@ -256,14 +310,17 @@ class CommandLatency(NamedTuple):
     @property
     def late_steps(self) -> int:
         """Largest delay beyond the arbiter's tick."""
-        return max(found - (len(self.ticks) - k if k else 0) - 1 for k, found in enumerate(self.ticks))
+        return max(
+            found - (len(self.ticks) - k if k else 0) - 1 for k, found in enumerate(self.ticks)
+        )
 
 
 def command_latency(rig: TrackingRig, *, repeats_n: int = 100) -> CommandLatency:
     """Measure command latency at each instant of the arbiter's period, by nudging the left joint 1."""
     rig.reset()
     nudges = rig.world.robot.home[0] + 0.5 * _NUDGE_RAD * np.array([-1.0, 1.0])
-    ticks, wall = [], np.empty(repeats_n)
+    ticks = []
+    wall = np.empty(repeats_n)
     for phase in range(rig.period):
         rig.run(_SETTLE_STEPS)
         rig.run_to_tick()
@@ -309,7 +366,8 @@ def emergency_stop(rig: TrackingRig, amplitude_rad: float, frequency_hz: float) 
     world = rig.world
     start_swing(rig, amplitude_rad, frequency_hz, 1.0 / frequency_hz)
     rig.run(round(0.25 / (frequency_hz * world.dt)))
-    speed, ticks = float(np.max(np.abs(world.v))), 0
+    speed = float(np.max(np.abs(world.v)))
+    ticks = 0
     rig.supervisor.estop("environment check")
     for k in range(1, round(_REST_MAX_S / world.dt) + 1):
         rig.step()

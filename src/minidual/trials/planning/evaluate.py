@@ -48,12 +48,16 @@ class PlanAttempt[R]:
 
 def attempted[R](plan: Callable[[], R]) -> PlanAttempt[R]:
     """Run a request; a `PlanningError` is the reason why there is no result."""
-    begin, cpu_begin = perf_counter(), process_time()
-    result, reason, message = None, "", ""
+    begin = perf_counter()
+    cpu_begin = process_time()
+    result = None
+    reason = ""
+    message = ""
     try:
         result = plan()
     except PlanningError as error:
-        reason, message = error.reason, error.message
+        reason = error.reason
+        message = error.message
     return PlanAttempt(result, reason, message, perf_counter() - begin, process_time() - cpu_begin)
 
 
@@ -73,31 +77,50 @@ class QueryOutcome(PlanAttempt[PlanResult]):
 
     def row(self) -> dict[str, object]:
         """Return the queries.csv row; values not found or audited are missing."""
-        query, result, audit = self.query, self.result, self.audit
+        query = self.query
+        result = self.result
+        audit = self.audit
         row: dict[str, object] = {name: getattr(query, name) for name in ("group", "index", "seed")}
         row |= {"ok": self.ok, "reason": self.reason, "kind": query.kind}
         row |= {"goal": "poses" if query.as_poses else "joints", "line_blocked": self.line_blocked}
         row |= {"total_s": self.total_s, "scene_setup_s": self.scene_s, "cpu_s": self.cpu_s}
         if result is not None:
-            row |= {f"{phase}_s": result.times_s[phase] for phase in PLAN_PHASES if phase != "scene"}
+            row |= {
+                f"{phase}_s": result.times_s[phase] for phase in PLAN_PHASES if phase != "scene"
+            }
             row |= {"direct": result.direct, "attempts_n": result.attempts_n}
-            row |= {"path_length_rad": path_length(result.path), "duration_s": result.trajectory.duration_s}
+            row |= {
+                "path_length_rad": path_length(result.path),
+                "duration_s": result.trajectory.duration_s,
+            }
             row |= {name: getattr(result.verification, name) for name in _PROVEN}
         if audit is not None:
             row |= {"clearance_m": audit.clearance_m, "audited_n": audit.samples_n}
             row |= {"audit_collisions_n": audit.collisions_n}
         row["message"] = self.message
-        return {name: round(value, 6) if isinstance(value, float) else value for name, value in row.items()}
+        return {
+            name: round(value, 6) if isinstance(value, float) else value
+            for name, value in row.items()
+        }
 
 
-_PROVEN = ("samples_n", "velocity_ratio", "acceleration_ratio", "jerk_ratio", "torque_ratio", "torque_rate_ratio")
+_PROVEN = (
+    "samples_n",
+    "velocity_ratio",
+    "acceleration_ratio",
+    "jerk_ratio",
+    "torque_ratio",
+    "torque_rate_ratio",
+)
 
 
 def plan_query(planner: Planner, query: Query) -> QueryOutcome:
     """Plan one query, timed from goal to proven trajectory."""
-    begin, engines = perf_counter(), planner.engines(query.scene)
+    begin = perf_counter()
+    engines = planner.engines(query.scene)
     scene_s = perf_counter() - begin
-    where, how = (query.group, query.q_start), {"scene": query.scene, "seed": query.seed}
+    where = (query.group, query.q_start)
+    how = {"scene": query.scene, "seed": query.seed}
     if query.as_poses:
         attempt = attempted(lambda: planner.plan_to_poses(*where, query.targets, **how))
     else:
@@ -113,11 +136,15 @@ def _planner(config: Config) -> Planner:
 
 
 def run_queries(
-    config: Config, seed: int, queries_n: int, on_query: Callable[[QueryOutcome], None] = lambda _: None
+    config: Config,
+    seed: int,
+    queries_n: int,
+    on_query: Callable[[QueryOutcome], None] = lambda _: None,
 ) -> dict[str, list[QueryOutcome]]:
     """Plan and audit queries of every group, in one process for comparable times."""
     plan = config.plan
-    planner, warm = _planner(config), _planner(config)
+    planner = _planner(config)
+    warm = _planner(config)
     source = query_source(seed, plan.obstacles_n, plan.blocked_fraction, planner.robot)
     outcomes: dict[str, list[QueryOutcome]] = {group: [] for group in planner.robot.groups}
     # Warm up: the first plans load machine code, or compile it on a new machine (40 s); `make bench` times them.
@@ -128,7 +155,10 @@ def run_queries(
         for index in range(queries_n):
             outcome = plan_query(planner, source(group, index))
             if outcome.result is not None:
-                outcome = replace(outcome, audit=planner.engines(outcome.query.scene).audit(outcome.result.trajectory))
+                outcome = replace(
+                    outcome,
+                    audit=planner.engines(outcome.query.scene).audit(outcome.result.trajectory),
+                )
             done.append(outcome)
             on_query(outcome)
     return outcomes
@@ -148,8 +178,10 @@ def engine_agreement(scene: PlanningScene, states_n: int, seed: int) -> float:
     Half are uniform (mostly in collision), half near home.
     """
     planner = Planner(scene)
-    engine, robot = planner.engines().engine, planner.robot
-    rng, half = stream(seed, "plan/engine-agreement"), states_n // 2
+    engine = planner.engines().engine
+    robot = planner.robot
+    rng = stream(seed, "plan/engine-agreement")
+    half = states_n // 2
     uniform = rng.uniform(robot.q_lower, robot.q_upper, (half, robot.dof))
     near_home = robot.home + rng.uniform(-0.8, 0.8, (states_n - half, robot.dof))
     Q = np.vstack([uniform, np.clip(near_home, robot.q_lower, robot.q_upper)])
@@ -167,12 +199,25 @@ class MoveOutcome(PlanAttempt[CarriedTrajectory]):
 
     def row(self, name: str) -> dict[str, object]:
         """Return the row of held_moves.csv."""
-        move, plan = self.move, self.result
-        found = {} if plan is None else {"found_by": plan.found_by, "duration_s": round(plan.duration_s, 4)}
+        move = self.move
+        plan = self.result
+        found = (
+            {}
+            if plan is None
+            else {"found_by": plan.found_by, "duration_s": round(plan.duration_s, 4)}
+        )
         if plan is not None:
-            found |= {"residual_m": f"{self.residual_m:.3g}", "residual_rad": f"{self.residual_rad:.3g}"}
+            found |= {
+                "residual_m": f"{self.residual_m:.3g}",
+                "residual_rad": f"{self.residual_rad:.3g}",
+            }
             found |= {"clearance_m": round(self.clearance_m, 6)}
-        row: dict[str, object] = {"set": name, "index": move.index, "ok": self.ok, "reason": self.reason}
+        row: dict[str, object] = {
+            "set": name,
+            "index": move.index,
+            "ok": self.ok,
+            "reason": self.reason,
+        }
         row |= {"with_obstacles": move.with_obstacles, "straight_blocked": move.blocked}
         way_m, turn_rad = apart(move.query.T_world_goal, move.T_world_start, np.empty(6))
         row |= {"distance_m": round(way_m, 4), "turn_rad": round(turn_rad, 4)}
@@ -181,7 +226,11 @@ class MoveOutcome(PlanAttempt[CarriedTrajectory]):
         return {**row, "message": self.message}
 
 
-def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinematics) -> tuple[float, float]:
+def timed_residual(
+    plan: CarriedTrajectory,
+    query: HeldQuery,
+    kinematics: Kinematics,
+) -> tuple[float, float]:
     """Return the largest error ([m], [rad]) of the hands along the trajectory.
 
     At the samples (1 kHz): each hand relative to its grasp and to the other; between samples: relative to the other.
@@ -191,24 +240,44 @@ def timed_residual(plan: CarriedTrajectory, query: HeldQuery, kinematics: Kinema
     T_tcp_object = inverse(query.grasps[0])
     # The object's pose follows from the left hand, so the error is that of the right hand against it.
     objects = np.array([kinematics.tcp_poses(q)[0] @ T_tcp_object for q in between])
-    return tuple(np.max([hands.strays(plan.q, plan.Ts_world_object), hands.strays(between, objects)], axis=0).tolist())
+    return tuple(
+        np.max(
+            [hands.strays(plan.q, plan.Ts_world_object), hands.strays(between, objects)],
+            axis=0,
+        ).tolist(),
+    )
 
 
 def plan_move(planner: HeldPlanner, move: HeldMove) -> MoveOutcome:
     """Plan and measure one move; building its scene is not timed."""
-    engines, attempt = planner.planner.engines(move.query.scene), attempted(lambda: planner.plan(move.query))
-    outcome, plan = MoveOutcome(**vars(attempt), move=move), attempt.result
+    engines = planner.planner.engines(move.query.scene)
+    attempt = attempted(lambda: planner.plan(move.query))
+    outcome = MoveOutcome(**vars(attempt), move=move)
+    plan = attempt.result
     if plan is None:
         return outcome
     off_m, off_rad = timed_residual(plan, move.query, planner.planner.kinematics)
-    return replace(outcome, residual_m=off_m, residual_rad=off_rad, clearance_m=engines.clearance(plan))
+    return replace(
+        outcome,
+        residual_m=off_m,
+        residual_rad=off_rad,
+        clearance_m=engines.clearance(plan),
+    )
 
 
-def run_moves(config: Config, seed: int, on_move: Callable[[MoveOutcome], None] = lambda _: None) -> list[MoveOutcome]:
+def run_moves(
+    config: Config,
+    seed: int,
+    on_move: Callable[[MoveOutcome], None] = lambda _: None,
+) -> list[MoveOutcome]:
     """Plan `config.plan.held.moves_n` moves."""
     planner = HeldPlanner(_planner(config))
     generator = HeldMoveGenerator(seed, config.scene, planner.planner.robot)
-    first = HeldMoveGenerator(subseed(seed, "held-move/warm-up"), config.scene, planner.planner.robot)
+    first = HeldMoveGenerator(
+        subseed(seed, "held-move/warm-up"),
+        config.scene,
+        planner.planner.robot,
+    )
     # Warm up imports and compilation, so that the first move is not charged for them.
     with suppress(PlanningError):
         planner.plan(first.move(0).query)
@@ -223,15 +292,25 @@ def table_plans(config: Config, seed: int) -> tuple[list[CarriedTrajectory], lis
     """Return plans of the moves to be driven, from the table, and a line for each failure."""
     planner = HeldPlanner(_planner(config))
     generator = HeldMoveGenerator(seed, config.scene, planner.planner.robot, from_table=True)
-    tried = [attempted(lambda k=k: planner.plan(generator.move(k).query)) for k in range(config.plan.held.executed_n)]
-    failures = [f"held move {k} off the table cannot be driven: {t.message}" for k, t in enumerate(tried) if not t.ok]
+    tried = [
+        attempted(lambda k=k: planner.plan(generator.move(k).query))
+        for k in range(config.plan.held.executed_n)
+    ]
+    failures = [
+        f"held move {k} off the table cannot be driven: {t.message}"
+        for k, t in enumerate(tried)
+        if not t.ok
+    ]
     return [t.result for t in tried if t.result is not None], failures
 
 
 def failed_carries(config: Config, count: int) -> list[str]:
     """Plan `count` carries as method moveit does; return a line for each failure."""
-    task, seed, planner = make_task(Config(scene=config.scene)), config.seed, _planner(config)
-    body, failures = task.objects[task.carried].body, []
+    task = make_task(Config(scene=config.scene))
+    seed = config.seed
+    planner = _planner(config)
+    body = task.objects[task.carried].body
+    failures = []
     for k in range(count):
         trial = task.trial(seed, "plan", k)
         start = State(planner.robot.home, {body.name: pose_of(body, trial.start[body.name])})

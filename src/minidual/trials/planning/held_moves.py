@@ -30,7 +30,8 @@ from minidual.trials.planning.queries import random_obstacles
 _ROOM_M = 0.01
 _MOVE_MAX_M = 0.5
 _TURN_MAX_RAD = float(np.pi / 2.0)
-_YAW_RAD, _LEAN_RAD = 0.6, 0.25
+_YAW_RAD = 0.6
+_LEAN_RAD = 0.25
 _OBSTACLES_N = 3
 _WITNESS_CHECKS_N = 10_000
 _WITNESS_S = 60.0
@@ -39,7 +40,8 @@ _IK_STARTS_N = 6
 _WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
 """Padding [m] and check step scale."""
 _EDGE_STEP_RAD = 0.03
-_LOW, _HIGH = np.array([0.35, -0.3, 0.08]), np.array([0.6, 0.3, 0.4])
+_LOW = np.array([0.35, -0.3, 0.08])
+_HIGH = np.array([0.6, 0.3, 0.4])
 
 
 type _Held = tuple[Array, Array]
@@ -72,11 +74,21 @@ class HeldMoveGenerator:
     With `from_table` the object starts level on the table, without obstacles.
     """
 
-    def __init__(self, seed: int, scene: SceneConfig, robot: Robot = DUAL_PANDA, *, from_table: bool = False) -> None:
-        self._seed, self._from_table = seed, from_table
+    def __init__(
+        self,
+        seed: int,
+        scene: SceneConfig,
+        robot: Robot = DUAL_PANDA,
+        *,
+        from_table: bool = False,
+    ) -> None:
+        self._seed = seed
+        self._from_table = from_table
         self._height_m = scene.object.rest_height_m
-        self._grasps, self._shape = grasp_offsets(scene), thing_of(scene.object).shape
-        self._prover, self._robot = HeldPlanner(Planner(robot=robot)), robot
+        self._grasps = grasp_offsets(scene)
+        self._shape = thing_of(scene.object).shape
+        self._prover = HeldPlanner(Planner(robot=robot))
+        self._robot = robot
         self._hands = HandsIK(self._grasps, robot)
 
     def move(self, index: int) -> HeldMove:
@@ -92,11 +104,18 @@ class HeldMoveGenerator:
         for _ in range(_TRIES_N):
             obstacles = random_obstacles(rng, _OBSTACLES_N, self._robot) if with_obstacles else ()
             room = PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot)
-            scene = scene_holding(room, self._shape, dict(zip(SIDES, self._grasps, strict=True)), rests_on=rests_on)
+            scene = scene_holding(
+                room,
+                self._shape,
+                dict(zip(SIDES, self._grasps, strict=True)),
+                rests_on=rests_on,
+            )
             engines = SceneEngines(scene)
             engine = engines.engine("mujoco")
             apart_m = 0.0 if self._from_table else _ROOM_M
-            if (start := self._held(rng, engine, self._start(rng), self._robot.home, apart_m)) is None:
+            if (
+                start := self._held(rng, engine, self._start(rng), self._robot.home, apart_m)
+            ) is None:
                 unreachable += 1
                 continue
             for _ in range(4):
@@ -111,20 +130,39 @@ class HeldMoveGenerator:
                 if (witness := self._witness(rng, engines, query, start, goal)) is None:
                     undecided += 1
                     continue
-                return HeldMove(index, query, start[0], with_obstacles, blocked, witness, undecided, unreachable)
+                return HeldMove(
+                    index,
+                    query,
+                    start[0],
+                    with_obstacles,
+                    blocked,
+                    witness,
+                    undecided,
+                    unreachable,
+                )
         why = f"{undecided} without a witness, {unreachable} unreachable"
         remedy = "use fewer obstacles or a shorter object"
-        raise PlanningError(f"no held-object move {index} after {_TRIES_N} scenes ({why})", remedy=remedy)
+        raise PlanningError(
+            f"no held-object move {index} after {_TRIES_N} scenes ({why})",
+            remedy=remedy,
+        )
 
     def _start(self, rng: np.random.Generator) -> Array:
-        yaw, lean = rng.uniform(-_YAW_RAD, _YAW_RAD), rng.uniform(-_LEAN_RAD, _LEAN_RAD)
+        yaw = rng.uniform(-_YAW_RAD, _YAW_RAD)
+        lean = rng.uniform(-_LEAN_RAD, _LEAN_RAD)
         position = rng.uniform(_LOW, _HIGH)
         if self._from_table:
-            lean, position[2] = 0.0, self._height_m
+            lean = 0.0
+            position[2] = self._height_m
         return pose(rot_z(yaw) @ rot_x(lean), position)
 
     def _held(
-        self, rng: np.random.Generator, engine: MujocoEngine, T_world_object: Array, q_near: Array, room_m: float
+        self,
+        rng: np.random.Generator,
+        engine: MujocoEngine,
+        T_world_object: Array,
+        q_near: Array,
+        room_m: float,
     ) -> _Held | None:
         for k in range(_IK_STARTS_N):
             q = np.array(q_near)
@@ -147,13 +185,24 @@ class HeldMoveGenerator:
         return ended is not None or bool(engine.collisions(Q).any())
 
     def _witness(
-        self, rng: np.random.Generator, engines: SceneEngines, query: HeldQuery, start: _Held, goal: _Held
+        self,
+        rng: np.random.Generator,
+        engines: SceneEngines,
+        query: HeldQuery,
+        start: _Held,
+        goal: _Held,
     ) -> Array | None:
         for padding_m, step_scale in _WITNESS_TRIES:
             checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
             space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
             checker.allow(_WITNESS_CHECKS_N, time.perf_counter() + _WITNESS_S)
-            path = search_object(space, space.point(*goal), [space.point(*start)], rng, any_posture=False)
+            path = search_object(
+                space,
+                space.point(*goal),
+                [space.point(*start)],
+                rng,
+                any_posture=False,
+            )
             with suppress(ClosedChainError, TimingError):
                 if path is not None:
                     HeldWork(self._prover.planner, query).rounded(path[::-1], "given")

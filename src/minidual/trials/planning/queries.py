@@ -105,25 +105,47 @@ class QueryGenerator:
 
     def attempt(self, group: str, index: int, attempt: int) -> Query | None:
         """Return the query of one scene, or None."""
-        arms, kind = GROUP_ARMS[group], self.kind(group, index)
+        arms = GROUP_ARMS[group]
+        kind = self.kind(group, index)
         scene = scene_of(self.seed, group, index, attempt, self.obstacles_n, self.robot)
         rng = stored_stream(self.seed, list(DUAL_PANDA.groups).index(group), index, attempt, 1)
-        engine, crossed = MujocoEngine(scene), kind == "crossing"
+        engine = MujocoEngine(scene)
+        crossed = kind == "crossing"
         at_goal = bool(rng.integers(2)) and crossed
         for _ in range(_PAIRS_TRIES_N):
-            start = self._configuration(rng, engine, self.robot.home, SIDES, crossed and not at_goal)
-            if start is None or (goal := self._configuration(rng, engine, start, arms, at_goal)) is None:
+            start = self._configuration(
+                rng,
+                engine,
+                self.robot.home,
+                SIDES,
+                crossed and not at_goal,
+            )
+            if (
+                start is None
+                or (goal := self._configuration(rng, engine, start, arms, at_goal)) is None
+            ):
                 continue
             way = polyline_states(np.array([start, goal]), _STEP_RAD)[1:-1]
-            if not _is_kind(kind, arms, set[frozenset[str]]().union(*map(engine.touching_pairs, way))):
+            if not _is_kind(
+                kind,
+                arms,
+                set[frozenset[str]]().union(*map(engine.touching_pairs, way)),
+            ):
                 continue
-            if crossed and not _swapped(*(goal_targets(group, q, self.robot) for q in (start, goal))):
+            if crossed and not _swapped(
+                *(goal_targets(group, q, self.robot) for q in (start, goal)),
+            ):
                 continue
             return Query(group, index, int(rng.integers(2**31)), scene, start, goal, kind, attempt)
         return None
 
     def _configuration(
-        self, rng: np.random.Generator, engine: MujocoEngine, q_base: Array, arms: tuple[str, ...], crossed: bool
+        self,
+        rng: np.random.Generator,
+        engine: MujocoEngine,
+        q_base: Array,
+        arms: tuple[str, ...],
+        crossed: bool,
     ) -> Array | None:
         for _ in range(_POSE_TRIES_N):
             q = np.array(q_base)
@@ -142,14 +164,19 @@ class QueryGenerator:
     def _reach(self, rng: np.random.Generator, arm: str, T_world_tcp: Array) -> Array | None:
         solver = solvers(self.robot)[arm]
         home = self.robot.home[solver.joints]
-        starts = (home if k == 0 else rng.uniform(solver.lower, solver.upper) for k in range(_IK_STARTS_N))
+        starts = (
+            home if k == 0 else rng.uniform(solver.lower, solver.upper) for k in range(_IK_STARTS_N)
+        )
         solutions = (solver.solve(T_world_tcp, start) for start in starts)
         return next((solution.q for solution in solutions if solution.reached), None)
 
 
 def goal_targets(group: str, q: Array, robot: Robot) -> dict[str, Array]:
     """Return T_world_tcp (4, 4) of the group's arms."""
-    return {arm: solvers(robot)[arm].tcp_pose(q[robot.groups[f"{arm}_arm"]]) for arm in GROUP_ARMS[group]}
+    return {
+        arm: solvers(robot)[arm].tcp_pose(q[robot.groups[f"{arm}_arm"]])
+        for arm in GROUP_ARMS[group]
+    }
 
 
 def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
@@ -158,10 +185,13 @@ def _swapped(before: dict[str, Array], after: dict[str, Array]) -> bool:
 
 
 def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> bool:
-    mine, theirs = tuple(f"{arm}_" for arm in arms), tuple(f"{arm}_" for arm in SIDES if arm not in arms)
+    mine = tuple(f"{arm}_" for arm in arms)
+    theirs = tuple(f"{arm}_" for arm in SIDES if arm not in arms)
 
     def between_mine_and(wanted: Callable[[str], bool]) -> bool:
-        return any(any(n.startswith(mine) for n in pair) and any(map(wanted, pair)) for pair in touched)
+        return any(
+            any(n.startswith(mine) for n in pair) and any(map(wanted, pair)) for pair in touched
+        )
 
     if kind == "past_obstacle":
         return between_mine_and(lambda name: not name.startswith(("left_", "right_", "table")))
@@ -170,7 +200,14 @@ def _is_kind(kind: str, arms: tuple[str, ...], touched: set[frozenset[str]]) -> 
     return kind == "any" or bool(touched)
 
 
-def scene_of(seed: int, group: str, index: int, attempt: int, obstacles_n: int, robot: Robot) -> PlanningScene:
+def scene_of(
+    seed: int,
+    group: str,
+    index: int,
+    attempt: int,
+    obstacles_n: int,
+    robot: Robot,
+) -> PlanningScene:
     """Return the scene of one attempt."""
     rng = stored_stream(seed, list(DUAL_PANDA.groups).index(group), index, attempt, 0)
     return PlanningScene(obstacles=(TABLE, *random_obstacles(rng, obstacles_n, robot)), robot=robot)
@@ -179,19 +216,26 @@ def scene_of(seed: int, group: str, index: int, attempt: int, obstacles_n: int, 
 def random_pose(rng: np.random.Generator, arm: str) -> Array:
     """Return a tcp pose (4, 4) over the table, hand down."""
     side = 1.0 if arm == "left" else -1.0
-    position = np.array([rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)])
+    position = np.array(
+        [rng.uniform(0.30, 0.65), side * rng.uniform(-0.15, 0.55), rng.uniform(0.08, 0.45)],
+    )
     yaw, about = rng.uniform(-np.pi, np.pi, 2)
     lean = rot_z(about) @ rot_x(rng.uniform(0.0, _TILT_RAD)) @ rot_z(-about)
     return pose(lean @ rot_z(yaw) @ rot_x(np.pi), position)
 
 
-def random_obstacles(rng: np.random.Generator, count: int, robot: Robot = DUAL_PANDA) -> tuple[Shape, ...]:
+def random_obstacles(
+    rng: np.random.Generator,
+    count: int,
+    robot: Robot = DUAL_PANDA,
+) -> tuple[Shape, ...]:
     """Return boxes and cylinders clear of the bases."""
     shapes: list[Shape] = []
     for k in range(count):
         height = float(rng.uniform(0.10, 0.40))
         while True:
-            x, y = float(rng.uniform(0.25, 0.75)), float(rng.uniform(-0.60, 0.60))
+            x = float(rng.uniform(0.25, 0.75))
+            y = float(rng.uniform(-0.60, 0.60))
             if all(np.hypot(x - bx, y - by) > 0.28 for bx, by, _ in robot.base_positions_m):
                 break
         place = (round(x, 4), round(y, 4), round(0.5 * height, 4))
@@ -202,12 +246,17 @@ def random_obstacles(rng: np.random.Generator, count: int, robot: Robot = DUAL_P
             shapes.append(Box(f"box{k}", place, quat, (x_m, y_m, round(height, 4))))
         else:
             radius = round(float(rng.uniform(0.025, 0.07)), 4)
-            shapes.append(Cylinder(f"cylinder{k}", place, radius_m=radius, length_m=round(height, 4)))
+            shapes.append(
+                Cylinder(f"cylinder{k}", place, radius_m=radius, length_m=round(height, 4)),
+            )
     return tuple(shapes)
 
 
 def query_source(
-    seed: int, obstacles_n: int, blocked_fraction: float, robot: Robot = DUAL_PANDA
+    seed: int,
+    obstacles_n: int,
+    blocked_fraction: float,
+    robot: Robot = DUAL_PANDA,
 ) -> Callable[[str, int], Query]:
     """Return (group, index) -> query, from the stored set of the seed if there is one."""
     generator = QueryGenerator(seed, obstacles_n, blocked_fraction, robot)
@@ -230,7 +279,10 @@ def stored_set(seed: int) -> dict[str, tuple[Array, Array, Array]] | None:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as opened:
             arrays = dict(opened)
         of = int(arrays["seed"])
-        found = {g: (arrays[f"{g}.attempts"], arrays[f"{g}.seeds"], stored(arrays[f"{g}.ends"])) for g in ROBOT.groups}
+        found = {
+            g: (arrays[f"{g}.attempts"], arrays[f"{g}.seeds"], stored(arrays[f"{g}.ends"]))
+            for g in ROBOT.groups
+        }
     except (OSError, ValueError, KeyError) as error:
         raise DataError(f"the stored query set of seed {seed} cannot be read: {error}") from error
     if of != seed:
@@ -245,7 +297,16 @@ def stored_query(seed: int, group: str, index: int) -> Query | None:
         return None
     attempt, own_seed, (start, goal) = (column[index] for column in known[group])
     scene = scene_of(seed, group, index, int(attempt), OBSTACLES_N, ROBOT)
-    return Query(group, index, int(own_seed), scene, start, goal, QueryGenerator.kind_of(group, index), int(attempt))
+    return Query(
+        group,
+        index,
+        int(own_seed),
+        scene,
+        start,
+        goal,
+        QueryGenerator.kind_of(group, index),
+        int(attempt),
+    )
 
 
 def stored(q: Array) -> Array:
