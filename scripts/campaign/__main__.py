@@ -67,7 +67,6 @@ def main(words: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="campaign-source-") as folder:
         source = Path(folder) / "smoke"
         shutil.copytree(options.source, source)
-        sys.path.insert(0, str(ROOT / "tests"))  # toy stages and toy recordings
         campaign = Campaign(source, options)
         for name in options.kinds or KINDS:
             campaign.run(name, KINDS[name])

@@ -1,4 +1,4 @@
-"""The named breaks of tests/broken_files.py, on the files of the smoke run: each is refused by name."""
+"""The named breaks of tests/support/broken_files.py, on the files of the smoke run: each is refused by name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scripts.campaign.case import Case, Place, Result
 from scripts.campaign.files import look
 
 if TYPE_CHECKING:
-    from broken_files import Break
+    from tests.support.broken_files import Break
 
 _DRAWN = ("truncated", "noise")
 """Breaks that draw: tried with several draws of each file."""
@@ -22,7 +22,7 @@ _DRAWS = 8
 
 def broken_cases(source: Path) -> Iterator[Case]:
     """Each break of an episode, a dataset and a checkpoint."""
-    import broken_files
+    from tests.support import broken_files
 
     (episode, *_) = sorted((source / "teleop-record/episodes").iterdir())
     for kind, name, breaks in (

@@ -33,7 +33,7 @@ STEPS = 110
 
 def warm(place: Place) -> None:
     """Load the toys."""
-    import recording_toys  # noqa: F401
+    from tests.support import recording_toys  # noqa: F401
 
 
 def publish_cases(source: Path) -> Iterator[Case]:
@@ -83,7 +83,7 @@ def _dies(body: Callable[[], object], step: int | None, seconds: float) -> bool:
 
 
 def _publish(again: bool, step: int | None, place: Place, result: Result) -> None:
-    from pipeline_toys import Bench
+    from tests.support.pipeline_toys import Bench
 
     round_of = [0]
 
@@ -124,9 +124,8 @@ def _whole(store: RunStore) -> bool:
 
 
 def _recording(step: int, place: Place, result: Result) -> None:
-    import recording_toys
-
     from minidual.demos import recording
+    from tests.support import recording_toys
 
     recording.Rig = recording_toys.ToyRig  # type: ignore[misc]
     task = recording_toys.job(place.folder / "rec", episodes_n=3)

@@ -56,7 +56,7 @@ PLACES = {
 
 def warm(place: Place) -> None:
     """Load the toys and a report."""
-    import pipeline_toys  # noqa: F401
+    from tests.support import pipeline_toys  # noqa: F401
 
     command(place, "report", "--force", *place.options())
 
@@ -72,7 +72,7 @@ def link_cases(source: Path) -> Iterator[Case]:
 
 def _toys(place: Place) -> tuple[Path, Callable[..., Ran]]:
     """Return the folder of a finished run of three toy stages, and what runs a command on it."""
-    from pipeline_toys import Bench
+    from tests.support.pipeline_toys import Bench
 
     bench = Bench(place.folder / "runs")
     bench.run_all()

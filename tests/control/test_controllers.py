@@ -1,0 +1,950 @@
+"""The controllers behind the arbiter: what each does with a command, and that every joint has exactly one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from minidual.config.control import SupervisorConfig
+from minidual.config.scene import SceneConfig
+from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.controller_manager import ControllerSwitchError
+from minidual.control.impedance import (
+    HeldObject,
+    ObjectPath,
+    ObjectState,
+    SingularPostureError,
+    Waypoint,
+)
+from minidual.control.joint_control import JointLoop
+from minidual.control.kernels import minimum_jerk
+from minidual.control.reflexes import Reflex, ReflexError
+from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
+from minidual.control.supervisor import Supervisor
+from minidual.errors import UsageError
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.pair import Array, inverse
+from tests.support.arm_scripts import pinch_rod
+from tests.support.control_plant import ArmsPlant, HandsObject, TrueObject
+from tests.support.panda import A_MAX, HOME, V_MAX
+
+OPEN = np.ones(2)
+PAIR = ("left_arm", "right_arm")
+
+
+def move(a: Array, b: Array, duration_s: float, group: str = "both_arms") -> Trajectory:
+    """A rest-to-rest trajectory at 1 kHz."""
+    n = round(1000 * duration_s)
+    blend = np.array([minimum_jerk(k / n) for k in range(n + 1)])
+    step = b - a
+    return Trajectory(
+        np.arange(n + 1) * 1e-3,
+        a + blend[:, :1] * step,
+        blend[:, 1:2] * step / duration_s,
+        blend[:, 2:] * step / duration_s**2,
+        group,
+    )
+
+
+class Attended(ControlStack):
+    """A stack whose driving source says all the time that it is there, until it dies."""
+
+    dead = False
+
+    def step(self) -> None:
+        if self.source is not None and not self.dead:
+            self.affirm(self.source)
+        super().step()
+
+
+def stack_on(plant: Any, **options: Any) -> Attended:
+    return Attended(plant, Kinematics(), **options)
+
+
+def hand_over(stack: ControlStack, mode: str, controllers: Any = None) -> None:
+    stack.request(mode, controllers)
+    for _ in range(700):
+        stack.step()
+        if stack.source == mode:
+            return
+    raise AssertionError(f"{mode} was not handed over: {stack.state}, {stack.refusals}")
+
+
+def trajectory(
+    stack: ControlStack,
+    motion: Any,
+    sequence: int = 1,
+    **fields: Any,
+) -> TrajectoryCommand:
+    fields = {"gripper": OPEN, "stamp_s": stack.plant.time, "sequence": sequence, **fields}
+    return TrajectoryCommand(motion, **fields)
+
+
+@pytest.fixture
+def plant(scene: SceneConfig) -> ArmsPlant:
+    return ArmsPlant(scene)
+
+
+# A ----------------------------------------------------------------------------------------------------------
+
+
+def test_streamed_targets_give_the_torques_of_the_joint_loop_to_the_bit(
+    scene: SceneConfig,
+    world: World,
+) -> None:
+    def target(k: int) -> Array:
+        return HOME + 0.3 * np.sin(0.02 * k) * np.linspace(-1.0, 1.0, 14)
+
+    world.reset()
+    stack = stack_on(world)
+    stack.request("teleop")
+    states = []
+    for k in range(60):
+        if k >= 1:
+            stack.propose("teleop", JointCommand(target(k), OPEN, world.time, k))
+        stack.arbitrate()
+        for _ in range(20):
+            stack.advance()
+        states.append(world.q)
+    other = World(scene, model=world.model)
+    loop = JointLoop(other, Kinematics())
+    for k, q in enumerate(states):
+        for _ in range(20):
+            loop.step(target(k) if k >= 1 else HOME, OPEN)
+        np.testing.assert_array_equal(other.q, q)
+
+
+def test_a_trajectory_is_forwarded_as_it_is(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    motion = move(plant.q, HOME + 0.3, 0.5)
+    assert stack.propose("moveit", trajectory(stack, motion)) is None
+    references = []
+    while stack.executing:
+        stack.step()
+        references.append(stack.manager.reference)
+    np.testing.assert_allclose(references, motion.q, atol=1e-12)
+    assert np.abs(plant.q - HOME - 0.3).max() < 2e-3
+    stack.step()
+    assert stack.state == ArbiterState.WAITING, (
+        "the source keeps its turn when a trajectory has ended"
+    )
+    for _ in range(1100):
+        stack.step()
+    assert stack.state == ArbiterState.STOPPED
+    np.testing.assert_allclose(plant.q, HOME + 0.3, atol=1e-4)
+
+
+def test_what_is_left_between_reference_and_start_fades_without_a_jump(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME + 0.09, HOME + 0.3, 1.0)))
+    last = stack.manager.reference
+    largest = 0.0
+    for _ in range(1000):
+        stack.step()
+        largest = max(largest, float(np.abs(stack.manager.reference - last).max()))
+        last = stack.manager.reference
+    assert largest < 1e-3, "0.09 rad at once would be ninety times that"
+    np.testing.assert_allclose(last, HOME + 0.3, atol=1e-6)
+
+
+def test_a_switch_brakes_a_trajectory_on_its_path(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    goal = HOME + np.linspace(-0.65, 0.75, 14)
+    motion = move(HOME, goal, 0.9)
+    stack.propose("moveit", trajectory(stack, motion))
+    for _ in range(450):
+        stack.step()
+    assert np.abs(plant.v).max() > 1.2
+    asked = plant.time
+    stack.request("teleop")
+    references = [stack.manager.reference]
+    while stack.source != "teleop":
+        stack.step()
+        references.append(stack.manager.reference)
+        assert stack.state in (ArbiterState.SETTLING, ArbiterState.WAITING)
+    assert plant.time - asked < 0.5
+    path = np.array(references[:-1])
+    # On a straight path in joint space every joint has covered the same share of its way.
+    share = (path - HOME) / (goal - HOME)
+    assert np.ptp(share, axis=1).max() < 1e-6, "it left the path"
+    v = np.diff(path, axis=0) / plant.dt
+    assert (np.abs(v) <= V_MAX).all()
+    assert np.abs(np.diff(v, axis=0) / plant.dt / A_MAX).max() < 1.3
+    assert np.abs(v[-1]).max() < 0.05, "not at rest"
+    assert 0.5 < share[-1, 0] < 0.95
+
+
+def test_a_source_that_falls_silent_in_motion_is_held_and_brought_to_rest(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "teleop")
+    for k in range(1, 31):  # 0.6 s at 1 rad/s
+        stack.propose("teleop", JointCommand(HOME + 0.02 * k, OPEN, plant.time, k))
+        for _ in range(20):
+            stack.step()
+    assert np.abs(stack.manager.reference - HOME).min() > 0.4
+    assert plant.v.min() > 0.8
+    states = []
+    references = [stack.manager.reference]
+    targets = set()
+    for _ in range(1300):
+        stack.step()
+        states.append(stack.state)
+        references.append(stack.manager.reference)
+        if stack.state == ArbiterState.STALE:
+            targets.add(stack.output.q_target.tobytes())
+    assert list(dict.fromkeys(states)) == [
+        ArbiterState.ACTIVE,
+        ArbiterState.STALE,
+        ArbiterState.STOPPED,
+    ]
+    assert states.index(ArbiterState.STALE) <= 121, "0.1 s, and a tick"
+    assert len(targets) == 1, "the held target moved"
+    path = np.array(references)
+    v = np.diff(path, axis=0) / plant.dt
+    assert (np.abs(np.diff(v, axis=0) / plant.dt) <= 0.81 * A_MAX).all(), (
+        "the stop is not a controlled one"
+    )
+    assert path.max(axis=0).max() - path[-1].max() < 1e-3, "it overshot"
+    np.testing.assert_allclose(plant.q, HOME + 0.6, atol=1e-3)
+
+
+@pytest.mark.parametrize("dies_at", [0, 1, 137, 300])
+def test_a_trajectory_stops_on_its_path_when_its_source_dies(
+    plant: ArmsPlant,
+    dies_at: int,
+) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    goal = HOME + np.linspace(-0.65, 0.75, 14)
+    stack.propose("moveit", trajectory(stack, move(HOME, goal, 0.9)))
+    for _ in range(dies_at):
+        stack.step()
+    died = plant.time
+    stack.dead = True
+    states = []
+    references = [stack.manager.reference]
+    while stack.executing:
+        stack.step()
+        states.append(stack.state)
+        references.append(stack.manager.reference)
+    stale = states.index(ArbiterState.STALE)
+    assert stale <= 141, "0.1 s, and the ticks that hear the last sign and notice the silence"
+    assert set(states[stale:]) == {ArbiterState.STALE}
+    assert stack.output.active_source is None
+    assert plant.time - died < 0.65
+    path = np.array(references)
+    share = (path - HOME) / (goal - HOME)
+    assert np.ptp(share, axis=1).max() < 1e-6, "it left the path"
+    assert share[-1].max() < 0.9, "it ran to its end"
+    v = np.diff(path, axis=0) / plant.dt
+    assert np.abs(np.diff(v, axis=0) / plant.dt / A_MAX).max() < 1.3
+    for _ in range(50):
+        stack.step()
+    assert np.abs(plant.v).max() < 0.05
+    # Alive again, the source may go on from there, but the old trajectory does not resume.
+    assert stack.state == ArbiterState.STALE
+    stack.dead = False
+    rest = stack.manager.reference
+    for _ in range(60):
+        stack.step()
+    np.testing.assert_array_equal(stack.manager.reference, rest)
+    stack.propose("moveit", trajectory(stack, move(rest, HOME, 0.9), 2))
+    while stack.executing:
+        stack.step()
+    assert stack.refusals == []
+    np.testing.assert_allclose(plant.q, HOME, atol=3e-3)
+
+
+def test_a_source_that_stays_dead_loses_its_turn(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.9)))
+    stack.step()
+    stack.dead = True
+    for _ in range(1150):
+        stack.step()
+    assert stack.state == ArbiterState.STOPPED
+    assert stack.source is None
+
+
+def test_another_source_cannot_keep_a_dead_one_alive(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.9)))
+    stack.dead = True
+    for k in range(150):
+        stack.affirm("teleop")
+        stack.propose("policy", JointCommand(HOME, OPEN, plant.time, k))
+        stack.step()
+    assert stack.state == ArbiterState.STALE
+    with pytest.raises(UsageError, match="no command source 'planner'"):
+        stack.affirm("planner")
+
+
+# B ----------------------------------------------------------------------------------------------------------
+
+
+def test_two_single_arm_controllers_do_what_the_double_one_does(scene: SceneConfig) -> None:
+    runs = []
+    for controllers in (("both_arms",), PAIR):
+        plant = ArmsPlant(scene)
+        stack = stack_on(plant)
+        hand_over(stack, "moveit", controllers)
+        assert stack.manager.active == controllers
+        stack.propose("moveit", trajectory(stack, move(plant.q, HOME - 0.2, 0.4)))
+        while stack.executing:
+            stack.step()
+        runs.append(np.array(plant.torques))
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-9)
+    assert np.ptp(runs[0], axis=0).max() > 1.0
+
+
+@pytest.mark.parametrize("controllers", [("both_arms",), PAIR])
+def test_seven_joints_move_and_the_other_arm_is_held(
+    plant: ArmsPlant,
+    controllers: tuple[str, ...],
+) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit", controllers)
+    whole = move(
+        HOME,
+        HOME + 0.3,
+        0.5,
+        "right_arm",
+    )  # a planner gives 14 columns; the left ones are not used
+    stack.propose("moveit", trajectory(stack, whole, group="right_arm"))
+    stack.step()
+    while stack.executing:
+        stack.step()
+    np.testing.assert_allclose(plant.q[:7], HOME[:7], atol=1e-3)
+    np.testing.assert_allclose(plant.q[7:], HOME[7:] + 0.3, atol=3e-3)
+
+
+# C ----------------------------------------------------------------------------------------------------------
+
+
+def _grasped(world: World, kinematics: Kinematics) -> HeldObject:
+    rod = world.scene.object
+    grasps: Any = tuple(inverse(world.object_pose()) @ T for T in kinematics.tcp_poses(world.q))
+    across = rod.mass_kg * rod.length_m**2 / 12.0
+    inertia = np.diag([across, 1e-5, across])
+    return HeldObject(rod.mass_kg, inertia, grasps, np.array([0.0, 1.0, 0.0]))
+
+
+def test_object_impedance_lifts_the_rod_and_hands_it_back(
+    scene: SceneConfig,
+    world: World,
+    kinematics: Kinematics,
+) -> None:
+    pinch_rod(JointLoop(world, kinematics), scene, kinematics)
+    stack = stack_on(world, sensor=TrueObject(world))
+    stack.grippers.close(
+        world.data.ctrl[world.finger_joints.ctrl[::2]],
+    )  # the stack must not open the hands
+    hand_over(stack, "moveit")
+    q = world.q
+    still = Trajectory(
+        np.array([0.0, 0.9]),
+        np.array([q, q]),
+        np.zeros((2, 14)),
+        np.zeros((2, 14)),
+        "both_arms",
+    )
+    stack.propose("moveit", trajectory(stack, still, gripper=np.zeros(2)))
+    while stack.executing:
+        stack.step()
+    assert world.truth().pinch().min() > 30.0
+
+    stack.impedance.configure(_grasped(world, kinematics))
+    stack.switch_controllers(("object_impedance",))
+    x, y, z = world.object_pose()[:3, 3]
+    path = ObjectPath(
+        Waypoint((x, y, z), 0.0, 0.0),
+        [
+            Waypoint((x, y, z), 0.0, 0.5),
+            Waypoint((x, y, z + 0.06), 0.0, 0.8),
+            Waypoint((x, y - 0.1, z + 0.06), 0.0, 1.0),
+        ],
+    )
+    # The rod may have rolled in the fingers: the path keeps the roll it has.
+    roll = world.object_pose()[:3, :3]
+
+    class Rolled:
+        duration_s = path.duration_s
+
+        def at(self, t_s: float) -> Any:
+            state = path.at(t_s)
+            T = state.T_world_object.copy()
+            T[:3, :3] = roll
+            return type(state)(T, state.twist, state.acceleration)
+
+    command = ObjectCommand(
+        Rolled(),
+        lambda t: 40.0 * min(1.0, t / 0.4),
+        np.zeros(2),
+        world.time,
+        2,
+    )
+    assert stack.propose("moveit", command) is None
+    forces = []
+    jumps = []
+    last = stack.manager.tau
+    while stack.executing:
+        stack.step()
+        jumps.append(float(np.abs(stack.manager.tau - last).max()))
+        last = stack.manager.tau
+        forces.append(world.truth().internal_force())
+    assert stack.refusals == []
+    assert jumps[0] < 1.0, "the torques jumped when the impedance took over"
+    assert min(forces[600:]) > 20.0
+    np.testing.assert_allclose(world.object_pose()[:3, 3], (x, y - 0.1, z + 0.06), atol=5e-3)
+
+    # Joint commands are not for this controller; a path that starts elsewhere is refused.
+    stack.propose("moveit", JointCommand(world.q, np.zeros(2), world.time, 3))
+    far = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + 0.1), 0.0, 1.0)])
+    stack.step()
+    stack.propose("moveit", ObjectCommand(far, lambda t: 40.0, np.zeros(2), world.time, 4))
+    for _ in range(25):
+        stack.step()
+    assert {r.name for r in stack.refusals} == {"wrong_controller", "far_start"}
+
+    # Another mode gets the arms with the rod in them: the joint controller takes over without a jolt.
+    last = stack.manager.tau
+    largest = 0.0
+    stack.request("teleop")
+    for _ in range(300):
+        stack.step()
+        largest = max(largest, float(np.abs(stack.manager.tau - last).max()))
+        last = stack.manager.tau
+    assert stack.manager.active == ("both_arms",)
+    assert largest < 1.0
+    assert world.object_pose()[2, 3] > z + 0.05, "the rod was dropped"
+
+
+# The manager ------------------------------------------------------------------------------------------------
+
+
+def test_a_set_that_does_not_claim_every_joint_once_is_refused_and_nothing_changes(
+    plant: ArmsPlant,
+) -> None:
+    stack = stack_on(plant)
+    stack.step()
+    for names, reason in (
+        (("left_arm",), "unclaimed: the right arm"),
+        ((), "unclaimed: the left arm"),
+        (("both_arms", "right_arm"), "doubly_claimed: the right arm.*both_arms and right_arm"),
+        (
+            ("object_impedance",),
+            "not_ready: controller object_impedance: it has not been told what is held",
+        ),
+    ):
+        with pytest.raises(ControllerSwitchError, match=reason):
+            stack.switch_controllers(names)
+        with pytest.raises(ControllerSwitchError, match=reason):
+            stack.request("moveit", names)
+        assert stack.manager.active == ("both_arms",)
+    with pytest.raises(UsageError, match=r"(?s)no controller 'left'.*did you mean 'left_arm'"):
+        stack.switch_controllers(("left", "right"))
+    stack.step()
+    assert stack.source is None, "a refused request left something behind"
+
+
+def test_no_switch_of_controllers_under_a_running_trajectory(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.1, 0.3)))
+    stack.step()
+    with pytest.raises(ControllerSwitchError, match="under_way"):
+        stack.switch_controllers(PAIR)
+    while stack.executing:
+        stack.step()
+    stack.step()
+    stack.switch_controllers(PAIR)
+    assert stack.manager.active == PAIR
+
+
+def test_a_controller_that_raises_as_it_takes_over_changes_nothing(
+    plant: ArmsPlant,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def torques(raising: bool) -> list[Array]:
+        plant.reset()
+        stack = stack_on(plant)
+        hand_over(stack, "moveit")
+        stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.1, 0.3)))
+        while stack.executing:
+            stack.step()
+        if raising:
+            monkeypatch.setattr(stack.manager["right_arm"], "activate", singular)
+            with pytest.raises(SingularPostureError):
+                stack.switch_controllers(PAIR)
+        assert stack.manager.active == ("both_arms",)
+        for _ in range(50):
+            stack.step()
+        return list(plant.torques)
+
+    def singular(q: Array, v: Array) -> None:
+        raise SingularPostureError("the right hand has lost a direction of motion")
+
+    np.testing.assert_array_equal(torques(raising=True), torques(raising=False))
+
+
+def test_a_switch_of_controllers_in_motion_does_not_jolt(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "teleop")
+    steps = []
+    sequence = 0
+    switched_at = None
+    for k in range(600):
+        if stack.tick_next:
+            sequence += 1
+            target = HOME + 0.4 * minimum_jerk(k / 500)[0]
+            stack.propose("teleop", JointCommand(target, OPEN, plant.time, sequence))
+        if k == 250:
+            assert np.abs(plant.v).max() > 0.8
+            before = plant.torques[-1]
+            stack.switch_controllers(PAIR)
+            switched_at = len(plant.torques)
+        stack.step()
+        steps.append(stack.manager.tau)
+    assert switched_at is not None
+    jump = float(np.abs(plant.torques[switched_at] - before).max())
+    assert jump < 1e-9, "the first torque after the switch is the last one before it"
+    np.testing.assert_allclose(plant.q, HOME + 0.4, atol=0.02)
+
+
+# Refusals ---------------------------------------------------------------------------------------------------
+
+
+def _bad(motion: Trajectory, **changes: Any) -> Any:
+    """A trajectory with values that Trajectory itself would not let through."""
+    import types
+
+    fields = {
+        n: getattr(motion, n) for n in ("times", "q", "v", "a", "dt_s", "duration_s", "sample_many")
+    }
+    return types.SimpleNamespace(**{**fields, **changes})
+
+
+def _edited(values: Array, row: int, column: int, value: float) -> Array:
+    values = values.copy()
+    values[row, column] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "detail"),
+    [
+        ("not_finite", "left_panda_joint3 = nan in sample 5"),
+        ("not_finite", "velocity"),
+        ("all_zero", "every joint"),
+        ("out_of_limits", "left_panda_joint4 = 0.5000 rad in sample 9"),
+        ("too_fast", "right_panda_joint7"),
+        ("not_at_rest", "ends with left_panda_joint1"),
+        ("too_sharp", "left_panda_joint2"),
+        ("too_sharp", "left_panda_joint5"),
+        ("wrong_shape", r"trajectory \(501, 13\)"),
+        ("gripper_out_of_range", "1.2"),
+        ("unknown_group", "no group 'arms'"),
+    ],
+)
+def test_a_bad_trajectory_is_refused_when_it_is_proposed(
+    plant: ArmsPlant,
+    name: str,
+    detail: str,
+) -> None:
+    good = move(HOME, HOME + 0.2, 0.5)
+    bad: dict[str, Any] = {
+        "left_panda_joint3 = nan in sample 5": {"q": _edited(good.q, 5, 2, np.nan)},
+        "velocity": {"v": _edited(good.v, 5, 2, np.inf)},
+        "every joint": {"q": 0.0 * good.q},
+        "left_panda_joint4 = 0.5000 rad in sample 9": {"q": _edited(good.q, 9, 3, 0.5)},
+        "right_panda_joint7": {"q": _edited(good.q, 100, 13, good.q[100, 13] + 0.05)},
+        "ends with left_panda_joint1": {"v": _edited(good.v, -1, 0, 0.4)},
+        "left_panda_joint2": {"a": _edited(good.a, 7, 1, -9.0)},
+        "left_panda_joint5": {"v": _edited(good.v, 100, 4, good.v[100, 4] + 0.1)},
+        r"trajectory \(501, 13\)": {"q": good.q[:, :13]},
+    }
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    fields: dict[str, Any] = {}
+    if name == "gripper_out_of_range":
+        fields["gripper"] = np.array([0.0, 1.2])
+    if name == "unknown_group":
+        fields["group"] = "arms"
+    refusal = stack.propose(
+        "moveit",
+        trajectory(stack, _bad(good, **bad.get(detail, {})), **fields),
+    )
+    assert refusal is not None
+    assert refusal.name == name
+    import re
+
+    assert re.search(detail, refusal.detail)
+    stack.step()
+    assert not stack.executing
+
+
+def test_a_trajectory_is_refused_for_where_and_when_it_starts(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    far = HOME.copy()
+    far[9] += 0.2
+    stack.propose("moveit", trajectory(stack, move(far, HOME, 0.5), 1))
+    stack.step()
+    assert stack.refusals[-1].name == "far_start"
+    assert "+0.200 rad away from the arms at right_panda_joint3" in stack.refusals[-1].detail
+
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 2))
+    stack.step()
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 3))
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 3))
+    stack.step()
+    assert stack.refusals[-1].name == "busy"
+    stack.propose("moveit", JointCommand(HOME, OPEN, plant.time, 4))
+    for _ in range(21):
+        stack.step()
+    assert stack.refusals[-1].name == "busy", "a streamed target does not disturb a trajectory"
+    assert stack.executing
+
+    stack.request("teleop")
+    while stack.source != "teleop":
+        stack.step()
+    refusal = stack.propose("moveit", trajectory(stack, move(HOME, HOME, 0.5), 9, stamp_s=0.0))
+    assert refusal is not None
+    assert refusal.name == "before_switch"
+    stack.request("moveit")
+    stack.propose(
+        "moveit",
+        trajectory(stack, move(plant.q, HOME, 0.5), 10, stamp_s=plant.time + 5.0),
+    )
+    while stack.source != "moveit":
+        stack.step()
+    assert stack.refusals[-1].name in ("from_future", "before_switch")
+
+
+def test_an_object_command_is_held_to_its_bounds(plant: ArmsPlant) -> None:
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here)
+    hand_over(stack, "moveit")
+    x, y, z = here.pose()[:3, 3]
+
+    def command(
+        dz: float,
+        seconds: float,
+        squeeze: float,
+        sequence: int,
+        **lies: Array,
+    ) -> ObjectCommand:
+        path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
+        honest = path.at
+        path.at = lambda t, *T: honest(t, *T)._replace(**lies)  # type: ignore[method-assign]
+        return ObjectCommand(path, lambda t: squeeze, OPEN, plant.time, sequence)
+
+    still = np.zeros(6)
+    falls = np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
+    commands = (
+        *(command(0.1, 1.0, 90.0, 1), command(0.1, 1.0, np.nan, 2), command(0.9, 1.5, 40.0, 3)),
+        *(command(0.4, 0.3, 40.0, 4), command(0.0, 1.0, 40.0, 5, acceleration=falls)),
+        command(
+            0.5,
+            0.6,
+            40.0,
+            6,
+            twist=still,
+            acceleration=still,
+        ),  # before, only what it says of itself was checked
+    )
+    names = [getattr(stack.propose("moveit", c), "name", "") for c in commands]
+    assert names == [
+        "squeeze_out_of_range",
+        "not_finite",
+        "too_fast",
+        "too_sharp",
+        "too_sharp",
+        "too_fast",
+    ]
+    assert stack.propose("moveit", command(0.05, 1.0, 0.0, 4)) is None
+    stack.step()
+    assert stack.refusals[-1].name == "wrong_controller", "a joint controller takes no object path"
+
+
+@pytest.mark.parametrize("names", [("both_arms",), PAIR, ("left_hand", "right_hand")])
+def test_after_an_object_path_the_arms_stay_where_it_has_brought_them(
+    plant: ArmsPlant,
+    names: tuple[str, ...],
+) -> None:
+    """Before, joint controllers went back to the joint target of before the path, at up to 2.8 rad/s."""
+    here = HandsObject(plant)
+    stack = stack_on(plant, sensor=here, supervisor=Supervisor(dt_s=plant.dt))
+    stack.impedance.configure(here.held())
+    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
+    (x, y, z) = (float(value) for value in here.pose()[:3, 3])
+    began = plant.q
+    path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y + 0.1, z + 0.05), 0.0, 1.5)])
+    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, OPEN, plant.time, 1)) is None
+    stack.step()
+    while stack.executing:
+        stack.step()
+    assert np.abs(plant.q - began).max() > 0.1
+    q = plant.q
+    stack.switch_controllers(names)
+    for _ in range(600):
+        stack.step()
+    assert stack.reflex is None
+    assert np.abs(plant.q - q).max() < 0.002
+
+
+def test_a_supervisor_of_another_period_is_refused(plant: ArmsPlant) -> None:
+    """At 500 Hz an emergency stop took 0.39 s instead of 0.14 s, and the arm went back."""
+    with pytest.raises(
+        UsageError,
+        match=r"the supervisor's period is 0.002 s, the plant's 0.001 s",
+    ):
+        stack_on(plant, supervisor=Supervisor(dt_s=0.002))
+
+
+def test_a_mode_that_drives_changes_to_the_controllers_it_names(plant: ArmsPlant) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.request("moveit", PAIR)
+    stack.step()
+    assert stack.source == "moveit"
+    assert stack.manager.active == PAIR
+    stack.request("moveit")  # none named: those that drive stay
+    stack.step()
+    assert stack.manager.active == PAIR
+    stack.propose("moveit", trajectory(stack, move(plant.q, HOME + 0.1, 0.3)))
+    stack.step()
+    stack.request("moveit", PAIR)  # nothing would change
+    with pytest.raises(ControllerSwitchError, match="under_way"):
+        stack.request("moveit", ("both_arms",))
+    assert stack.manager.active == PAIR
+
+
+# A controller that fails ------------------------------------------------------------------------------------
+
+
+def _break(stack: ControlStack) -> None:
+    def update(q: Array, v: Array) -> Array:
+        raise SingularPostureError("a hand has lost a direction of motion")
+
+    stack.manager["left_arm"].update = update  # type: ignore[method-assign]
+
+
+def test_without_a_supervisor_the_joint_controllers_take_over_from_one_that_fails(
+    plant: ArmsPlant,
+) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit", PAIR)
+    _break(stack)
+    n = len(plant.torques)
+    q = plant.q
+    with pytest.raises(SingularPostureError):
+        stack.step()
+    assert len(plant.torques) == n + 1, "the tick of the failure moves the plant too"
+    for _ in range(300):  # once
+        stack.step()
+    assert stack.source is None
+    assert stack.manager.active == ("both_arms",)
+    assert np.isfinite(plant.torques).all()
+    np.testing.assert_allclose(plant.q, q, atol=1e-3)
+
+
+def test_the_supervisor_stops_the_arms_of_a_controller_that_fails(world: World) -> None:
+    from minidual.control.reflexes import ReflexError
+
+    world.reset()
+    stack = stack_on(world, supervisor=Supervisor(dt_s=world.dt))
+    hand_over(stack, "moveit", PAIR)
+    _break(stack)
+    now_s = world.time
+    with pytest.raises(ReflexError, match=r"controller_failed.*lost a direction") as caught:
+        stack.step()
+    assert isinstance(caught.value.__cause__, SingularPostureError)
+    assert stack.reflex is caught.value
+    assert world.time > now_s, "the tick of the reflex moves the plant too"
+    for _ in range(300):  # once; the controller goes on failing
+        stack.step()
+    assert np.abs(world.v).max() < 0.01
+    stack.switch_controllers(("both_arms",))
+    stack.recover()
+    hand_over(stack, "moveit")
+
+
+class _Deaf:
+    """An object at rest whose force sensor gives no number."""
+
+    grip_limit_n = float("inf")
+
+    def __init__(self, world: World) -> None:
+        self.force_n = 40.0
+        self._T = world.object_pose()
+
+    def read(self) -> tuple[ObjectState, float]:
+        return ObjectState(self._T), self.force_n
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_squeeze_that_is_no_number_is_a_reflex(
+    scene: SceneConfig,
+    world: World,
+    kinematics: Kinematics,
+    when: str,
+) -> None:
+    from minidual.control.reflexes import ReflexError
+
+    pinch_rod(JointLoop(world, kinematics), scene, kinematics)
+    sensor = _Deaf(world)
+    stack = stack_on(world, sensor=sensor, supervisor=Supervisor(dt_s=world.dt))
+    hand_over(stack, "moveit")
+    stack.impedance.configure(_grasped(world, kinematics))
+    if when == "before":
+        sensor.force_n = float("nan")
+    stack.switch_controllers(("object_impedance",))
+    if when == "after":
+        stack.step()
+        sensor.force_n = float("nan")
+    with pytest.raises(
+        ReflexError,
+        match=r"controller_failed.*: the object's internal force is not finite",
+    ):
+        stack.step()
+
+
+# The supervisor ---------------------------------------------------------------------------------------------
+
+
+class _Guard:
+    """Halves the torques, and stops the arms once when it is told to."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[float, Array, Array, Array]] = []
+        self.trip = False
+        self.dt_s = 1e-3
+        self.time_s = -np.inf
+        self.config = SupervisorConfig()
+        self.steady = np.zeros(14)
+
+    def reset(self, tau: Array | None = None) -> None: ...
+
+    def heard(self, time_s: float) -> None: ...
+
+    def hold(self, arm: int | None) -> None: ...
+
+    def tell(self, error: ReflexError) -> None:
+        self.told = error
+
+    def guard(
+        self,
+        time_s: float,
+        q: Array,
+        v: Array,
+        tau: Array,
+        a_ref: Array | None = None,
+        stamp_s: float | None = None,
+    ) -> Array:
+        self.seen.append((time_s, q, v, tau))
+        if self.trip:
+            self.trip = False
+            raise ReflexError(
+                Reflex("emergency_stop", time_s, "pressed", 1.0, None),
+                np.full(14, 0.25),
+            )
+        return tau
+
+
+def test_the_supervisor_has_the_last_word_in_every_tick(plant: ArmsPlant) -> None:
+    guard = _Guard()
+    stack = stack_on(plant, supervisor=guard)
+    hand_over(stack, "teleop")
+    n = len(plant.torques)
+    assert len(guard.seen) == n
+    guard.trip = True
+    with pytest.raises(ReflexError, match="emergency_stop"):
+        stack.step()
+    np.testing.assert_array_equal(plant.torques[-1], np.full(14, 0.25))
+    assert len(plant.torques) == n + 1, "the tick of the reflex moves the plant too"
+    assert guard.told is stack.reflex
+    stack.step()
+    assert stack.source is None
+    with pytest.raises(UsageError, match="may not drive: the supervisor stopped the arms"):
+        stack.request("teleop")
+    stack.recover()
+    hand_over(stack, "teleop")
+
+
+def test_the_real_supervisor_stops_the_arms_and_lets_them_go_on(
+    scene: SceneConfig,
+    world: World,
+) -> None:
+    from minidual.control.reflexes import ReflexError
+
+    supervisor = Supervisor(dt_s=world.dt)
+    stack = stack_on(world, supervisor=supervisor)
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.6)))
+    for _ in range(300):
+        stack.step()
+    assert np.abs(world.v).max() > 0.5
+    supervisor.estop("pressed by the test")
+    with pytest.raises(ReflexError, match="emergency_stop"):
+        stack.step()
+    for _ in range(1000):
+        stack.step()
+    assert np.abs(world.v).max() < 0.01
+    stack.recover()
+    hand_over(stack, "moveit")
+    stack.propose("moveit", trajectory(stack, move(world.q, HOME, 0.8)))
+    while stack.executing:
+        stack.step()
+    np.testing.assert_allclose(world.q, HOME, atol=5e-3)
+
+
+def _run_out(stack: ControlStack) -> None:
+    while stack.executing:
+        stack.step()
+
+
+def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(
+    scene: SceneConfig,
+    world: World,
+) -> None:
+    from minidual.control.reflexes import ReflexError
+
+    world.reset()
+    stack = stack_on(
+        world,
+        supervisor=Supervisor(SupervisorConfig(acceleration_scale=0.5), dt_s=world.dt),
+    )
+    hand_over(stack, "moveit")
+    legal = move(HOME, HOME + 0.3, 0.9)
+    stack.propose("moveit", trajectory(stack, legal))
+    while stack.executing:
+        stack.step()
+    # Within the joints' limits, and beyond the half of their accelerations that this supervisor allows.
+    hard = move(stack.manager.reference, stack.manager.reference - 0.08, 0.25)
+    assert np.abs(hard.v).max() < V_MAX.min()
+    assert (np.abs(hard.a).max(axis=0) > 0.5 * A_MAX).any()
+    assert stack.propose("moveit", trajectory(stack, hard, 2)) is None
+    with pytest.raises(ReflexError, match="reference_acceleration"):
+        _run_out(stack)
+
+    world.reset()
+    stack.reset()
+    stack.arbitrate()
+    for _ in range(100):  # the arbiter has died: nobody calls it any more
+        stack.advance()
+    with pytest.raises(ReflexError, match="stale_command"):
+        stack.advance()
+
+
+def test_a_rate_that_does_not_divide_the_control_rate_is_refused(plant: ArmsPlant) -> None:
+    with pytest.raises(UsageError, match="rate_hz 30"):
+        stack_on(plant, rate_hz=30.0)

@@ -1,0 +1,177 @@
+"""README and docs: every Python block runs, every command parses, and what they name exists."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+from minidual.cli.app import build_app
+from minidual.stages.registry import STAGES, TOOLS
+from tests.support import howto
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")})
+OWN_STAGES = {"steadiness"}
+"""Stages that a how-to adds; its own test types their commands."""
+
+
+def printed_commands() -> list[tuple[str, str]]:
+    """Return (page, command) of each line of a code block that types minidual; synopses with [...] left out."""
+    found = []
+    for page in PAGES:
+        text = re.sub(r" *\\\n *", " ", page.read_text(encoding="utf-8"))
+        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        fenced = "\n".join(body for language, body in blocks if language in ("", "bash", "sh"))
+        indented = "\n".join(re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE))
+        for line in re.findall(
+            r"^(?:\.venv/bin/)?(minidual [^\n]*)$",
+            f"{fenced}\n{indented}",
+            re.MULTILINE,
+        ):
+            command = re.sub(r"\s+#.*$|\s{3,}\S.*$", "", line).strip()
+            if "[" not in command:
+                found.append((page.relative_to(ROOT).as_posix(), command))
+    return list(dict.fromkeys(found))
+
+
+def parse(words: list[str]) -> None:
+    """Raise what the command line raises for wrong words, without running the command."""
+    group = typer.main.get_command(build_app(STAGES, TOOLS))
+    context = group.make_context("minidual", list(words), resilient_parsing=True)
+    command = group
+    while words and hasattr(command, "resolve_command"):
+        name, command, words = command.resolve_command(context, words)
+        if words == ["--help"]:
+            return
+        context = command.make_context(name, list(words), parent=context)
+
+
+@pytest.mark.parametrize(
+    ("page", "command"),
+    printed_commands(),
+    ids=lambda value: value.replace("/", "."),
+)
+def test_printed_commands_parse_and_name_files_that_exist(page: str, command: str) -> None:
+    words = shlex.split(command)[1:]
+    if words[0] in OWN_STAGES or words[:2] == ["explain", "steadiness"]:
+        return
+    parse(words)
+    missing = [
+        word for word in words if word.startswith("examples/") and not (ROOT / word).is_file()
+    ]
+    assert not missing
+
+
+def test_a_command_with_a_wrong_option_does_not_parse() -> None:
+    with pytest.raises(Exception, match="No such option"):
+        parse(["plan", "--towards", "ready"])
+
+
+def test_there_are_commands_to_try() -> None:
+    commands = {command.split()[1] for _, command in printed_commands()}
+    assert set(STAGES) <= commands | {"report"}
+
+
+def run_blocks(page: str, folder: Path) -> dict:
+    """Run a page's Python blocks one after the other in an empty folder; return their names."""
+    names: dict = {}
+    here = Path.cwd()
+    os.chdir(folder)
+    try:
+        for block in howto.blocks(page):
+            exec(compile(block, page, "exec"), names)
+    finally:
+        os.chdir(here)
+    return names
+
+
+def test_readme_plans_with_proof(tmp_path: Path) -> None:
+    plan = run_blocks("../README.md", tmp_path)["plan"]
+    assert plan.verification.ok
+    assert plan.trajectory.duration_s > 0.1
+
+
+def test_control_page_reaches_its_goal(tmp_path: Path) -> None:
+    names = run_blocks("control.md", tmp_path)
+    assert np.abs(names["world"].q - names["goal"]).max() < 2e-3
+
+
+def test_supervisor_page_stops_and_dumps(tmp_path: Path) -> None:
+    names = run_blocks("supervisor.md", tmp_path)
+    assert names["supervisor"].reflex.name == "torque_range"
+    assert np.all(np.abs(names["tau"]) < 90.0)
+    assert len(list((tmp_path / "dumps").glob("torque_range-*.npz"))) == 1
+
+
+def test_data_page_writes_and_reads_an_episode(tmp_path: Path) -> None:
+    episode = run_blocks("data.md", tmp_path)["episode"]
+    assert episode.action.shape == (3, 14)
+    assert [path.name for path in tmp_path.iterdir()] == ["episode_000000.hdf5"]
+
+
+def test_plan_page_goes_round_the_post(tmp_path: Path) -> None:
+    result = run_blocks("plan.md", tmp_path)["result"]
+    assert result.verification.ok
+    assert result.trajectory.sample(0.5)[0].shape == (14,)
+
+
+def test_scenes_page_goes_straight_down(tmp_path: Path) -> None:
+    assert run_blocks("planning-scenes.md", tmp_path)["plan"].verification.ok
+
+
+def test_closed_chain_page_moves_the_rod(tmp_path: Path) -> None:
+    names = run_blocks("closed-chain.md", tmp_path)
+    assert names["plan"].verification.ok
+    assert np.abs(names["plan"].Ts_world_object[-1] - names["T_world_goal"]).max() < 1e-3
+    assert names["plan"].residual_m < 1e-3
+
+
+def test_task_page_solves_the_carry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = run_blocks("task-pipeline.md", tmp_path)
+    carried = next(
+        s.trajectory.Ts_world_object for s in names["solution"].segments if s.phase == "carry"
+    )
+    assert np.abs(carried[-1][:2, 3] - names["trial"].goal["rod"][:2]).max() < 1e-9
+    assert "rod_carry: solved" in capsys.readouterr().out
+
+
+def test_simulation_page_opens_the_environment(tmp_path: Path) -> None:
+    names = run_blocks("simulation.md", tmp_path)
+    assert names["env"].observation_space.contains(names["observation"])
+    names["env"].close()
+
+
+TESTED = {
+    "control",
+    "supervisor",
+    "data",
+    "plan",
+    "planning-scenes",
+    "closed-chain",
+    "task-pipeline",
+    "simulation",
+}
+
+
+def test_no_page_has_untested_python() -> None:
+    with_code = {page.stem for page in PAGES if "```python" in page.read_text(encoding="utf-8")}
+    howtos = {name for name in with_code if name.startswith("howto-")}
+    assert with_code - howtos == TESTED | {"README"}
+    tests = "".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_howto_*.py")
+    )
+    assert [name for name in sorted(howtos) if f"{name}.md" not in tests] == []
+
+
+def test_every_planning_option_is_documented() -> None:
+    text = "".join(
+        (ROOT / "docs" / name).read_text() for name in ("planning-scenes.md", "task-pipeline.md")
+    )
+    known = {option.name for aside in STAGES["plan"].asides for option in aside.options}
+    assert known <= set(re.findall(r"--([a-z][a-z-]*)", text))

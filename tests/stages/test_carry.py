@@ -1,0 +1,87 @@
+"""The carry stage: what it refuses, what its result depends on, and that the number of processes is not among it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from minidual.config.loader import load_config
+from minidual.config.root import Config
+from minidual.errors import UsageError
+from minidual.gate.canonical import digest
+from minidual.gate.stage import Progress
+from minidual.stages.carry import _record
+from minidual.stages.registry import STAGES
+from minidual.trials.methods import MethodInputs
+from minidual.trials.runner import Bench, run_trials
+from tests.support.carry_trials import same_row, sample_trial
+
+
+@pytest.mark.parametrize("setting", ["carry.object=glas", "carry.motion=overr"])
+def test_an_unknown_object_or_motion_is_refused_before_anything_runs(setting: str) -> None:
+    with pytest.raises(UsageError, match="there are"):
+        STAGES["carry"].resolved(load_config("smoke", [setting]).config, checked=True)
+
+
+def test_the_parameters_are_those_that_the_object_stands_for() -> None:
+    glass = STAGES["carry"].parameters(load_config("standard", ["carry.object=glass"]).config)
+    assert glass["scene"].task.internal_force_min_n == 10.0
+    assert glass["carry"].impedance.internal_force_n == 13.0
+    digests = {
+        digest(STAGES["carry"].parameters(load_config("standard", [f"carry.{what}"]).config))
+        for what in ("object=rod", "object=glass", "motion=rotate", "sensing.delay_s=0.02")
+    }
+    assert len(digests) == 4
+
+
+def test_the_standard_profile_asks_for_the_goal_and_smoke_for_the_baseline() -> None:
+    goal, baseline = (load_config(name).config.carry for name in ("standard", "smoke"))
+    assert (goal.limits.success_rate_min, goal.limits.duration_max_s) == (0.99, 8.0)
+    assert goal.limits.tilt_max_rad < 0.0350
+    assert goal.trials_n >= 200
+    assert baseline.limits.success_rate_min > 0.8
+    assert (baseline.limits.tilt_max_rad, baseline.limits.duration_max_s) == (0.08727, 10.0)
+    assert goal.sensing.delay_s == baseline.sensing.delay_s == 0.01
+    assert goal.sensing.pose_noise_m == 0.0005
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_processes_and_a_recording_is_the_same_trial(
+    tmp_path: Path,
+) -> None:
+    config = Config()
+    inputs = MethodInputs(config, 3)
+    trials = [sample_trial(config.scene, 3, "workers", i) for i in range(3)]
+    alone, shared = (list(run_trials("impedance", inputs, trials, workers=n)) for n in (1, 3))
+    assert [repr(same_row(m)) for m in alone] == [repr(same_row(m)) for m in shared]
+    again, _ = Bench("impedance", inputs).record(trials[1], tmp_path / "trial.npz")
+    assert repr(same_row(again)) == repr(same_row(alone[1]))
+    assert (tmp_path / "trial.npz").stat().st_size > 10_000
+
+
+def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Path) -> None:
+    written: list[tuple[int, str]] = []
+    success = SimpleNamespace(text="success", success=True)
+    failure = SimpleNamespace(text="held at 2.00 s", success=False)
+    results: list[Any] = [success, failure, failure]
+
+    class Records:
+        def record(self, trial: Any, path: Path) -> Any:
+            written.append((trial, path.name))
+            return results[trial], trial
+
+    context: Any = SimpleNamespace(folder=tmp_path, progress=Progress())
+    trials: list[Any] = [0, 1, 2]
+    _record(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
+    assert written == [
+        (1, "trial001.npz"),
+        (2, "trial002.npz"),
+        (0, "median.npz"),
+        (0, "worst.npz"),
+    ]
+    written.clear()
+    _record(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
+    assert written == [(1, "median.npz"), (2, "worst.npz")]
