@@ -12,7 +12,7 @@ from PIL import Image
 
 from minidual.config.loader import load_config
 from minidual.plant.model import GROUP_COLLISION
-from minidual.tasks.task import make_task
+from minidual.tasks.catalogue import make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 

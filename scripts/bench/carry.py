@@ -17,7 +17,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.supervised import trial_supervisor
 from minidual.stages.env_check.tracking import sine_reference
-from minidual.tasks.task import TASKS, make_task
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
 from scripts.bench.tables import BenchInputs, BenchRow, BenchTable

@@ -34,7 +34,8 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, inverse, pose, rot_x, rot_z
 from minidual.skills.cycle import around, shape_of, thing_of
 from minidual.skills.phases import PHASES, raised
-from minidual.tasks.task import TASKS, Task, Trial, grasp_offsets, make_task, pose_of
+from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.task import Task, Trial, grasp_offsets, pose_of
 
 GROUP = "both_arms"
 _RESTARTS_SCALE = 4

@@ -15,7 +15,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.tasks.task import make_task
+from minidual.tasks.catalogue import make_task
 from tests.control.test_broken import FailingPlant, breaks, under_way
 from tests.control.test_controllers import hand_over, stack_on
 from tests.control.test_driver import Arms

@@ -19,7 +19,8 @@ from minidual.robot.pair import DUAL_PANDA, SIDES
 from minidual.skills.operator import Demonstration, ScriptedOperator
 from minidual.skills.pipeline.search import Record, TaskFailedError
 from minidual.stages.registry import STAGES, TOOLS
-from minidual.tasks.task import TASKS, Step, Task, Trial, make_task
+from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.task import Step, Task, Trial
 from tests.support.panda import HOME, Q_LOWER, Q_UPPER, V_MAX
 from tests.support.recording_toys import ToyRig, job
 

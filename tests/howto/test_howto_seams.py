@@ -11,7 +11,7 @@ import pytest
 from minidual import tasks
 from minidual.config.root import Config
 from minidual.errors import UsageError
-from minidual.tasks.task import TASKS, make_task
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.trials.conditions import CONDITIONS
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.runner import Bench

@@ -18,8 +18,8 @@ from minidual.skills import planned_carry
 from minidual.skills.phases import moved
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import trial_supervisor
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import begin
-from minidual.tasks.task import make_task
 
 TASK = make_task(Config(task="handover"))
 TRIAL = TASK.trial(1, "plan", 0)

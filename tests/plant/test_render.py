@@ -14,7 +14,8 @@ from minidual.plant import render
 from minidual.plant.model import CAMERAS, build_model
 from minidual.plant.render import Camera, write_video
 from minidual.stages.env_check.pictures import check_cameras
-from minidual.tasks.task import TASKS, make_task, pose_of
+from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.task import pose_of
 from tests.support.arm_scripts import pinch_rod
 
 

@@ -23,7 +23,8 @@ from minidual.plant.world import World
 from minidual.registry import Registry
 from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import DUAL_PANDA, SIDES
-from minidual.tasks.task import make_task, pose_of
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import pose_of
 from scripts.bench import __main__ as bench
 from scripts.bench import hard, peers
 from scripts.bench.peers import Roboplan, Run

@@ -16,7 +16,7 @@ from minidual.gate.table import StageEntry, StageTable
 from minidual.plant.world import World
 from minidual.stages import scene_view
 from minidual.stages.registry import STAGES, TOOLS
-from minidual.tasks.task import TASKS, make_task
+from minidual.tasks.catalogue import TASKS, make_task
 from tests.support.browser import unused_port
 from tests.support.pipeline_toys import Toy
 

@@ -19,7 +19,7 @@ from minidual.show.view import make_view
 from minidual.show.view.overlay import Arrow, Overlay, PathLine, Preview, Slider
 from minidual.show.view.web import WebView
 from minidual.show.watch import Watcher, overlay, visual_model, watch_trials, watched
-from minidual.tasks.task import task_config
+from minidual.tasks.catalogue import task_config
 from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics

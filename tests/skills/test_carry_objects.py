@@ -18,10 +18,11 @@ from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.carry_motions import grasp_posture, posture_over
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.stages.config_checks import check_carry
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.judge import Judge, Outcome
 from minidual.tasks.objects import MOTIONS, OBJECTS
 from minidual.tasks.rod_carry import carry_config
-from minidual.tasks.task import TASKS, Trial, make_task, placement, pose_of
+from minidual.tasks.task import Trial, placement, pose_of
 from tests.support.panda import FINGER_TRAVEL_M
 
 

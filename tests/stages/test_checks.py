@@ -28,7 +28,8 @@ from minidual.stages.carry import carry_checks
 from minidual.stages.config_checks import check_deploy
 from minidual.stages.deploy import deploy_checks, deploy_starts, farthest, seed_rates, set_checks
 from minidual.stages.train_act import training_seeds
-from minidual.tasks.task import TASKS, make_task, placement
+from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.task import placement
 from minidual.trials.metrics import TrialMetrics, summarise
 
 TASK = Config().scene.task

@@ -35,7 +35,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import DUAL_PANDA, Robot
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.stages.teleop_record import READS, record_checks, recording_inputs, run
-from minidual.tasks.task import make_task
+from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
 from tests.support.late import late
 from tests.support.recording_toys import TICKS, ToyRig, hang_in_conversion, job

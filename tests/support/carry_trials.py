@@ -7,8 +7,9 @@ from typing import Any
 from minidual.config.control import SensingConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge
-from minidual.tasks.task import Task, Trial, make_task
+from minidual.tasks.task import Task, Trial
 from minidual.trials.metrics import TrialMetrics
 
 _SENSED = (

@@ -20,8 +20,9 @@ from minidual.demos.rig import Job, Rig
 from minidual.demos.session import SessionResult, Tick
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Outcome
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.task import Trial
 
 TICKS = 51
 CONFIG = Config()

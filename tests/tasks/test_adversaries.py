@@ -21,9 +21,10 @@ from minidual.plant.bodies import NamedObject
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import pose, rot_x, rot_z
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.objects import MOTIONS, OBJECTS
-from minidual.tasks.task import Task, Trial, make_task, placement
+from minidual.tasks.task import Task, Trial, placement
 from tests.support.placing import put_at
 
 GRIP = 30.0

@@ -11,7 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.errors import UsageError
-from minidual.tasks.task import TASKS, pose_of
+from minidual.tasks.catalogue import TASKS
+from minidual.tasks.task import pose_of
 from minidual.trials.gym_env import TaskEnv
 from tests.support.arm_scripts import carry_script
 from tests.support.carry_trials import rod_trial

@@ -24,8 +24,9 @@ from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Outcome, begin
-from minidual.tasks.task import Step, Task, Trial, make_task, pose_of
+from minidual.tasks.task import Step, Task, Trial, pose_of
 
 TASK = make_task(Config(task="handover"))
 MIRRORED = {index: TASK.trial(1, "plan", index).start["bottle"][1] < 0.0 for index in range(8)}

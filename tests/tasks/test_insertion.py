@@ -23,9 +23,10 @@ from minidual.skills.phases import State
 from minidual.skills.pipeline import hands
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import SceneClearance
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET
 from minidual.tasks.judge import Judge, Outcome, begin
-from minidual.tasks.task import Step, Trial, make_task, placement, pose_of
+from minidual.tasks.task import Step, Trial, placement, pose_of
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 

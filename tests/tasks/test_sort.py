@@ -23,9 +23,10 @@ from minidual.skills.cycle import solve
 from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.sort import bin_of, side_of
-from minidual.tasks.task import Step, Task, Trial, make_task, pose_of
+from minidual.tasks.task import Step, Task, Trial, pose_of
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 

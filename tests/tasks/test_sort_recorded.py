@@ -12,7 +12,8 @@ from minidual.plant.model import build_model
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.operator import Demonstration
-from minidual.tasks.task import Task, Trial, make_task
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Task, Trial
 from minidual.trials.conditions import condition
 from tests.support.panda import V_MAX
 

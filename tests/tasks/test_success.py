@@ -14,9 +14,9 @@ from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import pose, rot_x, rot_z
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge
 from minidual.tasks.success import Exchanged, Held, ObjectTruth, Turned
-from minidual.tasks.task import make_task
 from tests.support.carry_trials import carry_task, rod_judge, rod_trial
 
 RADIUS = 0.00887

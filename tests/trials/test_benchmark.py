@@ -19,7 +19,7 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.stages.benchmark import benchmark_checks, condition_checks
 from minidual.stages.config_checks import check_benchmark
 from minidual.stages.registry import STAGES
-from minidual.tasks.task import TASKS, make_task
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.trials import benchmark, methods, runner
 from minidual.trials.benchmark import (
     BenchmarkCell,

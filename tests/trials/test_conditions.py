@@ -11,9 +11,10 @@ from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.insertion import depth_m
 from minidual.tasks.judge import begin
-from minidual.tasks.task import TASKS, level_pose, make_task
+from minidual.tasks.task import level_pose
 from minidual.trials import conditions
 from minidual.trials.conditions import (
     CLEAN,

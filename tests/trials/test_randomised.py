@@ -13,7 +13,8 @@ from minidual.config.scene import DISTRACTORS
 from minidual.plant.model import build_model
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
-from minidual.tasks.task import TASKS, Task, Trial, make_task, placement
+from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.task import Task, Trial, placement
 from minidual.trials.conditions import DRY_NM, condition
 
 if TYPE_CHECKING:

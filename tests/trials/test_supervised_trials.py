@@ -23,7 +23,8 @@ from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.supervised import arm_distance, trial_supervisor
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 from tests.support.carry_trials import carry_task, sample_trial

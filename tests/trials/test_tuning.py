@@ -7,7 +7,7 @@ from minidual.config.loader import load_config
 from minidual.config.root import Config, changed
 from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import tune
-from minidual.tasks.task import task_config
+from minidual.tasks.catalogue import task_config
 from minidual.trials import tuning
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.tuning import (

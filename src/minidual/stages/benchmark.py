@@ -11,7 +11,7 @@ from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
 from minidual.stages.deploy import recorded_task
 from minidual.stages.words import worded
-from minidual.tasks.task import tasks_of
+from minidual.tasks.catalogue import tasks_of
 from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs, check_able

@@ -17,7 +17,8 @@ from minidual.show.figures.film import film_trial
 from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
-from minidual.tasks.task import Trial, make_task, pose_of
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Trial, pose_of
 from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics, summarise

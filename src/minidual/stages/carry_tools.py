@@ -11,7 +11,7 @@ from minidual.errors import ExitCode
 from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.show.figures.tuning import draw_tuning
 from minidual.show.watch import watch_trials
-from minidual.tasks.task import task_config
+from minidual.tasks.catalogue import task_config
 from minidual.trials.benchmark import (
     DISTURBED_RATE_MIN,
     PERTURBED,

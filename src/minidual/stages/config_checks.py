@@ -6,7 +6,7 @@ from minidual.errors import ConfigError
 from minidual.motion.search import PLANNERS
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
-from minidual.tasks.task import make_task, tasks_of
+from minidual.tasks.catalogue import make_task, tasks_of
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
 from minidual.trials.methods import METHODS, check_able
 

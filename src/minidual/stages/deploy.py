@@ -25,7 +25,8 @@ from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
 from minidual.stages.words import worded
-from minidual.tasks.task import Trial, make_task, placement
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Trial, placement
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise

@@ -27,7 +27,7 @@ from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
 from minidual.stages.config_checks import check_carry
-from minidual.tasks.task import make_task, task_config
+from minidual.tasks.catalogue import make_task, task_config
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, parse_modes
 from minidual.trials.modes_turns import Turn

@@ -12,7 +12,8 @@ from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import trial_hook
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.stages.plan_tools import target_file
-from minidual.tasks.task import TASKS, placement
+from minidual.tasks.catalogue import TASKS
+from minidual.tasks.task import placement
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
 

@@ -19,7 +19,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot, robot_from
 from minidual.show.view.overlay import Slider
 from minidual.show.watch import Brake, StackNarrator, watched
-from minidual.tasks.task import task_config
+from minidual.tasks.catalogue import task_config
 
 _SOURCE = "teleop"
 _SLICE_S = 0.02  # one tick of the arbiter, which limits the sliders' speed

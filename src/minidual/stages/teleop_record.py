@@ -25,7 +25,7 @@ from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
 from minidual.show.watch import watch_recording
 from minidual.stages.words import worded
-from minidual.tasks.task import make_task
+from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
 
 READS = ("robot", "task", "teleop", "plan.planner", "scene", "arbiter", "supervisor")

@@ -1,22 +1,16 @@
-"""Tasks. A row of TASKS builds one from the configuration, so `--set` reaches every number.
-
-Other distributions add rows through the entry point group `minidual.tasks` (docs/howto-task.md).
-"""
+"""What a task consists of, its trials, and the placements of objects."""
 
 from __future__ import annotations
 
 import math
-import pkgutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from minidual.config.root import Config, changed
+from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.config.seeds import stream
-from minidual.registry import Registry
 from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.tasks.success import SuccessCondition
 
@@ -123,51 +117,6 @@ class Task:
         """Draw a trial; `widen` scales the start's range."""
         start, goal = self.draw(self, stream(seed, f"{self.stream}/{purpose}", index), widen)
         return Trial(purpose, index, start, goal)
-
-
-_SHARED = {"judge", "objects", "success", "task"}
-_OWN = {module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)])} - _SHARED
-"""Every other module of this folder is a task: its function of the same name."""
-TASKS: Registry[Callable[[Config], Task]] = Registry(
-    "task",
-    {name: f"minidual.tasks.{name}:{name}" for name in sorted(_OWN)},
-    group="minidual.tasks",
-)
-
-
-def make_task(config: Config) -> Task:
-    """Return the configured task.
-
-    Raises:
-        UsageError: Unknown task or refused value.
-    """
-    return TASKS[config.task](config)
-
-
-def tasks_of(config: Config) -> dict[str, Task]:
-    """Return the benchmark's tasks.
-
-    Raises:
-        UsageError: Unknown or repeated name.
-    """
-    own = tuple(dict.fromkeys((config.task, *config.benchmark.further_tasks)))
-    names = TASKS.names(config.benchmark.tasks or own)
-    return {
-        name: make_task(config if name == config.task else changed(config, {"task": name}))
-        for name in names
-    }
-
-
-def task_config(config: Config) -> Config:
-    """Return the configuration with the task's values; idempotent."""
-    return make_task(config).config
-
-
-def benchmark_config(config: Config) -> Config:
-    """Return `task_config`; several tasks are resolved when they run."""
-    return (
-        config if config.benchmark.tasks or config.benchmark.further_tasks else task_config(config)
-    )
 
 
 def placement(pose: ObjectPose) -> Placement:

@@ -14,7 +14,8 @@ import numpy as np
 from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.errors import DataError
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Trial
 from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_conditions
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import Cell, MethodSummary, TrialMetrics, summarise

@@ -20,7 +20,8 @@ from minidual.config.scene import DISTRACTOR_HALF_M, DISTRACTORS, ObstacleConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.registry import Registry, rows_beside
 from minidual.robot.pair import Array
-from minidual.tasks.task import Task, Trial, beside, make_task, placement
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Task, Trial, beside, placement
 from minidual.trials.methods import METHODS, SENSES
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo

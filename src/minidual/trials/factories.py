@@ -20,7 +20,8 @@ from minidual.skills.phases import OPEN, still
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import Task, Trial, make_task, pose_of
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Task, Trial, pose_of
 from minidual.trials.methods import Factory, MethodInputs
 
 _REST_S = 2.0

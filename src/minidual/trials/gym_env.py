@@ -18,8 +18,9 @@ from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.judge import Judge, begin
-from minidual.tasks.task import TASKS, Trial, level_part, make_task, placement, pose_of
+from minidual.tasks.task import Trial, level_part, placement, pose_of
 
 CONTROL_HZ = 50
 """Rate of actions and observations."""

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
 from minidual.registry import Registry, load_target, rows_beside
-from minidual.tasks.task import TASKS, Task, Trial, make_task
+from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.task import Task, Trial
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World

@@ -17,7 +17,8 @@ from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.tasks.task import Trial, make_task
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Trial
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import LOG_RATE_HZ, Bench

@@ -23,7 +23,8 @@ from minidual.robot.pair import inverse, robot_from
 from minidual.skills.cycle import solve
 from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.tasks.task import make_task, pose_of
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import pose_of
 from minidual.trials.planning.held_moves import HeldMove, HeldMoveGenerator
 from minidual.trials.planning.queries import Query, polyline_states, query_source
 
