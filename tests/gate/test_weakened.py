@@ -42,13 +42,13 @@ def test_a_shipped_profile_asks_for_itself(profile):
         ("carry", "scene.task.goal_tolerance_m=0.025", "scene.task.goal_tolerance_m is 0.025"),
         (
             "plan",
-            "plan.time_median_max_s.left_arm=0.2",
-            "plan.time_median_max_s.left_arm is 0.2, the profile asks for 0.01",
+            "plan.time_median_max_s.left_arm=0.3",
+            "plan.time_median_max_s.left_arm is 0.3, the profile asks for 0.2",
         ),
         (
             "plan",
-            "plan.time_p99_max_s=null",
-            "plan.time_p99_max_s is None, the profile asks for 0.5",
+            "plan.time_median_max_s.both_arms=null",
+            "plan.time_median_max_s.both_arms is None, the profile asks for 2.0",
         ),
         ("benchmark", "benchmark.success_rate_min.act=0.1", "'act': 0.1"),
         ("benchmark", "benchmark.methods=[moveit]", "benchmark.methods is moveit"),

@@ -34,8 +34,5 @@ def test_an_arm_of_another_distribution_passes_env_check(
         printed = capsys.readouterr()
     checks = {check["name"]: check for check in json.loads(printed.out)["verdict"]["checks"]}
     assert checks["joints.count"]["observed"] == 12
-    late = checks.pop(
-        "latency.wall_median_us",
-    )  # wall time: other work on the machine may hold it up
     assert {check["passed"] for check in checks.values()} <= {True, None}, printed.err
-    assert status == (0 if late["passed"] else 1)
+    assert status == 0

@@ -326,8 +326,10 @@ def test_deploy_refuses_a_task_that_was_not_recorded(tmp_path: Path) -> None:
 
 
 REPORTED = {
+    "env-check": ["latency.wall_median_us"],
     "plan": [
         "first_plan_median_s",
+        "replan_p99_s",
         "core_share",
         "line_blocked_rate",
         "closed_chain.time_median_s",
@@ -341,6 +343,7 @@ REPORTED = {
     ],
     "teleop-record": ["success_rate", "attempts", "latency_p50_s", "recorded_per_min"],
     "train-act": [
+        "train_s",
         "samples_per_s",
         "parameters",
         "overshoot_max_rad",

@@ -178,7 +178,6 @@ class TestStage:
             "step_error_max_rad": 1e-17,
             "agreement_max": 1e-18,
             "rise_max_s": 0.01,
-            "latency_max_us": 0.1,
             "stop_rest_max_s": 0.01,
         }
         found, _, *others = passed[2]
@@ -188,7 +187,6 @@ class TestStage:
             "tracking.step_error_rad",
             "model.agreement_max",
             "joints.rise_max_s",
-            "latency.wall_median_us",
             "stop.rest_s",
         }
 
@@ -263,7 +261,10 @@ def all_failing_checks():
 
 
 def test_measurements_in_which_all_is_well_pass():
-    assert {check.passed for check in judged().values()} == {True}
+    checks = judged()
+    reported = {name for name, check in checks.items() if check.op is None}
+    assert reported == {"latency.wall_median_us"}
+    assert all(check.passed for name, check in checks.items() if name not in reported)
 
 
 class TestMapping:

@@ -10,7 +10,8 @@ import pytest
 from minidual.collision.engines import CoalEngine, MujocoEngine
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import PlanningScene
-from minidual.config.planning import GroupTimes, HeldMovesConfig, PlanConfig, PlannerConfig
+from minidual.config.loader import load_config
+from minidual.config.planning import HeldMovesConfig, PlanConfig, PlannerConfig
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, PhysicsConfig, RobotConfig, SceneConfig, TaskConfig
 from minidual.errors import ConfigError, DataError, UsageError
@@ -42,7 +43,7 @@ CONFIG = Config(
         queries_n=2,
         second_queries_n=1,
         agreement_states_n=200,
-        held=HeldMovesConfig(moves_n=2, executed_n=1, cpu_time_median_max_s=None),
+        held=HeldMovesConfig(moves_n=2, executed_n=1),
     ),
 )
 
@@ -134,40 +135,38 @@ def test_group_checks_can_fail(outcomes):
     assert failing(group_checks("left_arm", [failed, outcomes[1]], config)) == {
         "left_arm.success_rate",
     }
-    slow = dataclasses.replace(outcomes[0], total_s=10.5)
-    assert failing(group_checks("left_arm", [slow, outcomes[1]], config)) == {
+    quick = [dataclasses.replace(outcomes[0], total_s=0.19) for _ in range(3)]
+    assert failing(group_checks("left_arm", quick, config)) == set()
+    slowest = dataclasses.replace(outcomes[0], total_s=10.0)
+    assert failing(group_checks("left_arm", [*quick, slowest], config)) == {
         "left_arm.replan_max_s",
     }
-    quick = [dataclasses.replace(o, total_s=0.03) for o in outcomes]
-    late = [dataclasses.replace(o, total_s=0.03 + 0.1 * k) for k, o in enumerate(outcomes)]
-    limited = PlanConfig(
-        time_median_max_s=GroupTimes(left_arm=0.05, both_arms=0.01),
-        time_p99_max_s=0.1,
-    )
-    assert failing(group_checks("left_arm", quick, limited)) == set()
-    assert failing(group_checks("left_arm", late, limited)) == {
-        "left_arm.replan_median_s",
-        "left_arm.replan_p99_s",
-    }
-    remedies = {check.name: check.remedy for check in group_checks("left_arm", late, limited)}
-    assert "--set plan.time_median_max_s.left_arm=0.2" in remedies["left_arm.replan_median_s"]
-    assert failing(group_checks("left_arm", late, limited, "second_seed.")) == {
-        "second_seed.left_arm.replan_median_s",
-        "second_seed.left_arm.replan_p99_s",
-    }
-    starved = [dataclasses.replace(o, total_s=0.2, cpu_s=0.05) for o in outcomes]
-    (share,) = [
-        c for c in group_checks("left_arm", starved, limited) if c.name == "left_arm.core_share"
-    ]
-    assert share.observed == pytest.approx(0.25)
-    (median,) = [
-        c
-        for c in group_checks("left_arm", starved, limited)
-        if c.name == "left_arm.replan_median_s"
-    ]
-    assert "the process had 25% of a core" in (median.remedy or "")
     assert failed.row()["reason"] == "no_path_in_time"
     assert failed.row().keys() < outcomes[0].row().keys()
+
+
+@pytest.mark.parametrize(
+    ("group", "limit_s"),
+    [("left_arm", 0.2), ("right_arm", 0.2), ("both_arms", 2.0)],
+)
+def test_the_median_planning_time_has_the_generous_limit_of_its_group(outcomes, group, limit_s):
+    """A machine ten times slower than the one of docs/results.md still passes."""
+    quick = [dataclasses.replace(o, total_s=0.99 * limit_s) for o in outcomes]
+    slow = [dataclasses.replace(o, total_s=limit_s) for o in outcomes]
+    for profile in ("smoke", "standard", "gpu"):
+        config = load_config(profile).config.plan
+        assert failing(group_checks(group, quick, config)) == set()
+        assert failing(group_checks(group, slow, config)) == {f"{group}.replan_median_s"}
+        assert failing(group_checks(group, slow, config, "second_seed.")) == {
+            f"second_seed.{group}.replan_median_s",
+        }
+
+
+def test_a_slow_plan_says_how_much_of_a_core_it_had(outcomes):
+    starved = [dataclasses.replace(o, total_s=0.2, cpu_s=0.05) for o in outcomes]
+    checks = {c.name: c for c in group_checks("left_arm", starved, PlanConfig())}
+    assert checks["left_arm.core_share"].observed == pytest.approx(0.25)
+    assert "the process had 25% of a core" in checks["left_arm.replan_median_s"].remedy
 
 
 AUDIT = Audit(samples_n=900, collisions_n=0, disagreements_n=0, clearance_m=0.01)

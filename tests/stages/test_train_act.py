@@ -64,7 +64,7 @@ def failing(
 def test_a_sound_training_passes_every_limit() -> None:
     assert failing() == set()
     limited = {c.name for c in train_checks(RESULT, EMITTED, TrainConfig(), DUAL_PANDA) if c.op}
-    assert limited == {"loss_ratio", "actions_in_limits", "targets_n", "train_s", "steps_done"}
+    assert limited == {"loss_ratio", "actions_in_limits", "targets_n", "steps_done"}
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,10 @@ def test_a_sound_training_passes_every_limit() -> None:
     [
         ({"loss_ratio": 0.5}, "loss_ratio"),
         ({"loss_ratio": math.nan}, "loss_ratio"),
-        ({"train_s": 1801.0}, "train_s"),
         ({"steps": 99}, "steps_done"),
     ],
 )
-def test_a_training_that_learned_nothing_took_too_long_or_was_cut_fails(
+def test_a_training_that_learned_nothing_or_was_cut_fails(
     result: dict[str, Any],
     name: str,
 ) -> None:

@@ -26,8 +26,6 @@ class EnvCheckConfig(StrictModel):
     rise_max_s: AtMost[float] = Field(default=0.25, gt=0.0, le=1.0)
     """From 10 % to 90 %."""
     overshoot_max_rad: AtMost[float] = Field(default=0.005, gt=0.0, le=0.02)
-    latency_max_us: AtMost[float] = Field(default=1000.0, gt=0.0, le=10_000.0)
-    """Computing time from command to torques."""
     stop_rest_max_s: AtMost[float] = Field(default=0.5, gt=0.0, le=2.0)
     agreement_states_n: AtLeast[int] = Field(default=20, ge=1, le=1000)
     agreement_max: AtMost[float] = Field(default=1e-10, gt=0.0, le=1e-6)

@@ -110,8 +110,8 @@ class TrainConfig(StrictModel):
     seeds_n: AtLeast[int] = Field(default=1, ge=1, le=10)
     """Trainings, each with its own seed; deploy runs every policy, benchmark the first."""
     steps: int = Field(default=7000, ge=1, le=10_000_000)
-    time_limit_s: AtMost[float] = Field(default=1800.0, gt=0.0, le=1e7)
-    """Training that takes longer is stopped and fails its check."""
+    time_limit_s: float = Field(default=86_400.0, gt=0.0, le=1e7)
+    """Guard: a training that takes longer is stopped and fails the check `steps_done`."""
     batch_size: int = Field(default=32, ge=1, le=4096)
     learning_rate: float = Field(default=1e-3, ge=1e-8, le=1.0)
     backbone_learning_rate: float = Field(default=2.5e-3, ge=1e-8, le=1.0)

@@ -19,10 +19,10 @@ from minidual.robot.pair import GRIPPERS_N, robot_from
 from minidual.stages.words import worded
 
 _FEW = {
-    "plan": ("queries_n", "second_queries_n", "held", "time_median_max_s", "time_p99_max_s"),
-    "carry": ["trials_n"],
+    "plan": ("queries_n", "second_queries_n", "held"),
+    "carry": ("trials_n",),
 }
-"""Taken from `smoke`, which limits no planning time."""
+"""Sizes taken from `smoke`."""
 
 
 class Fault(NamedTuple):
@@ -67,7 +67,7 @@ def doctor(context: ToolContext) -> ToolResult:
 
 
 def stage(name: str, context: ToolContext) -> Examination:
-    """Run a stage with the run's settings, as many queries and trials as `smoke`, and no limit on planning times."""
+    """Run a stage with the run's settings, and as many queries and trials as `smoke`."""
     small = load_config("smoke").config
     config = context.config
     entry = context.gate.table[name]
