@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from minidual import emergency
 from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.canonical import digest
 from minidual.gate.stage import Progress
+from minidual.plant.world import World
+from minidual.show.figures.film import Postures, film_trial
 from minidual.stages.carry import _record
 from minidual.stages.registry import STAGES
+from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
-from minidual.trials.runner import Bench, run_trials
+from minidual.trials.runner import Bench, Judged, StepHook, run_trials
 from tests.support.carry_trials import same_row, sample_trial
 
 
@@ -85,3 +90,59 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
     written.clear()
     _record(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
     assert written == [(1, "median.npz"), (2, "worst.npz")]
+
+
+class PressedBench(Bench):
+    """Someone presses the emergency stop while the trial runs."""
+
+    def run(self, trial: Trial, *, on_step: StepHook = lambda world, method: None) -> Judged:
+        """Press after 0.3 s of the trial."""
+        del on_step
+        return super().run(trial, on_step=press_after_a_while)
+
+
+def press_after_a_while(world: World, _method: object = None) -> None:
+    """Press the emergency stop after 0.3 simulated seconds."""
+    if world.time > 0.3:
+        emergency.press("test")
+
+
+@pytest.fixture
+def released() -> Iterator[None]:
+    """Release the emergency stop after the test."""
+    yield
+    emergency.release()
+
+
+@pytest.mark.usefixtures("released")
+class TestEmergencyStop:
+    """A trial that it cut short has no result: the command ends as interrupted, not with a failed trial."""
+
+    CONFIG = Config()
+    INPUTS = MethodInputs(CONFIG, 3)
+    TRIAL = sample_trial(CONFIG.scene, 3, "stopped", 0)
+
+    def test_while_a_trial_is_recorded(self, tmp_path: Path) -> None:
+        context: Any = SimpleNamespace(folder=tmp_path, progress=Progress())
+        first_result: Any = SimpleNamespace(text="success", success=True)
+        shown = {"median": 0, "worst": 0}
+        with pytest.raises(emergency.EmergencyStop, match="test"):
+            _record(
+                context,
+                PressedBench("impedance", self.INPUTS),
+                [self.TRIAL],
+                [first_result],
+                shown,
+            )
+
+    def test_while_a_trial_is_filmed(
+        self,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        def press(_postures: Postures, world: World) -> None:
+            press_after_a_while(world)
+
+        monkeypatch.setattr(Postures, "__call__", press)
+        with pytest.raises(emergency.EmergencyStop, match="test"):
+            film_trial("impedance", self.INPUTS, self.TRIAL, tmp_path / "film.mp4")

@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from minidual import emergency
 from minidual.config.seeds import stream
 from minidual.control.impedance import SingularPostureError
 from minidual.control.kernels import strain
@@ -80,12 +81,17 @@ class Bench:
         )  # with the settings of the task
 
     def run(self, trial: Trial, *, on_step: StepHook = lambda world, method: None) -> Judged:
-        """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state."""
+        """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state.
+
+        Raises:
+            EmergencyStop: It was pressed; the arms have stopped.
+        """
         spec = self.condition
         rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
         disturb = None if spec.act is None else spec.act(self.task, rng)
         with spec.applied(self.world.model, self.task, trial, rng):
             result, log = self._run(trial, disturb, on_step)
+        emergency.check()  # what the emergency stop cut short is no result of the method
         return replace(
             result,
             condition=spec.name,
