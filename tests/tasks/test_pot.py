@@ -23,8 +23,8 @@ from minidual.skills.cycle import solve, thing_of
 from minidual.skills.phases import State
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import begin
-from minidual.tasks.success import Truth
 from minidual.tasks.task import level_pose, placement, pose_of, tilt_rad
+from minidual.tasks.truth import Truth
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 from tests.support.placing import put_at

@@ -16,7 +16,8 @@ from minidual.plant.world import World
 from minidual.robot.pair import pose, rot_x, rot_z
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge
-from minidual.tasks.success import Exchanged, Held, ObjectTruth, Turned
+from minidual.tasks.success import Exchanged, Held, Turned
+from minidual.tasks.truth import ObjectTruth
 from tests.support.carry_trials import carry_task, rod_judge, rod_trial
 
 RADIUS = 0.00887

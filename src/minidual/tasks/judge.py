@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from minidual.plant.world import World
-from minidual.tasks.success import Truth
 from minidual.tasks.task import Task, Trial, placement
+from minidual.tasks.truth import Truth
 
 REST_S = 0.1
 """Conditions must hold this long: an object let go in the air rests for an instant too."""
@@ -77,56 +77,75 @@ class Judge:
     def __init__(self, task: Task, trial: Trial, demanding: Collection[str] = ()) -> None:
         self.trial = trial
         self._conditions = task.success(task, trial)
-        names = [c.name for c in self._conditions]
+        names = [condition.name for condition in self._conditions]
         if len(set(names)) < len(names):
             raise ValueError(
                 f"task '{task.name}' has two conditions of one name: {', '.join(names)}",
             )
         self.truth = Truth(task.scene.objects)
         """As it was observed last."""
-        self._muted = {c.name for c in self._conditions if c.optional and c.name not in demanding}
-        parts = [(part, (c.name, of)) for c in self._conditions for of, part in c.each()]
-        self._observing = [(part.observe, told) for part, told in parts if part.has("observe")]
-        self._final = [part.holds for part, _ in parts if part.has("holds")]
-        self._stages = [c for c in self._conditions if c.stage]
-        self._ahead = self._stages.copy()
+        self._muted = {
+            condition.name
+            for condition in self._conditions
+            if condition.optional and condition.name not in demanding
+        }
+        # Bound methods of the parts that do something, looked up once: they run at every step.
+        self._observing = [
+            (part.observe, condition.name, prefix)
+            for condition in self._conditions
+            for prefix, part in condition.each()
+            if part.has("observe")
+        ]
+        self._final = [
+            part.holds
+            for condition in self._conditions
+            for _, part in condition.each()
+            if part.has("holds")
+        ]
+        self._stages = [condition for condition in self._conditions if condition.stage]
+        self._stages_ahead = self._stages.copy()
         self.failures: dict[str, Failure] = {}
         """Violations so far, by name."""
-        self._quiet_since: float | None = None
-        self._done_at: float | None = None
+        self._quiet_since_s: float | None = None
+        self._done_at_s: float | None = None
 
     @property
     def finished(self) -> bool:
         """Whether the final conditions have held for `REST_S`."""
-        return self._done_at is not None
+        return self._done_at_s is not None
 
     @property
     def stages(self) -> tuple[str, ...]:
         """Stages reached."""
-        return tuple(c.name for c in self._stages[: len(self._stages) - len(self._ahead)])
+        reached_n = len(self._stages) - len(self._stages_ahead)
+        return tuple(stage.name for stage in self._stages[:reached_n])
 
     def observe(self, world: World) -> None:
         """Evaluate the state."""
         truth = self.truth
         truth.refresh(world)
-        now = truth.time
-        for observe, told in self._observing:
-            if detail := observe(truth):
-                name, of = told
-                if name not in self._muted:
-                    self.failures.setdefault(name, Failure(name, now, of + detail))
-        while self._ahead and self._ahead[0].reached(truth):
-            self._ahead.pop(0)
-        for holds in (final := self._final):
-            if not holds(truth):
-                if holds is not final[0]:  # ask it first from now on: it is likely to fail again
-                    final.insert(0, final.pop(final.index(holds)))
-                self._quiet_since = self._done_at = None
-                return
-        if self._quiet_since is None:
-            self._quiet_since = now
-        elif self._done_at is None and now - self._quiet_since >= REST_S:
-            self._done_at = now
+        now_s = truth.time
+        for observe, name, prefix in self._observing:
+            detail = observe(truth)
+            if detail and name not in self._muted:
+                self.failures.setdefault(name, Failure(name, now_s, prefix + detail))
+        while self._stages_ahead and self._stages_ahead[0].reached(truth):
+            self._stages_ahead.pop(0)
+        if not self._final_state_holds():
+            self._quiet_since_s = None
+            self._done_at_s = None
+        elif self._quiet_since_s is None:
+            self._quiet_since_s = now_s
+        elif self._done_at_s is None and now_s - self._quiet_since_s >= REST_S:
+            self._done_at_s = now_s
+
+    def _final_state_holds(self) -> bool:
+        for place, holds in enumerate(self._final):
+            if not holds(self.truth):
+                # Evaluate it first from here on: it is likely to fail at the next step too.
+                self._final.insert(0, self._final.pop(place))
+                return False
+        return True
 
     def disturbed(self) -> None:
         """Tell that somebody has just moved or pushed an object."""
@@ -136,14 +155,14 @@ class Judge:
     def outcome(self, world: World) -> Outcome:
         """Return the verdict."""
         truth = self.truth
-        failures = dict(self.failures)
         truth.refresh(world)
-        truth.duration_s = truth.time if self._done_at is None else self._done_at
+        truth.duration_s = truth.time if self._done_at_s is None else self._done_at_s
+        failures = dict(self.failures)
         measured = {"progress": len(self.stages) / max(1, len(self._stages))}
         for condition in self._conditions:
             measured.update(condition.measured(truth))
             detail = condition.end(truth)
             if detail and condition.name not in self._muted:
                 failures.setdefault(condition.name, Failure(condition.name, truth.time, detail))
-        done = self._done_at is not None
-        return Outcome(done and not failures, tuple(failures.values()), truth.duration_s, measured)
+        success = self.finished and not failures
+        return Outcome(success, tuple(failures.values()), truth.duration_s, measured)

@@ -1,5 +1,7 @@
 """Both arms carry a long object across the table."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from minidual.config.root import Config, preset
@@ -38,8 +40,9 @@ def carry_config(config: Config) -> Config:
 def rod_carry(config: Config) -> Task:
     """Return the task."""
     config = carry_config(config)
-    what = f"Grasp the {config.scene.object.name} with both hands, carry it to the green mark and put it down."
-    return carry_task("rod_carry", what, config, "rod-trial")
+    grasp = f"Grasp the {config.scene.object.name} with both hands"
+    instruction = f"{grasp}, carry it to the green mark and put it down."
+    return carry_task("rod_carry", instruction, config, "rod-trial")
 
 
 def carry_task(name: str, instruction: str, config: Config, stream: str) -> Task:
@@ -64,24 +67,24 @@ def draw_on_table(task: Task, rng: np.random.Generator, widen: float = 1.0) -> t
     Raises:
         UsageError: There is no room beside it.
     """
-    asked = task.scene.task
+    ranges = task.scene.task
+    obstacle = ranges.obstacle
+    body = task.scene.object
     name = task.carried
     for _ in range(_DRAWS_MAX):
         start = near(
             rng,
-            (*asked.start_xy_m, 0.0),
-            widen * asked.start_range_m,
-            widen * asked.start_range_rad,
+            (*ranges.start_xy_m, 0.0),
+            widen * ranges.start_range_m,
+            widen * ranges.start_range_rad,
         )
         goal = near(
             rng,
-            (*asked.goal_xy_m, asked.goal_yaw_rad),
-            asked.goal_range_m,
-            asked.goal_range_rad,
+            (*ranges.goal_xy_m, ranges.goal_yaw_rad),
+            ranges.goal_range_m,
+            ranges.goal_range_rad,
         )
-        if asked.obstacle is None or all(
-            beside(task.scene.object, asked.obstacle, place) for place in (start, goal)
-        ):
+        if obstacle is None or (beside(body, obstacle, start) and beside(body, obstacle, goal)):
             return {name: start}, {name: goal}
     raise UsageError(
         f"'{name}' has no room beside the obstacle",
@@ -89,39 +92,63 @@ def draw_on_table(task: Task, rng: np.random.Generator, widen: float = 1.0) -> t
     )
 
 
-def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
-    """Return the conditions."""
-    asked = task.scene.task
+@dataclass(frozen=True)
+class TransportConditions:
+    """Conditions of a transport over the table."""
+
+    level: success.Level
+    held: success.Held
+    carried: success.Carried
+    rose: success.Rose
+    arrived: success.Arrived
+    turned: success.Turned
+    released: success.Released
+    at_rest: success.AtRest
+    on_time: success.OnTime
+
+
+def transported(task: Task, trial: Trial, *, both: bool = True) -> TransportConditions:
+    """Return the conditions of a transport by both hands, or by one."""
+    limits = task.scene.task
     name = task.carried
-    body = task.scene.object
-    level, held, carried, *rest = transported(task, trial)
-    whole = success.Whole(name, body.break_pinch_n, body.break_force_n)
-    clear = () if asked.obstacle is None else (success.Clear(OBSTACLE),)
-    return (
-        level,
-        whole,
-        *clear,
-        held,
-        carried,
-        success.Squeezed(name, asked.internal_force_min_n),
-        *rest,
+    x_start, y_start, _ = placement(trial.start[name])
+    x, y, yaw = placement(trial.goal[name])
+    return TransportConditions(
+        level=success.Level(name, limits.tilt_max_rad),
+        held=success.Held(name, limits.pinch_min_n, both),
+        carried=success.Carried(name, (x_start, y_start), (x, y)),
+        rose=success.Rose(name, limits.clear_height_m),
+        arrived=success.Arrived(name, (x, y), limits.goal_tolerance_m),
+        turned=success.Turned(
+            name,
+            yaw,
+            limits.yaw_tolerance_rad,
+            task.objects[name].symmetry,
+        ),
+        released=success.Released(name),
+        at_rest=success.AtRest(name, limits.rest_speed_m_per_s),
+        on_time=success.OnTime(limits.time_limit_s),
     )
 
 
-def transported(task: Task, trial: Trial, *, both: bool = True) -> list[success.SuccessCondition]:
-    """Return the conditions of a transport by both hands or one."""
-    asked = task.scene.task
+def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
+    """Return the conditions."""
+    limits = task.scene.task
     name = task.carried
-    start = placement(trial.start[name])
-    (x, y, yaw) = placement(trial.goal[name])
-    return [
-        success.Level(name, asked.tilt_max_rad),
-        success.Held(name, asked.pinch_min_n, both),
-        success.Carried(name, start[:2], (x, y)),
-        success.Rose(name, asked.clear_height_m),
-        success.Arrived(name, (x, y), asked.goal_tolerance_m),
-        success.Turned(name, yaw, asked.yaw_tolerance_rad, task.objects[name].symmetry),
-        success.Released(name),
-        success.AtRest(name, asked.rest_speed_m_per_s),
-        success.OnTime(asked.time_limit_s),
-    ]
+    body = task.scene.object
+    transport = transported(task, trial)
+    clear = () if limits.obstacle is None else (success.Clear(OBSTACLE),)
+    return (
+        transport.level,
+        success.Whole(name, body.break_pinch_n, body.break_force_n),
+        *clear,
+        transport.held,
+        transport.carried,
+        success.Squeezed(name, limits.internal_force_min_n),
+        transport.rose,
+        transport.arrived,
+        transport.turned,
+        transport.released,
+        transport.at_rest,
+        transport.on_time,
+    )

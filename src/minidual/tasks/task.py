@@ -37,12 +37,12 @@ class Trial:
 
 @dataclass(frozen=True)
 class TaskObject:
-    """An object.
+    """An object of a task.
 
     Attributes:
         grasps: T_object_tcp (4, 4) by hand.
         symmetry: Yaws that look alike in a turn: 2 for a rod.
-        touches_m: (3,) where it touches others first.
+        touches_m: (x, y, z) in its frame where it touches others first.
     """
 
     body: ObjectConfig
@@ -58,7 +58,8 @@ class Step:
     Attributes:
         phase: Row of minidual.skills.phases.
         objects: One for all hands or one a hand; empty for the task's first.
-        places: Target poses (4, 4) of the object, or {object: pose}, preferred first; empty for the trial's goals.
+        places: Target poses (4, 4) of the object, or {object: pose}, preferred first; empty for the
+            trial's goals.
         grasps: T_object_tcp (4, 4) of the hand, preferred first; empty for the object's.
     """
 
@@ -115,7 +116,8 @@ class Task:
 
     def trial(self, seed: int, purpose: str, index: int, *, widen: float = 1.0) -> Trial:
         """Draw a trial; `widen` scales the start's range."""
-        start, goal = self.draw(self, stream(seed, f"{self.stream}/{purpose}", index), widen)
+        rng = stream(seed, f"{self.stream}/{purpose}", index)
+        start, goal = self.draw(self, rng, widen)
         return Trial(purpose, index, start, goal)
 
 
@@ -150,21 +152,24 @@ def near(
     range_m: float,
     range_rad: float,
 ) -> Placement:
-    """Draw a placement uniformly round a middle."""
-    (x, y, yaw) = middle
-    (dx, dy, turn) = (rng.uniform(-1.0, 1.0, 3) * (range_m, range_m, range_rad)).tolist()
+    """Draw a placement uniformly within +- range_m (x and y) and +- range_rad round a middle."""
+    x, y, yaw = middle
+    dx, dy, turn = (rng.uniform(-1.0, 1.0, 3) * (range_m, range_m, range_rad)).tolist()
     return x + dx, y + dy, yaw + turn
 
 
 def beside(body: ObjectConfig, block: ObstacleConfig, place: Placement) -> bool:
     """Return whether a body keeps 2 cm from a block."""
-    (x, y, yaw) = place
-    parts = body.solids
-    a, b = (max(abs(part.position_m[k]) + part.half_m[k] for part in parts) for k in (0, 1))
+    x, y, yaw = place
+    half_x = max(abs(part.position_m[0]) + part.half_m[0] for part in body.solids)
+    half_y = max(abs(part.position_m[1]) + part.half_m[1] for part in body.solids)
     c = abs(math.cos(yaw))
     s = abs(math.sin(yaw))
-    away = abs(x - block.xy_m[0]) - c * a - s * b, abs(y - block.xy_m[1]) - s * a - c * b
-    return any(gap > size / 2 + _ROOM_M for gap, size in zip(away, block.size_m, strict=False))
+    x_block, y_block = block.xy_m
+    size_x, size_y, _ = block.size_m
+    gap_x = abs(x - x_block) - c * half_x - s * half_y
+    gap_y = abs(y - y_block) - s * half_x - c * half_y
+    return gap_x > size_x / 2 + _ROOM_M or gap_y > size_y / 2 + _ROOM_M
 
 
 def grasp_offsets(scene: SceneConfig) -> tuple[Array, Array]:

@@ -24,8 +24,8 @@ from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Failure, begin
-from minidual.tasks.success import ObjectTruth
 from minidual.tasks.task import Task, Trial
+from minidual.tasks.truth import ObjectTruth
 from minidual.trials.conditions import CLEAN, Disturbance
 from minidual.trials.conditions import condition as named_condition
 from minidual.trials.measures import LOG_RATE_HZ, TrialLog, measure

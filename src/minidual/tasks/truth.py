@@ -1,0 +1,126 @@
+"""True state of a task's objects: what the conditions of success read, and methods never do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from minidual.config.scene import ObjectConfig
+from minidual.plant.bodies import lie
+from minidual.robot.pair import Array
+
+if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
+    from minidual.plant.world import World
+
+AIRBORNE_M = 0.003
+"""An object is off the table above this clearance."""
+
+
+class ObjectTruth:
+    """True state of one object.
+
+    Attributes:
+        xyz: (x, y, z) [m] of its centre.
+        tilt_rad: Of its long axis from the horizontal, or from the vertical if upright.
+        solids: (k, 8), for each part its place (3) and half extents (3) [m] in the object's frame,
+            whether it is round, and its axis; with the sizes of this trial.
+        half_m: Half extents [m] of the first part.
+        clearance_m: Height of its lowest point above the table.
+        airborne: Whether it is off the table.
+        pinch: Normal force of the weaker finger of the left and the right hand [N].
+        squeeze_n: Internal force: the smaller inward hand force along y.
+        yaw_rad: Yaw of its y axis.
+    """
+
+    def __init__(self, name: str, body: ObjectConfig) -> None:
+        self.name = name
+        self.body = body
+        self._upright = body.upright
+        self.half_m: Sequence[float] = body.solids[0].half_m
+        self._world: World | None = None
+
+    def refresh(self, world: World) -> None:
+        """Read the world."""
+        if world is not self._world:
+            self._attach(world)
+        reading = self._object.look()
+        self.tilt_rad, self.clearance_m = lie(reading, self.solids, self._upright)
+        self.airborne = self.clearance_m > AIRBORNE_M
+        # Plain floats: conditions that compute with arrays take four times as long.
+        numbers: list[float] = reading.tolist()
+        self.xyz = (numbers[0], numbers[1], numbers[2])
+        self._left_force = numbers[6:9]
+        self._right_force = numbers[9:12]
+        self.pinch = (numbers[12], numbers[13])
+        self.squeeze_n = numbers[14]
+        self.yaw_rad = numbers[15]
+
+    def _attach(self, world: World) -> None:
+        """Find the object in a world, with its sizes there: a condition may have changed them."""
+        self._world = world
+        self._object = world.truth(self.name)
+        parts = self.body.solids
+        rows: list[list[float]] = []
+        for part, (position_m, half_m) in zip(parts, self._object.solids(parts), strict=True):
+            is_round = part.shape == "cylinder"
+            rows.append([*position_m, *half_m, is_round, "xyz".index(part.axis)])
+        self.solids = np.array(rows)
+        self.half_m = rows[0][3:6]
+
+    def distance_m(self, xy: Sequence[float]) -> float:
+        """Return the horizontal distance of its centre from (x, y) [m]."""
+        return math.hypot(self.xyz[0] - xy[0], self.xyz[1] - xy[1])
+
+    @property
+    def hand_forces(self) -> tuple[list[float], list[float]]:
+        """Net force (3,) [N] of the left and the right hand, in the world."""
+        return self._left_force, self._right_force
+
+    @property
+    def frame(self) -> tuple[Array, Array]:
+        """Orientation (3, 3) and position (3,) [m] in the world; views of MuJoCo's own memory."""
+        return self._object.frame
+
+    @property
+    def T(self) -> Array:
+        """Pose (4, 4) in the world."""
+        return self._object.pose()
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Speed of its centre."""
+        return math.hypot(*self._object.twist()[:3].tolist())
+
+    @property
+    def on_table(self) -> bool:
+        """Whether it touches the table."""
+        return self._world is not None and self._world.on_table(self.name)
+
+
+class Truth(dict[str, ObjectTruth]):
+    """True state of a task's objects, by name.
+
+    Attributes:
+        time: Simulated time [s].
+        duration_s: Time of the finish, else of now; the judge sets it before `end`.
+    """
+
+    def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
+        super().__init__({name: ObjectTruth(name, body) for name, body in objects.items()})
+        self._world: World | None = None
+        self.time = 0.0
+        self.duration_s = 0.0
+
+    def refresh(self, world: World) -> None:
+        """Read the world."""
+        self._world = world
+        self.time = world.time
+        for item in self.values():
+            item.refresh(world)
+
+    def touches(self, geom: str) -> bool:
+        """Return whether a geom has contacts."""
+        return self._world is not None and self._world.touches(geom)
