@@ -10,14 +10,19 @@ import subprocess
 import sys
 
 import pytest
+import typer
 
 import minidual
-from minidual.cli.app import run_command_line
+from minidual.cli.app import build_app, run_command_line
+from minidual.cli.commands.table import RUN_COMMANDS, STAGE_COMMANDS, TOOL_COMMANDS
 from minidual.cli.process import interrupt
+from minidual.cli.signature import help_and_examples
 from minidual.errors import DataError
 from minidual.gate.table import StageEntry
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support.pipeline_toys import Bench
+
+COMMANDS = {**STAGE_COMMANDS, **RUN_COMMANDS, **TOOL_COMMANDS}
 
 
 class CommandLine:
@@ -501,22 +506,39 @@ def test_help_lists_every_command_in_order(capsys):
     places = [text.index(f" {name} ") for name in [*commands, *tools]]
     assert places == sorted(places)
     words = " ".join(text.replace("│", " ").split())
-    for entry in (*STAGES.values(), *TOOLS):
-        assert f"{entry.summary}." in words, "summaries are whole"
+    for command in COMMANDS.values():
+        summary = help_and_examples(command)[0].partition("\n\n")[0]
+        assert summary in words, "summaries are whole"
 
 
-@pytest.mark.parametrize("entry", [*STAGES.values(), *TOOLS], ids=lambda entry: entry.name)
-def test_help_of_a_command_shows_two_examples_that_can_be_typed(entry, capsys, monkeypatch):
-    assert len(entry.examples) == 2
-    assert run_command_line([entry.name, "--help"], STAGES, TOOLS) == 0
+def test_the_help_of_a_stage_is_its_summary():
+    for name, command in STAGE_COMMANDS.items():
+        assert help_and_examples(command)[0] == f"{STAGES[name].summary}."
+
+
+def test_every_stage_and_tool_of_the_package_has_a_command_function():
+    assert tuple(STAGE_COMMANDS) == tuple(STAGES)
+    assert tuple(TOOL_COMMANDS) == tuple(tool.name for tool in TOOLS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_a_command_shows_examples_that_can_be_typed(name, capsys):
+    _, examples = help_and_examples(COMMANDS[name])
+    assert len(examples) >= 2
+    assert run_command_line([name, "--help"], STAGES, TOOLS) == 0
     words = " ".join(capsys.readouterr().out.split())
-    monkeypatch.setattr(
-        "minidual.cli.session.Session.end",
-        lambda session, body: 0,
-    )  # parse, run nothing
-    for example in entry.examples:
-        assert f"minidual {example}" in words
-        assert run_command_line(shlex.split(example), STAGES, TOOLS) == 0
+    parser = typer.main.get_command(build_app(STAGES, TOOLS)).commands[name]
+    for example in examples:
+        assert example in words
+        program, command, *arguments = shlex.split(example)
+        assert (program, command) == ("minidual", name)
+        parser.make_context(name, arguments)  # raises if it cannot be parsed
+
+
+def test_an_example_that_cannot_be_typed_is_found():
+    parser = typer.main.get_command(build_app(STAGES, TOOLS)).commands["plan"]
+    with pytest.raises(typer.TyperException):
+        parser.make_context("plan", ["--querries", "3"])
 
 
 def test_completion_can_be_installed():

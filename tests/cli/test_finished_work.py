@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from minidual.cli.app import run_command_line
-from minidual.cli.session import Session, Typed
+from minidual.cli.options import CommonOptions
+from minidual.cli.own_run import own_run
 from minidual.config.loader import load_config
 from minidual.errors import UsageError
 from minidual.gate.lock import run_lock
@@ -130,7 +131,12 @@ def test_a_long_name_is_cut_and_stays_its_own(toys):
 def test_stages_that_still_match_come_along(toys):
     toys.bench.table = StageTable(
         [
-            dataclasses.replace(entry, options=toys.bench.table["first"].options, reads=(KNOB,))
+            dataclasses.replace(
+                entry,
+                settings={"queries": KNOB},
+                options=toys.bench.table["first"].options,
+                reads=(KNOB,),
+            )
             if entry.name == "second"
             else dataclasses.replace(entry, reads=())
             for entry in toys.bench.table.values()
@@ -316,7 +322,7 @@ COMMANDS = [
 def test_no_documented_command_replaces_finished_work(finished, command, capsys, monkeypatch):
     root, table = finished
     monkeypatch.setattr(
-        "minidual.cli.commands.run_tool",
+        "minidual.cli.execute.run_tool",
         lambda *_: 0,
     )  # an aside: it has no verdict to replace
     before = contents(root / "standard")
@@ -363,10 +369,9 @@ def test_one_tool_runs_twice_at_a_time_in_two_runs_alone(tmp_path: Path, capsys)
 
 
 def test_a_long_name_of_a_run_leads_on_to_another(toys):
-    """Before, a name of 80 characters led to itself, for ever."""
     first = "toys-" + 75 * "a"
-    session = Session(Typed(run=first, runs_dir=toys.bench.root), toys.bench.table)
-    second = session._own_run(first, {"knob": "3"})
-    third = session._own_run(second, {"knob": "3"})
+    common = CommonOptions(run=first)
+    second = own_run(common, first, [{"knob": "3"}])
+    third = own_run(common, second, [{"knob": "3"}])
     assert len(second) == len(third) == 80
     assert len({first, second, third}) == 3

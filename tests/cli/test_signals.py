@@ -110,15 +110,18 @@ def test_a_signal_while_the_interpreter_ends_kills_nothing(number: int) -> None:
 def test_an_interrupt_that_a_library_turns_into_its_own_error_is_an_interrupt() -> None:
     """Before, exit 70: pydantic had made a SchemaError of it."""
     turning = (
-        "import os, signal, types\n"
-        "from minidual.cli.session import Session, Typed\n"
+        "import os, signal\n"
+        "from minidual.cli.ending import end\n"
+        "from minidual.cli.options import CommonOptions\n"
+        "from minidual.cli.session import Session\n"
+        "from minidual.gate.table import StageTable\n"
         "def greedy(session):\n"
         "    try:\n"
         "        os.kill(os.getpid(), signal.SIGINT)\n"
         "        __import__('time').sleep(5)\n"
         "    except BaseException as error:\n"
         "        raise ValueError('Error building a serializer') from error\n"
-        "run = lambda: Session(types.SimpleNamespace(json=False, debug=False), None).end(greedy)\n"
+        "run = lambda: end(Session(CommonOptions(), StageTable([])), greedy)\n"
     )
     made = (
         f"exec({turning!r}, (m := __import__('types').ModuleType('turning')).__dict__) or m.run()"

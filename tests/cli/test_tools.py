@@ -5,7 +5,8 @@ import json
 import pytest
 
 from minidual.cli.app import run_command_line
-from minidual.cli.session import Session, Typed
+from minidual.cli.options import CommonOptions
+from minidual.cli.session import Session
 from minidual.errors import DataError, ExitCode
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.gate.table import Option, StageEntry, StageTable, ToolEntry
@@ -32,10 +33,12 @@ TOOLS = (
     ToolEntry("measure", f"{__name__}:measure", "Measure", options=OPTIONS),
     ToolEntry("refuse", f"{__name__}:refuse", "Refuse"),
 )
-QUERIES = Option("queries", "How many.", int, "plan.queries_n")
+QUERIES = Option("queries", "How many.", int)
+SETTINGS = {"queries": "plan.queries_n"}
 ASIDE = ToolEntry(
     "number-tune",
     f"{__name__}:measure",
+    settings=SETTINGS,
     options=(Option("tune", "Tune.", bool), Option("how-fast", "Speed.", float), QUERIES),
 )
 OTHER = ToolEntry("number-other", f"{__name__}:measure", options=(Option("other", "Other.", bool),))
@@ -52,6 +55,7 @@ def run(tmp_path, capsys):
                 stage,
                 stage.requires,
                 "Toy",
+                settings=SETTINGS,
                 options=options,
                 asides=(ASIDE, OTHER),
             ),
@@ -142,7 +146,7 @@ def test_an_option_of_the_stage_holds_for_the_asides_that_list_it(run):
 
 def test_a_command_in_a_remedy_gets_the_typed_options_once(run):
     """Before, doctor's "explain STAGE" had them twice."""
-    session = Session(Typed(profile="smoke", run="r"), run.table)
+    session = Session(CommonOptions(profile="smoke", run="r"), run.table)
     said = "minidual explain first --profile smoke --run r"
     assert session.in_this_run("type minidual explain first") == f"type {said}"
     assert session.in_this_run(f"type {said}") == f"type {said}"

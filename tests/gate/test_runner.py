@@ -22,7 +22,7 @@ from minidual.gate.check import Check
 from minidual.gate.lock import run_lock
 from minidual.gate.runner import Runner, StageCrashedError
 from minidual.gate.stage import StageResult
-from minidual.gate.table import Option, StageEntry, StageTable
+from minidual.gate.table import StageEntry, StageTable
 from tests.support.pipeline_toys import KNOB, Bench
 
 
@@ -92,7 +92,7 @@ def test_no_limited_check_is_nothing_evaluated(bench, checks):
 
 def test_the_closing_stage_asks_for_what_the_stages_before_it_were_asked_for(bench):
     first, second, third = bench.table.values()
-    bench.table = StageTable((first, replace(second, options=first.options), third))
+    bench.table = StageTable((first, replace(second, settings=first.settings), third))
     runner = bench.runner()
     runner.run("first", {"queries": 5})
     runner.run("second", {"queries": 7})
@@ -422,7 +422,7 @@ def test_what_is_typed_wrongly_is_said_before_the_gate_is_looked_at(bench):
             (),
             "Toy one",
             (KNOB,),
-            options=(Option("queries", "How many.", int, KNOB),),
+            settings={"queries": KNOB},
         ),
         StageEntry("second", bench.second, ("first",), "Toy two", check=f"{__name__}:refuse"),
     ]

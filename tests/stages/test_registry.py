@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import types
+from operator import attrgetter
 
 import pytest
 
@@ -52,12 +53,11 @@ def test_parameters_follow_options_and_leave_workers_out(name):
     loaded = load_config("smoke")
     before = digest(entry.parameters(loaded.config))
     assert digest(entry.parameters(load_config("smoke", ["workers=1"]).config)) == before
-    for option in entry.options:
-        value = (
-            ["moveit"] if option.kind is tuple else {str: "another", float: 0.7}.get(option.kind, 7)
-        )
-        changed = load_config("smoke", [f"{option.path}={json.dumps(value)}"])
-        assert digest(entry.parameters(changed.config)) != before, option
+    others = {str: "another", float: 0.7, int: 7, tuple: ["moveit"]}
+    for path in entry.settings.values():
+        value = others[type(attrgetter(path)(loaded.config))]
+        changed = load_config("smoke", [f"{path}={json.dumps(value)}"])
+        assert digest(entry.parameters(changed.config)) != before, path
 
 
 def test_asking_every_stage_for_its_parameters_imports_nothing_heavy():

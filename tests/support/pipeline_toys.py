@@ -68,10 +68,18 @@ class Bench:
         self.first = Toy("first")
         self.second = Toy("second", ("first",))
         self.third = Toy("third", ("second",))
-        options = (Option("queries", "How many.", int, KNOB), Option("mood", "No configuration."))
+        options = (Option("queries", "How many.", int), Option("mood", "No configuration."))
         self.table = StageTable(
             (
-                StageEntry("first", self.first, (), "Toy one", (KNOB,), options=options),
+                StageEntry(
+                    "first",
+                    self.first,
+                    (),
+                    "Toy one",
+                    (KNOB,),
+                    settings={"queries": KNOB},
+                    options=options,
+                ),
                 StageEntry("second", self.second, ("first",), "Toy two"),
                 StageEntry("third", self.third, ("second",), "Toy three", closing=True),
             ),

@@ -1,149 +1,86 @@
-"""The command line: parse, call one stage, print. Heavy imports wait until a command runs."""
+"""The command line: parse, call one command, print. Heavy imports wait until a command runs."""
 
-import inspect
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
-from functools import partial
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated
 
 import typer
 
 import minidual
-from minidual.cli.commands import (
-    Body,
-    config_body,
-    explain_body,
-    run_body,
-    run_stage,
-    run_tool,
-    status_body,
-    stop_body,
+from minidual.cli.commands.table import (
+    CONFIG_COMMANDS,
+    READING,
+    RUN_COMMANDS,
+    STAGE_COMMANDS,
+    TOOL_COMMANDS,
 )
-from minidual.cli.session import OPTIONS, Session, Typed
+from minidual.cli.ending import end
+from minidual.cli.options import CommonOptions
+from minidual.cli.rows import stage_command, tool_command
+from minidual.cli.session import Session
+from minidual.cli.signature import Command, help_and_examples, typer_function
 from minidual.errors import UsageError, check_name
-from minidual.gate.table import Option, StageTable, ToolEntry
+from minidual.gate.table import StageTable, ToolEntry
 
-_READING = ("status", "explain", "doctor", "report")
-"""Commands that only read a run; the others begin one."""
-
-
-def _parameters(options: Iterable[Option] = ()) -> list[inspect.Parameter]:
-    """Return `options`, of which the last of a name counts, and those of every command as parameters."""
-    found: dict[str, tuple[Any, Any]] = {}
-    for option in options:
-        kind: Any = str if option.kind is tuple else option.kind
-        default, shown = (False, " ") if option.kind is bool else (None, option.metavar)
-        if option.argument:
-            default = None if option.optional else inspect.Parameter.empty
-            declared: Any = typer.Argument(
-                metavar=option.metavar or option.name.upper(),
-                help=option.help,
-            )
-        else:
-            declared = typer.Option(f"--{option.name}", metavar=shown, help=option.help)
-        found[option.key] = (
-            default,
-            Annotated[kind if default is not None else kind | None, declared],
-        )
-    hints = get_type_hints(Typed, include_extras=True)
-    found |= {field.name: (field.default, hints[field.name]) for field in fields(Typed)}
-    return [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=default,
-            annotation=annotation,
-        )
-        for name, (default, annotation) in found.items()
-    ]
+_STAGES_PANEL = "Stages, in order"
+_RUN_PANEL = "The run"
+_TOOLS_PANEL = "Tools, without gate and verdict"
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(value: bool) -> None:
+    if value:
         print(f"minidual {minidual.__version__}")
         raise typer.Exit
+
+
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True),
+    ] = False,
+) -> None:
+    del version
 
 
 def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer:
     """Return the command line of stages and tools."""
     app = typer.Typer(
         name="minidual",
-        help="From an empty folder to a measured dual-arm robot system. Each stage waits behind a gate.",
+        help="From an empty folder to a measured dual-arm robot system. "
+        "Each stage waits behind a gate.",
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["--help", "-h"]},
         rich_markup_mode="rich",
     )
+    app.callback()(_root)
     config = typer.Typer(help="The resolved configuration.")
-    watching = OPTIONS["watching"]
-    running = OPTIONS["running"]
 
-    def add(
-        name: str,
-        summary: str,
-        examples: Sequence[str],
-        body: Body,
-        own: Iterable[Option],
-        panel: str,
-    ) -> None:
-        parameters = _parameters(own)
+    def add(owner: typer.Typer, name: str, command: Command, panel: str) -> None:
+        def run(common: CommonOptions, body: Callable[[Session], int]) -> None:
+            def checked(session: Session) -> int:
+                session.require_folder()
+                if name in READING:
+                    session.require_run()
+                return body(session)
 
-        def command(**values: Any) -> None:
-            session = Session(Typed(**{f.name: values.pop(f.name) for f in fields(Typed)}), table)
-            raise typer.Exit(session.end(lambda s: body(s.begin(name in _READING), values)))
+            raise typer.Exit(end(Session(common, table, tools), checked))
 
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        epilog = "\n\n".join(["Examples:", *(f"minidual {example}" for example in examples)])
-        owner = config if name == "show" else app
-        owner.command(
-            name,
-            help=f"{summary}.",
-            epilog=epilog if examples else None,
-            rich_help_panel=panel,
-        )(command)
-
-    @app.callback()
-    def root(  # pyright: ignore[reportUnusedFunction] - registered by the decorator
-        version: Annotated[
-            bool,
-            typer.Option("--version", callback=_show_version, is_eager=True),
-        ] = False,
-    ) -> None:
-        del version
+        text, examples = help_and_examples(command)
+        epilog = "\n\n".join(["Examples:", *examples]) if examples else None
+        register = owner.command(name, help=text, epilog=epilog, rich_help_panel=panel)
+        register(typer_function(command, run))
 
     for entry in table.values():
-        commands = (*entry.asides, entry)
-        own = [option for command in commands for option in command.options]
-        own += [*(watching if any(command.watchable for command in commands) else ()), *running]
-        add(
-            entry.name,
-            entry.summary,
-            entry.examples,
-            partial(run_stage, entry),
-            own,
-            "Stages, in order",
-        )
-    bodies: dict[str, Body] = {
-        "run": run_body,
-        "status": status_body,
-        "explain": explain_body,
-        "stop": stop_body,
-    }
-    for name, body in {**bodies, "show": config_body}.items():
-        own = (*OPTIONS.get(name, ()), *((*watching, *running) if name == "run" else ()))
-        summary, _, *examples = inspect.cleandoc(body.__doc__ or "").splitlines()
-        add(name, summary.rstrip("."), examples, body, own, "The run")
-    app.add_typer(config, name="config", rich_help_panel="The run")
+        command = STAGE_COMMANDS.get(entry.name) or stage_command(entry)
+        add(app, entry.name, command, _STAGES_PANEL)
+    for name, command in RUN_COMMANDS.items():
+        add(app, name, command, _RUN_PANEL)
+    for name, command in CONFIG_COMMANDS.items():
+        add(config, name, command, _RUN_PANEL)
+    app.add_typer(config, name="config", rich_help_panel=_RUN_PANEL)
     for tool in tools:
-        own = (*tool.options, *(watching if tool.watchable else ()))
-        add(
-            tool.name,
-            tool.summary,
-            tool.examples,
-            partial(run_tool, tool),
-            own,
-            "Tools, without gate and verdict",
-        )
+        command = TOOL_COMMANDS.get(tool.name) or tool_command(tool)
+        add(app, tool.name, command, _TOOLS_PANEL)
     return app
 
 
@@ -153,22 +90,37 @@ def run_command_line(
     tools: Sequence[ToolEntry] = (),
 ) -> int:
     """Run one command and return its exit code."""
+
+    def parse(_: Session) -> int:
+        return _parse(arguments, table, tools)
+
+    # Errors of parsing are a document, too, if --json was typed.
+    return end(Session(CommonOptions(json="--json" in arguments), table), parse)
+
+
+def _parse(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntry]) -> int:
+    for word in arguments:
+        if not _is_utf8(word):
+            raise UsageError(f"{word} is not UTF-8")
+    table.plug_in("minidual.stages")
+    app = build_app(table, tools)
+    commands = {command.name or "" for command in app.registered_commands} | {"config"}
     first = arguments[0].split("=")[0] if arguments else "--help"
+    if first in _common_flags():
+        raise UsageError(f"{first} stands after the command: minidual COMMAND {first} ...")
+    if not first.startswith("-"):
+        check_name("command", first, commands)
+    try:
+        return app([*arguments] or ["--help"], prog_name="minidual", standalone_mode=False)
+    except typer.TyperException as error:
+        remedy = f"minidual {first} --help" if first in commands else "minidual --help"
+        raise UsageError(error.format_message(), remedy=remedy) from error
 
-    def parse(_session: Session) -> int:
-        if strange := [word for word in arguments if word.encode(errors="ignore").decode() != word]:
-            raise UsageError(f"{strange[0]} is not UTF-8")
-        table.plug_in("minidual.stages")
-        app = build_app(table, tools)
-        commands = {command.name or "" for command in app.registered_commands} | {"config"}
-        if first in {"--set", *(f"--{f.name.replace('_', '-')}" for f in fields(Typed))}:
-            raise UsageError(f"{first} stands after the command: minidual COMMAND {first} ...")
-        if not first.startswith("-"):
-            check_name("command", first, commands)
-        try:
-            return app([*arguments] or ["--help"], prog_name="minidual", standalone_mode=False)
-        except typer.TyperException as error:
-            remedy = f"minidual {first if first in commands else ''} --help".replace("  ", " ")
-            raise UsageError(error.format_message(), remedy=remedy) from error
 
-    return Session(Typed(json="--json" in arguments), table).end(parse)
+def _is_utf8(word: str) -> bool:
+    return word.encode(errors="ignore").decode() == word
+
+
+def _common_flags() -> set[str]:
+    names = {f"--{field.name.replace('_', '-')}" for field in fields(CommonOptions)}
+    return names | {"--set"}

@@ -167,18 +167,17 @@ class Gate:
 
     def effective(self, name: str, verdict: Verdict | None) -> tuple[dict[str, Any], LoadedConfig]:
         """Return (options, configuration) that `name` is judged or run with."""
-        options = dict(self.options.get(name, verdict.options if verdict else {}))
-        asked = list[Override]()
-        for up in (
-            self.table[name].requires if self.table[name].closing else ()
-        ):  # it closes what was asked for
-            asked += overrides(
-                self.table[up].options,
-                its.options if (its := self.state(up).verdict) else {},
-            )
-        return options, self.loaded.with_overrides(
-            [*asked, *overrides(self.table[name].options, options)],
-        )
+        entry = self.table[name]
+        recorded = {} if verdict is None else verdict.options
+        options = dict(self.options.get(name, recorded))
+        values: list[Override] = []
+        if entry.closing:  # it reports on what its upstream stages were asked for
+            for upstream in entry.requires:
+                made = self.state(upstream).verdict
+                if made is not None:
+                    values += overrides(self.table[upstream].settings, made.options)
+        values += overrides(entry.settings, options)
+        return options, self.loaded.with_overrides(values)
 
     def fingerprint(self, name: str, verdict: Verdict | None = None) -> Fingerprint:
         """Return the fingerprint of a new verdict."""

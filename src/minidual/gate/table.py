@@ -1,39 +1,37 @@
-"""Rows of the command line: options, stages, tools. Code is imported on demand."""
+"""Rows of stages and tools. Their code is imported on demand."""
 
 import contextlib
 import importlib.metadata
 import keyword
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from minidual.config.base import limits
 from minidual.config.loader import Override
 from minidual.config.root import Config
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
 from minidual.gate.fingerprint import Code, code_of
 from minidual.gate.stage import StageFunction, ToolFunction
+from minidual.gate.weakening import weaker_values
 from minidual.registry import Registry, load_target
+
+_DEFAULTS = Config()
 
 
 class Option(NamedTuple):
-    """Option of a command.
+    """An option of a command that has no function in `minidual.cli.commands`.
 
     Attributes:
-        kind: Type; `bool` is a flag, `tuple` is typed "a,b".
-        path: Configuration path that it overrides, or None.
-        argument: Positional (`minidual replay FILE`); required unless `optional`.
+        name: As typed, without the dashes.
+        help: Sentence for --help.
+        kind: Type; `bool` is a flag, `tuple` is text such as "a,b".
     """
 
     name: str
     help: str
     kind: type[int | float | str | bool | Path | tuple[str, ...]] = str
-    path: str | None = None
-    argument: bool = False
-    optional: bool = False
-    metavar: str | None = None
 
     @property
     def key(self) -> str:
@@ -42,27 +40,33 @@ class Option(NamedTuple):
         return f"{name}_" if keyword.iskeyword(name) else name
 
 
-_KINDS = {kind.__name__: kind for kind in (bool, int, float, str, tuple, Path)}
+def overrides(settings: Mapping[str, str], values: Mapping[str, Any]) -> list[Override]:
+    """Return the configuration overrides that were typed as options.
 
-
-def options_of(rows: Mapping[str, Mapping[str, Any]]) -> tuple[Option, ...]:
-    """Return the options of {name: fields}; `kind` by name."""
-    fields: dict[str, dict[str, Any]] = {
-        k: {**row, "kind": _KINDS[row.get("kind", "str")]} for k, row in rows.items()
-    }
-    return tuple(Option(name, **row) for name, row in fields.items())
-
-
-def overrides(options: Sequence[Option], values: Mapping[str, Any]) -> list[Override]:
-    """Return the configuration overrides of options with a path."""
+    Args:
+        settings: {option: configuration path}.
+        values: {option: typed value, or None}. For a tuple in the configuration, "a,b" is typed.
+    """
     found: list[Override] = []
-    for option in options:
-        value = typed = values.get(option.name)
-        if option.path is not None and typed is not None:
-            if option.kind is tuple:
-                value = [word.strip() for word in str(typed).split(",") if word.strip()]
-            found.append(Override(option.path, value, f"--{option.name} {typed}"))
+    for option, path in settings.items():
+        typed = values.get(option)
+        if typed is None:
+            continue
+        value = _words(str(typed)) if _is_tuple(path) else typed
+        found.append(Override(path, value, f"--{option} {typed}"))
     return found
+
+
+def _words(text: str) -> list[str]:
+    words = [word.strip() for word in text.split(",")]
+    return [word for word in words if word]
+
+
+def _is_tuple(path: str) -> bool:
+    value: Any = _DEFAULTS
+    for name in path.split("."):
+        value = getattr(value, name, None)
+    return isinstance(value, tuple)
 
 
 @dataclass(frozen=True)
@@ -71,13 +75,18 @@ class _Entry[F: Callable[..., Any]]:
 
     Attributes:
         name: Command, or an aside's output folder.
-        target: "module:function", see `minidual.gate.stage`.
-        examples: For --help, such as "carry --trials 50".
+        target: The function or "module:function", see `minidual.gate.stage`.
+        settings: {option: configuration path that it overrides}; other options reach the function
+            as `context.options`.
+        options: Options of a command without a function in `minidual.cli.commands`.
+        watchable: Whether it shows moving arms to `context.view`.
+        examples: For --help, such as "carry --trials 50"; like `options`.
     """
 
     name: str
     target: str | F
     _: KW_ONLY
+    settings: Mapping[str, str] = field(default_factory=dict[str, str])
     options: tuple[Option, ...] = ()
     watchable: bool = False
     examples: tuple[str, ...] = ()
@@ -89,17 +98,23 @@ class _Entry[F: Callable[..., Any]]:
 
 @dataclass(frozen=True)
 class ToolEntry(_Entry[ToolFunction]):
-    """A command without verdict. As an aside of a stage it runs instead when its first option, `trigger`, is typed."""
+    """A command without verdict. As an aside of a stage it runs instead when its trigger is typed.
+
+    Attributes:
+        summary: For --help; like `options`.
+        moves: Whether arms move: `minidual stop` finds it, and it runs alone in its run.
+        shared: Whether several may work in one run at a time: they write nothing there.
+        view_default: View without --view.
+    """
 
     summary: str = ""
     moves: bool = False
     shared: bool = False
-    """Whether several may work in one run at a time: they write nothing there."""
     view_default: str = "none"
 
     @property
     def trigger(self) -> str:
-        """Option that selects an aside, one word."""
+        """The first of `options`, which selects an aside."""
         return self.options[0].name
 
 
@@ -108,12 +123,14 @@ class StageEntry(_Entry[StageFunction]):
     """One stage.
 
     Attributes:
+        requires: Stages that must pass and be fresh.
+        summary: Help without the full stop.
         reads: Configuration paths that the result depends on.
         resolve: "module:function" from Config to Config; must import quickly.
         check: "module:function" that raises UsageError before a run.
-        asides: Tools that run instead when triggered.
-        keeps: Names in its folder that an attempt takes over from an interrupted one. If any, a replaced result is set
-            aside.
+        asides: Tools that run instead when their trigger is typed.
+        keeps: Names in its folder that an attempt takes over from an interrupted one. If there are
+            any, a replaced result is set aside.
         closing: Also checks waivers and code changes.
     """
 
@@ -128,10 +145,8 @@ class StageEntry(_Entry[StageFunction]):
 
     def code(self, known: Code | None = None) -> Code:
         """Return the code that the stage reaches; see `code_of`."""
-        return code_of(
-            [target for target in (self.target, self.resolve) if isinstance(target, str)],
-            known,
-        )
+        targets = [target for target in (self.target, self.resolve) if isinstance(target, str)]
+        return code_of(targets, known)
 
     def resolved(self, config: Config, *, checked: bool = False) -> Config:
         """Return the resolved configuration; `checked` runs `check` first.
@@ -141,65 +156,37 @@ class StageEntry(_Entry[StageFunction]):
         """
         if self.check is not None and checked:
             _loaded(self.name, self.check)(config)
-        return (
-            config
-            if self.resolve is None
-            else cast(Config, _loaded(self.name, self.resolve)(config))
-        )
+        if self.resolve is None:
+            return config
+        return cast(Config, _loaded(self.name, self.resolve)(config))
 
     def parameters(self, config: Config) -> dict[str, Any]:
-        """Return {path: value} of `reads`."""
-        with contextlib.suppress(
-            MinidualError,
-        ):  # refused before the stage runs; until then, what was typed
+        """Return {path: value} of `reads`, resolved if the configuration can be."""
+        with contextlib.suppress(MinidualError):  # what cannot is refused before the stage runs
             config = self.resolved(config)
         return {path: attrgetter(path)(config) for path in self.reads}
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
         """Return a line per count or limit in `reads` that is weaker than in `reference`."""
-        asked = {path: value for path, _, value in limits(reference)}
-        return tuple(
-            f"{path} is {_short(value)}, the profile asks for {_short(asked[path])}"
-            for path, mark, value in limits(config)
-            if any(path == read or path.startswith(f"{read}.") for read in self.reads)
-            and not _as_strict(value, asked[path], mark)
-        )
+        return weaker_values(self.reads, config, reference)
 
     def extras(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Return `options` outside the configuration."""
-        paths = {option.name: option.path for option in self.options}
-        return {name: value for name, value in options.items() if paths.get(name) is None}
-
-
-def _as_strict(value: Any, asked: Any, mark: str) -> bool:
-    """Return whether a number, mapping of numbers or tuple of names is at least as strict as asked."""
-    if asked is None:
-        return True
-    if value is None:
-        return False
-    if isinstance(asked, dict):
-        return all(
-            _as_strict(value.get(name), item, mark)
-            for name, item in cast(dict[str, Any], asked).items()
-        )
-    if isinstance(asked, tuple):
-        return "all" in value or set(cast(tuple[str, ...], asked)) <= set(value)
-    return value >= asked if mark == "at least" else value <= asked
-
-
-def _short(value: Any) -> str:
-    return ", ".join(cast(tuple[str, ...], value)) if isinstance(value, tuple) else str(value)
+        return {name: value for name, value in options.items() if name not in self.settings}
 
 
 def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
+    if not isinstance(target, str):
+        return target
     try:
-        return load_target(target) if isinstance(target, str) else target
+        return load_target(target)
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("minidual"):
             raise
-        remedy = "install minidual with its dependencies again (`make setup` in a checkout)"
-        what = f"{name} needs the library '{error.name}', which is not installed"
-        raise EnvironmentMissingError(what, remedy=remedy) from error
+        raise EnvironmentMissingError(
+            f"{name} needs the library '{error.name}', which is not installed",
+            remedy="install minidual with its dependencies again (`make setup` in a checkout)",
+        ) from error
 
 
 class StageTable(Registry[StageEntry]):
@@ -238,18 +225,23 @@ class StageTable(Registry[StageEntry]):
                     raise TypeError(f"{point.value} is a {type(entry).__name__}, not a StageEntry")
                 self.append(entry)
             except (ImportError, AttributeError, TypeError, ValueError) as error:
-                what = f"stage '{point.name}' of another distribution cannot be used: {error}"
-                raise UsageError(what, remedy="mend or uninstall that distribution") from error
+                raise UsageError(
+                    f"stage '{point.name}' of another distribution cannot be used: {error}",
+                    remedy="mend or uninstall that distribution",
+                ) from error
 
     def until(self, last: str | None) -> tuple[str, ...]:
         """Return `last` and its upstream stages, or all, in order."""
-        return tuple(self) if last is None else (*self.upstream(last), last)
+        if last is None:
+            return tuple(self)
+        return (*self.upstream(last), last)
 
     def upstream(self, name: str) -> tuple[str, ...]:
         """Return the stages that `name` requires, directly or not, in order."""
         needed: set[str] = set()
-        wanted = list(self[name].requires)
-        while wanted:
-            needed.add(stage := wanted.pop())
-            wanted += self[stage].requires
+        queue = list(self[name].requires)
+        while queue:
+            stage = queue.pop()
+            needed.add(stage)
+            queue += self[stage].requires
         return tuple(stage for stage in self if stage in needed)

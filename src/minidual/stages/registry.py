@@ -5,7 +5,7 @@ A stage is a function (see minidual.gate.stage) and a row, there or in another d
 
 from typing import Any
 
-from minidual.gate.table import StageEntry, StageTable, ToolEntry, options_of
+from minidual.gate.table import StageEntry, StageTable, ToolEntry
 from minidual.registry import rows_beside
 
 _ROWS = rows_beside(__file__, "stages.yaml")
@@ -15,7 +15,6 @@ def _entry[E: (StageEntry, ToolEntry)](kind: type[E], name: str, row: dict[str, 
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in row.items()
     }
-    fields["options"] = options_of(row.get("options", {}))
     if "asides" in row:
         fields["asides"] = tuple(
             _entry(ToolEntry, key, aside) for key, aside in row["asides"].items()

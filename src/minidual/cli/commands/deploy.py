@@ -1,0 +1,31 @@
+"""`minidual deploy`."""
+
+from typing import Annotated
+
+import typer
+
+from minidual.cli.execute import run_stage
+from minidual.cli.options import GateOptions, ViewOptions
+from minidual.cli.session import Session
+from minidual.errors import ExitCode
+
+
+def deploy(
+    *,
+    trials: Annotated[int | None, typer.Option(help="Held-out trials.")] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(help="Task, such as handover (default: the run's)."),
+    ] = None,
+    view_options: ViewOptions,
+    gate_options: GateOptions,
+    session: Session,
+) -> ExitCode:
+    """Let the policy drive the arms on seeds it never saw.
+
+    Examples:
+        minidual deploy
+        minidual deploy --trials 20 --view web
+    """
+    options = {"trials": trials, "task": task}
+    return run_stage(session, "deploy", options, gate_options, view_options)

@@ -1,0 +1,28 @@
+"""`minidual env-check`."""
+
+from typing import Annotated
+
+from minidual.cli.execute import Aside, run_stage
+from minidual.cli.options import GateOptions, ViewOptions, flag
+from minidual.cli.session import Session
+from minidual.errors import ExitCode
+
+
+def env_check(
+    *,
+    markdown: Annotated[
+        bool,
+        flag("--markdown", "Print a bill of versions for a bug report instead."),
+    ] = False,
+    view_options: ViewOptions,
+    gate_options: GateOptions,
+    session: Session,
+) -> ExitCode:
+    """Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries.
+
+    Examples:
+        minidual env-check
+        minidual env-check --markdown
+    """
+    bill = Aside("env-check-bill", trigger="markdown", options={"markdown": markdown})
+    return run_stage(session, "env-check", {}, gate_options, view_options, [bill])

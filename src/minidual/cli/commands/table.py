@@ -1,0 +1,50 @@
+"""Tables of the commands.
+
+A stage or tool without a function here, such as one of another distribution, gets its command from
+its row (`minidual.cli.rows`).
+"""
+
+from minidual.cli.commands.benchmark import benchmark
+from minidual.cli.commands.carry import carry
+from minidual.cli.commands.config_show import config_show
+from minidual.cli.commands.deploy import deploy
+from minidual.cli.commands.doctor import doctor
+from minidual.cli.commands.env_check import env_check
+from minidual.cli.commands.explain import explain
+from minidual.cli.commands.modes import modes
+from minidual.cli.commands.plan import plan
+from minidual.cli.commands.replay import replay
+from minidual.cli.commands.report import report
+from minidual.cli.commands.run import run
+from minidual.cli.commands.status import status
+from minidual.cli.commands.stop import stop
+from minidual.cli.commands.teleop_record import teleop_record
+from minidual.cli.commands.train_act import train_act
+from minidual.cli.commands.view import view
+from minidual.cli.signature import Command
+
+STAGE_COMMANDS: dict[str, Command] = {
+    "env-check": env_check,
+    "plan": plan,
+    "carry": carry,
+    "teleop-record": teleop_record,
+    "train-act": train_act,
+    "deploy": deploy,
+    "benchmark": benchmark,
+    "report": report,
+}
+RUN_COMMANDS: dict[str, Command] = {
+    "run": run,
+    "status": status,
+    "explain": explain,
+    "stop": stop,
+}
+CONFIG_COMMANDS: dict[str, Command] = {"show": config_show}
+TOOL_COMMANDS: dict[str, Command] = {
+    "doctor": doctor,
+    "view": view,
+    "replay": replay,
+    "modes": modes,
+}
+READING = ("status", "explain", "doctor", "report")
+"""Commands that only read a run: a run that was named must exist. The others begin one."""

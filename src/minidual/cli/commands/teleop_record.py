@@ -1,0 +1,31 @@
+"""`minidual teleop-record`."""
+
+from typing import Annotated
+
+import typer
+
+from minidual.cli.execute import run_stage
+from minidual.cli.options import GateOptions, ViewOptions
+from minidual.cli.session import Session
+from minidual.errors import ExitCode
+
+
+def teleop_record(
+    *,
+    episodes: Annotated[int | None, typer.Option(help="Demonstrations to record.")] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(help="Task, such as handover (default: the run's)."),
+    ] = None,
+    view_options: ViewOptions,
+    gate_options: GateOptions,
+    session: Session,
+) -> ExitCode:
+    """Teleoperate, record demonstrations, convert and grade the dataset.
+
+    Examples:
+        minidual teleop-record --episodes 50
+        minidual teleop-record --task handover --view web
+    """
+    options = {"episodes": episodes, "task": task}
+    return run_stage(session, "teleop-record", options, gate_options, view_options)
