@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from minidual.config.loader import load_config
-from minidual.plant.model import GROUP_COLLISION
+from minidual.plant.contact import GROUP_COLLISION
 from minidual.tasks.catalogue import make_task
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench

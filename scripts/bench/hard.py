@@ -17,8 +17,8 @@ from minidual.motion.api import Planner, PlanResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
 from minidual.motion.held.planner import HeldPlanner, HeldQuery
 from minidual.proof.scene_engines import collision_samples
-from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array, Robot, inverse
+from minidual.robot.trajectory import Trajectory
 from minidual.trials.planning.evaluate import attempted
 from minidual.trials.statistics import wilson_interval
 from scripts.bench.peers import Roboplan, Run, core_share, plan_ompl

@@ -37,8 +37,9 @@ from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.motion.search import bounded_space, exact_path, seeded
 from minidual.motion.timing import DT_S
 from minidual.robot.description import pair_urdf
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, inverse
+from minidual.robot.trajectory import Trajectory
 from scripts.bench.queries import GROUP, PosedQuery, rod_grasps
 
 ROBOPLAN = "0.7.0"

@@ -14,7 +14,8 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.motion.api import Planner
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.trajectory import Trajectory
 from minidual.show.planning import Poser, play
 from minidual.show.watch import tcp_preview
 from minidual.stages.plan_tools import _clearance

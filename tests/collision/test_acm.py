@@ -11,7 +11,8 @@ import pytest
 from minidual.collision import scene
 from minidual.collision.scene import QUIET_DOUBLINGS, acm_report, build_acm
 from minidual.robot.description import links_of
-from minidual.robot.pair import DUAL_PANDA, PANDA, Robot
+from minidual.robot.models import PANDA
+from minidual.robot.pair import DUAL_PANDA, Robot
 
 
 @pytest.fixture(scope="module")

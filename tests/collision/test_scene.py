@@ -13,7 +13,8 @@ from minidual.collision.scene import TABLE, Attached, PlanningScene, acm_report,
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Pairs, Sphere
 from minidual.errors import UsageError
 from minidual.robot.description import collision_links, links_of, never_touching
-from minidual.robot.pair import DUAL_PANDA, PANDA
+from minidual.robot.models import PANDA
+from minidual.robot.pair import DUAL_PANDA
 
 HOME = DUAL_PANDA.home
 Q_LOWER = DUAL_PANDA.q_lower

@@ -15,8 +15,9 @@ from minidual.control.gripper import Grippers
 from minidual.control.impedance import HeldObject
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
+from minidual.robot.trajectory import Trajectory
 from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor

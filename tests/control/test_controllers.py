@@ -25,8 +25,9 @@ from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
+from minidual.robot.trajectory import Trajectory
 from tests.support.arm_scripts import pinch_rod
 from tests.support.control_plant import ArmsPlant, HandsObject, TrueObject
 from tests.support.panda import A_MAX, HOME, V_MAX

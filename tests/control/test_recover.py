@@ -15,8 +15,9 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
+from minidual.robot.trajectory import Trajectory
 from minidual.tasks.task import level_pose
 from tests.control.test_broken import FailingPlant
 from tests.control.test_controllers import hand_over, move, stack_on, trajectory

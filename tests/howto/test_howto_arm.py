@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from minidual.cli.app import run_command_line
-from minidual.robot.pair import ARM_MODELS
+from minidual.robot.models import ARM_MODELS
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support import howto
 

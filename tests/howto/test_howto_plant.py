@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from minidual.robot.pair import ARM_MODELS, Robot
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import Robot
 from tests.support import howto
 
 

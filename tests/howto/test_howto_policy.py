@@ -14,7 +14,8 @@ from minidual.errors import DataError, UsageError
 from minidual.policies.kinds import POLICIES, load_policy, write_loss_csv
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import exercise_checkpoint
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import DUAL_PANDA, Robot
 from minidual.show.figures.training import draw_loss
 from minidual.stages.config_checks import check_policy
 from minidual.stages.train_act import train_checks

@@ -34,7 +34,8 @@ from minidual.motion.goal_plan import (
 from minidual.motion.ik import pose_goals
 from minidual.motion.linear import Line, LinearPlanner
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose, rot_x
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import DUAL_PANDA, Robot, pose, rot_x
 
 HOME = DUAL_PANDA.home
 Q_LOWER = DUAL_PANDA.q_lower

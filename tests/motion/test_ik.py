@@ -9,7 +9,8 @@ from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.ik import ArmIK, check_pose, pose_goals
 from minidual.robot.kinematics import Kinematics, hinges
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot, pose
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import DUAL_PANDA, Robot, pose
 from minidual.tasks.task import DOWN
 from tests.support.panda import GROUPS, HOME
 

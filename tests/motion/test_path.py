@@ -17,8 +17,9 @@ from minidual.motion.blend import blended_path, path_length, rounded, shortcut
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import sample_parameters, time_path
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
+from minidual.robot.trajectory import Trajectory
 from tests.support.panda import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX
 
 

@@ -14,8 +14,9 @@ from minidual.motion import timing
 from minidual.motion.blend import SmoothPath, rounded
 from minidual.motion.timing import fastest_profile, sample_parameters
 from minidual.proof.scene_engines import limit_use
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
+from minidual.robot.trajectory import Trajectory
 
 HOME = DUAL_PANDA.home
 Q_LOWER = DUAL_PANDA.q_lower

@@ -6,7 +6,8 @@ import mujoco
 import pytest
 
 from minidual.errors import UsageError
-from minidual.plant.model import build_spec, map_joints
+from minidual.plant.addresses import map_joints
+from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from tests.support.panda import FINGER_JOINT_NAMES, JOINT_NAMES
 

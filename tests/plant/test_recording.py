@@ -23,7 +23,8 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import read_recording, write_recording
 from minidual.plant.replay import replay
 from minidual.plant.world import SimulationDivergedError, World
-from minidual.robot.pair import ARM_MODELS, Robot
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support import replay_mutations
 from tests.support.panda import DOF, HOME

@@ -11,7 +11,8 @@ from minidual.config.loader import load_config
 from minidual.control.joint_control import JointLoop
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant import render
-from minidual.plant.model import CAMERAS, build_model
+from minidual.plant.cameras import CAMERAS
+from minidual.plant.model import build_model
 from minidual.plant.render import Camera, write_video
 from minidual.stages.env_check.pictures import check_cameras
 from minidual.tasks.catalogue import TASKS, make_task

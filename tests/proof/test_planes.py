@@ -10,8 +10,10 @@ from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines, first_stretches
 from minidual.proof.solids import _clusters
-from minidual.robot.kinematics import Kinematics, Trajectory
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import DUAL_PANDA, Robot
+from minidual.robot.trajectory import Trajectory
 from tests.support.planning_oracles import CoalDistances, farthest_in_mujoco, states
 
 HALF = np.sqrt(0.5)

@@ -15,8 +15,10 @@ from minidual.motion import timing
 from minidual.motion.api import Planner
 from minidual.proof import scene_engines
 from minidual.proof.scene_engines import STEP_RAD, SceneEngines, collision_samples
-from minidual.robot.kinematics import Kinematics, Trajectory
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, Robot
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.models import ARM_MODELS
+from minidual.robot.pair import DUAL_PANDA, Robot
+from minidual.robot.trajectory import Trajectory
 from minidual.trials.planning.evaluate import plan_query
 from minidual.trials.planning.queries import QueryGenerator
 from tests.support.panda import A_MAX, HOME, Q_UPPER

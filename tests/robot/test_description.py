@@ -16,9 +16,10 @@ from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot import description
-from minidual.robot.description import FACES_PER_ARM, arm_visuals
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import ARM_MODELS, DUAL_PANDA, PANDA, Robot, robot_from
+from minidual.robot.models import ARM_MODELS, PANDA
+from minidual.robot.pair import DUAL_PANDA, Robot, robot_from
+from minidual.robot.visuals import FACES_PER_ARM, arm_visuals
 
 ROBOTS = [robot_from(RobotConfig(arm=name)) for name in ("panda", "xarm7", "ur5")]
 each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.arm.name)

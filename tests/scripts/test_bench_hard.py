@@ -21,8 +21,8 @@ from minidual.motion.search import EdgeChecker
 from minidual.motion.timing import time_path
 from minidual.plant.world import World
 from minidual.registry import Registry
-from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import DUAL_PANDA, SIDES
+from minidual.robot.trajectory import Trajectory
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import pose_of
 from scripts.bench import __main__ as bench

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from minidual.config.scene import SceneConfig
-from minidual.plant.model import CAMERAS
+from minidual.plant.cameras import CAMERAS
 from minidual.plant.render import Camera
 from minidual.plant.world import World
 from minidual.show.watch import visual_model

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from minidual.robot.pair import DUAL_PANDA, PANDA, SIDES
+from minidual.robot.models import PANDA
+from minidual.robot.pair import DUAL_PANDA, SIDES
 
 ARMS = SIDES
 DOF = DUAL_PANDA.dof

@@ -222,7 +222,7 @@ class RobotConfig(StrictModel):
     """The arms."""
 
     arm: str = Field(default="panda", min_length=1)
-    """Row of robot.pair.ARM_MODELS."""
+    """Row of robot.models.ARM_MODELS."""
 
 
 class NamedStateConfig(StrictModel):

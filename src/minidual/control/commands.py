@@ -6,8 +6,8 @@ from enum import StrEnum
 from typing import ClassVar, Protocol
 
 from minidual.control.impedance import ObjectState
-from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import Array, arms_of
+from minidual.robot.trajectory import Trajectory
 
 SOURCES: tuple[str, ...] = ("moveit", "teleop", "policy")
 """Command sources, each also a mode."""

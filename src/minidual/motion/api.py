@@ -23,8 +23,9 @@ from minidual.motion.ik import check_joints, goal_joints, pose_goals, require_fr
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import DT_S, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification, certify
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, Array, Robot
+from minidual.robot.trajectory import Trajectory
 
 PLAN_PHASES: tuple[str, ...] = ("scene", "ik", "search", "shortcut", "blend", "timing", "verify")
 

@@ -13,8 +13,9 @@ from minidual.motion.held.path import ROTATION_WEIGHT_M
 from minidual.motion.ik import check_joints, check_targets, require_free, solvers
 from minidual.motion.timing import DT_S, PathLimits, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, pose
+from minidual.robot.trajectory import Trajectory
 
 DEVIATION_MAX_M = 2e-4
 DEVIATION_MAX_RAD = 1e-3

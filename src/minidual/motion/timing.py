@@ -16,8 +16,9 @@ from minidual.collision.errors import TimingError
 from minidual.config.base import StrictModel
 from minidual.config.planning import MotionLimits
 from minidual.robot.compiled import ROWS, VECTOR, floats, kernel
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Indices
+from minidual.robot.trajectory import Trajectory
 
 _NEWTON_STEPS_MAX = 200
 _FLAT = 1e-12

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,6 +16,25 @@ type Vector = tuple[float, float, float]
 ObjectPose = Array | tuple[float, float, float]
 """(4, 4), or (x, y, yaw) [m, m, rad] resting on the table."""
 
+# Layout of what `NamedObject.look` returns.
+POSITION = 0
+"""First of three: position of the frame [m]."""
+VERTICAL = 3
+"""First of three: third row of R, the world's vertical in the object's frame."""
+HAND_FORCES = 6
+"""First of six: force of each hand on the object (2, 3) [N], world axes."""
+PINCHES = 12
+"""First of two: normal force of each hand's weaker finger [N]."""
+INTERNAL_FORCE = 14
+YAW = 15
+_LOOK_N = 16
+
+# Layout of a row that describes one solid; see `lie`.
+_CENTRE = 0
+_HALF = 3
+_IS_ROUND = 6
+_AXIS = 7
+
 
 def contact_sensor(name: str, side: str, finger_link: str) -> str:
     """Return the name of a finger's contact sensor."""
@@ -23,54 +43,71 @@ def contact_sensor(name: str, side: str, finger_link: str) -> str:
 
 @kernel(types.void(ROWS, ROWS, VECTOR, *[types.float64[:]] * 2, VECTOR))
 def look(pads: Array, R: Array, p: Array, left: Array, right: Array, seen: Array) -> None:
-    """Fill `seen` (16,); see `NamedObject.look`.
+    """Fill `seen`, laid out as above.
 
-    pads: (4, 3), forces of the fingers, two of each hand [N]. left, right: (3,), finger axes.
+    Args:
+        pads: (4, 3), forces of the fingers, two of each hand [N].
+        R: (3, 3), orientation of the object.
+        p: (3,), its position [m].
+        left: (3,), axis of the left hand along which its fingers move.
+        right: (3,), the same of the right hand.
+        seen: (16,), overwritten.
     """
     for i in range(3):
-        seen[i], seen[3 + i] = p[i], R[2, i]
+        seen[POSITION + i] = p[i]
+        seen[VERTICAL + i] = R[2, i]
     # The left finger (+y) pushes along -y, the right one along +y.
     for hand, axis in enumerate((left, right)):
         a = pads[2 * hand]
         b = pads[2 * hand + 1]
         along_a = a[0] * axis[0] + a[1] * axis[1] + a[2] * axis[2]
         along_b = b[0] * axis[0] + b[1] * axis[1] + b[2] * axis[2]
-        seen[12 + hand] = max(0.0, min(-along_a, along_b))
+        seen[PINCHES + hand] = max(0.0, min(-along_a, along_b))
         for i in range(3):
-            seen[6 + 3 * hand + i] = a[i] + b[i]
-    inward_left = inward_right = 0.0
+            seen[HAND_FORCES + 3 * hand + i] = a[i] + b[i]
+    inward_left = 0.0
+    inward_right = 0.0
     for i in range(3):
-        inward_left -= seen[6 + i] * R[i, 1]
-        inward_right += seen[9 + i] * R[i, 1]
-    seen[14], seen[15] = min(inward_left, inward_right), math.atan2(-R[0, 1], R[1, 1])
+        inward_left -= seen[HAND_FORCES + i] * R[i, 1]
+        inward_right += seen[HAND_FORCES + 3 + i] * R[i, 1]
+    seen[INTERNAL_FORCE] = min(inward_left, inward_right)
+    seen[YAW] = math.atan2(-R[0, 1], R[1, 1])
 
 
 @kernel(types.UniTuple(types.float64, 2)(VECTOR, ROWS, types.boolean))
 def lie(seen: Array, solids: Array, upright: bool) -> tuple[float, float]:
-    """Return the tilt [rad] of the long axis and the height [m] of the lowest point; see `ObjectTruth`.
+    """Return the tilt [rad] of the long axis and the height [m] of the lowest point.
 
-    seen: (16,), see `NamedObject.look`. solids: (k, 8), place, half extents, whether it is round, and its axis.
+    See `ObjectTruth`.
+
+    Args:
+        seen: (16,), see `NamedObject.look`.
+        solids: (k, 8), centre (3,) [m], half extents (3,) [m], whether it is round, its axis.
+        upright: Whether the long axis is z, else y.
     """
     lowest = math.inf
-    for part in solids:
+    for solid in solids:
         down = 0.0
         low = 0.0
-        axis = int(part[-1])
         for i in range(3):
-            down = down + abs(seen[3 + i]) * part[3 + i]
-            low = low + seen[3 + i] * part[i]
-        if part[6]:
-            along = min(1.0, abs(seen[3 + axis]))
-            down = part[3 + axis] * along + part[3] * math.sqrt(1.0 - along**2)
+            down = down + abs(seen[VERTICAL + i]) * solid[_HALF + i]
+            low = low + seen[VERTICAL + i] * solid[_CENTRE + i]
+        if solid[_IS_ROUND]:
+            axis = int(solid[_AXIS])
+            along = min(1.0, abs(seen[VERTICAL + axis]))
+            radius = solid[_HALF]
+            down = solid[_HALF + axis] * along + radius * math.sqrt(1.0 - along**2)
         if not low - down >= lowest:  # true for NaN
             lowest = low - down
-    along = min(1.0, abs(seen[5 if upright else 4]))  # vertical share of the long axis
-    return (math.acos(along) if upright else math.asin(along)), seen[2] + lowest
+    long_axis = 2 if upright else 1
+    along = min(1.0, abs(seen[VERTICAL + long_axis]))  # vertical share of the long axis
+    tilt = math.acos(along) if upright else math.asin(along)
+    return tilt, seen[POSITION + 2] + lowest
 
 
 @kernel(types.boolean(types.Array(types.int32, 2, "A"), types.int32[::1], types.int64, types.int64))
 def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
-    """Return whether contacts, pairs of geoms (k, 2), join two bodies."""
+    """Return whether contacts, pairs of geoms (k, 2), join bodies a and b."""
     for pair in geoms:
         first = body_of[pair[0]]
         second = body_of[pair[1]]
@@ -81,13 +118,30 @@ def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
 
 @kernel(types.void(VECTOR, types.int64[::1], types.float64, VECTOR))
 def halves(values: Array, rows: Array, scale: float, sums: Array) -> None:
-    """Fill each hand's sum (2,), scaled."""  # to return an array takes as long again
+    """Fill `sums` (2,) with each hand's sum of two values, scaled.
+
+    Returning an array would double the time.
+    """
     for hand in range(2):
         sums[hand] = scale * (values[rows[2 * hand]] + values[rows[2 * hand + 1]])
 
 
+class ObjectFrame(NamedTuple):
+    """Orientation R (3, 3) and position p (3,) [m] in the world, views of MuJoCo's memory."""
+
+    R: Array
+    p: Array
+
+
 class NamedObject:
-    """Reads one object through cached views."""
+    """Reads one object through cached views.
+
+    Attributes:
+        body: Id of the body.
+        qpos: View (7,): position [m] and quaternion.
+        qvel: View (6,): velocity in world axes, angular velocity in the body's.
+        frame: Present pose.
+    """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, robot: Robot) -> None:
         self.body = int(model.body(name).id)
@@ -98,36 +152,35 @@ class NamedObject:
         self.qvel = data.qvel[velocity : velocity + 6]
         self._omega = self.qvel[3:]
         self._model = model
-        self._first = int(model.body_geomadr[self.body])
+        self._first_geom = int(model.body_geomadr[self.body])
         self._rest_height_m = float(model.qpos0[position + 2])
-        self.frame = self._R, self._p = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
-        first = int(
-            model.sensor(contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])).adr[0],
-        )
+        self.frame = ObjectFrame(data.xmat[self.body].reshape(3, 3), data.xpos[self.body])
+        first_sensor = contact_sensor(name, robot.sides[0], robot.hand.finger_links[0])
+        first = int(model.sensor(first_sensor).adr[0])
         pads = data.sensordata[first : first + 12].reshape(4, 3)
         palms = [int(model.body(palm).id) for palm in robot.both(robot.hand.palm_link)]
-        axes = [data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms]
-        self._seen = np.zeros(16)
-        self._look = bound(look, pads, self._R, self._p, *axes, self._seen)
+        left, right = (data.xmat[palm].reshape(3, 3)[:, 1] for palm in palms)
+        self._seen = np.zeros(_LOOK_N)
+        self._look = bound(look, pads, self.frame.R, self.frame.p, left, right, self._seen)
 
     def solids(self, parts: Sequence[PartConfig]) -> list[tuple[Vector, Vector]]:
-        """Return place and half extents (3,) [m] of its parts as they are now, in its frame."""
-        found = list[tuple[Vector, Vector]]()
-        for geom, part in enumerate(parts, self._first):
-            (x, y, z) = self._model.geom_pos[geom].tolist()
-            (a, b, c) = part.half_m
+        """Return centre and half extents (3,) [m] of its parts as compiled, in its frame."""
+        solids: list[tuple[Vector, Vector]] = []
+        for geom, part in enumerate(parts, self._first_geom):
+            x, y, z = self._model.geom_pos[geom].tolist()
+            a, b, c = part.half_m
             scale = float(self._model.geom_size[geom, 0]) / a
-            found.append(((x, y, z), (scale * a, scale * b, scale * c)))
-        return found
+            solids.append(((x, y, z), (scale * a, scale * b, scale * c)))
+        return solids
 
     def pose(self) -> Array:
         """Return the pose (4, 4) in the world."""
-        return pose(self._R, self._p)
+        return pose(self.frame.R, self.frame.p)
 
     def twist(self) -> Array:
         """Return the twist (6,) at the centre of mass, world axes."""
         twist = self.qvel.copy()
-        self._R.dot(self._omega, twist[3:])  # MuJoCo: v in world axes, w in the body's
+        self.frame.R.dot(self._omega, twist[3:])  # MuJoCo: v in world axes, omega in the body's
         return twist
 
     def put(self, where: ObjectPose) -> None:
@@ -141,21 +194,25 @@ class NamedObject:
             mujoco.mju_mat2Quat(self.qpos[3:], np.ascontiguousarray(where[:3, :3]).ravel())
 
     def look(self) -> Array:
-        """Return p (3), the third row of R (3), forces (6), pinches (2), internal force and yaw; overwritten by the next."""
+        """Return all that the success tests read, (16,), overwritten by the next call.
+
+        POSITION, VERTICAL, HAND_FORCES, PINCHES, INTERNAL_FORCE and YAW are its indices.
+        """
         self._look()
         return self._seen
 
     def forces(self) -> Array:
         """Return each hand's net force (2, 3) [N] on the object, world axes."""
-        return self.look()[6:12].reshape(2, 3).copy()
+        return self.look()[HAND_FORCES:PINCHES].reshape(2, 3).copy()
 
     def pinch(self) -> Array:
         """Return pinches (2,) [N]: normal force of each hand's weaker finger."""
-        return self.look()[12:14].copy()
+        return self.look()[PINCHES:INTERNAL_FORCE].copy()
 
     def internal_force(self) -> float:
         """Return the internal force along y [N]; the left hand is at the +y end.
 
-        The smaller of the hands' axial forces towards each other: negative under tension, at most zero with one hand.
+        The smaller of the hands' axial forces towards each other: negative under tension, at most
+        zero with one hand.
         """
-        return float(self.look()[14])
+        return float(self.look()[INTERNAL_FORCE])

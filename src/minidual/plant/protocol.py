@@ -1,4 +1,7 @@
-"""Interface between the control stack and simulated or real arms, without true object poses and contact forces."""
+"""Interface between the control stack and simulated or real arms.
+
+True object poses and contact forces are not part of it.
+"""
 
 from typing import NamedTuple, Protocol
 
@@ -7,7 +10,7 @@ from minidual.robot.pair import Array, Robot
 
 
 class PlantEndedError(MinidualError):
-    """There is nothing left to drive. After any other error of `command` or `step`, the arms are stopped."""
+    """There is nothing left to drive. After any other error of `command` or `step`, arms stop."""
 
 
 class Plant(Protocol):
@@ -74,7 +77,7 @@ class PoseSample(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Measurements of one control step.
+    """Measurements of an object in one control step.
 
     Attributes:
         pose: None between samples.
@@ -96,5 +99,5 @@ class ObjectSensors(Protocol):
     """Age of an arriving pose, in control steps."""
 
     def sense(self) -> Reading:
-        """Return new readings; once a control step."""
+        """Return new readings; to be called once a control step."""
         ...

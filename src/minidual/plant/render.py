@@ -13,9 +13,13 @@ import numpy.typing as npt
 from minidual.config.scene import CameraConfig
 from minidual.durable import replacing
 from minidual.errors import EnvironmentMissingError, check_name
-from minidual.plant.model import GROUP_COLLISION
+from minidual.plant.contact import GROUP_COLLISION
 
 Image = npt.NDArray[np.uint8]
+
+_CLOSE_UP_M = 0.9
+_CLOSE_UP_AZIMUTH_DEG = 150.0
+_CLOSE_UP_ELEVATION_DEG = -25.0
 
 
 def off_screen(
@@ -24,13 +28,16 @@ def off_screen(
     height_px: int,
     **options: int,
 ) -> mujoco.Renderer:
-    """Return a renderer; EnvironmentMissingError without OpenGL."""
+    """Return a renderer; `options` are those of `mujoco.Renderer`.
+
+    Raises:
+        EnvironmentMissingError: There is no OpenGL.
+    """
     try:
         return mujoco.Renderer(model, height_px, width_px, **options)
     except Exception as error:  # GL backends raise various types
-        what = f"cannot create an off-screen OpenGL context by EGL: {error}"
         raise EnvironmentMissingError(
-            what,
+            f"cannot create an off-screen OpenGL context by EGL: {error}",
             remedy="apt-get install -y libegl1 libgl1-mesa-dri",
         ) from error
 
@@ -86,11 +93,8 @@ class Camera(AbstractContextManager["Camera"]):
 
     def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
         """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""
-        self._renderer.update_scene(
-            data,
-            free_camera(at, 0.9, 150.0, -25.0),
-            scene_option=self._option,
-        )
+        eye = free_camera(at, _CLOSE_UP_M, _CLOSE_UP_AZIMUTH_DEG, _CLOSE_UP_ELEVATION_DEG)
+        self._renderer.update_scene(data, eye, scene_option=self._option)
         return self._renderer.render()
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
@@ -101,13 +105,14 @@ class Camera(AbstractContextManager["Camera"]):
             segments = self._renderer.render()
         finally:
             self._renderer.disable_segmentation_rendering()
-        geom = int(mujoco.mjtObj.mjOBJ_GEOM)
-        ids, counts = np.unique(segments[..., 0][segments[..., 1] == geom], return_counts=True)
-        seen: dict[str, float] = {}
-        for index, count in zip(ids, counts, strict=True):
-            body = self._model.body(int(self._model.geom_bodyid[index])).name
-            seen[body] = seen.get(body, 0.0) + int(count) / segments[..., 0].size
-        return seen
+        ids = segments[..., 0]
+        is_geom = segments[..., 1] == int(mujoco.mjtObj.mjOBJ_GEOM)
+        geoms, counts = np.unique(ids[is_geom], return_counts=True)
+        shares: dict[str, float] = {}
+        for geom, count in zip(geoms, counts, strict=True):
+            body = self._model.body(int(self._model.geom_bodyid[geom])).name
+            shares[body] = shares.get(body, 0.0) + int(count) / ids.size
+        return shares
 
     def _update(self, data: mujoco.MjData, camera: str) -> None:
         check_name("camera", camera, self._names)
@@ -121,19 +126,19 @@ class Camera(AbstractContextManager["Camera"]):
         self.close()
 
 
-def _shrunk(image: Image, s: int) -> Image:
-    # Sums of strided views take a tenth of the time of a mean over two axes.
-    total = image[::s, ::s].astype(np.uint16)
-    for row, column in list(np.ndindex(s, s))[1:]:
-        total += image[row::s, column::s]
-    return (total // s**2).astype(np.uint8)
+def _shrunk(image: Image, factor: int) -> Image:
+    """Return the means of squares of `factor` pixels.
+
+    Sums of strided views take a tenth of the time of a mean over two axes.
+    """
+    total = np.zeros((image.shape[0] // factor, image.shape[1] // factor, 3), dtype=np.uint16)
+    for row, column in np.ndindex(factor, factor):
+        total += image[row::factor, column::factor]
+    return (total // factor**2).astype(np.uint8)
 
 
 def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
-    """Write (H, W, 3) frames as H.264 mp4; return their number.
-
-    An existing film is complete.
-    """
+    """Write (H, W, 3) frames as H.264 mp4, atomically; return their number."""
     import av
 
     count = 0
@@ -146,11 +151,8 @@ def write_video(path: Path, frames: Iterable[Image], *, fps: int) -> int:
                 stream = container.add_stream("libx264", rate=Fraction(fps), options=options)
                 stream.height, stream.width = frame.shape[:2]
                 stream.pix_fmt = "yuv420p"
-            container.mux(
-                stream.encode(
-                    av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24"),
-                ),
-            )
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+            container.mux(stream.encode(picture))
         if stream is not None:
             container.mux(stream.encode())
     return count

@@ -13,27 +13,37 @@ import pinocchio as pin
 from numba.core import types
 
 from minidual.config.control import SensingConfig
+from minidual.plant.bodies import HAND_FORCES
 from minidual.plant.protocol import PoseSample, Reading
 from minidual.plant.world import World
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
 
 _BLOCK = 512
-_FORCES = 8  # three components of two hands, then two pinches
+"""Control steps whose noise is drawn at once."""
+_PINCHES = 6
+"""Column of the first of two pinches, after three force components of each hand."""
+_FORCES_N = 8
 
 
 @kernel(types.void(ROWS, types.int64, VECTOR))
 def add_forces(samples: Array, row: int, seen: Array) -> None:
-    """Add the forces in `seen` (see `NamedObject.look`) to a row of noise (T, 8)."""
-    for i in range(8):
-        value = samples[row, i] + seen[6 + i]
-        samples[row, i] = 0.0 if i >= 6 and value < 0.0 else value
+    """Add true forces to a row of noise.
+
+    Args:
+        samples: (T, 8) [N], three force components of two hands, then two pinches.
+        row: Row to change.
+        seen: (16,), see `NamedObject.look`.
+    """
+    for i in range(_FORCES_N):
+        value = samples[row, i] + seen[HAND_FORCES + i]
+        samples[row, i] = 0.0 if i >= _PINCHES and value < 0.0 else value
 
 
 class Sensors:
     """Samples the world and delivers late; until then, the first sample.
 
-    Smaller noise is the same noise scaled.
+    With the same seed, smaller noise is the same noise scaled. `name` None means the only object.
     """
 
     def __init__(
@@ -60,30 +70,38 @@ class Sensors:
     def sense(self) -> Reading:
         """See `ObjectSensors`."""
         tick = self._tick
-        row = self._tick % _BLOCK
-        if row == 0:
-            # the noise of the next steps, which `add_forces` turns into samples; a view costs less when many are made
-            self._samples = self._config.force_noise_n * self._rng.standard_normal(
-                (_BLOCK, _FORCES),
-            )
-            self._forces = list(self._samples[:, :6].reshape(_BLOCK, 2, 3))
-            self._pinches = list(self._samples[:, 6:])
-        add_forces(self._samples, row, self._object.look())
-        pose = (
-            None if tick % self._period_ticks else PoseSample(self._sample_pose(), self.delay_ticks)
-        )
-        # Reading(...) takes three times as long
-        reading = tuple.__new__(
-            Reading,
-            (pose, self._forces[row], self._pinches[row], tick * self._dt + self._begin_s),
-        )
-        self._late.append(reading)
         self._tick = tick + 1
+        reading = self._sample(tick)
+        self._late.append(reading)
         if tick:
             return self._late.popleft()
+        # At rest before the trial: the first sample stands for all that are late.
         self._late.extendleft([reading._replace(pose=None)] * self.delay_ticks)
         self._late.popleft()
-        return reading  # at rest before the trial
+        return reading
+
+    def _sample(self, tick: int) -> Reading:
+        """Return the readings of this moment."""
+        row = tick % _BLOCK
+        if row == 0:
+            self._draw_noise()
+        add_forces(self._samples, row, self._object.look())
+        pose = None
+        if tick % self._period_ticks == 0:
+            pose = PoseSample(self._sample_pose(), self.delay_ticks)
+        stamp_s = tick * self._dt + self._begin_s
+        # Reading(...) takes three times as long.
+        return tuple.__new__(Reading, (pose, self._forces[row], self._pinches[row], stamp_s))
+
+    def _draw_noise(self) -> None:
+        """Draw the noise of the next steps, which `add_forces` turns into samples.
+
+        Views are made in one go, because many cost less than one at a time.
+        """
+        noise = self._rng.standard_normal((_BLOCK, _FORCES_N))
+        self._samples = self._config.force_noise_n * noise
+        self._forces = list(self._samples[:, :_PINCHES].reshape(_BLOCK, 2, 3))
+        self._pinches = list(self._samples[:, _PINCHES:])
 
     def _sample_pose(self) -> Array:
         T = self._object.pose()

@@ -9,8 +9,10 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError, unknown_name
+from minidual.plant.addresses import map_joints
 from minidual.plant.bodies import NamedObject, ObjectPose, halves, touching
-from minidual.plant.model import GOAL_MARK, build_model, map_joints
+from minidual.plant.marks import GOAL_MARK
+from minidual.plant.model import build_model
 from minidual.plant.protocol import PlantEndedError
 from minidual.robot.compiled import bound
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
@@ -32,17 +34,28 @@ class SimulationDivergedError(PlantEndedError):
     """A state or command is not finite."""
 
 
-_BAD = {"QPOS": "positions", "QVEL": "velocities", "QACC": "accelerations", "CTRL": "commands"}
 _NOT_FINITE = {
-    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{kind}")): what for kind, what in _BAD.items()
+    int(mujoco.mjtWarning.mjWARN_BADQPOS): "positions",
+    int(mujoco.mjtWarning.mjWARN_BADQVEL): "velocities",
+    int(mujoco.mjtWarning.mjWARN_BADQACC): "accelerations",
+    int(mujoco.mjtWarning.mjWARN_BADCTRL): "commands",
 }
 """MuJoCo only counts these and resets the state or zeroes the commands."""
+_LIMIT_ROUNDING_RAD = 1e-9
 
 
 class World:
     """Two arms, a table and named objects; `command`, then `step`.
 
-    Object name None means the only one. Rendering needs `visuals`; `model` reuses one from `build_model`.
+    Object name None means the only one. Rendering needs `visuals`; `model` reuses one from
+    `build_model`.
+
+    Attributes:
+        joints: Addresses of the arms' joints.
+        finger_joints: Addresses of the four finger joints.
+        objects: Names of the objects, the carried one first.
+        recorder: Records steps for replays, or None.
+        observer: The viewer's callback after each step, which must only read, or None.
     """
 
     def __init__(
@@ -55,13 +68,10 @@ class World:
     ) -> None:
         self.scene = scene
         self.robot = robot
-        self.grip_max_n = scene.physics.finger_force_max_n  # divergence raises in `step`
-        self.health = ""
+        self.grip_max_n = scene.physics.finger_force_max_n
+        self.health = ""  # divergence raises in `step`
         self.model = build_model(scene, robot, visuals=visuals) if model is None else model
         self.data = mujoco.MjData(self.model)
-        self._warnings = self.data.warning.number  # view: counts by kind
-        self._no_warnings = bytes(self._warnings.nbytes)
-        self._table = self.model.body("table").id
         self.dt = float(self.model.opt.timestep)
         self.joints = map_joints(self.model, robot.joint_names, torque=True)
         self.finger_joints = map_joints(self.model, robot.finger_joint_names, torque=False)
@@ -71,22 +81,32 @@ class World:
         }
         if len(self.objects) == 1:
             self._objects[None] = self._objects[self.objects[0]]
-        data = self.data  # cached views: a lookup in MjData costs as much as reading three numbers
+        self.recorder: StepRecorder | None = None
+        self.observer: Callable[[World], None] | None = None
+        self._cache_views()
+        self.reset()
+
+    def _cache_views(self) -> None:
+        """Keep views: a lookup in MjData costs as much as reading three numbers."""
+        data = self.data
+        self._table = self.model.body("table").id
+        self._warnings = data.warning.number  # counts by kind
+        self._no_warnings = bytes(self._warnings.nbytes)
         self._qpos = data.qpos
         self._qvel = data.qvel
         self._ctrl = data.ctrl
         self._force = data.actuator_force
-        self._fingers, self._grip = np.zeros((2, 2))
+        self._fingers = np.zeros(2)
+        self._grip = np.zeros(2)
         self._halve_places = bound(halves, self._qpos, self.finger_joints.qpos, 0.5, self._fingers)
         self._halve_forces = bound(halves, self._force, self.finger_joints.ctrl, -0.5, self._grip)
-        self._finger_ctrl = tuple(
-            np.ascontiguousarray(self.finger_joints.ctrl.reshape(2, 2).T),
-        )  # strided is slow
-        self.recorder: StepRecorder | None = None
-        """For replays."""
-        self.observer: Callable[[World], None] | None = None
-        """Viewer callback after each step; must only read."""
-        self.reset()
+        # One index array for the first finger of both hands, one for the second. Contiguous:
+        # strided ones are slow.
+        first, second = self.finger_joints.ctrl.reshape(2, 2).T
+        self._first_fingers = np.ascontiguousarray(first)
+        self._second_fingers = np.ascontiguousarray(second)
+
+    # Measurements ------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
@@ -107,7 +127,7 @@ class World:
 
     @property
     def tau(self) -> Array:
-        """Motor torques (n,) [Nm], last step."""
+        """Motor torques (n,) [Nm] of the last step."""
         return self._force[self.joints.ctrl]
 
     @property
@@ -118,21 +138,23 @@ class World:
 
     @property
     def gaps_m(self) -> tuple[float, float]:
-        """Between each hand's fingers [m]."""
+        """Distance between each hand's fingers [m]."""
         self._halve_places()
         left, right = self._fingers.tolist()
         return 2.0 * left, 2.0 * right
 
     @property
     def grip(self) -> Array:
-        """Closing force (2,) [N], last step."""
+        """Closing force (2,) [N] of the last step."""
         self._halve_forces()
         return self._grip.copy()
 
     @property
     def gripper(self) -> Array:
-        """Openings (2,), 0..1 open."""
+        """Openings (2,), 0 closed to 1 open."""
         return self.fingers / self.robot.hand.travel_m
+
+    # Truth -------------------------------------------------------------------------------------
 
     def truth(self, name: str | None = None) -> NamedObject:
         """Return an object's true state.
@@ -140,48 +162,49 @@ class World:
         Raises:
             UsageError: The object is unknown or ambiguous.
         """
-        if (found := self._objects.get(name)) is None:
-            if name is None:
-                raise UsageError(
-                    f"the scene holds {len(self.objects)} objects ({', '.join(self.objects)}); name one",
-                )
+        thing = self._objects.get(name)
+        if thing is not None:
+            return thing
+        if name is not None:
             raise unknown_name("object", name, self.objects)
-        return found
+        raise UsageError(
+            f"the scene holds {len(self.objects)} objects ({', '.join(self.objects)}); name one",
+        )
 
     def object_pose(self, name: str | None = None) -> Array:
-        """Return the true pose (4, 4)."""
+        """Return an object's true pose (4, 4)."""
         return self.truth(name).pose()
 
-    def mark_goal(self, x_m: float, y_m: float, yaw_rad: float) -> None:
-        """Move the goal's mark, if the scene has no others; it touches nothing."""
-        if self.scene.marks:
-            return
-        mark = self.model.geom(GOAL_MARK)
-        mark.pos[:2] = x_m, y_m
-        mark.quat[:] = np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0)
-        self.model.geom_sameframe[mark.id] = 0  # otherwise its direction is not read
-
     def contact_pairs(self) -> list[tuple[str, str, float]]:
-        """Return (body, body, distance [m]) per contact."""
-        body = self.model.geom_bodyid
-        return [
-            (
-                self.model.body(int(body[c.geom1])).name,
-                self.model.body(int(body[c.geom2])).name,
-                float(c.dist),
-            )
-            for c in self.data.contact[: self.data.ncon]
-        ]
+        """Return (body, body, distance [m]) of each contact."""
+
+        def body_name(geom: int) -> str:
+            return self.model.body(int(self.model.geom_bodyid[geom])).name
+
+        contacts = self.data.contact[: self.data.ncon]
+        return [(body_name(c.geom1), body_name(c.geom2), float(c.dist)) for c in contacts]
 
     def touches(self, geom: str) -> bool:
         """Return whether a geom has contacts."""
-        return bool((self.data.contact.geom[: self.data.ncon] == self.model.geom(geom).id).any())
+        geoms = self.data.contact.geom[: self.data.ncon]
+        return bool((geoms == self.model.geom(geom).id).any())
 
     def on_table(self, name: str | None = None) -> bool:
         """Return whether an object touches the table."""
         geoms = self.data.contact.geom[: self.data.ncon]
         body = self.truth(name).body
         return touching(geoms, self.model.geom_bodyid, self._table, body)
+
+    # Changes -----------------------------------------------------------------------------------
+
+    def mark_goal(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Move the goal's mark, if the scene has no others; it has no contacts."""
+        if self.scene.marks:
+            return
+        mark = self.model.geom(GOAL_MARK)
+        mark.pos[:2] = (x_m, y_m)
+        mark.quat[:] = (np.cos(yaw_rad / 2.0), 0.0, 0.0, np.sin(yaw_rad / 2.0))
+        self.model.geom_sameframe[mark.id] = 0  # otherwise MuJoCo does not read the quaternion
 
     def reset(
         self,
@@ -194,32 +217,38 @@ class World:
         Raises:
             UsageError: Invalid q or unknown object.
         """
+        q = self.robot.home if q is None else np.asarray(q, dtype=float)
+        self._check_posture(q)
+        new_poses = {self.truth(name): pose for name, pose in (poses or {}).items()}
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self.joints.qpos] = q
+        self.data.qpos[self.finger_joints.qpos] = self.robot.hand.travel_m
+        self.data.ctrl[self.finger_joints.ctrl] = self.robot.hand.travel_m
+        for thing, pose in new_poses.items():
+            thing.put(pose)
+        mujoco.mj_forward(self.model, self.data)
+
+    def _check_posture(self, q: Array) -> None:
+        """Raise UsageError unless q (n,) is inside the joint limits; NaN is not."""
         robot = self.robot
-        q = robot.home if q is None else np.asarray(q, dtype=float)
         if q.shape != (robot.dof,):
             raise UsageError(f"q has shape {q.shape}; it must be ({robot.dof},)")
-        bad = ~((q >= robot.q_lower - 1e-9) & (q <= robot.q_upper + 1e-9))
-        if bad.any():
-            i = int(np.argmax(bad))
+        above_lower = q >= robot.q_lower - _LIMIT_ROUNDING_RAD
+        below_upper = q <= robot.q_upper + _LIMIT_ROUNDING_RAD
+        outside = ~(above_lower & below_upper)
+        if outside.any():
+            i = int(np.argmax(outside))
             low = robot.q_lower[i]
             high = robot.q_upper[i]
             raise UsageError(
                 f"{robot.joint_names[i]} = {q[i]:.4f} rad; {low:.4f} <= value <= {high:.4f}",
             )
-        put = {self.truth(name): pose for name, pose in (poses or {}).items()}
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[self.joints.qpos] = q
-        self.data.qpos[self.finger_joints.qpos] = robot.hand.travel_m
-        self.data.ctrl[self.finger_joints.ctrl] = robot.hand.travel_m
-        for found, pose in put.items():
-            found.put(pose)
-        mujoco.mj_forward(self.model, self.data)
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`; torques are clipped at the motor limits."""
         self._ctrl[self.joints.ctrl] = tau
-        left, right = self._finger_ctrl
-        self._ctrl[left] = self._ctrl[right] = fingers
+        self._ctrl[self._first_fingers] = fingers
+        self._ctrl[self._second_fingers] = fingers
 
     def step(self) -> None:
         """Advance by `dt`.
@@ -227,20 +256,24 @@ class World:
         Raises:
             SimulationDivergedError: MuJoCo reset the state or zeroed commands.
         """
-        before = self.data.time
+        before_s = self.data.time
         if self.recorder is not None:
             self.recorder.before_step()
         mujoco.mj_step(self.model, self.data)
-        if self._warnings.tobytes() != self._no_warnings:  # 10x faster than `any`
-            bad = [what for kind, what in _NOT_FINITE.items() if self._warnings[kind]]
-            if bad:
-                message = (
-                    f"the simulation diverged at t = {before:.3f} s ({', '.join(bad)} not finite)"
-                )
-                remedy = "check the commanded torques, the inertias and the time step"
-                dump = None if self.recorder is None else self.recorder.dump("diverged", message)
-                if dump is not None:
-                    remedy += f"; minidual replay {dump} says what came first"
-                raise SimulationDivergedError(message, remedy=remedy)
+        if self._warnings.tobytes() != self._no_warnings:  # a tenth of the time of `any`
+            self._raise_if_diverged(before_s)
         if self.observer is not None:
             self.observer(self)
+
+    def _raise_if_diverged(self, before_s: float) -> None:
+        """Raise SimulationDivergedError if a warning is of a value that is not finite."""
+        kinds = [kind for number, kind in _NOT_FINITE.items() if self._warnings[number]]
+        if not kinds:
+            return
+        message = f"the simulation diverged at t = {before_s:.3f} s ({', '.join(kinds)} not finite)"
+        remedy = "check the commanded torques, the inertias and the time step"
+        if self.recorder is not None:
+            dump = self.recorder.dump("diverged", message)
+            if dump is not None:
+                remedy += f"; minidual replay {dump} says what came first"
+        raise SimulationDivergedError(message, remedy=remedy)

@@ -22,8 +22,9 @@ from minidual.proof import planes
 from minidual.proof.solids import Solids
 from minidual.robot import vectors
 from minidual.robot.compiled import ROWS, floats, inlined, kernel
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.trajectory import Trajectory
 
 _ROUNDING = 1e-9
 _REST_RAD_S = 1e-6

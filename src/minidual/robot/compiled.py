@@ -1,7 +1,8 @@
 """Compile numeric loops with numba, cached on disk if possible.
 
-Without fastmath, operations keep their order and NaN propagates. Helpers share the kernel's file, because numba's cache
-watches no other; after a change here or in `vectors.py` delete the `__pycache__` folders.
+Without fastmath, operations keep their order and NaN propagates. Helpers share the kernel's file,
+because numba's cache watches no other; after a change here or in `vectors.py` delete the
+`__pycache__` folders.
 """
 
 import sys
@@ -17,7 +18,8 @@ from numba.core.options import DefaultOptions
 from minidual.robot.pair import Array
 
 if "scipy.linalg" not in sys.modules:
-    # numba's array functions import scipy.linalg (0.4 s) only to see whether it is there, which it is. Hide it meanwhile.
+    # numba's array functions import scipy.linalg (0.4 s) only to see whether it is installed, which
+    # it is. Hide it during their import.
     cast(dict[str, Any], sys.modules)["scipy.linalg"] = None
     from numba.np import arraymath
 
@@ -29,38 +31,47 @@ VIEW = types.Array(types.float64, 1, "A", readonly=True)
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
 UNCOUNTED: dict[str, bool] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
-"""Private numba flag: no reference counting, half of a short call's time and five times that of an inlined one."""
+"""Private numba flag: no reference counting.
+
+It halves the time of a short call, and that of an inlined one is a fifth.
+"""
 
 
 def kernel(signature: Any = None, *, heap: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """Compile for a signature at import, or lazily. `heap`: it makes arrays, whose references must be counted."""
-    options: dict[str, Any] = {
-        "error_model": "numpy",
-        **({} if heap or signature is None else UNCOUNTED),
-    }
+    """Return a decorator that compiles for a signature at import, or at the first call.
+
+    Args:
+        signature: numba signature; None compiles at the first call.
+        heap: Whether the function makes arrays, whose references must be counted.
+    """
+    counts_references = heap or signature is None
+    options: dict[str, bool] = {} if counts_references else UNCOUNTED
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
-            return njit(signature, cache=True, **options)(function)
+            return njit(signature, cache=True, error_model="numpy", **options)(function)
         except RuntimeError as failure:  # numba has no specific class for it
             if "cannot cache" not in str(failure):
                 raise
-            return njit(signature, **options)(function)
+            return njit(signature, error_model="numpy", **options)(function)
 
     return compiled
 
 
 def bound[T](function: Callable[..., T], *arguments: Any) -> Callable[[], T]:
-    """Return a kernel's call with the same arguments each time; numba's check of their types, half of it, is made now."""
+    """Return a kernel's call with the same arguments each time.
+
+    numba checks their types here, once; that check is half the time of a call.
+    """
     function(*arguments)
-    compiled = cast(Any, function).overloads.values()
-    return partial(next(iter(compiled)).entry_point, *arguments)
+    overloads = cast(Any, function).overloads.values()
+    (compiled, *_) = overloads
+    return partial(compiled.entry_point, *arguments)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Inline into kernels; must not allocate."""
-    options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, **UNCOUNTED}
-    return njit(**options)(function)
+    """Return a function to inline into kernels; it must not allocate."""
+    return njit(error_model="numpy", forceinline=True, **UNCOUNTED)(function)
 
 
 def floats(x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The URDF of two arms, and their visual meshes, from installed descriptions.
+"""The URDF of two arms, composed from installed descriptions.
 
 Links and joints are prefixed `left_` and `right_`; both bases are fixed to `world`.
 """
@@ -6,16 +6,13 @@ Links and joints are prefixed `left_` and `right_`; both bases are fixed to `wor
 import copy
 import functools
 import importlib.metadata
-import itertools
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import NamedTuple
 
 from minidual.errors import EnvironmentMissingError, UsageError
-from minidual.robot.pair import SIDES, ArmModel, Array, Robot
+from minidual.robot.models import ArmModel
+from minidual.robot.pair import SIDES, Robot
 
 _SCHEME = "package://"
 _PREFIX = "cmeel.prefix/share"
@@ -27,7 +24,7 @@ class Link(NamedTuple):
 
     Attributes:
         joints_before: Number of arm joints that move it, without fingers.
-        collides: Has collision geometry.
+        collides: Whether it has collision geometry.
     """
 
     side: str
@@ -37,18 +34,25 @@ class Link(NamedTuple):
 
 @functools.cache
 def file_at(address: str) -> Path:
-    """Resolve an absolute path or package://DISTRIBUTION/path.
+    """Return the file at an absolute path or package://DISTRIBUTION/path.
 
     Raises:
-        EnvironmentMissingError: No such distribution or file.
+        EnvironmentMissingError: There is no such distribution or file.
     """
-    if not address.startswith(_SCHEME):
-        path = Path(address)
-        if not (path.is_absolute() and path.is_file()):
-            remedy = f"give an absolute path or {_SCHEME}DISTRIBUTION/path"
-            raise EnvironmentMissingError(f"no robot description at '{address}'", remedy=remedy)
-        return path
-    name = address.removeprefix(_SCHEME).partition("/")[0]
+    if address.startswith(_SCHEME):
+        return _file_of_package(address.removeprefix(_SCHEME))
+    path = Path(address)
+    if not (path.is_absolute() and path.is_file()):
+        raise EnvironmentMissingError(
+            f"no robot description at '{address}'",
+            remedy=f"give an absolute path or {_SCHEME}DISTRIBUTION/path",
+        )
+    return path
+
+
+def _file_of_package(location: str) -> Path:
+    """Return the file at DISTRIBUTION/path."""
+    name = location.partition("/")[0]
     remedy = f"pip install -r requirements.lock, or pip install {name}"
     try:
         distribution = importlib.metadata.distribution(name)
@@ -57,9 +61,7 @@ def file_at(address: str) -> Path:
             f"the package '{name}' is not installed",
             remedy=remedy,
         ) from error
-    path = Path(
-        str(distribution.locate_file(f"{_PREFIX}/{address.removeprefix(_SCHEME)}")),
-    ).resolve()
+    path = Path(str(distribution.locate_file(f"{_PREFIX}/{location}"))).resolve()
     if not path.is_file():
         raise EnvironmentMissingError(f"'{name}' has no file {path}", remedy=remedy)
     return path
@@ -67,18 +69,21 @@ def file_at(address: str) -> Path:
 
 @functools.cache
 def _document(address: str) -> ET.Element:
+    """Return a URDF with absolute mesh paths. Cached: do not modify."""
     path = file_at(address)
     root = ET.parse(path).getroot()
     for mesh in root.iter("mesh"):
         name = mesh.attrib["filename"]
-        mesh.set(
-            "filename",
-            str(file_at(name) if name.startswith(_SCHEME) else (path.parent / name).resolve()),
-        )
+        if name.startswith(_SCHEME):
+            mesh_path = file_at(name)
+        else:
+            mesh_path = (path.parent / name).resolve()
+        mesh.set("filename", str(mesh_path))
     return root
 
 
 def _ends(joint: ET.Element) -> tuple[str, str]:
+    """Return the parent and child link of a joint."""
     parent = joint.find("parent")
     child = joint.find("child")
     if parent is None or child is None:
@@ -87,8 +92,12 @@ def _ends(joint: ET.Element) -> tuple[str, str]:
 
 
 def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
+    """Return the links and joints from `base` to `tip`, or all beyond `base` if tip is None."""
     root = _document(address)
-    parent = {child: mother for mother, child in map(_ends, root.findall("joint"))}
+    parent_of: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        parent, child = _ends(joint)
+        parent_of[child] = parent
     links = {link.attrib["name"] for link in root.findall("link")}
     for link in (base, tip):
         if link is not None and link not in links:
@@ -98,24 +107,29 @@ def _part(address: str, base: str, tip: str | None) -> list[ET.Element]:
         chain = []
         while link is not None:
             chain.append(link)
-            link = parent.get(link)
+            link = parent_of.get(link)
         return chain
 
-    taken = {link for link in links if base in upwards(link)} if tip is None else set(upwards(tip))
+    if tip is None:
+        taken = {link for link in links if base in upwards(link)}
+    else:
+        taken = set(upwards(tip))
     if base not in taken:
         raise UsageError(f"{address}: link '{tip}' does not hang on '{base}'")
-    taken -= set(upwards(base)[1:])
-    return [
-        element
-        for element in root
-        if (element.tag == "link" and element.attrib["name"] in taken)
-        or (element.tag == "joint" and taken.issuperset(_ends(element)))
-    ]
+    above_base = upwards(base)[1:]
+    taken -= set(above_base)
+
+    def is_taken(element: ET.Element) -> bool:
+        if element.tag == "link":
+            return element.attrib["name"] in taken
+        return element.tag == "joint" and taken.issuperset(_ends(element))
+
+    return [element for element in root if is_taken(element)]
 
 
 @functools.cache
 def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
-    """Return links and joints of arm and hand. Cached: do not modify."""
+    """Return the links and joints of an arm and its hand. Cached: do not modify."""
     hand = arm.hand
     mount = ET.Element("joint", name=f"{hand.palm_link}_joint", type="fixed")
     ET.SubElement(mount, "parent", link=arm.flange_link)
@@ -130,69 +144,75 @@ def arm_elements(arm: ArmModel) -> tuple[ET.Element, ...]:
 
 @functools.cache
 def materials(address: str) -> dict[str, tuple[float, ...]]:
-    """Return named rgba colours."""
-    found = [(m.attrib["name"], m.find("color")) for m in _document(address).iter("material")]
-    return {name: tuple(map(float, c.attrib["rgba"].split())) for name, c in found if c is not None}
+    """Return the rgba colours of a URDF by material name."""
+    colours: dict[str, tuple[float, ...]] = {}
+    for material in _document(address).iter("material"):
+        colour = material.find("color")
+        if colour is not None:
+            colours[material.attrib["name"]] = tuple(map(float, colour.attrib["rgba"].split()))
+    return colours
 
 
 @functools.cache
 def links_of(robot: Robot) -> dict[str, Link]:
     """Return all links by name, left arm first, base to tip."""
     elements = arm_elements(robot.arm)
-    above = {_ends(e)[1]: e for e in elements if e.tag == "joint"}
+    joint_above = {_ends(element)[1]: element for element in elements if element.tag == "joint"}
 
     def joints_before(link: str) -> int:
-        if link not in above:
+        joint = joint_above.get(link)
+        if joint is None:
             return 0
-        return joints_before(_ends(above[link])[0]) + (
-            above[link].attrib["name"] in robot.arm.joints
-        )
+        parent, _ = _ends(joint)
+        is_arm_joint = joint.attrib["name"] in robot.arm.joints
+        return joints_before(parent) + is_arm_joint
 
-    return {
-        f"{side}_{name}": Link(side, joints_before(name), e.find("collision") is not None)
-        for side in SIDES
-        for e in elements
-        if e.tag == "link" and (name := e.attrib["name"])
-    }
+    links: dict[str, Link] = {}
+    for side in SIDES:
+        for element in elements:
+            if element.tag == "link":
+                name = element.attrib["name"]
+                collides = element.find("collision") is not None
+                links[f"{side}_{name}"] = Link(side, joints_before(name), collides)
+    return links
 
 
 @functools.cache
 def collision_links(robot: Robot) -> tuple[str, ...]:
-    """Return the names of links with collision geometry."""
+    """Return the names of the links with collision geometry."""
     return tuple(name for name, link in links_of(robot).items() if link.collides)
 
 
 @functools.cache
 def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
-    """Return pairs that never touch, by SRDF files and arm model."""
-    known = {e.attrib["name"] for e in arm_elements(arm) if e.tag == "link"}
-    roots = [
-        ET.parse(file_at(address)).getroot() for address in (arm.srdf, arm.hand.srdf) if address
-    ]
-    told = [
-        (e.attrib["link1"], e.attrib["link2"])
-        for root in roots
-        for e in root.iter("disable_collisions")
-    ]
-    return tuple(
-        pair for pair in dict.fromkeys([*told, *arm.never_touch]) if known.issuperset(pair)
-    )
+    """Return the pairs of links that never touch, by the SRDF files and the arm model."""
+    links = {element.attrib["name"] for element in arm_elements(arm) if element.tag == "link"}
+    pairs: list[tuple[str, str]] = []
+    for address in (arm.srdf, arm.hand.srdf):
+        if address:
+            root = ET.parse(file_at(address)).getroot()
+            for entry in root.iter("disable_collisions"):
+                pairs.append((entry.attrib["link1"], entry.attrib["link2"]))
+    pairs += arm.never_touch
+    without_repeats = dict.fromkeys(pairs)
+    return tuple(pair for pair in without_repeats if links.issuperset(pair))
 
 
 def _prefixed(element: ET.Element, prefix: str) -> ET.Element:
+    """Return a copy of a link or joint with a prefix to all link and joint names."""
     element = copy.deepcopy(element)
     element.set("name", prefix + element.attrib["name"])
     for tag in ("parent", "child"):
-        for ref in element.iter(tag):
-            ref.set("link", prefix + ref.attrib["link"])
+        for reference in element.iter(tag):
+            reference.set("link", prefix + reference.attrib["link"])
     return element
 
 
 @functools.cache
 def pair_urdf(robot: Robot) -> str:
-    """Return the URDF with absolute mesh paths.
+    """Return the URDF of both arms, with absolute mesh paths.
 
-    Without visuals (MuJoCo reads no DAE) and the fingers' `mimic` (each has its own servo).
+    It has no visuals (MuJoCo reads no DAE) and no `mimic` fingers (each has its own servo).
     """
     root = ET.Element("robot", name=f"dual_{robot.arm.name}")
     ET.SubElement(root, "link", name="world")
@@ -211,97 +231,11 @@ def pair_urdf(robot: Robot) -> str:
 
 
 def mujoco_urdf(robot: Robot) -> str:
-    """Return `pair_urdf` with options for MuJoCo's reader: it fuses fixed links (and the tcp) into their parents."""
+    """Return `pair_urdf` with options for MuJoCo's reader.
+
+    By default that reader fuses fixed links, the tool centre point among them, into their parents.
+    """
     options = (
         '<mujoco><compiler fusestatic="false" discardvisual="true" strippath="false"/></mujoco>'
     )
     return pair_urdf(robot).replace('<link name="world"', f'{options}<link name="world"', 1)
-
-
-FACES_PER_ARM = 9000
-"""Target triangles per arm (the Panda's files: 134,300), for rendering on a CPU."""
-_Colour = tuple[float, ...]
-VisualMesh = tuple[str, npt.NDArray[np.float32], npt.NDArray[np.int32], _Colour]
-"""One single-colour mesh: link without side prefix, vertices (V, 3) [m], faces (F, 3), rgba in 0..1."""
-_SHRINK_MAX_M = 0.01  # a link that shrinks by more was cut
-_GREY: _Colour = (0.7, 0.7, 0.7, 1.0)
-
-
-@functools.cache
-def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
-    """Return one arm's meshes (first call about 1 s)."""
-    import pinocchio as pin
-
-    colours = materials(arm.hand.urdf) | materials(arm.urdf)
-    parts: list[tuple[str, _Colour, Array, npt.NDArray[np.int64]]] = []
-    for link in arm_elements(arm):
-        for visual in link.findall("visual"):
-            mesh, origin, material = (
-                visual.find(tag) for tag in ("geometry/mesh", "origin", "material")
-            )
-            if mesh is None:
-                continue
-            place = ET.Element("origin") if origin is None else origin
-            rpy, xyz = (
-                np.array([float(x) for x in place.get(k, "0 0 0").split()]) for k in ("rpy", "xyz")
-            )
-            R = pin.rpy.rpyToMatrix(rpy).round(15)  # removes the noise of rounded multiples of pi
-            scale = np.array([float(x) for x in mesh.get("scale", "1 1 1").split()])
-            named = None if material is None else colours.get(material.attrib["name"])
-            for colour, vertices, faces in _coloured(Path(mesh.attrib["filename"]), named):
-                parts.append((link.attrib["name"], colour, (vertices * scale) @ R.T + xyz, faces))
-    reduction = max(0.0, 1.0 - FACES_PER_ARM / sum(len(faces) for *_, faces in parts))
-    visuals: list[VisualMesh] = []
-    for name, of_link in itertools.groupby(parts, key=lambda part: part[0]):
-        _, colours_of, vertices, faces = zip(*of_link, strict=True)
-        meshes = _decimated(list(zip(vertices, faces, strict=True)), reduction)
-        for colour, (points, triangles) in zip(colours_of, meshes, strict=True):
-            if len(triangles) >= 4:
-                visuals.append(
-                    (name, points.astype(np.float32), triangles.astype(np.int32), colour),
-                )
-    return tuple(visuals)
-
-
-def _coloured(
-    path: Path,
-    colour: _Colour | None,
-) -> list[tuple[_Colour, Array, npt.NDArray[np.int64]]]:
-    import trimesh
-
-    by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
-    for mesh in trimesh.load_scene(path).dump():
-        material = getattr(mesh.visual, "material", None)
-        own: Any = None if material is None else tuple(int(c) / 255.0 for c in material.main_color)
-        by_colour.setdefault(own or colour or _GREY, []).append(mesh)
-    coloured = []
-    for shade, meshes in by_colour.items():
-        merged = trimesh.util.concatenate(
-            [trimesh.Trimesh(m.vertices, m.faces, process=False) for m in meshes],
-        )
-        merged.merge_vertices()
-        coloured.append((shade, np.asarray(merged.vertices), np.asarray(merged.faces)))
-    return coloured
-
-
-def _decimated(meshes: list[tuple[Any, Any]], reduction: float) -> list[tuple[Any, Any]]:
-    import fast_simplification
-
-    def size(parts: list[tuple[Any, Any]]) -> Array:
-        return np.ptp(np.concatenate([vertices for vertices, _ in parts]), axis=0)
-
-    for aggressiveness in (7, 3, 1):
-        fewer: list[tuple[Any, Any]] = [
-            fast_simplification.simplify(
-                vertices.astype(np.float32),
-                faces.astype(np.int32),
-                target_reduction=reduction,
-                agg=aggressiveness,
-            )
-            if len(faces) > 200
-            else (vertices, faces)
-            for vertices, faces in meshes
-        ]
-        if (size(fewer) > size(meshes) - _SHRINK_MAX_M).all():
-            return fewer
-    return meshes

@@ -14,10 +14,13 @@ from minidual.collision.scene import TABLE, PlanningScene
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
 from minidual.motion.api import PLAN_PHASES
-from minidual.plant.model import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, build_spec, map_joints
+from minidual.plant.addresses import map_joints
+from minidual.plant.contact import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL
+from minidual.plant.model import build_spec
 from minidual.plant.render import free_camera, off_screen
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.robot.trajectory import Trajectory
 from minidual.show.figures.canvas import INK, LIMIT, new_figure, sheet
 from minidual.show.view import View
 from minidual.show.view.overlay import Overlay

@@ -11,11 +11,10 @@ import numpy as np
 
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
-from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
+from minidual.config.scene import OBSTACLE, ObjectConfig, PartConfig, SceneConfig
 from minidual.control.reflexes import Reach
 from minidual.errors import UsageError, check_name
 from minidual.motion.api import Planner
-from minidual.plant.model import OBSTACLE
 from minidual.robot.pair import SIDES, Array, Robot
 from minidual.skills.phases import PHASES, State, Thing
 from minidual.skills.pipeline.carrying import Carry, Place

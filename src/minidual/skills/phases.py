@@ -16,8 +16,8 @@ from minidual.config.base import StrictModel
 from minidual.motion.timing import PathLimits, resting
 from minidual.proof.scene_engines import Verification
 from minidual.registry import rows_beside
-from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array
+from minidual.robot.trajectory import Trajectory
 
 OPEN = 1.0
 CLOSED = 0.0

@@ -13,7 +13,7 @@ from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.control.joint_control import JointLoop
 from minidual.errors import UsageError, check_name, unknown_name
-from minidual.plant.model import CAMERAS
+from minidual.plant.cameras import CAMERAS
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics

@@ -17,8 +17,9 @@ from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
 from minidual.motion.ik import check_pose
 from minidual.motion.timing import PathLimits, time_path
 from minidual.proof.scene_engines import Verification
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.robot.trajectory import Trajectory
 
 ROTATION_WEIGHT_M = 0.2
 """Path length per radian of rotation [m/rad]."""

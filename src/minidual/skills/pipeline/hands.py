@@ -12,8 +12,8 @@ from minidual.config.seeds import subseed
 from minidual.motion.api import PlanResult
 from minidual.motion.linear import TIP_LIMITS, Line, LinearPlanner
 from minidual.motion.timing import DT_S
-from minidual.robot.kinematics import Trajectory
 from minidual.robot.pair import SIDES, Array, group_of, pose
+from minidual.robot.trajectory import Trajectory
 from minidual.skills.phases import CLOSED, OPEN, PHASES, Arms, Segment, State, moved, still
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Tools, candidate_error
 

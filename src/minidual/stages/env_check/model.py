@@ -8,7 +8,7 @@ import numpy as np
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.plant.model import map_joints
+from minidual.plant.addresses import map_joints
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot

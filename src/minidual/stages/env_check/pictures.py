@@ -6,7 +6,7 @@ from typing import NamedTuple
 import mujoco
 from OpenGL import GL
 
-from minidual.plant.model import CAMERAS
+from minidual.plant.cameras import CAMERAS
 from minidual.plant.render import Camera
 from minidual.plant.world import World
 from minidual.show.figures.canvas import sheet

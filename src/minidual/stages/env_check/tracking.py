@@ -14,8 +14,9 @@ from minidual.control.commands import JointCommand, TrajectoryCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.plant.world import World
-from minidual.robot.kinematics import Kinematics, Trajectory
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
+from minidual.robot.trajectory import Trajectory
 from minidual.skills.supervised import trial_supervisor
 
 OnStep = Callable[[World], None] | None
