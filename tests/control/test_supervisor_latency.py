@@ -1,4 +1,4 @@
-"""How long each reflex takes from its onset, on the simulated arms; docs/supervisor.md tells the same numbers."""
+"""How long each reflex takes from its onset, on the simulated arms; docs/reflexes.md tells the same numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from minidual.skills.supervised import SceneClearance, arm_distance
 from tests.support.guarded_arms import GuardedArms, accelerate, begin_swing, swing
 from tests.support.panda import DOF, HOME, Q_UPPER, TAU_MAX, V_MAX
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "supervisor.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reflexes.md"
 T0 = 0.1
 """When something begins that the test begins."""
 Onset = Callable[[float, Array, Array], bool]

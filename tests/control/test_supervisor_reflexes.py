@@ -774,5 +774,5 @@ class TestBounds:
             SupervisorConfig(workspace_m=((0.0, 1.0), (1.0, 0.0), (0.0, 1.0)))
 
     def test_the_page_lists_every_reflex(self):
-        page = (Path(__file__).parents[2] / "docs" / "supervisor.md").read_text(encoding="utf-8")
+        page = (Path(__file__).parents[2] / "docs" / "reflexes.md").read_text(encoding="utf-8")
         assert set(re.findall(r"^\| `([a-z_]+)` \|", page, re.MULTILINE)) == set(REFLEXES)

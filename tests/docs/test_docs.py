@@ -144,8 +144,8 @@ def test_task_page_solves_the_carry(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "rod_carry: solved" in capsys.readouterr().out
 
 
-def test_simulation_page_opens_the_environment(tmp_path: Path) -> None:
-    names = run_blocks("simulation.md", tmp_path)
+def test_gymnasium_page_opens_the_environment(tmp_path: Path) -> None:
+    names = run_blocks("gymnasium.md", tmp_path)
     assert names["env"].observation_space.contains(names["observation"])
     names["env"].close()
 
@@ -158,7 +158,7 @@ TESTED = {
     "planning-scenes",
     "closed-chain",
     "task-pipeline",
-    "simulation",
+    "gymnasium",
 }
 
 
@@ -167,7 +167,8 @@ def test_no_page_has_untested_python() -> None:
     howtos = {name for name in with_code if name.startswith("howto-")}
     assert with_code - howtos == TESTED | {"README"}
     tests = "".join(
-        path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_howto_*.py")
+        path.read_text(encoding="utf-8")
+        for path in (ROOT / "tests" / "howto").glob("test_howto_*.py")
     )
     assert [name for name in sorted(howtos) if f"{name}.md" not in tests] == []
 

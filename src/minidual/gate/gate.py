@@ -1,4 +1,4 @@
-"""State of each stage and of its gate; see docs/architecture.md."""
+"""State of each stage and of its gate; see docs/verdicts.md."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

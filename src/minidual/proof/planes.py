@@ -5,7 +5,7 @@ along some direction all of one lies d beyond the other. Checking a direction do
 Johnson, Keerthi).
 
 A plane clearing both ends of a stretch by more than both parts deviate separates them throughout. Bounds on the
-deviations: docs/plan.md. Links of one arm are seen from the inner one.
+deviations: docs/proof.md. Links of one arm are seen from the inner one.
 
 NaN counts as not proven: sums propagate it, comparisons drop it.
 """

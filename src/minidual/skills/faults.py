@@ -1,4 +1,4 @@
-"""Faults of a carry: detection, and what the hands do. Latencies: docs/carry.md."""
+"""Faults of a carry: detection, and what the hands do. Latencies: docs/carry-faults.md."""
 
 import math
 from collections import deque

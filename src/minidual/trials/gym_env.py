@@ -1,4 +1,4 @@
-"""Tasks as Gymnasium environments at 50 Hz; importing this module registers them (docs/simulation.md)."""
+"""Tasks as Gymnasium environments at 50 Hz; importing this module registers them (docs/gymnasium.md)."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar

@@ -1,0 +1,193 @@
+"""Pages: every link, heading and named page exists, and no page grows beyond its size."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted(
+    {
+        ROOT / "README.md",
+        ROOT / "CHANGELOG.md",
+        *ROOT.glob("docs/*.md"),
+        *ROOT.glob("*/README.md"),
+    },
+)
+WORDS_MAX = 1600
+"""Of one page; a page that needs more has two jobs."""
+WORDS_ALL_MAX = 44_000
+"""Of all pages in docs/ together, counted as `wc -w` does."""
+CODE = ("src", "scripts", "tests", "examples", "configs", "Makefile", "pyproject.toml")
+"""Where a page may be named by its path, such as docs/control.md."""
+
+
+def page_name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def link_targets(page: Path) -> list[str]:
+    """Return the targets of a page's links, without addresses of other hosts."""
+    targets = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    return [target for target in targets if "://" not in target]
+
+
+def broken_files(page: Path) -> list[str]:
+    """Return the links of a page to files that do not exist."""
+    names = [target.partition("#")[0] for target in link_targets(page)]
+    return [name for name in names if name and not (page.parent / name).exists()]
+
+
+def heading_anchors(text: str) -> set[str]:
+    """Return the names that GitHub gives the headings of a page.
+
+    A name is the heading in lower case, with hyphens for spaces and without punctuation. A name that
+    exists already gets a number.
+    """
+    without_code = re.sub(r"(?ms)^```.*?^```$", "", text)
+    anchors: set[str] = set()
+    for heading in re.findall(r"^#{1,6} +(.+?)(?: +#+)? *$", without_code, re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
+        name = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+        anchor = name
+        repeats = 0
+        while anchor in anchors:
+            repeats += 1
+            anchor = f"{name}-{repeats}"
+        anchors.add(anchor)
+    return anchors
+
+
+def broken_anchors(page: Path) -> list[str]:
+    """Return the links of a page to headings that no page has; missing files are left out."""
+    broken = []
+    for target in link_targets(page):
+        name, hash_mark, anchor = target.partition("#")
+        other = page.parent / name if name else page
+        if not hash_mark or other.suffix != ".md" or not other.exists():
+            continue
+        if anchor not in heading_anchors(other.read_text(encoding="utf-8")):
+            broken.append(target)
+    return broken
+
+
+def named_pages(root: Path) -> dict[str, set[str]]:
+    """Return {page or page#heading: files that name it} of all code, as `docs/NAME.md#HEADING`."""
+    files: list[Path] = []
+    for name in CODE:
+        path = root / name
+        files += [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
+    pages: dict[str, set[str]] = {}
+    for file in files:
+        if "__pycache__" in file.parts or file == Path(__file__):
+            continue
+        try:
+            text = file.read_text(encoding="utf-8")
+        except UnicodeDecodeError:  # a picture or a mesh
+            continue
+        for named in re.findall(r"\bdocs/[a-z0-9-]+\.md(?:#[\w-]+)?", text):
+            pages.setdefault(named, set()).add(file.relative_to(root).as_posix())
+    return pages
+
+
+def words(page: Path) -> int:
+    """Return the number of words of a page; marks alone, such as the bars of a table, do not count."""
+    return sum(bool(re.search(r"\w", word)) for word in page.read_text(encoding="utf-8").split())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    assert broken_files(page) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_every_linked_heading_exists(page: Path) -> None:
+    assert broken_anchors(page) == []
+
+
+def exists(named: str) -> bool:
+    """Return whether a page exists, and its heading where one is named."""
+    name, _, anchor = named.partition("#")
+    page = ROOT / name
+    if not page.is_file():
+        return False
+    return not anchor or anchor in heading_anchors(page.read_text(encoding="utf-8"))
+
+
+def test_every_page_that_code_names_exists() -> None:
+    missing = {named: files for named, files in named_pages(ROOT).items() if not exists(named)}
+    assert missing == {}
+
+
+def test_a_page_that_code_names_is_found(tmp_path: Path) -> None:
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src" / "module.py").write_text('"""See docs/none.md#part, docs/other.md."""\n')
+    assert named_pages(tmp_path) == {
+        "docs/none.md#part": {"src/module.py"},
+        "docs/other.md": {"src/module.py"},
+    }
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = {target.partition("#")[0] for target in link_targets(ROOT / "docs" / "README.md")}
+    pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"README.md"}
+    assert pages - index == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_a_page_has_one_job(page: Path) -> None:
+    assert words(page) <= WORDS_MAX
+
+
+def test_all_pages_together_can_be_read() -> None:
+    pages = (ROOT / "docs").glob("*.md")
+    total = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
+    assert total <= WORDS_ALL_MAX
+
+
+def test_words_are_counted_without_marks(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("| two | words |\n|---|---|\n\n- three = 3\n", encoding="utf-8")
+    assert words(page) == 4
+
+
+@pytest.mark.parametrize(
+    ("target", "broken"),
+    [
+        ("#minidual-replay-file", False),
+        ("other.md#against-libfrankas-errors-25-", False),
+        ("other.md#twice", False),
+        ("other.md#twice-1", False),
+        ("https://example.org/page.md#none", False),
+        ("#minidual-replay", True),
+        ("#against-libfrankas-errors-25-", True),
+        ("other.md#twice-2", True),
+        ("other.md#Twice", True),
+        ("other.md#a-comment", True),
+        ("other.md#", True),
+    ],
+)
+def test_a_link_to_a_heading_that_does_not_exist_is_found(
+    tmp_path: Path,
+    target: str,
+    broken: bool,
+) -> None:
+    other = (
+        "# Against libfranka's errors (25 %)\n\n```sh\n# A comment\n```\n\n"
+        "## Twice\n\n### [Twice](x.md)\n"
+    )
+    (tmp_path / "other.md").write_text(other, encoding="utf-8")
+    page = tmp_path / "page.md"
+    page.write_text(
+        f"## `minidual replay FILE`\n\nSee [the other\npage]({target}).\n",
+        encoding="utf-8",
+    )
+    assert broken_anchors(page) == ([target] if broken else [])
+
+
+def test_a_link_to_a_file_that_does_not_exist_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("[a](page.md#x), [b](none.md), [c](https://example.org)\n", encoding="utf-8")
+    assert broken_files(page) == ["none.md"]
