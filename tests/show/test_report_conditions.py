@@ -294,7 +294,7 @@ def test_each_task_has_its_own_tables_and_figures(
     assert len(list((tmp_path / "report" / "figures").glob("handover-*.svg"))) == 1
     (tmp_path / "again").mkdir()
     given.verdicts["benchmark"].data["tasks"].pop("handover")
-    report, _ = built(report.given, tmp_path / "again")
+    report, _ = built(report.context, tmp_path / "again")
     assert "handover.moveit.clean.success_rate" in report.checks[0].why, (
         "a task that nobody ran is a hole"
     )

@@ -17,7 +17,7 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.gate.verdict import build_manifest
 from minidual.plant.render import write_video
-from minidual.show.report import model
+from minidual.show.report import media
 from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 from tests.support import report_samples as samples
@@ -74,7 +74,9 @@ def test_a_passing_run_passes(tmp_path: Path) -> None:
     assert '<span class="pill pass">Pass</span>' in page
     for stage, _ in samples.STAGES:
         assert f'id="{stage}"' in page
-    for check in (check for verdict in report.given.verdicts.values() for check in verdict.checks):
+    for check in (
+        check for verdict in report.context.verdicts.values() for check in verdict.checks
+    ):
         assert check.name in page
 
 
@@ -244,7 +246,7 @@ def test_a_large_film_is_copied_beside_the_page(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(model, "EMBED_BYTES", 10)
+    monkeypatch.setattr(media, "EMBED_BYTES", 10)
     given = samples.make_run(tmp_path)
     film = given.upstream["deploy"] / "success.mp4"
     write_video(film, [np.zeros((32, 48, 3), dtype=np.uint8)] * 4, fps=10)

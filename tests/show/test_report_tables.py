@@ -16,12 +16,13 @@ from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
-from minidual.show.report import model
+from minidual.show.report.analysis import Analysis, analyse
 from minidual.show.report.figures import read_trials
-from minidual.show.report.model import Report, gather
+from minidual.show.report.indicators import INDICATORS, three_digits
+from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
-from minidual.show.report.tables import INDICATORS, Tables, tabulate, three_digits
-from minidual.show.report.wording import WORDS, duration, joined, percent, points
+from minidual.show.report.tables import Tables, tabulate
+from minidual.show.report.wording import FAULTS, duration, joined, percent, points
 from minidual.tasks.success import OfObject, SuccessCondition
 from tests.support import report_samples as samples
 from tests.support.report_samples import figures_once  # noqa: F401  (a fixture for every test here)
@@ -46,7 +47,7 @@ def own_check(
 ) -> Check:
     """Return one of the report's own checks for a table of methods."""
     given = StageContext(folder=Path(), config=Config(), seed=1, profile="standard")
-    checks = model.Report(
+    checks = Report(
         given,
         {samples.TASK: compare(methods, {"methods": table})},
         {},
@@ -127,7 +128,7 @@ def test_every_condition_of_the_success_test_has_words() -> None:
     kinds = (*SuccessCondition.__subclasses__(), *OfObject.__subclasses__())
     names = {kind.name for kind in kinds if hasattr(kind, "name")}
     assert len(names) > 5
-    assert names <= set(WORDS["faults"])
+    assert names <= set(FAULTS)
 
 
 def test_a_value_on_the_excellent_limit_is_not_excellent() -> None:
@@ -239,9 +240,9 @@ def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None
 
 
 def test_the_thinnest_margin_comes_first(report: Report, page: str) -> None:
-    first = report.facts["margins"][0]
-    assert (first["stage"], first["check"].name) == ("carry", "torque_ratio_max")
-    assert first["share_of_limit"] == pytest.approx(0.21)
+    first = report.analysis.margins[0]
+    assert (first.stage, first.check.name) == ("carry", "torque_ratio_max")
+    assert first.share_of_limit == pytest.approx(0.21)
     assert "carry: torque_ratio_max is 0.79, limit < 1, 21 % inside its limit." in page
 
 
@@ -251,23 +252,20 @@ def test_a_failed_check_has_the_thinnest_margin(tmp_path: Path) -> None:
         given.verdicts["plan"],
         checks=(Check("both_arms.time_max_s", 12.0, "<", 10.0, "s"),),
     )
-    first = gather({**given.verdicts, "plan": bad})["margins"][0]
-    assert (first["stage"], first["share_of_limit"]) == ("plan", pytest.approx(-0.2))
+    first = analyse({**given.verdicts, "plan": bad}).margins[0]
+    assert (first.stage, first.share_of_limit) == ("plan", pytest.approx(-0.2))
 
 
 def test_a_share_at_100_percent_has_no_margin_to_be_thin(report: Report) -> None:
-    assert all(margin["check"].observed != 1.0 for margin in report.facts["margins"])
-    assert report.facts["at_best_n"] == 3  # plan, carry, and impedance's success
+    assert all(margin.check.observed != 1.0 for margin in report.analysis.margins)
+    assert report.analysis.at_best_n == 3  # plan, carry, and impedance's success
 
 
 def test_without_numbers_there_is_no_analysis() -> None:
-    found = gather({})
-    nothing = compare(samples.METHODS, {})
-    assert (nothing.pairs, nothing.losses, found) == (
-        [],
-        [],
-        {"gap": None, "sets": {}, "margins": [], "at_best_n": 0},
-    )
+    assert analyse({}) == Analysis(gap=None, sets={}, margins=[], at_best_n=0)
+    tables = compare(samples.METHODS, {})
+    assert tables.pairs == []
+    assert tables.losses == []
 
 
 def test_relative_margins_exist_only_where_they_mean_something() -> None:

@@ -12,9 +12,9 @@ from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.show import watch
 from minidual.show.view import NAMES, make_view
+from minidual.show.view.meshes import HIDDEN_GROUP, body_meshes, moving_bodies
 from minidual.show.view.overlay import Overlay
 from minidual.show.view.panel import table_html
-from minidual.show.view.scene import HIDDEN_GROUP, body_meshes, moving_bodies
 from minidual.show.view.web import free_port, is_loopback, tunnel_command, url
 from minidual.show.watch import visual_model
 from tests.support.panda import FINGER_JOINT_NAMES, JOINT_NAMES

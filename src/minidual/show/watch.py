@@ -24,11 +24,13 @@ from minidual.show.view.overlay import ARM_RGB, NO_PREVIEW, Arrow, Overlay, Path
 from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
-_ASIDE_M = np.array([0.05, 0.0, 0.0])  # from the hands, where the object would hide the arrows
+_ARROW_OFFSET_M = np.array([0.05, 0.0, 0.0])
+"""Of force arrows from the hands, where the object would hide them."""
 _BRAKE_EVERY_S = 0.01
-_LOST_S = 0.1
-_PATH_POINTS = 60
+_LAG_MAX_S = 0.1
+_PATH_POINTS_N = 60
 _STATIC_M = 1e-3
+"""Extent below which a hand's path counts as rest."""
 
 Narrator = Callable[[], Overlay]
 """Returns the state to show; `overlay` adds time and forces."""
@@ -43,20 +45,17 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
     objects = [world.truth(name) for name in world.objects]
-    hands = zip(
-        world.robot.tcp_names,
-        np.sum([thing.forces() for thing in objects], axis=0),
-        ARM_RGB,
-        strict=True,
+    forces = np.sum([each.forces() for each in objects], axis=0)
+    pinch_left, pinch_right = np.max([each.pinch() for each in objects], axis=0)
+    arrows = tuple(
+        Arrow(world.data.body(hand).xpos + _ARROW_OFFSET_M, np.array(force), rgb)
+        for hand, force, rgb in zip(world.robot.tcp_names, forces, ARM_RGB, strict=True)
     )
-    left, right = np.max([thing.pinch() for thing in objects], axis=0)
     return words._replace(
         time_s=world.time,
-        pinch_n=(float(left), float(right)),
-        internal_n=max(thing.internal_force() for thing in objects),
-        arrows=tuple(
-            Arrow(world.data.body(name).xpos + _ASIDE_M, np.array(f), rgb) for name, f, rgb in hands
-        ),
+        pinch_n=(float(pinch_left), float(pinch_right)),
+        internal_n=max(each.internal_force() for each in objects),
+        arrows=arrows,
     )
 
 
@@ -65,17 +64,21 @@ class Brake:
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
-        self._start = (0.0, 0.0)
+        self._start_wall_s = 0.0
+        self._start_s = 0.0
         self._last_s = math.inf
 
     def hold(self, time_s: float) -> None:
         """Sleep until simulated time `time_s` is due; lags over 0.1 s are not caught up."""
-        now = time.monotonic()
-        ahead = (time_s - self._start[1]) / self._speed - (now - self._start[0])
-        if time_s < self._last_s or ahead < -_LOST_S:
-            self._start = (now, time_s)
-        elif ahead > 0.0:
-            time.sleep(ahead)
+        now_s = time.monotonic()
+        due_s = self._start_wall_s + (time_s - self._start_s) / self._speed
+        ahead_s = due_s - now_s
+        restarted = time_s < self._last_s
+        if restarted or ahead_s < -_LAG_MAX_S:
+            self._start_wall_s = now_s
+            self._start_s = time_s
+        elif ahead_s > 0.0:
+            time.sleep(ahead_s)
         self._last_s = time_s
 
 
@@ -100,7 +103,7 @@ class Watcher:
 
 @contextmanager
 def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None]:
-    """Show `world` inside the block; no-op without a view."""
+    """Show `world` inside the block; do nothing without a view."""
     if view is None:
         yield
         return
@@ -114,95 +117,135 @@ def watched(view: View | None, world: World, narrate: Narrator) -> Iterator[None
 
 def watch_trials(view: View | None) -> Watch | None:
     """Return the `watch` argument of `run_trials`; None without a view."""
-    return None if view is None else functools.partial(trial_hook, view)
+    if view is None:
+        return None
+    return functools.partial(trial_hook, view)
 
 
 def trial_hook(view: View, bench: Bench, title: str) -> StepHook:
     """Return a step hook that shows a trial."""
     narrate: Narrator | None = None
-    watcher = Watcher(view, bench.world, lambda: narrate() if narrate else Overlay())
+
+    def words() -> Overlay:
+        return Overlay() if narrate is None else narrate()
+
+    watcher = Watcher(view, bench.world, words)
 
     def hook(world: World, method: Method) -> None:
         nonlocal narrate
-        if narrate is None:
-            stack = getattr(method, "stack", None)
-            words = Overlay(title=title, mode=bench.method, source=bench.method)
-            if isinstance(stack, ControlStack):
-                narrate = StackNarrator(
-                    stack,
-                    bench.kinematics,
-                    title,
-                    lambda: (method.phase, method.aborted),
-                )
-            else:  # the method computes torques itself
-                narrate = lambda: words._replace(state=method.phase, status=method.aborted or "")  # noqa: E731
+        if narrate is None:  # the method exists from the first step on
+            narrate = _narrator(bench, method, title)
         watcher(world)
 
     return hook
 
 
+def _narrator(bench: Bench, method: Method, title: str) -> Narrator:
+    """Return what describes a trial of a method."""
+    stack = getattr(method, "stack", None)
+    if isinstance(stack, ControlStack):
+        return StackNarrator(
+            stack,
+            bench.kinematics,
+            title,
+            lambda: (method.phase, method.aborted),
+        )
+
+    def describe_torque_method() -> Overlay:
+        return Overlay(
+            title=title,
+            mode=bench.method,
+            source=bench.method,
+            state=method.phase,
+            status=method.aborted or "",
+        )
+
+    return describe_torque_method
+
+
 def watch_recording(view: View | None) -> Observe | None:
     """Return the `observe` argument of `record`; None without a view."""
-    return None if view is None else functools.partial(_demonstration, view)
+    if view is None:
+        return None
+    return functools.partial(_watch_demonstration, view)
 
 
-def _demonstration(view: View, rig: Rig, index: int) -> AbstractContextManager[None]:
-    return watched(
-        view,
-        rig.world,
-        StackNarrator(rig.session.stack, rig.kinematics, f"teleop-record, trial {index}"),
-    )
+def _watch_demonstration(view: View, rig: Rig, index: int) -> AbstractContextManager[None]:
+    title = f"teleop-record, trial {index}"
+    return watched(view, rig.world, StackNarrator(rig.session.stack, rig.kinematics, title))
 
 
 def tcp_preview(kinematics: Kinematics, qs: Array) -> Preview:
     """Return the TCP paths of postures (T, n), without resting arms."""
-    rows = np.unique(np.linspace(0, len(qs) - 1, min(len(qs), _PATH_POINTS)).round().astype(int))
-    points = np.array([[T[:3, 3] for T in kinematics.tcp_poses(qs[row])] for row in rows])
-    sides = zip(kinematics.robot.sides, points.swapaxes(0, 1), ARM_RGB, strict=True)
-    return Preview(
-        tuple(PathLine(*side) for side in sides if np.ptp(side[1], axis=0).max() > _STATIC_M),
-    )
+    points_n = min(len(qs), _PATH_POINTS_N)
+    rows = np.unique(np.linspace(0, len(qs) - 1, points_n).round().astype(int))
+    positions = np.array([[T[:3, 3] for T in kinematics.tcp_poses(qs[row])] for row in rows])
+    of_arms = positions.swapaxes(0, 1)
+    lines = [
+        PathLine(side, points, rgb)
+        for side, points, rgb in zip(kinematics.robot.sides, of_arms, ARM_RGB, strict=True)
+    ]
+    return Preview(tuple(line for line in lines if _moves(line)))
+
+
+def _moves(line: PathLine) -> bool:
+    return bool(np.ptp(line.points, axis=0).max() > _STATIC_M)
 
 
 @dataclass
 class StackNarrator:
-    """Describes a control stack; `tell` returns the method's phase and why it stopped itself."""
+    """Describes a control stack.
+
+    Attributes:
+        stack: What is described.
+        kinematics: Of its arms.
+        title: Above the state.
+        progress: Returns the method's phase and why it stopped itself, if it did.
+    """
 
     stack: ControlStack
     kinematics: Kinematics
     title: str
-    tell: Callable[[], tuple[str, str | None]] = lambda: ("", None)
-    _drawn: tuple[TrajectoryCommand, ...] = ()
+    progress: Callable[[], tuple[str, str | None]] = lambda: ("", None)
+    _drawn_commands: tuple[TrajectoryCommand, ...] = ()
     _preview: Preview = NO_PREVIEW
 
     def __call__(self) -> Overlay:
         """Return the current overlay."""
         stack = self.stack
-        state = str(self.stack.state)
-        phase, aborted = self.tell()
+        state = str(stack.state)
+        phase, aborted = self.progress()
+        if phase and phase != state:
+            state = f"{state}, {phase}"
+        status = aborted or ""
+        if stack.reflex is not None:
+            status = stack.reflex.message
         return Overlay(
             title=self.title,
             mode=stack.source or "hold",
             source=stack.output.active_source or "none, posture held",
-            state=f"{state}, {phase}" if phase and phase != state else state,
-            status=aborted or "" if stack.reflex is None else stack.reflex.message,
+            state=state,
+            status=status,
             preview=self._planned(),
         )
 
     def _planned(self) -> Preview:
-        found = (execution.command for execution in self.stack.arbiter.underway.executions)
-        commands = tuple(command for command in found if isinstance(command, TrajectoryCommand))
-        if [id(command) for command in commands] != [id(command) for command in self._drawn]:
-            self._drawn = commands
-            self._preview = Preview(
-                tuple(line for command in commands for line in self._paths(command)),
-            )
+        """Return the paths of the trajectories under way; the same object while they are the same."""
+        underway = (execution.command for execution in self.stack.arbiter.underway.executions)
+        commands = tuple(command for command in underway if isinstance(command, TrajectoryCommand))
+        drawn = [id(command) for command in self._drawn_commands]
+        if [id(command) for command in commands] != drawn:
+            self._drawn_commands = commands
+            lines = (line for command in commands for line in self._paths(command))
+            self._preview = Preview(tuple(lines))
         return self._preview
 
     def _paths(self, command: TrajectoryCommand) -> tuple[PathLine, ...]:
-        times: Array = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS, dtype=np.float64)
+        """Return the paths of the hands along a trajectory; arms outside its group rest."""
+        times = np.linspace(0.0, command.motion.duration_s, _PATH_POINTS_N, dtype=np.float64)
         qs = np.tile(self.stack.plant.q, (len(times), 1))
         group = self.kinematics.robot.groups[command.group]
-        found = command.motion.sample_many(times)[0]
-        qs[:, group] = found if found.shape[1] == qs[:, group].shape[1] else found[:, group]
+        samples = command.motion.sample_many(times)[0]
+        covers_only_group = samples.shape[1] == qs[:, group].shape[1]
+        qs[:, group] = samples if covers_only_group else samples[:, group]
         return tcp_preview(self.kinematics, qs).paths

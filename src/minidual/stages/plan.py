@@ -14,7 +14,8 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD
 from minidual.plant.world import World
 from minidual.robot.pair import robot_from
-from minidual.show.planning import Outcomes, play_queries, write_paths, write_times
+from minidual.show.figures.planning import write_times
+from minidual.show.planning import Outcomes, play_queries, write_paths
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import DrivenMove, execute

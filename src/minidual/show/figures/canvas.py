@@ -22,7 +22,7 @@ def new_figure(
     height_in: float,
     **options: Any,
 ) -> tuple[Figure, Any]:
-    """Return a figure and its axes (rows, columns)."""
+    """Return a figure and its axes (rows, columns); `options` are those of `Figure.subplots`."""
     figure = Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.flat:
@@ -44,18 +44,27 @@ def sheet(
     title: str = "",
     width_in: float = 3.4,
 ) -> None:
-    """Write titled images (H, W, 3) to one PNG, atomically."""
-    rows = -(-len(images) // columns)
-    height, width = images[0][1].shape[:2]
+    """Write titled images (H, W, 3) to one PNG, atomically.
+
+    Args:
+        images: (title, image), all of the size of the first.
+        columns: Images a row.
+        path: Of the PNG.
+        title: Above all images.
+        width_in: Of one image [in].
+    """
+    rows = -(-len(images) // columns)  # rounded up
+    height_px, width_px = images[0][1].shape[:2]
+    image_height_in = width_in * height_px / width_px
     figure, axes = new_figure(
         rows,
         columns,
         width_in * columns,
-        (width_in * height / width + 0.3) * rows + 0.3,
+        (image_height_in + 0.3) * rows + 0.3,
     )
     for axis in axes.flat:
         axis.set_axis_off()
-    for axis, (name, image) in zip(axes.flat, images, strict=False):
+    for axis, (name, image) in zip(axes.flat, images, strict=False):  # the last row may be short
         axis.imshow(image)
         axis.set_title(name, fontsize=10, loc="left")
     if title:
@@ -65,17 +74,24 @@ def sheet(
 
 
 def draw_occlusion(maps: Mapping[str, tuple[Any, Any]], path: Path) -> None:
-    """Write each camera's picture (H, W, 3) beside the change of the targets [rad] by its covered cells."""
-    height, width = next(iter(maps.values()))[0].shape[:2]
-    figure, axes = new_figure(len(maps), 2, 8.4, len(maps) * (3.7 * height / width + 0.4))
-    for (name, (picture, changes)), (left, right) in zip(maps.items(), axes, strict=True):
+    """Draw where a policy looks, a row per camera.
+
+    Args:
+        maps: {camera: (picture (H, W, 3), mean change of the joint targets by covered cell [rad])}.
+        path: Of the figure.
+    """
+    first_picture, _ = next(iter(maps.values()))
+    height_px, width_px = first_picture.shape[:2]
+    row_height_in = 3.7 * height_px / width_px + 0.4
+    extent = (-0.5, width_px - 0.5, height_px - 0.5, -0.5)
+    figure, axes = new_figure(len(maps), 2, 8.4, len(maps) * row_height_in)
+    for (camera, (picture, changes)), (left, right) in zip(maps.items(), axes, strict=True):
         left.imshow(picture)
-        left.set_title(f"camera {name}", fontsize=10, loc="left")
+        left.set_title(f"camera {camera}", fontsize=10, loc="left")
         right.imshow(picture.mean(axis=2), cmap="gray", vmin=0, vmax=255)
-        extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-        shown = right.imshow(changes, cmap="inferno", alpha=0.65, extent=extent, vmin=0.0)
+        overlay = right.imshow(changes, cmap="inferno", alpha=0.65, extent=extent, vmin=0.0)
         right.set_title("joint targets change where this is covered", fontsize=10, loc="left")
-        figure.colorbar(shown, ax=right, label="mean change [rad]")
-        for axis in (left, right):
-            axis.set_axis_off()
+        figure.colorbar(overlay, ax=right, label="mean change [rad]")
+        left.set_axis_off()
+        right.set_axis_off()
     figure.savefig(path, metadata={"Software": None})

@@ -20,53 +20,61 @@ from minidual.trials.runner import Bench
 FILM_FPS = 25
 FILM_SIZE = (640, 480)
 FAILURE_SIZE = (400, 300)
-_AROUND_S = (-1.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""The last that is reached counts: after the trial its condition is undone."""
 CAMERAS = ("overview", "high", "left", "right")
+_AROUND_S = (-1.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""Instants that are drawn, from the failure. Of those after it the last that is reached counts:
+after the trial its condition is undone."""
+_SHEET_COLUMNS_MAX = 4
 
 
 def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialMetrics:
     """Film a new run of `trial`; return that run's result."""
     bench = Bench(method, inputs, visuals=True)
     postures = Postures(1.0 / FILM_FPS)
-    result, _ = bench.run(trial, on_step=lambda world, _method: postures(world))
+
+    def sample(world: World, _method: object) -> None:
+        postures(world)
+
+    result, _ = bench.run(trial, on_step=sample)
     film_postures(bench.world.model, postures.qpos, path)
     return result
 
 
 def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], path: Path) -> None:
-    """Run failed trials again and draw each a second before it failed, then, and a second later, or as it ended."""
-    sheet(
-        [
-            picture
-            for inputs, trial, result in failed
-            for picture in _failure(inputs, trial, result)
-        ],
-        3,
-        path,
-    )
+    """Run failed trials again and draw three pictures of each.
+
+    They show the trial a second before it failed, when it failed, and a second later or at its end.
+    """
+    pictures: list[tuple[str, Image]] = []
+    for inputs, trial, result in failed:
+        pictures += _failure(inputs, trial, result)
+    sheet(pictures, 3, path)
 
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
     bench = Bench(result.method, inputs, result.condition, visuals=True)
-    taken = list[Image]()
-    seen = bench.world.truth(
-        next((n for n in bench.task.objects if n in result.reason), bench.task.carried),
-    )
-    with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as eye:
+    named_objects = (name for name in bench.task.objects if name in result.reason)
+    shown_object = bench.world.truth(next(named_objects, bench.task.carried))
+    images: list[Image] = []
+    with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as camera:
 
-        def look(world: World, _method: object) -> None:
-            if (
-                len(taken) < len(_AROUND_S)
-                and world.time >= result.failed_at_s + _AROUND_S[len(taken)]
-            ):
-                taken.append(eye.close_up(world.data, seen.pose()[:3, 3]).copy())
+        def photograph(world: World, _method: object) -> None:
+            if len(images) == len(_AROUND_S):
+                return
+            due_s = result.failed_at_s + _AROUND_S[len(images)]
+            if world.time >= due_s:
+                position = shown_object.pose()[:3, 3]
+                images.append(camera.close_up(world.data, position).copy())
 
-        bench.run(trial, on_step=look)
-    title = f"{result.method}, {result.condition}, trial {result.index}"
-    failed = f"not '{result.failure}'"
-    names = title, f"{failed} at {result.failed_at_s:.2f} s", textwrap.fill(result.reason, 46)
-    return list(zip(names, (taken[0], taken[min(1, len(taken) - 1)], taken[-1]), strict=True))
+        bench.run(trial, on_step=photograph)
+    before = images[0]
+    at_failure = images[min(1, len(images) - 1)]
+    after = images[-1]
+    return [
+        (f"{result.method}, {result.condition}, trial {result.index}", before),
+        (f"not '{result.failure}' at {result.failed_at_s:.2f} s", at_failure),
+        (textwrap.fill(result.reason, 46), after),
+    ]
 
 
 def film_demonstration(job: Job, index: int, path: Path) -> None:
@@ -81,7 +89,12 @@ def film_demonstration(job: Job, index: int, path: Path) -> None:
 
 
 class Postures:
-    """Step hook that samples qpos every `period_s` simulated seconds."""
+    """Step hook that samples qpos every `period_s` simulated seconds.
+
+    Attributes:
+        times: Of the samples [s].
+        qpos: Samples (nq,).
+    """
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -118,13 +131,14 @@ def sheet_of_postures(
     camera: str = "overview",
 ) -> int:
     """Draw up to `frames` evenly spaced postures of a model with visuals; return their number."""
-    chosen = np.unique(np.linspace(0, len(postures.times) - 1, frames).round().astype(int))
+    evenly = np.linspace(0, len(postures.times) - 1, frames)
+    chosen = np.unique(evenly.round().astype(int))
     pictures = _pictures(model, [postures.qpos[i] for i in chosen], camera, shadows=True)
     named = [
         (f"{postures.times[i]:.3f} s", picture.copy())
         for i, picture in zip(chosen, pictures, strict=True)
     ]
-    sheet(named, min(4, len(named)), path)
+    sheet(named, min(_SHEET_COLUMNS_MAX, len(named)), path)
     return len(named)
 
 
@@ -136,8 +150,8 @@ def _pictures(
     shadows: bool,
 ) -> Iterator[Image]:
     data = mujoco.MjData(model)
-    with Camera(model, *FILM_SIZE, shadows=shadows) as eye:
+    with Camera(model, *FILM_SIZE, shadows=shadows) as renderer:
         for posture in qpos:
             data.qpos[:] = posture
             mujoco.mj_forward(model, data)
-            yield eye.picture(data, camera)
+            yield renderer.picture(data, camera)

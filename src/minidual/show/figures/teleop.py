@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,76 +18,92 @@ def draw_quality(
     jerk_limit_rad_s3: float,
     path: Path,
 ) -> None:
-    """Draw starts of attempts and tests, RMS jerk, and targets of the first demonstration."""
-    figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
-    for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
-        if chosen := [_start(a.trial) for a in attempts if a.kept is kept]:
-            x, y, yaw = np.array(chosen).T
-            line = {
-                "headwidth": 0,
-                "headlength": 0,
-                "headaxislength": 0,
-                "width": 0.004,
-                "scale": 18,
-                "pivot": "mid",
-            }
-            starts.quiver(
-                y,
-                x,
-                -np.cos(yaw),
-                np.sin(yaw),
-                color=colour,
-                label=f"{label} ({len(chosen)})",
-                **line,
-            )
-            starts.update_datalim(np.column_stack([y, x]))  # quiver does not
-    x, y, _ = np.array([_start(trial) for trial in tested]).T
-    starts.plot(y, x, ".", color="0.6", ms=2, zorder=0, label="tests")
-    starts.set(
-        title=f"{next(iter(tested[0].start))} at the start",
-        xlabel="y [m]",
-        ylabel="x [m]",
-        ymargin=0.15,
-    )
-    starts.axis("equal")
-    starts.invert_xaxis()
-    starts.legend(fontsize=7, loc="upper center", ncols=3)
+    """Draw starts of attempts and tests, RMS jerk, and targets of the first demonstration.
 
-    jerks.hist(
-        [a.quality.rms_jerk_rad_s3 for a in attempts if a.quality is not None],
-        bins=20,
-        color=BLUE,
-    )
-    jerks.locator_params(axis="y", integer=True)
-    jerks.set(
-        title=f"RMS jerk (limit {jerk_limit_rad_s3:.0f} rad/s³)",
+    Args:
+        attempts: Recorded demonstrations; at least one was kept.
+        tested: Trials on which a policy will be tested; at least one.
+        jerk_limit_rad_s3: Limit of the RMS jerk.
+        path: Of the figure.
+    """
+    figure, ((starts, jerks, motion),) = new_figure(1, 3, 13, 3.8)
+    _draw_starts(starts, attempts, tested)
+    _draw_jerks(jerks, attempts, jerk_limit_rad_s3)
+    _draw_motion(motion, attempts)
+    figure.savefig(path)
+
+
+def _draw_starts(axis: Any, attempts: Sequence[Attempt], tested: Sequence[Trial]) -> None:
+    """Draw where the first object stands at the start, from above."""
+    for kept, colour, label in ((True, BLUE, "kept"), (False, LIMIT, "rejected")):
+        placements = [_start(attempt.trial) for attempt in attempts if attempt.kept is kept]
+        if not placements:
+            continue
+        x, y, yaw = np.array(placements).T
+        axis.quiver(
+            y,
+            x,
+            -np.cos(yaw),
+            np.sin(yaw),
+            color=colour,
+            label=f"{label} ({len(placements)})",
+            headwidth=0,
+            headlength=0,
+            headaxislength=0,
+            width=0.004,
+            scale=18,
+            pivot="mid",
+        )
+        axis.update_datalim(np.column_stack([y, x]))  # quiver does not
+    x, y, _ = np.array([_start(trial) for trial in tested]).T
+    axis.plot(y, x, ".", color="0.6", ms=2, zorder=0, label="tests")
+    first_object = next(iter(tested[0].start))
+    axis.set(title=f"{first_object} at the start", xlabel="y [m]", ylabel="x [m]", ymargin=0.15)
+    axis.axis("equal")
+    axis.invert_xaxis()
+    axis.legend(fontsize=7, loc="upper center", ncols=3)
+
+
+def _start(trial: Trial) -> tuple[float, float, float]:
+    """Return x [m], y [m] and yaw [rad] of the first object at the start."""
+    return placement(next(iter(trial.start.values())))
+
+
+def _draw_jerks(axis: Any, attempts: Sequence[Attempt], limit_rad_s3: float) -> None:
+    jerks = [attempt.quality.rms_jerk_rad_s3 for attempt in attempts if attempt.quality is not None]
+    axis.hist(jerks, bins=20, color=BLUE)
+    axis.locator_params(axis="y", integer=True)
+    axis.set(
+        title=f"RMS jerk (limit {limit_rad_s3:.0f} rad/s³)",
         xlabel="rad/s³",
         ylabel="episodes",
     )
 
-    index, recorded = next(
-        (a.trial.index, a.path) for a in attempts if a.kept and a.path is not None
+
+def _draw_motion(axis: Any, attempts: Sequence[Attempt]) -> None:
+    """Draw measured and commanded joints of the first demonstration that was kept."""
+    index, recording = next(
+        (attempt.trial.index, attempt.path)
+        for attempt in attempts
+        if attempt.kept and attempt.path is not None
     )
-    episode = read_episode(recorded, cameras=())
+    episode = read_episode(recording, cameras=())
     t = episode.timestamps - episode.timestamps[0]
-    per_arm = episode.qpos.shape[1] // 2
-    for k, joint in enumerate(dict.fromkeys((0, 1, per_arm // 2, per_arm - 1))):
-        motion.plot(t, episode.action[:, joint], color=f"C{k}", lw=0.9, ls="--")
-        motion.plot(
+    joints_per_arm = episode.qpos.shape[1] // 2
+    shown_joints = dict.fromkeys((0, 1, joints_per_arm // 2, joints_per_arm - 1))
+    for k, joint in enumerate(shown_joints):
+        colour = f"C{k}"
+        axis.plot(t, episode.action[:, joint], color=colour, lw=0.9, ls="--")
+        axis.plot(
             t,
             episode.qpos[:, joint],
-            color=f"C{k}",
+            color=colour,
             lw=1.2,
             label=f"left joint {joint + 1}",
         )
-    motion.set(
+    axis.set(
         title=f"Trial {index}: measured (full), commanded (dashed)",
         xlabel="t [s]",
         ylabel="rad",
     )
-    motion.legend(fontsize=7)
-    figure.savefig(path)
-
-
-def _start(trial: Trial) -> tuple[float, float, float]:
-    return placement(next(iter(trial.start.values())))
+    axis.legend(fontsize=7)

@@ -1,38 +1,64 @@
 """Figure of a training."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from minidual.policies.kinds import TrainResult
-from minidual.registry import rows_beside
 from minidual.show.figures.canvas import new_figure
 
-_LINES = rows_beside(__file__)
+
+class _Line(NamedTuple):
+    """A column of the loss curve that is drawn.
+
+    Attributes:
+        column: Field of a row of the curve; NaN where it was not measured.
+        label: In the legend.
+        colour: Of the line.
+        style: Of the line.
+        smoothed: Whether a moving average is drawn; the validation is not: it has few points.
+    """
+
+    column: str
+    label: str
+    colour: str
+    style: str
+    smoothed: bool = True
+
+
+_LINES = (
+    _Line("l1", "training, action L1", "#1f5fa8", "-"),
+    _Line("keyframe", "training, keyframe L1", "#c96f1d", "-"),
+    _Line("validation_l1", "held-out episodes, action L1", "#1d7f4f", "o-", smoothed=False),
+)
+_UNSMOOTHED = "#9ec5e8"
+_LEARNING_RATE = "#666666"
 
 
 def draw_loss(result: TrainResult, path: Path) -> None:
     """Plot losses, smoothed but for the validation, and learning rate."""
-    figure, ((above,), (below,)) = new_figure(2, 1, 11.0, 6.6, sharex=True, height_ratios=(4, 1))
-    columns = {
-        name: np.array([getattr(row, name) for row in result.curve], float) for name in _LINES
-    }
+    figure, ((losses,), (rates,)) = new_figure(2, 1, 11.0, 6.6, sharex=True, height_ratios=(4, 1))
     steps = np.array([row.step for row in result.curve])
-    span = 2 * max(1, len(result.curve) // 40) + 1
-    above.plot(steps, columns["l1"], color="#9ec5e8", linewidth=0.8)
-    for name, (label, colour, style) in _LINES.items():
-        known = ~np.isnan(columns[name])
-        if known.any():
-            found = columns[name][known]
-            values = (
-                found if "validation" in name else uniform_filter1d(found, span, mode="nearest")
-            )
-            above.plot(steps[known], values, style, color=colour, label=label)
-    above.set(yscale="log", ylabel="L1 [std of the actions]")
-    title = f"Training: {result.parameters / 1e6:.2f} M parameters, {result.steps} steps, {result.train_s / 60:.1f} min"
-    above.set_title(f"{title}, {result.samples_per_s:.0f} samples/s", loc="left", fontsize=11)
-    above.legend(frameon=False)
-    below.plot(steps, [row.learning_rate for row in result.curve], color="#666666")
-    below.set(ylabel="learning rate", xlabel="step")
+    window = 2 * max(1, len(result.curve) // 40) + 1
+    losses.plot(steps, [row.l1 for row in result.curve], color=_UNSMOOTHED, linewidth=0.8)
+    for line in _LINES:
+        column = np.array([getattr(row, line.column) for row in result.curve], float)
+        measured = ~np.isnan(column)
+        if not measured.any():
+            continue
+        values = column[measured]
+        if line.smoothed:
+            values = uniform_filter1d(values, window, mode="nearest")
+        losses.plot(steps[measured], values, line.style, color=line.colour, label=line.label)
+    losses.set(yscale="log", ylabel="L1 [std of the actions]")
+    title = (
+        f"Training: {result.parameters / 1e6:.2f} M parameters, {result.steps} steps, "
+        f"{result.train_s / 60:.1f} min, {result.samples_per_s:.0f} samples/s"
+    )
+    losses.set_title(title, loc="left", fontsize=11)
+    losses.legend(frameon=False)
+    rates.plot(steps, [row.learning_rate for row in result.curve], color=_LEARNING_RATE)
+    rates.set(ylabel="learning rate", xlabel="step")
     figure.savefig(path)

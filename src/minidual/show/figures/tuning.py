@@ -13,66 +13,93 @@ _STIFFNESS = "stiffness (N/m)"
 
 
 def draw_tuning(tuning: Tuning, needed_n: float, path: Path) -> None:
-    """Draw both searches, and tilt and torque of the compared forces."""
+    """Draw both searches, and tilt and torque of the compared forces.
+
+    Args:
+        tuning: What was tried and chosen.
+        needed_n: Least internal force that holds [N].
+        path: Of the figure.
+    """
     figure, ((force, stiffness), (tilt, torque)) = new_figure(2, 2, 11, 7.2)
-    phases = {
-        name: [s for s in tuning.steps if s.phase == name]
-        for name in ("force", "stiffness", "compared")
-    }
-    _scatter(force, phases["force"], lambda s: (s.force_n, s.worst("internal_force_min_n")))
-    limit_line(force, needed_n, "needed")
-    force.axvline(tuning.force_n, color=INK, lw=1, label=f"chosen: {tuning.force_n:.1f} N")
-    force.set(
-        title="Phase 2: least squeeze that holds",
-        xlabel=_SQUEEZE,
-        ylabel="least measured (N)",
-    )
-
-    _scatter(
-        stiffness,
-        phases["stiffness"],
-        lambda s: (s.stiffness_n_per_m, 1e3 * s.worst("oscillation_m")),
-    )
-    limit_line(stiffness, 1e3 * OSCILLATION_MAX_M, "counts as oscillation")
-    stiffness.axvline(
-        tuning.stiffness_n_per_m,
-        color=INK,
-        lw=1,
-        label=f"chosen: {tuning.stiffness_n_per_m:.0f} N/m",
-    )
-    stiffness.set(
-        title="Phase 3: stiffness before oscillation",
-        xlabel=_STIFFNESS,
-        ylabel="RMS above 5 Hz (mm)",
-    )
-
-    _scatter(tilt, phases["compared"], lambda s: (s.force_n, math.degrees(s.worst("tilt_max_rad"))))
-    tilt.set(
-        title=f"Compared at {tuning.stiffness_n_per_m:.0f} N/m",
-        xlabel=_SQUEEZE,
-        ylabel="largest tilt (deg)",
-    )
-    _scatter(torque, phases["compared"], lambda s: (s.force_n, s.worst("torque_ratio_max")))
-    limit_line(torque, 1.0)
-    torque.set(
-        title="Compared: peak torque",
-        xlabel=_SQUEEZE,
-        ylabel="largest motor torque / limit",
-    )
+    _draw_force(force, tuning, needed_n)
+    _draw_stiffness(stiffness, tuning)
+    _draw_tilt(tilt, tuning)
+    _draw_torque(torque, tuning)
     for axis in figure.axes:
         axis.set_ylim(0, None)
         axis.legend(frameon=False, fontsize=8)
     figure.savefig(path)
 
 
+def _draw_force(axis: Any, tuning: Tuning, needed_n: float) -> None:
+    def point(step: TuningStep) -> tuple[float, float]:
+        return step.force_n, step.worst("internal_force_min_n")
+
+    _scatter(axis, _steps(tuning, "force"), point)
+    limit_line(axis, needed_n, "needed")
+    axis.axvline(tuning.force_n, color=INK, lw=1, label=f"chosen: {tuning.force_n:.1f} N")
+    axis.set(
+        title="Phase 2: least squeeze that holds",
+        xlabel=_SQUEEZE,
+        ylabel="least measured (N)",
+    )
+
+
+def _draw_stiffness(axis: Any, tuning: Tuning) -> None:
+    def point(step: TuningStep) -> tuple[float, float]:
+        return step.stiffness_n_per_m, 1e3 * step.worst("oscillation_m")
+
+    _scatter(axis, _steps(tuning, "stiffness"), point)
+    limit_line(axis, 1e3 * OSCILLATION_MAX_M, "counts as oscillation")
+    chosen = f"chosen: {tuning.stiffness_n_per_m:.0f} N/m"
+    axis.axvline(tuning.stiffness_n_per_m, color=INK, lw=1, label=chosen)
+    axis.set(
+        title="Phase 3: stiffness before oscillation",
+        xlabel=_STIFFNESS,
+        ylabel="RMS above 5 Hz (mm)",
+    )
+
+
+def _draw_tilt(axis: Any, tuning: Tuning) -> None:
+    def point(step: TuningStep) -> tuple[float, float]:
+        return step.force_n, math.degrees(step.worst("tilt_max_rad"))
+
+    _scatter(axis, _steps(tuning, "compared"), point)
+    axis.set(
+        title=f"Compared at {tuning.stiffness_n_per_m:.0f} N/m",
+        xlabel=_SQUEEZE,
+        ylabel="largest tilt (deg)",
+    )
+
+
+def _draw_torque(axis: Any, tuning: Tuning) -> None:
+    def point(step: TuningStep) -> tuple[float, float]:
+        return step.force_n, step.worst("torque_ratio_max")
+
+    _scatter(axis, _steps(tuning, "compared"), point)
+    limit_line(axis, 1.0)
+    axis.set(
+        title="Compared: peak torque",
+        xlabel=_SQUEEZE,
+        ylabel="largest motor torque / limit",
+    )
+
+
+def _steps(tuning: Tuning, phase: str) -> list[TuningStep]:
+    return [step for step in tuning.steps if step.phase == phase]
+
+
 def _scatter(
     axis: Any,
     steps: Sequence[TuningStep],
-    at: Callable[[TuningStep], tuple[float, float]],
+    point: Callable[[TuningStep], tuple[float, float]],
 ) -> None:
+    """Draw the (x, y) of each step; crosses where not all trials held."""
     for holds, marker, colour, label in (
         (True, "o", INK, "all held"),
         (False, "x", LIMIT, "not all held"),
     ):
-        points = [at(s) for s in steps if s.holds is holds]
-        axis.plot([x for x, _ in points], [y for _, y in points], marker, color=colour, label=label)
+        points = [point(step) for step in steps if step.holds is holds]
+        xs = [x for x, _ in points]
+        ys = [y for _, y in points]
+        axis.plot(xs, ys, marker, color=colour, label=label)

@@ -10,6 +10,7 @@ import re
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,18 +19,29 @@ import matplotlib as mpl
 from matplotlib.figure import Figure as Canvas
 
 from minidual.errors import DataError
-from minidual.show.report.tables import INDICATORS, Indicator, Row, Tables
+from minidual.show.report.indicators import INDICATORS, Indicator
+from minidual.show.report.tables import Cell, IndicatorValue, Row, Tables
 from minidual.trials.conditions import CLEAN
 
 _STYLE_FILE = str(files("minidual.show.report") / "templates/figure.mplstyle")
 _STYLE: dict[Any, Any] = {**mpl.rc_params_from_file(_STYLE_FILE, use_default_template=False)}
-INK, GRID, FAINT = (_STYLE[name] for name in ("text.color", "grid.color", "xtick.color"))
+INK = _STYLE["text.color"]
+GRID = _STYLE["grid.color"]
+FAINT = _STYLE["xtick.color"]
 _CSS = {INK: "var(--ink)", GRID: "var(--line)", FAINT: "var(--muted)"}
 COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
+"""Of the methods, in the order of the columns."""
 _LIMIT = "#c8452f"
 _WIDTH_IN = 5.2
 _BAND = 0.72
-"""Share of the row height used."""
+"""Share of the row height that a condition's methods use."""
+_STRIP = 0.36
+"""Share of the row height over which a method's trials are spread."""
+_GOLDEN = 0.618033988749895
+"""Multiples of it, modulo 1, spread evenly: trials do not hide each other."""
+_LIMIT_SHOWN_FROM = 0.15
+"""The limit is drawn if the largest value exceeds this share of it."""
+
 TrialRow = dict[str, str]
 """A row of benchmark.csv."""
 
@@ -54,80 +66,104 @@ class Figure(NamedTuple):
         return body.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
 
 
+@dataclass
+class _RowChart:
+    """A chart with one named row per item; `svg` is set when the drawing is finished."""
+
+    figure: Canvas
+    axes: Any
+    svg: str = ""
+
+
 @contextmanager
-def _rows(names: Sequence[str], name: str, height: float) -> Iterator[tuple[Any, Any, io.StringIO]]:
+def _row_chart(row_names: Sequence[str], name: str, height: float) -> Iterator[_RowChart]:
+    """Yield a chart to draw on; `name` makes its SVG reproducible, `height` is in rows."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Canvas(figsize=(_WIDTH_IN, 0.95 + 0.47 * height), layout="constrained")
         figure.patch.set_alpha(0.0)
         axes = figure.subplots()
-        svg = io.StringIO()
         axes.patch.set_alpha(0.0)
         axes.grid(axis="x", linewidth=0.8)
-        axes.set_yticks(range(len(names)), names)
-        axes.set_ylim(len(names) - 0.45, -0.55)
-        yield figure, axes, svg
-        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+        axes.set_yticks(range(len(row_names)), row_names)
+        axes.set_ylim(len(row_names) - 0.45, -0.55)
+        chart = _RowChart(figure, axes)
+        yield chart
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        chart.svg = buffer.getvalue()
 
 
 def success_figure(rows: Sequence[Row]) -> Figure | None:
-    """Plot success rates with intervals by condition, if any."""
+    """Return the figure of success rates with intervals by condition; None without any rate."""
     if not any(cell.success for row in rows for cell in row.cells):
         return None
-    count = len(rows[0].cells)
-    with _rows([row.condition for row in rows], "success", 0.42 * count * len(rows) + 0.5) as (
-        figure,
-        axes,
-        svg,
-    ):
+    methods_n = len(rows[0].cells)
+    conditions = [row.condition for row in rows]
+    height = 0.42 * methods_n * len(rows) + 0.5
+    with _row_chart(conditions, "success", height) as chart:
         for i, row in enumerate(rows):
             if i % 2 == 0:
-                axes.axhspan(i - 0.5, i + 0.5, color=GRID, alpha=0.35, linewidth=0)
+                chart.axes.axhspan(i - 0.5, i + 0.5, color=GRID, alpha=0.35, linewidth=0)
             for k, cell in enumerate(row.cells):
-                y = i + _BAND * ((k + 0.5) / count - 0.5)
-                rate = cell.success
-                colour = COLOURS[k % len(COLOURS)]
-                if rate is None:
-                    words = "does not apply" if cell.state == "spared" else "missing"
-                    axes.text(
-                        0,
-                        y,
-                        f"{cell.method}: {words}",
-                        fontsize=7.5,
-                        va="center",
-                        color=FAINT,
-                    )
-                    continue
-                label = cell.method if i == 0 else None
-                axes.plot(
-                    [100 * rate.low, 100 * rate.high],
-                    [y, y],
-                    color=colour,
-                    linewidth=2.0,
-                    alpha=0.75,
-                )
-                axes.plot(
-                    100 * rate.value,
-                    y,
-                    "o",
-                    color=colour,
-                    markersize=6.5,
-                    markeredgewidth=0,
-                    label=label,
-                )
-        figure.legend(loc="outside upper center", ncols=count, frameon=False, fontsize=9)
-        axes.set_xlim(-2, 102)
-        axes.set_xlabel("success, %")
-    title = "Success" if len(rows) == 1 else "Success under each condition"
+                y = i + _BAND * ((k + 0.5) / methods_n - 0.5)
+                if cell.success is None:
+                    _draw_absence(chart.axes, y, cell)
+                else:
+                    label = cell.method if i == 0 else None
+                    _draw_rate(chart.axes, y, cell.success, _colour(k), label)
+        chart.figure.legend(
+            loc="outside upper center",
+            ncols=methods_n,
+            frameon=False,
+            fontsize=9,
+        )
+        chart.axes.set_xlim(-2, 102)
+        chart.axes.set_xlabel("success, %")
     return Figure(
         "success",
-        title,
+        "Success" if len(rows) == 1 else "Success under each condition",
         "Dots: share of trials that passed. Lines: 95 % Wilson interval.",
-        svg.getvalue(),
+        chart.svg,
+    )
+
+
+def _colour(column: int) -> str:
+    return COLOURS[column % len(COLOURS)]
+
+
+def _draw_absence(axes: Any, y: float, cell: Cell) -> None:
+    """Write why a cell has no success rate."""
+    reason = "does not apply" if cell.state == "spared" else "missing"
+    axes.text(0, y, f"{cell.method}: {reason}", fontsize=7.5, va="center", color=FAINT)
+
+
+def _draw_rate(
+    axes: Any,
+    y: float,
+    rate: IndicatorValue,
+    colour: str,
+    label: str | None,
+) -> None:
+    """Draw a success rate and its interval."""
+    interval = [100 * rate.low, 100 * rate.high]
+    axes.plot(interval, [y, y], color=colour, linewidth=2.0, alpha=0.75)
+    axes.plot(
+        100 * rate.value,
+        y,
+        "o",
+        color=colour,
+        markersize=6.5,
+        markeredgewidth=0,
+        label=label,
     )
 
 
 def read_trials(path: Path) -> list[TrialRow]:
-    """Return the undisturbed rows of benchmark.csv; DataError if unreadable."""
+    """Return the undisturbed rows of benchmark.csv.
+
+    Raises:
+        DataError: It cannot be read.
+    """
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             return [row for row in csv.DictReader(stream) if row["condition"] == CLEAN]
@@ -135,11 +171,12 @@ def read_trials(path: Path) -> list[TrialRow]:
         raise DataError(f"{path} cannot be read: {error}") from error
 
 
-def _value(trial: TrialRow, indicator: Indicator) -> float | None:
-    try:
-        return float(trial[indicator.column]) * indicator.scale
-    except ValueError:
-        return None
+class _Point(NamedTuple):
+    """One trial of a strip figure; `value` in the displayed unit."""
+
+    method: str
+    success: bool
+    value: float
 
 
 def strip_figure(
@@ -147,68 +184,83 @@ def strip_figure(
     methods: Mapping[str, str],
     trials: Sequence[TrialRow],
 ) -> Figure | None:
-    """Plot every trial and the median of successes, if any; `methods` have their colours."""
-    found = [
-        (t["method"], t["success"] == "True", x)
-        for t in trials
-        if (x := _value(t, indicator)) is not None
-    ]
-    if not found:
+    """Return the figure of every trial and the median of the successes; None without values.
+
+    Args:
+        indicator: What is drawn.
+        methods: {method: its colour}.
+        trials: Rows of benchmark.csv.
+    """
+    points = _points(indicator, trials)
+    if not points:
         return None
-    largest = max(value for *_, value in found)
+    largest = max(point.value for point in points)
     limit = (indicator.excellent or math.inf) * indicator.scale
-    with _rows(tuple(methods), indicator.key, len(methods)) as (_figure, axes, svg):
+    with _row_chart(tuple(methods), indicator.key, len(methods)) as chart:
         for i, (method, colour) in enumerate(methods.items()):
-            mine = [(success, value) for name, success, value in found if name == method]
-            for k, (success, value) in enumerate(mine):
-                look = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
-                if not success:
-                    look = {"markersize": 5.5, "markeredgewidth": 1.4}
-                spread = (0.5 + k * 0.618033988749895) % 1.0
-                y = i + 0.36 * (spread - 0.5)
-                mark = "o" if success else "x"
-                axes.plot(value, y, mark, color=colour, **look)
-            if won := [value for success, value in mine if success]:
-                axes.plot(
-                    [statistics.median(won)] * 2,
-                    [i - 0.32, i + 0.32],
-                    color=INK,
-                    linewidth=2.2,
-                )
-        if largest > 0.15 * limit:
-            label = f"excellent {indicator.excellent_text}"
-            axes.axvline(limit, color=_LIMIT, linewidth=1.1, linestyle=(0, (4, 3)))
-            place = axes.get_xaxis_transform()  # data across, a share of the axes up
-            axes.text(
-                limit,
-                1.01,
-                label,
-                transform=place,
-                ha="center",
-                va="bottom",
-                fontsize=8,
-                color=_LIMIT,
-            )
+            own_points = [point for point in points if point.method == method]
+            _draw_strip(chart.axes, i, own_points, colour)
+        if largest > _LIMIT_SHOWN_FROM * limit:
+            _draw_limit(chart.axes, limit, f"excellent {indicator.excellent_text}")
             largest = max(largest, limit)
-        axes.set_xlim(0, largest * 1.08 or 1.0)
-        axes.locator_params(axis="x", nbins=6)
-        axes.set_xlabel(f"{indicator.title}, {indicator.unit}")
-    return Figure(indicator.key, indicator.title, indicator.meaning, svg.getvalue())
+        chart.axes.set_xlim(0, largest * 1.08 or 1.0)
+        chart.axes.locator_params(axis="x", nbins=6)
+        chart.axes.set_xlabel(f"{indicator.title}, {indicator.unit}")
+    return Figure(indicator.key, indicator.title, indicator.meaning, chart.svg)
+
+
+def _points(indicator: Indicator, trials: Sequence[TrialRow]) -> list[_Point]:
+    points: list[_Point] = []
+    for trial in trials:
+        try:
+            value = float(trial[indicator.column]) * indicator.scale
+        except ValueError:  # an empty cell: the trial has no value
+            continue
+        points.append(_Point(trial["method"], trial["success"] == "True", value))
+    return points
+
+
+def _draw_strip(axes: Any, row: int, points: Sequence[_Point], colour: str) -> None:
+    """Draw the trials of one method: dots for successes, crosses for failures, a bar at the median."""
+    for k, point in enumerate(points):
+        spread = (0.5 + k * _GOLDEN) % 1.0
+        y = row + _STRIP * (spread - 0.5)
+        if point.success:
+            dot = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
+            axes.plot(point.value, y, "o", color=colour, **dot)
+        else:
+            cross = {"markersize": 5.5, "markeredgewidth": 1.4}
+            axes.plot(point.value, y, "x", color=colour, **cross)
+    successes = [point.value for point in points if point.success]
+    if successes:
+        median = statistics.median(successes)
+        axes.plot([median, median], [row - 0.32, row + 0.32], color=INK, linewidth=2.2)
+
+
+def _draw_limit(axes: Any, limit: float, label: str) -> None:
+    axes.axvline(limit, color=_LIMIT, linewidth=1.1, linestyle=(0, (4, 3)))
+    above_the_axes = axes.get_xaxis_transform()  # x in data units, y as a share of the axes
+    axes.text(
+        limit,
+        1.01,
+        label,
+        transform=above_the_axes,
+        ha="center",
+        va="bottom",
+        fontsize=8,
+        color=_LIMIT,
+    )
 
 
 def benchmark_figures(tables: Tables, trials: Sequence[TrialRow]) -> list[Figure]:
     """Return the figures of success under each condition, and of the undisturbed trials."""
-    cells = enumerate(tables.clean.cells)
     methods = {
-        cell.method: COLOURS[k % len(COLOURS)] for k, cell in cells if cell.state != "spared"
+        cell.method: _colour(k)
+        for k, cell in enumerate(tables.clean.cells)
+        if cell.state != "spared"
     }
-    shown = (
-        INDICATORS[1:]
-        if tables.own
-        else [indicator._replace(excellent=None) for indicator in INDICATORS[1:]]
-    )
-    drawn = [
-        success_figure(tables.rows),
-        *(strip_figure(indicator, methods, trials) for indicator in shown),
-    ]
-    return [figure for figure in drawn if figure is not None]
+    figures = [success_figure(tables.rows)]
+    for indicator in INDICATORS[1:]:
+        shown = indicator if tables.own else replace(indicator, excellent=None)
+        figures.append(strip_figure(shown, methods, trials))
+    return [figure for figure in figures if figure is not None]

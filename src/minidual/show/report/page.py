@@ -1,6 +1,7 @@
 """Build the report from verdicts and artefacts.
 
-Equal verdicts give equal bytes: neither clock nor machine is read.
+Equal verdicts, and an equal bench.json if there is one, give equal bytes: neither clock nor machine
+is read.
 """
 
 from dataclasses import asdict
@@ -14,14 +15,30 @@ from minidual.errors import DataError
 from minidual.gate.canonical import dumps
 from minidual.gate.stage import StageContext
 from minidual.show.report import wording
+from minidual.show.report.analysis import Analysis
+from minidual.show.report.bench import BENCH_FILE, read_bench
 from minidual.show.report.figures import benchmark_figures, read_trials
-from minidual.show.report.model import Medium, Report, collect_media
-from minidual.show.report.tables import CERTAIN, INDICATORS, Cell, Tables, tabulate, three_digits
+from minidual.show.report.indicators import INDICATORS, three_digits
+from minidual.show.report.media import collect_media
+from minidual.show.report.model import Report
+from minidual.show.report.tables import CERTAIN, Cell, Row, Tables, tabulate
 from minidual.trials.benchmark import limits_of, trials_asked
 from minidual.trials.measures import MEASURES
 from minidual.trials.methods import METHODS
 
 TRIALS_FILE = "benchmark.csv"
+_SCHEMA = 4
+
+_DAMAGED = (
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    ArithmeticError,
+    jinja2.UndefinedError,
+)
+"""Raised while damaged data is read; the verdict's own schema does not cover `data`."""
+
 _PAGES = jinja2.Environment(
     loader=jinja2.PackageLoader("minidual.show.report"),
     autoescape=True,
@@ -29,104 +46,135 @@ _PAGES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_FILTERS = ("commit", "duration", "fault", "joined", "moment", "percent", "points", "quantity")
-_PAGES.filters |= {name: getattr(wording, name) for name in _FILTERS}
+_PAGES.filters |= {
+    "commit": wording.commit,
+    "duration": wording.duration,
+    "fault": wording.fault,
+    "joined": wording.joined,
+    "moment": wording.moment,
+    "percent": wording.percent,
+    "points": wording.points,
+    "quantity": wording.quantity,
+}
 
 
-def build_report(given: StageContext, folder: Path) -> Report:
+def build_report(context: StageContext, folder: Path) -> Report:
     """Write report.html, report.json and figures into `folder`.
 
     Raises:
         DataError: An artefact is missing or unreadable.
     """
-    benchmark = given.verdicts.get("benchmark")
-    wanted = given.config.benchmark
-    media: list[Medium] = []
     try:
-        for stage, verdict in given.verdicts.items():
-            media += collect_media(verdict, given.upstream[stage], folder)
-        data = benchmark.data["tasks"] if benchmark else {}
-        asked = trials_asked(given.config).items()
-        own = next(iter(trials_asked(given.config)))
-        limits = {task: partial(limits_of, given.config, task) for task, _ in asked}
-        tables = {
-            task: tabulate(
-                wanted.methods,
-                tuple(under),
-                data.get(task, {}),
-                own=task == own,
-                limit=limits[task],
-            )
-            for task, under in asked
-        }
-        trials = read_trials(given.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
-        figures = {
-            k: benchmark_figures(table, [t for t in trials if t["task"] == k])
-            for k, table in tables.items()
-        }
-        report = Report(given, tables, figures, media)
+        report = _gather(context, folder)
         content = dumps(document(report))
         page = render_page(report)
-    except (
-        LookupError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        ArithmeticError,
-        jinja2.UndefinedError,
-    ) as error:
-        damaged = (
-            f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}"
-        )
-        raise DataError(damaged, remedy="minidual benchmark --force") from error
-    (folder / "figures").mkdir()
-    for task, drawn in figures.items():
-        prefix = f"{task}-" if len(figures) > 1 else ""
-        for figure in drawn:
-            (folder / "figures" / f"{prefix}{figure.name}.svg").write_text(
-                figure.svg,
-                encoding="utf-8",
-            )
+    except _DAMAGED as error:
+        raise DataError(
+            f"the data of a verdict, or {TRIALS_FILE}, is damaged: {type(error).__name__}: {error}",
+            remedy="minidual benchmark --force",
+        ) from error
+    _write_figures(report, folder / "figures")
     (folder / "report.json").write_text(content, encoding="utf-8")
     (folder / "report.html").write_text(page, encoding="utf-8")
     return report
 
 
+def _gather(context: StageContext, folder: Path) -> Report:
+    """Return the report's content; large films are copied into `folder`."""
+    media = [
+        medium
+        for stage, verdict in context.verdicts.items()
+        for medium in collect_media(verdict, context.upstream[stage], folder)
+    ]
+    tables = _tables(context)
+    benchmark = context.verdicts.get("benchmark")
+    trials = read_trials(context.upstream["benchmark"] / TRIALS_FILE) if benchmark else []
+    figures = {}
+    for task, of_task in tables.items():
+        own_trials = [trial for trial in trials if trial["task"] == task]
+        figures[task] = benchmark_figures(of_task, own_trials)
+    bench = read_bench(context.folder.parent / BENCH_FILE)
+    return Report(context, tables, figures, media, bench)
+
+
+def _tables(context: StageContext) -> dict[str, Tables]:
+    """Return the tables of every task that the benchmark was asked for; the first is the run's own."""
+    benchmark = context.verdicts.get("benchmark")
+    data = benchmark.data["tasks"] if benchmark else {}
+    requested = trials_asked(context.config)
+    own_task = next(iter(requested))
+    return {
+        task: tabulate(
+            context.config.benchmark.methods,
+            tuple(trials_by_condition),
+            data.get(task, {}),
+            own=task == own_task,
+            limit=partial(limits_of, context.config, task),
+        )
+        for task, trials_by_condition in requested.items()
+    }
+
+
+def _write_figures(report: Report, folder: Path) -> None:
+    folder.mkdir()
+    for task, figures in report.figures.items():
+        prefix = f"{task}-" if len(report.figures) > 1 else ""
+        for figure in figures:
+            (folder / f"{prefix}{figure.name}.svg").write_text(figure.svg, encoding="utf-8")
+
+
 def render_page(report: Report) -> str:
     """Return one self-contained HTML page."""
+    methods = report.context.config.benchmark.methods
     return _PAGES.get_template("report.html.j2").render(
         report=report,
         indicators=INDICATORS,
         measures=MEASURES,
         digits=three_digits,
         certain=CERTAIN,
-        summaries={
-            name: METHODS[name].summary
-            for name in report.given.config.benchmark.methods
-            if name in METHODS
-        },
+        summaries={name: METHODS[name].summary for name in methods if name in METHODS},
     )
 
 
 def document(report: Report) -> dict[str, Any]:
     """Return the report as JSON, without pictures."""
-    given = report.given
-    made = report.newest.fingerprint if report.newest else None
-    margins = [{**margin, "check": margin["check"].name} for margin in report.facts["margins"]]
-    head = {"schema": 4, "title": given.config.report.title, "state": report.state}
-    head |= {"acceptance": report.state == "pass", "profile": given.profile, "seed": given.seed}
+    context = report.context
     return {
-        **head,
+        "schema": _SCHEMA,
+        "title": context.config.report.title,
+        "state": report.state,
+        "acceptance": report.state == "pass",
+        "profile": context.profile,
+        "seed": context.seed,
         "banners": [banner._asdict() for banner in report.banners],
         "checks": [check.to_json() for check in report.shown_checks],
-        "made_with": {
-            n: getattr(made, n) for n in ("version", "commit", "machine", "libraries") if made
-        },
+        "made_with": _made_with(report),
         "total_s": report.total_s,
-        "stages": [_stage(given, name) for name in given.summaries],
+        "stages": [_stage(context, name) for name in context.summaries],
         "tasks": {task: _task(tables) for task, tables in report.tables.items()},
-        "analysis": {**report.facts, "margins": margins},
+        "analysis": _analysis(report.analysis),
+        "bench": None if report.bench is None else asdict(report.bench),
     }
+
+
+def _made_with(report: Report) -> dict[str, Any]:
+    if report.newest is None:
+        return {}
+    fingerprint = report.newest.fingerprint
+    return {
+        "version": fingerprint.version,
+        "commit": fingerprint.commit,
+        "machine": fingerprint.machine,
+        "libraries": fingerprint.libraries,
+    }
+
+
+def _stage(context: StageContext, name: str) -> dict[str, Any]:
+    if name not in context.verdicts:
+        return {"name": name, "status": "missing"}
+    record = context.verdicts[name].to_json()
+    kept = ("status", "acceptance", "duration_s", "finished_at", "checks", "notes")
+    return {"name": name, **{key: record[key] for key in kept}}
 
 
 def _task(tables: Tables) -> dict[str, Any]:
@@ -134,20 +182,26 @@ def _task(tables: Tables) -> dict[str, Any]:
     return {
         "comparison": {
             "missing": tables.missing(),
-            "methods": {c.method: _cell(c, tables.own) for c in clean.cells},
+            "methods": _cells(clean, tables.own),
         },
         "conditions": {
-            row.condition: {
-                "summary": row.summary,
-                "methods": {c.method: _cell(c, tables.own) for c in row.cells},
-            }
+            row.condition: {"summary": row.summary, "methods": _cells(row, tables.own)}
             for row in disturbed
         },
-        "analysis": {name: getattr(tables, name) for name in ("pairs", "partings", "losses")},
+        "analysis": {
+            "pairs": tables.pairs,
+            "partings": tables.partings,
+            "losses": tables.losses,
+        },
     }
 
 
+def _cells(row: Row, own: bool) -> dict[str, Any]:
+    return {cell.method: _cell(cell, own) for cell in row.cells}
+
+
 def _cell(cell: Cell, own: bool) -> dict[str, Any]:
+    """Return one cell; `own`: whether the limits of "excellent" were set for its task."""
     excellent = [indicator.key for indicator in INDICATORS if own and cell.excellent(indicator)]
     return {
         **asdict(cell),
@@ -157,9 +211,18 @@ def _cell(cell: Cell, own: bool) -> dict[str, Any]:
     }
 
 
-def _stage(given: StageContext, name: str) -> dict[str, Any]:
-    if name not in given.verdicts:
-        return {"name": name, "status": "missing"}
-    record = given.verdicts[name].to_json()
-    kept = ("status", "acceptance", "duration_s", "finished_at", "checks", "notes")
-    return {"name": name, **{key: record[key] for key in kept}}
+def _analysis(analysis: Analysis) -> dict[str, Any]:
+    margins = [
+        {
+            "stage": margin.stage,
+            "check": margin.check.name,
+            "share_of_limit": margin.share_of_limit,
+        }
+        for margin in analysis.margins
+    ]
+    return {
+        "gap": None if analysis.gap is None else analysis.gap._asdict(),
+        "sets": analysis.sets,
+        "margins": margins,
+        "at_best_n": analysis.at_best_n,
+    }

@@ -1,80 +1,23 @@
-"""Indicators that compare methods, and the table of methods by conditions; missing numbers are listed."""
+"""The table of methods by conditions; numbers that are missing are listed."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from minidual.registry import rows_beside
-from minidual.show.report.wording import percent
+from minidual.show.report.indicators import INDICATORS, SUCCESS, Indicator
 from minidual.trials.conditions import CLEAN
 from minidual.trials.measures import MEASURES
 from minidual.trials.statistics import holm
-
-_UNSEEN = 0.0005  # smaller displayed values are rounding error
-
-
-class Indicator(NamedTuple):
-    """One column of the comparison (tables.yaml).
-
-    Attributes:
-        key: Key in the benchmark's data.
-        scale: Displayed value / SI value.
-        excellent: Limit, SI.
-        spread: Keys of middle and 95 % interval.
-        meaning, over: What one trial gives, and how the trials become the compared number.
-        needs_success: Undefined without a success.
-    """
-
-    key: str
-    column: str
-    title: str
-    unit: str
-    spread: Sequence[str]
-    meaning: str
-    over: str
-    scale: float = 1.0
-    excellent: float | None = None
-    needs_success: bool = False
-    more_is_better: bool = False
-
-    def shown(self, value: float) -> str:
-        """Return `value` in the displayed unit."""
-        if self.unit == "%":
-            return percent(value).removesuffix(" %")
-        seen = value * self.scale
-        return "0.000" if 0.0 < abs(seen) < _UNSEEN else three_digits(seen)
-
-    def is_excellent(self, value: float) -> bool:
-        """Return whether `value` beats the excellent limit."""
-        if self.excellent is None:
-            return False
-        return value > self.excellent if self.more_is_better else value < self.excellent
-
-    @property
-    def excellent_text(self) -> str:
-        """The excellent limit as text."""
-        if self.excellent is None:
-            return ""
-        return f"{'>' if self.more_is_better else '<'} {self.excellent * self.scale:g} {self.unit}"
-
-
-def three_digits(value: float) -> str:
-    """Return three significant digits, without exponent from 0.0001 up."""
-    if abs(value) >= 999.5:
-        return f"{value:,.0f}"
-    text = f"{value:#.3g}".removesuffix(".")
-    return text if "e" not in text else f"{value:.1e}"
-
-
-INDICATORS = tuple(Indicator(key, **row) for key, row in rows_beside(__file__).items())
-SUCCESS = INDICATORS[0]
 
 CERTAIN = 0.05
 """Two-sided significance level after Holm's correction."""
 
 Pair = Mapping[str, Any]
-"""A row of minidual.trials.benchmark with `p_holm` and `shown`: whether the difference is significant."""
+"""A row of minidual.trials.benchmark with `p_holm`, and `shown`: whether it is significant."""
+
+Limit = Callable[[str, str], str]
+"""Returns what is promised for a method under a condition, as text; empty: nothing."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +41,10 @@ class Cell:
 
     Attributes:
         state: "spared": does not apply; "missing": no success rate.
+        why: Why it does not apply.
+        trials: Number of trials.
         measures: By indicator key; None if missing or undefined.
+        loss: Comparison with the same starts undisturbed.
         failures: (reason, trials), most frequent first.
         stopped: Failed trials that the method itself stopped.
         further: Values of MEASURES; None where one does not apply.
@@ -119,17 +65,19 @@ class Cell:
 
     @property
     def success(self) -> IndicatorValue | None:
-        """Success rate with Wilson interval."""
+        """Success rate with its Wilson interval."""
         return self.measures.get(SUCCESS.key)
 
     @property
     def successes(self) -> int:
         """Number of successes."""
-        return round((self.success.value if self.success else 0.0) * (self.trials or 0))
+        if self.success is None or self.trials is None:
+            return 0
+        return round(self.success.value * self.trials)
 
     @property
     def competes(self) -> bool:
-        """Whether a trial succeeded; without one it is not ranked."""
+        """Whether a trial succeeded; without one the method is not ranked."""
         return self.success is not None and self.success.value > 0.0
 
     @property
@@ -138,17 +86,22 @@ class Cell:
         if self.state == "spared":
             return []
         holes = [
-            i.key for i in INDICATORS if self.measures[i.key] is None and not self.undefined(i)
+            indicator.key
+            for indicator in INDICATORS
+            if self.measures[indicator.key] is None and not self.undefined(indicator)
         ]
-        holes += ["trials"] * (self.trials is None)
-        return holes + ["loss"] * (self.loss is None and self.condition != CLEAN)
+        if self.trials is None:
+            holes.append("trials")
+        if self.loss is None and self.condition != CLEAN:
+            holes.append("loss")
+        return holes
 
     def undefined(self, indicator: Indicator) -> bool:
-        """Return whether `indicator` needs a success and there is none; not a hole."""
+        """Return whether `indicator` needs a success and there is none; this is not a hole."""
         return indicator.needs_success and self.success is not None and not self.competes
 
     def excellent(self, indicator: Indicator) -> bool:
-        """Return whether the value beats the excellent limit."""
+        """Return whether the value beats the limit of "excellent"."""
         measure = self.measures.get(indicator.key)
         judged = self.competes or indicator is SUCCESS
         return judged and measure is not None and indicator.is_excellent(measure.value)
@@ -162,21 +115,26 @@ class Row(NamedTuple):
     cells: tuple[Cell, ...]
 
     def is_best(self, cell: Cell, indicator: Indicator) -> bool:
-        """Return whether no competitor is better; False with one value."""
-        found = [m.value for c in self.cells if c.competes and (m := c.measures.get(indicator.key))]
-        mine = cell.measures.get(indicator.key)
-        if len(found) < 2 or mine is None or not cell.competes:
+        """Return whether no competitor is better; False if there is only one value."""
+        measure = cell.measures.get(indicator.key)
+        if measure is None or not cell.competes:
             return False
-        return mine.value == (max if indicator.more_is_better else min)(found)
+        competitors = (other.measures.get(indicator.key) for other in self.cells if other.competes)
+        values = [other.value for other in competitors if other is not None]
+        if len(values) < 2:
+            return False
+        best = max(values) if indicator.more_is_better else min(values)
+        return measure.value == best
 
 
 class Tables(NamedTuple):
     """Methods by conditions of one task, the undisturbed row first.
 
     Attributes:
-        pairs: Undisturbed.
-        partings: Disturbed, with a significant difference.
-        own: The run's own task, for which the excellent limits were set.
+        rows: One per condition.
+        pairs: Comparisons of methods, undisturbed.
+        partings: Comparisons of methods under a disturbance that are significant.
+        own: Whether it is the run's own task, for which the limits of "excellent" were set.
     """
 
     rows: tuple[Row, ...]
@@ -197,27 +155,36 @@ class Tables(NamedTuple):
     @property
     def losses(self) -> list[Pair]:
         """Significant effects of a disturbance."""
-        return [cell.loss for cell in self.cells if cell.loss and cell.loss["shown"]]
+        return [cell.loss for cell in self.cells if cell.loss is not None and cell.loss["shown"]]
 
     def missing(self) -> list[str]:
         """Return "method.condition.number" per hole."""
-        holes = [
+        if not self.clean.cells:
+            return ["no method"]
+        return [
             f"{cell.method}.{cell.condition}.{hole}" for cell in self.cells for hole in cell.holes
         ]
-        return holes if self.clean.cells else ["no method"]
 
 
 def finite(value: Any) -> float | None:
     """Return a finite number as float, else None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value) if math.isfinite(value) else None
+    if not math.isfinite(value):
+        return None
+    return float(value)
 
 
 def corrected(rows: Sequence[Pair]) -> list[Pair]:
     """Return the rows of one family of tests after Holm's correction."""
-    ps = holm([row["p_value"] for row in rows])
-    return [{**row, "p_holm": p, "shown": p < CERTAIN} for row, p in zip(rows, ps, strict=True)]
+    p_values = holm([row["p_value"] for row in rows])
+    return [
+        {**row, "p_holm": p, "shown": p < CERTAIN} for row, p in zip(rows, p_values, strict=True)
+    ]
+
+
+def _promises_nothing(_method: str, _condition: str) -> str:
+    return ""
 
 
 def tabulate(
@@ -226,34 +193,45 @@ def tabulate(
     data: Mapping[str, Any],
     *,
     own: bool = True,
-    limit: Callable[[str, str], str] = lambda _method, _condition: "",
+    limit: Limit = _promises_nothing,
 ) -> Tables:
-    """Return the table of required `methods` and `conditions`; CLEAN is always included.
+    """Return the table of the required methods and conditions; CLEAN is always included.
 
-    `data`: see `benchmark_data`. `limit` says what is promised for a method under a condition.
+    Args:
+        methods: Columns.
+        conditions: Rows.
+        data: One task of the benchmark's data; see `benchmark_data`.
+        own: Whether it is the run's own task.
+        limit: Promises.
     """
-    records = {CLEAN: ("nothing disturbs the trial", data.get("methods", {}))}
-    for name in (name for name in conditions if name != CLEAN):
-        entry = data.get("conditions", {}).get(name, {})
-        records[name] = entry.get("summary", ""), entry.get("methods", {})
-    lost = {(pair["first"], pair["method"]): pair for pair in corrected(data.get("losses", []))}
-    # Undisturbed pairs are their own Holm family: their result must not depend on which disturbances are run.
+    losses = {(row["first"], row["method"]): row for row in corrected(data.get("losses", []))}
+
+    def row_of(condition: str, summary: str, records: Mapping[str, Any]) -> Row:
+        cells = [
+            _cell(
+                method,
+                condition,
+                records.get(method, {}),
+                losses.get((condition, method)),
+                limit(method, condition),
+            )
+            for method in methods
+        ]
+        return Row(condition, summary, tuple(cells))
+
+    rows = [row_of(CLEAN, "nothing disturbs the trial", data.get("methods", {}))]
+    for condition in conditions:
+        if condition == CLEAN:
+            continue
+        entry = data.get("conditions", {}).get(condition, {})
+        rows.append(row_of(condition, entry.get("summary", ""), entry.get("methods", {})))
+    # Undisturbed pairs are a Holm family of their own: their result must not depend on which
+    # disturbances are run.
     pairs = data.get("comparisons", [])
-    clean, disturbed = (
-        corrected([p for p in pairs if (p["condition"] == CLEAN) is c]) for c in (True, False)
-    )
-    rows = (
-        Row(
-            name,
-            summary,
-            tuple(
-                _cell(m, name, mine.get(m, {}), lost.get((name, m)), limit(m, name))
-                for m in methods
-            ),
-        )
-        for name, (summary, mine) in records.items()
-    )
-    return Tables(tuple(rows), clean, [pair for pair in disturbed if pair["shown"]], own)
+    clean_pairs = corrected([pair for pair in pairs if pair["condition"] == CLEAN])
+    disturbed_pairs = corrected([pair for pair in pairs if pair["condition"] != CLEAN])
+    partings = [pair for pair in disturbed_pairs if pair["shown"]]
+    return Tables(tuple(rows), clean_pairs, partings, own)
 
 
 def _cell(
@@ -266,25 +244,34 @@ def _cell(
     if record.get("applies") is False and record.get("why"):
         return Cell(method, condition, "spared", why=record["why"])
     trials = finite(record.get("trials"))
+    measured = trials is not None and _measure(SUCCESS, record) is not None
     failures = record.get("failures", {})
+    further = record.get("measures", {})
     return Cell(
         method,
         condition,
-        "missing" if trials is None or _measure(SUCCESS, record) is None else "measured",
+        "measured" if measured else "missing",
         trials=None if trials is None else int(trials),
         measures={indicator.key: _measure(indicator, record) for indicator in INDICATORS},
         loss=loss,
-        failures=tuple(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
+        failures=tuple(sorted(failures.items(), key=_most_frequent_first)),
         stopped=record.get("stopped_n", 0),
-        further={name: finite(record.get("measures", {}).get(name)) for name in MEASURES},
+        further={name: finite(further.get(name)) for name in MEASURES},
         limit=limit,
     )
 
 
+def _most_frequent_first(failure: tuple[str, int]) -> tuple[int, str]:
+    reason, trials = failure
+    return -trials, reason
+
+
 def _measure(indicator: Indicator, record: Mapping[str, Any]) -> IndicatorValue | None:
-    found = [
-        number
-        for name in (indicator.key, *indicator.spread)
-        if (number := finite(record.get(name))) is not None
-    ]
-    return IndicatorValue(*found) if len(found) == 4 else None
+    """Return one indicator of a record; None unless value, middle and interval are finite."""
+    numbers: list[float] = []
+    for name in (indicator.key, *indicator.spread):
+        number = finite(record.get(name))
+        if number is None:
+            return None
+        numbers.append(number)
+    return IndicatorValue(*numbers)

@@ -1,24 +1,92 @@
-"""Numbers, lists and fault names as words."""
+"""Words of the report: its checks, captions and fault names, and numbers as text."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from minidual.gate.check import Number, with_unit
-from minidual.registry import rows_beside
 
-WORDS: dict[str, Any] = rows_beside(__file__, "templates/words.yaml")
-"""Words of the checks, captions by stage and file, and faults by violated condition of success."""
+CHECK_WORDS: Mapping[str, Mapping[str, str]] = {
+    "missing_cells": {
+        "why": "every method has every indicator as a finite number with its interval, undisturbed "
+        "and under every condition that applies to it{missing}",
+        "remedy": "run minidual benchmark again, with every method and condition that the tables "
+        "should hold; if fewer were meant, name them with --set benchmark.tasks=..., "
+        "benchmark.methods=... and benchmark.conditions=... (docs/report.md, Settings)",
+    },
+    "stages_not_passing": {
+        "why": "a report is built on passing verdicts{without}",
+        "remedy": "minidual status says what to run",
+    },
+}
+"""Words of the report's own checks; see `checks_of`."""
+
+CAPTIONS: Mapping[str, Mapping[str, str]] = {
+    "env-check": {
+        "sine.mp4": "All joints follow a sine",
+        "cameras.png": "What each camera sees at home",
+        "tracking.png": "Step, sine and single joints: target against measurement",
+    },
+    "plan": {
+        "paths.png": "One query a group: paths of the hands among the obstacles",
+        "times.png": "Planning times and their phases",
+    },
+    "carry": {
+        "carry.mp4": "The median carry under object impedance control",
+        "worst.mp4": "The worst carry: the first failure, or the largest tilt",
+        "median.png": "The median trial",
+        "worst.png": "The worst trial: the first failure, or the largest tilt",
+    },
+    "teleop-record": {
+        "demonstration.mp4": "A recorded demonstration",
+        "quality.png": "Quality of every episode",
+    },
+    "train-act": {
+        "loss.png": "Training and validation loss",
+    },
+    "deploy": {
+        "success.mp4": "The policy succeeds on a start held out from training",
+        "occlusion.png": "Where the policy looks, at the first tick of a trial",
+        "failure.mp4": "The policy fails on a start held out from training",
+    },
+}
+"""Captions of pictures and films by stage and file."""
+
+FAULTS: Mapping[str, str] = {
+    "held": "grip lost",
+    "rose": "never lifted clear",
+    "level": "tilted too far",
+    "arrived": "missed the goal",
+    "released": "not released",
+    "at_rest": "not at rest",
+    "on_time": "too late",
+    "squeezed": "internal force lost",
+    "whole": "the object broke",
+    "clear": "touched the obstacle",
+    "turned": "wrong orientation at the goal",
+    "exchanged": "not handed over",
+    "carried": "slid on the table",
+    "stood": "slid on the table between lifts",
+    "inside": "not wholly in its bin",
+    "aloft": "too low over the table at the end",
+    "mated": "the peg did not enter the bore deep enough, or did not stay",
+}
+"""By violated condition of success."""
+
+_LEAST_DEGREES = 0.01
 
 
 def fault(name: str) -> str:
-    """Return a violated condition in words."""
-    return WORDS["faults"].get(name, name.replace("_", " ") or "unnamed")
+    """Return a violated condition of success in words."""
+    if name in FAULTS:
+        return FAULTS[name]
+    return name.replace("_", " ") or "unnamed"
 
 
 def joined(items: Sequence[str]) -> str:
     """Return "a, b and c"."""
-    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
+    if len(items) <= 1:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} and {items[-1]}"
 
 
 def moment(stamp: str) -> str:
@@ -27,7 +95,7 @@ def moment(stamp: str) -> str:
 
 
 def commit(name: str | None) -> str:
-    """Return the short name of a commit, with its mark of changes."""
+    """Return the short name of a commit, with its mark of uncommitted changes."""
     identifier, plus, changes = (name or "unknown").partition("+")
     return identifier[:10] + plus + changes
 
@@ -36,35 +104,33 @@ def duration(seconds: float) -> str:
     """Return e.g. "4 min 05 s"."""
     if seconds < 59.95:
         return f"{seconds:.1f} s"
-    whole = round(seconds)
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    minutes, whole_seconds = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {whole_seconds:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def percent(share: float) -> str:
     """Return "85 %"; one decimal below 1 % and above 99 %."""
-    return (
-        f"{share * 100:.1f} %"
-        if 0.0 < share < 0.01 or 0.99 < share < 1.0
-        else f"{share * 100:.0f} %"
-    )
+    is_near_an_end = 0.0 < share < 0.01 or 0.99 < share < 1.0
+    decimals = 1 if is_near_an_end else 0
+    return f"{share * 100:.{decimals}f} %"
 
 
 def points(difference: float) -> str:
-    """Return percentage points: "+5", "0", "−12"."""
+    """Return a difference of rates in percentage points: "+5", "0", "−12"."""
     whole = round(100.0 * difference)
-    return f"{whole:+d}".replace("-", "\u2212") if whole else "0"
+    if whole == 0:
+        return "0"
+    return f"{whole:+d}".replace("-", "\u2212")
 
 
 def quantity(value: Number | None, unit: str) -> str:
     """Return a value with its unit, angles in degrees too."""
     text = with_unit(value, unit)
-    if (
-        unit == "rad"
-        and isinstance(value, float)
-        and math.isfinite(value)
-        and abs(math.degrees(value)) >= 0.01
-    ):
-        text += f" ({math.degrees(value):.3g}°)"
-    return text
+    if unit != "rad" or not isinstance(value, float) or not math.isfinite(value):
+        return text
+    degrees = math.degrees(value)
+    if abs(degrees) < _LEAST_DEGREES:
+        return text
+    return f"{text} ({degrees:.3g}°)"

@@ -21,6 +21,8 @@ from minidual.errors import EnvironmentMissingError
 
 _MESSAGE_MAX_BYTES = 2**16
 _OPEN_S = 2.0
+"""Browsers keep a spare connection open without a request; a server that stops waits for it."""
+_IP_ADDRESS = re.compile(r"[\d.]+|.*:.*")
 _LOGGER = logging.getLogger("minidual.view")
 _LOGGER.addHandler(logging.NullHandler())
 _LOGGER.propagate = False  # port probes would print tracebacks
@@ -46,7 +48,11 @@ _DECODER = msgspec.msgpack.Decoder(_Camera | _Change)
 
 
 class _Connection(ServerConnection):
-    """Drops messages that this page may not send."""
+    """Drops messages that this page may not send.
+
+    Attributes:
+        drives: Whether the page may move sliders and press buttons.
+    """
 
     drives = False
 
@@ -65,8 +71,9 @@ class _Connection(ServerConnection):
 class Guard:
     """Checks every request to a view at `host`; `say` gets the first refusal only.
 
-    A request needs the token, from the printed address or the cookie that the page sets, a Host that is this machine,
-    and no Origin but its own Host. The moves of sliders count from this machine only, unless `remote_drives`.
+    A request needs the token, from the printed address or the cookie that the page sets, a Host that
+    is this machine, and no Origin but its own Host. The moves of sliders count from this machine only,
+    unless `remote_drives`.
     """
 
     def __init__(self, host: str, remote_drives: bool, say: Callable[[str], None]) -> None:
@@ -79,51 +86,54 @@ class Guard:
     def start(self, make: Callable[[], viser.ViserServer]) -> viser.ViserServer:
         """Return the server that `make` starts, guarded.
 
+        viser takes no hooks for requests. While it starts, the public `serve` of websockets, which it
+        calls, is replaced by one that adds them.
+
         Raises:
             EnvironmentMissingError: viser did not call it; the server is stopped.
         """
-        # viser takes no hooks for requests; the public `serve` of websockets, which it calls, does
-        plain = websockets_server.serve
-        hooked = False
+        original_serve = websockets_server.serve
+        was_called = False
 
-        def serve(
+        def guarded_serve(
             *arguments: Any,
             process_request: Any,
             **settings: Any,
         ) -> websockets_server.serve:
-            nonlocal hooked
-            hooked = True
+            nonlocal was_called
+            was_called = True
+            guarded = {**settings, **self._settings(process_request)}
+            return original_serve(*arguments, **guarded)
 
-            def answer(connection: _Connection, request: Request) -> Response | None:
-                return self._answer(connection, request, process_request)
-
-            settings |= {
-                "process_request": answer,
-                "create_connection": _Connection,
-                "logger": _LOGGER,
-            }
-            # browsers keep a spare connection open without a request, and a server that stops waits for its timeout
-            settings |= {
-                "max_size": _MESSAGE_MAX_BYTES,
-                "select_subprotocol": None,
-                "open_timeout": _OPEN_S,
-            }
-            return plain(
-                *arguments,
-                **settings | {"subprotocols": [Subprotocol(f"viser-v{viser.__version__}")]},
-            )
-
-        websockets_server.serve = serve  # type: ignore[assignment, misc]
+        websockets_server.serve = guarded_serve  # type: ignore[assignment, misc]
         try:
-            made = make()
+            server = make()
         finally:
-            websockets_server.serve = plain
-        if not hooked:
-            made.stop()
-            other = f"viser {viser.__version__} starts its server in another way, so the view cannot check who opens it"
-            remedy = "install the version of viser in requirements.lock, or leave out --view web"
-            raise EnvironmentMissingError(other, remedy=remedy)
-        return made
+            websockets_server.serve = original_serve
+        if not was_called:
+            server.stop()
+            raise EnvironmentMissingError(
+                f"viser {viser.__version__} starts its server in another way, so the view cannot "
+                "check who opens it",
+                remedy="install the version of viser in requirements.lock, or leave out --view web",
+            )
+        return server
+
+    def _settings(self, process_request: Any) -> dict[str, Any]:
+        """Return the options of `serve` that replace viser's; `process_request` is viser's own."""
+
+        def answer(connection: _Connection, request: Request) -> Response | None:
+            return self._answer(connection, request, process_request)
+
+        return {
+            "process_request": answer,
+            "create_connection": _Connection,
+            "logger": _LOGGER,
+            "max_size": _MESSAGE_MAX_BYTES,
+            "select_subprotocol": None,
+            "subprotocols": [Subprotocol(f"viser-v{viser.__version__}")],
+            "open_timeout": _OPEN_S,
+        }
 
     def _answer(
         self,
@@ -133,54 +143,62 @@ class Guard:
     ) -> Response | None:
         cookie = f"minidual-{connection.local_address[1]}"
         peer = str(connection.remote_address[0])
-        if why := self._refusal(request, cookie):
+        reason = self._refusal(request, cookie)
+        if reason:
             if not self._refused:
                 self._say(
-                    f"view: refused a request from {peer}: {why} (later ones are refused without a message)",
+                    f"view: refused a request from {peer}: {reason} "
+                    "(later ones are refused without a message)",
                 )
             self._refused = True
-            return connection.respond(HTTPStatus.FORBIDDEN, f"minidual: {why}\n")
+            return connection.respond(HTTPStatus.FORBIDDEN, f"minidual: {reason}\n")
         connection.drives = self._remote_drives or is_loopback(peer)
         response: Response | None = process_request(connection, request)
         if response is not None:
-            response.headers["Set-Cookie"] = (
-                f"{cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-            )
-            response.headers["Referrer-Policy"], response.headers["Cache-Control"] = (
-                "no-referrer",
-                "no-store",
-            )
+            attributes = "HttpOnly; SameSite=Strict; Path=/"
+            response.headers["Set-Cookie"] = f"{cookie}={self.token}; {attributes}"
+            response.headers["Referrer-Policy"] = "no-referrer"
+            response.headers["Cache-Control"] = "no-store"
         return response
 
     def _refusal(self, request: Request, cookie: str) -> str:
+        """Return why a request is refused; empty if it is not."""
         hosts = request.headers.get_all("Host")
-        origins = request.headers.get_all("Origin")
-        if len(hosts) != 1 or not self._is_here(hosts[0]):
+        if len(hosts) != 1 or not self._is_this_machine(hosts[0]):
             return f"it asks for host {', '.join(hosts)[:80] or 'none'}, not for this machine"
+        origins = request.headers.get_all("Origin")
         if origins not in ([], [f"http://{hosts[0]}"]):
             return f"it comes from a page of {', '.join(origins)[:80]}"
-        given = parse_qs(request.path.partition("?")[2]).get("token", [])
-        for kept in request.headers.get_all("Cookie"):
-            given += re.findall(rf"(?:^|; *){cookie}=([^;]*)", kept)
-        if not any(
-            secrets.compare_digest(one.encode(errors="replace"), self.token.encode())
-            for one in given
-        ):
+        if not any(self._is_token(text) for text in _tokens(request, cookie)):
             return "it lacks the token of the address that this command printed"
         return ""
 
-    def _is_here(self, host: str) -> bool:
-        """Return whether a Host header names this machine; DNS may lend a stranger's page any other name."""
+    def _is_token(self, text: str) -> bool:
+        return secrets.compare_digest(text.encode(errors="replace"), self.token.encode())
+
+    def _is_this_machine(self, host: str) -> bool:
+        """Return whether a Host header names this machine.
+
+        Names other than its own are refused: DNS may point a stranger's page at this machine.
+        """
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:
             return False
         if is_loopback(name) or is_loopback(self._host):
             return is_loopback(name)
-        return bool(re.fullmatch(r"[\d.]+|.*:.*", name)) or name in (
-            self._host,
-            socket.gethostname(),
-        )
+        if _IP_ADDRESS.fullmatch(name):
+            return True
+        return name in (self._host, socket.gethostname())
+
+
+def _tokens(request: Request, cookie: str) -> list[str]:
+    """Return the tokens of a request, from its address and its cookies."""
+    _, _, query = request.path.partition("?")
+    tokens = parse_qs(query).get("token", [])
+    for header in request.headers.get_all("Cookie"):
+        tokens += re.findall(rf"(?:^|; *){cookie}=([^;]*)", header)
+    return tokens
 
 
 def is_loopback(host: str) -> bool:

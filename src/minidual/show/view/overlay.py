@@ -5,8 +5,9 @@ from typing import NamedTuple
 from minidual.robot.pair import Array
 
 ARM_RGB = ((32, 108, 214), (150, 62, 190))
+"""Colours of left arm and right arm."""
 OBJECT_RGB = (20, 150, 90)
-"""Colours of left arm, right arm and object."""
+"""Colour of the object."""
 
 
 class Arrow(NamedTuple):
@@ -29,6 +30,7 @@ class Preview(NamedTuple):
     """A plan. Reuse the object: views redraw only another one.
 
     Attributes:
+        paths: Of the hands.
         ghosts: States (nq,) drawn half transparent.
     """
 
@@ -43,9 +45,16 @@ class Overlay(NamedTuple):
     """State at one instant. Empty text and None are not shown.
 
     Attributes:
-        mode, source: What may drive, and what reaches the motors.
+        time_s: Simulated time.
+        title: What is running.
+        mode: Source that may drive.
+        source: Source whose commands reach the motors.
         state: Of the arbiter, and the phase.
+        status: Reflex, or why the method stopped itself.
+        pinch_n: Of left and right hand.
         internal_n: Squeeze along the object.
+        arrows: Forces.
+        preview: Plan.
     """
 
     time_s: float = 0.0
@@ -61,7 +70,7 @@ class Overlay(NamedTuple):
 
 
 class Slider(NamedTuple):
-    """A value that viewers may set; `group` is its folder."""
+    """A value that viewers may set; `group` is its folder in the panel."""
 
     group: str
     label: str

@@ -1,100 +1,29 @@
 """Browser scene: built once, then updated."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
-import pinocchio as pin
-import trimesh
 
-from minidual.robot.pair import pose
-from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, Preview
+from minidual.show.view.meshes import BodyMesh, body_meshes, moving_bodies
+from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, PathLine, Preview
 
-HIDDEN_GROUP = 3
-"""Collision geoms from here on, also hidden by MuJoCo's viewer."""
-_SHARP_RAD = np.deg2rad(35.0)
-"""Sharper edges stay unsmoothed."""
 _ARROW_M_PER_N = 0.0025  # 10 cm at 40 N
 _ARROW_MIN_N = 0.5
 _MOVED = 1e-5
 """Least change [m, quaternion] that is sent."""
-_FLAT_M = 0.002  # thinner meshes cast no shadow, which would blur table marks
 _GHOSTS_MAX = 4
 _GHOST_MOVED = 1e-3
+"""Least change [m, quaternion] for which a body of a ghost is drawn."""
 _GHOST_RGB = (70, 160, 255)
+_GHOST_OPACITY = 0.28
 _FLOOR_RGB = (214, 220, 228)
+_FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 _FOG_RGB = (255, 255, 255)
 _CAMERA = (1.85, -0.85, 0.95)
 _TARGET = (0.30, 0.10, 0.17)
 _FOV_RAD = 0.70
-_KIND = mujoco.mjtGeom
-_SOLIDS: dict[mujoco.mjtGeom, Callable[[Array], trimesh.Trimesh]] = {
-    _KIND.mjGEOM_BOX: lambda size: trimesh.creation.box(extents=2.0 * size),
-    _KIND.mjGEOM_CYLINDER: lambda size: trimesh.creation.cylinder(
-        size[0],
-        2.0 * size[1],
-        sections=40,
-    ),
-    _KIND.mjGEOM_CAPSULE: lambda size: trimesh.creation.capsule(
-        2.0 * size[1],
-        size[0],
-        count=[24, 24],
-    ),
-    _KIND.mjGEOM_SPHERE: lambda size: trimesh.creation.icosphere(subdivisions=3).apply_scale(
-        size[0],
-    ),
-}
-_FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
-
-
-class BodyMesh(NamedTuple):
-    """Triangles of one colour in body frame [m]; body 0 is the world."""
-
-    body: int
-    vertices: npt.NDArray[np.float32]
-    faces: npt.NDArray[np.int32]
-    rgba: tuple[float, float, float, float]
-
-
-def moving_bodies(model: mujoco.MjModel) -> list[int]:
-    """Return the bodies not welded to the world."""
-    return [body for body in range(1, model.nbody) if int(model.body_weldid[body]) != 0]
-
-
-def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
-    """Return visible meshes, merged by body and colour for speed."""
-    parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
-    for geom in range(model.ngeom):
-        hidden = (
-            int(model.geom_group[geom]) >= HIDDEN_GROUP or float(model.geom_rgba[geom, 3]) == 0.0
-        )
-        if hidden or (mesh := _mesh(model, geom)) is None:
-            continue
-        mesh.apply_transform(
-            pose(pin.Quaternion(*model.geom_quat[geom]).matrix(), model.geom_pos[geom]),
-        )
-        rgba = tuple(round(float(c), 4) for c in model.geom_rgba[geom])
-        parts.setdefault((int(model.geom_bodyid[geom]), rgba), []).append(mesh)
-    result = []
-    for (body, rgba), meshes in parts.items():
-        whole = trimesh.graph.smooth_shade(trimesh.util.concatenate(meshes), angle=_SHARP_RAD)
-        vertices = whole.vertices.astype(np.float32)
-        faces = whole.faces.astype(np.int32)
-        result.append(BodyMesh(body, vertices, faces, rgba))  # type: ignore[arg-type]
-    return result
-
-
-def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    size = model.geom_size[geom]
-    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    if kind == _KIND.mjGEOM_MESH:
-        mesh = model.mesh(int(model.geom_dataid[geom]))
-        vertices = model.mesh_vert[int(mesh.vertadr[0]) :][: int(mesh.vertnum[0])]
-        faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
-        return trimesh.Trimesh(vertices.astype(float), faces.astype(int), process=False)
-    return _SOLIDS[kind](size) if kind in _SOLIDS else None
 
 
 class Scene:
@@ -107,35 +36,19 @@ class Scene:
         self._arrows: Any = None
         self._preview: Preview = NO_PREVIEW
         self._preview_nodes: list[Any] = []
-        scene = server.scene
-        scene.reset()
+        server.scene.reset()
         self._light()
-        planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-        if len(planes):
-            corners = _FLOOR_HALF_M * np.array(
-                [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]],
-                dtype=np.float32,
-            )
-            faces = np.array([[0, 1, 2], [0, 2, 3]])
-            position = (0.0, 0.0, float(model.geom_pos[planes[0], 2]))
-            scene.add_mesh_simple(
-                "/floor",
-                corners,
-                faces,
-                color=_FLOOR_RGB,
-                position=position,
-                cast_shadow=False,
-            )
+        self._place_camera()
+        self._add_floor()
+        at_rest = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, at_rest)
         drawn = {mesh.body for mesh in self._meshes}
-        rest = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, rest)
-        self._frames = self._add_bodies("/scene", rest, drawn)
+        self._frames = self._add_bodies("/scene", at_rest, drawn)
         self._moving = [body for body in moving_bodies(model) if body in drawn]
         self._sent: dict[int, Array] = {body: np.full(7, np.inf) for body in self._moving}
 
     def _light(self) -> None:
         scene = self._server.scene
-        camera = self._server.initial_camera
         scene.set_up_direction("+z")
         scene.configure_environment_map("studio", background=False, environment_intensity=0.22)
         scene.configure_default_lights(enabled=False)
@@ -148,12 +61,30 @@ class Scene:
             position=(1.2, 1.0, 2.6),
         )
         scene.configure_fog(4.0, 14.0, color=_FOG_RGB)
+
+    def _place_camera(self) -> None:
+        camera = self._server.initial_camera
         camera.position = _CAMERA
         camera.look_at = _TARGET
         camera.up = (0.0, 0.0, 1.0)
         camera.fov = _FOV_RAD
         camera.near = 0.05
         camera.far = 60.0
+
+    def _add_floor(self) -> None:
+        """Draw the model's ground plane, if it has one."""
+        planes = np.flatnonzero(self._model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+        if not len(planes):
+            return
+        corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32)
+        self._server.scene.add_mesh_simple(
+            "/floor",
+            _FLOOR_HALF_M * corners,
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            color=_FLOOR_RGB,
+            position=(0.0, 0.0, float(self._model.geom_pos[planes[0], 2])),
+            cast_shadow=False,
+        )
 
     def _add_bodies(
         self,
@@ -163,27 +94,49 @@ class Scene:
         *,
         ghost: bool = False,
     ) -> dict[int, Any]:
+        """Add bodies at their poses in `data`; return their frames."""
         frames: dict[int, Any] = {}
-        names = {
-            body: f"{root}/{body}_{self._model.body(body).name.replace('/', '_')}"
-            for body in sorted(bodies)
-        }
-        for body, name in names.items():
-            pose = {"position": data.xpos[body].copy(), "wxyz": data.xquat[body].copy()}
-            frames[body] = self._server.scene.add_frame(name, show_axes=False, **pose)
+        names: dict[int, str] = {}
+        for body in sorted(bodies):
+            names[body] = f"{root}/{body}_{self._model.body(body).name.replace('/', '_')}"
+            frames[body] = self._server.scene.add_frame(
+                names[body],
+                show_axes=False,
+                position=data.xpos[body].copy(),
+                wxyz=data.xquat[body].copy(),
+            )
         for index, mesh in enumerate(self._meshes):
-            if mesh.body in bodies:
-                flat = float(np.ptp(mesh.vertices, axis=0).min()) < _FLAT_M
-                self._server.scene.add_mesh_simple(
-                    f"{names[mesh.body]}/mesh{index}",
-                    mesh.vertices,
-                    mesh.faces,
-                    color=_GHOST_RGB if ghost else tuple(round(255 * c) for c in mesh.rgba[:3]),
-                    opacity=0.28 if ghost else (mesh.rgba[3] if mesh.rgba[3] < 1.0 else None),
-                    cast_shadow=not (ghost or flat),
-                    receive_shadow=not ghost,
-                )
+            if mesh.body not in bodies:
+                continue
+            name = f"{names[mesh.body]}/mesh{index}"
+            if ghost:
+                self._add_ghost_mesh(name, mesh)
+            else:
+                self._add_mesh(name, mesh)
         return frames
+
+    def _add_mesh(self, name: str, mesh: BodyMesh) -> None:
+        *rgb, opacity = mesh.rgba
+        self._server.scene.add_mesh_simple(
+            name,
+            mesh.vertices,
+            mesh.faces,
+            color=tuple(round(255 * channel) for channel in rgb),
+            opacity=opacity if opacity < 1.0 else None,
+            cast_shadow=not mesh.is_flat,
+            receive_shadow=True,
+        )
+
+    def _add_ghost_mesh(self, name: str, mesh: BodyMesh) -> None:
+        self._server.scene.add_mesh_simple(
+            name,
+            mesh.vertices,
+            mesh.faces,
+            color=_GHOST_RGB,
+            opacity=_GHOST_OPACITY,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def move(self, positions: Array, quaternions: Array) -> int:
         """Send changed poses; return their number.
@@ -192,31 +145,35 @@ class Scene:
             positions: (nbody, 3) world [m].
             quaternions: (nbody, 4) wxyz.
         """
-        sent = 0
+        sent_n = 0
         for body in self._moving:
             pose = np.concatenate([positions[body], quaternions[body]])
             if np.abs(pose - self._sent[body]).max() >= _MOVED:
                 self._sent[body] = pose
                 self._frames[body].position = pose[:3]
                 self._frames[body].wxyz = pose[3:]
-                sent += 1
-        return sent
+                sent_n += 1
+        return sent_n
 
     def draw_forces(self, arrows: Sequence[Arrow]) -> None:
         """Replace the force arrows."""
-        shown = [a for a in arrows if float(np.linalg.norm(a.force)) >= _ARROW_MIN_N]
+        shown = [arrow for arrow in arrows if float(np.linalg.norm(arrow.force)) >= _ARROW_MIN_N]
         if self._arrows is not None:
             self._arrows.visible = bool(shown)
         if not shown:
             return
-        points = np.array(
-            [[a.start, a.start + _ARROW_M_PER_N * a.force] for a in shown],
-            dtype=np.float32,
-        )
-        colours = np.array([a.rgb for a in shown], dtype=np.uint8)
+        ends = [[arrow.start, arrow.start + _ARROW_M_PER_N * arrow.force] for arrow in shown]
+        points = np.array(ends, dtype=np.float32)
+        colours = np.array([arrow.rgb for arrow in shown], dtype=np.uint8)
         if self._arrows is None or len(self._arrows.points) != len(points):
-            size = {"shaft_radius": 0.006, "head_radius": 0.014, "head_length": 0.03}
-            self._arrows = self._server.scene.add_arrows("/forces", points, colours, **size)
+            self._arrows = self._server.scene.add_arrows(
+                "/forces",
+                points,
+                colours,
+                shaft_radius=0.006,
+                head_radius=0.014,
+                head_length=0.03,
+            )
         else:
             self._arrows.points = points
             self._arrows.colors = colours
@@ -230,27 +187,30 @@ class Scene:
             node.remove()
         self._preview_nodes = []
         for line in preview.paths:
-            points = np.asarray(line.points, dtype=np.float32)
-            pieces = np.stack([points[:-1], points[1:]], axis=1)
-            node = self._server.scene.add_line_segments(
-                f"/plan/{line.name}",
-                pieces,
-                line.rgb,
-                thickness=0.006,
-            )
-            self._preview_nodes.append(node)
+            self._add_path(line)
         for index, qpos in enumerate(preview.ghosts[:_GHOSTS_MAX]):
             self._add_ghost(f"/plan/ghost{index}", qpos)
 
+    def _add_path(self, line: PathLine) -> None:
+        points = np.asarray(line.points, dtype=np.float32)
+        segments = np.stack([points[:-1], points[1:]], axis=1)
+        node = self._server.scene.add_line_segments(
+            f"/plan/{line.name}",
+            segments,
+            line.rgb,
+            thickness=0.006,
+        )
+        self._preview_nodes.append(node)
+
     def _add_ghost(self, root: str, qpos: Array) -> None:
+        """Add the bodies that `qpos` (nq,) moves away from where they are."""
         data = mujoco.MjData(self._model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, data)
         self._preview_nodes.append(self._server.scene.add_frame(root, show_axes=False))
-        poses = {body: np.concatenate([data.xpos[body], data.xquat[body]]) for body in self._moving}
-        elsewhere = {
-            body
-            for body, pose in poses.items()
-            if np.abs(pose - self._sent[body]).max() > _GHOST_MOVED
-        }
-        self._add_bodies(root, data, elsewhere, ghost=True)
+        moved: set[int] = set()
+        for body in self._moving:
+            pose = np.concatenate([data.xpos[body], data.xquat[body]])
+            if np.abs(pose - self._sent[body]).max() > _GHOST_MOVED:
+                moved.add(body)
+        self._add_bodies(root, data, moved, ghost=True)

@@ -18,7 +18,8 @@ from minidual.show.view.overlay import Overlay
 from minidual.show.view.panel import Panel
 from minidual.show.view.scene import Scene
 
-_PORTS_TRIED = 50
+_PORTS_N = 50
+"""Ports that are tried, one after the other."""
 _PANEL_PERIOD_S = 1.0 / 6.0
 _UNWATCHED = 10.0
 """Factor of the frame period while no browser is connected."""
@@ -40,13 +41,22 @@ class WebView:
 
     `update` copies; it never waits for browsers. A drawing error is reported once and ends the view.
 
+    Attributes:
+        alive: Whether it is visible.
+        panel: Beside the scene.
+        port: Port of the server.
+        speed_max: Largest simulated time over wall time; 0 for no limit.
+        url: Address to open, with the token.
+
     Raises:
-        UsageError, EnvironmentMissingError: Unusable interface, no free port, or a viser that cannot be guarded.
+        UsageError: Unusable interface, or no free port.
+        EnvironmentMissingError: A viser that cannot be guarded.
     """
 
     name = "web"
 
     def __init__(self, config: ViewConfig, say: Callable[[str], None]) -> None:
+        self._config = config
         self._say = say
         self.speed_max = config.speed_max
         guard = Guard(config.host, config.remote_drives, say)
@@ -58,17 +68,18 @@ class WebView:
         self.port = self._server.get_port()
         self.url: str | None = f"{url(config.host, self.port)}/?token={guard.token}"
         self.alive = True
-        """Whether it is visible."""
         self._closed = False
         self.panel = Panel(self._server)
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
         self._overlay = Overlay()
         self._period_s = 1.0 / config.rate_hz
-        self._frame_due_s = self._panel_due_s = 0.0
-        self._config = config
+        self._frame_due_s = 0.0
+        self._panel_due_s = 0.0
 
-    def _introduce(self, config: ViewConfig) -> None:
+    def _introduce(self) -> None:
+        """Say where the view is, and who can open it."""
+        config = self._config
         if self.port != config.port:
             self._say(f"port {config.port} is taken; the view is at port {self.port}")
         self._say(f"view: {self.url}")
@@ -76,16 +87,18 @@ class WebView:
             tunnel = tunnel_command(config.host, self.port)
             self._say(f"from another machine: {tunnel}, then open the same address there")
             return
-        sees = f"sees the view and {'moves' if config.remote_drives else 'cannot move'} its sliders"
-        who = f"whoever has this address, with the name of this machine, {sees}"
-        self._say(f"warning: the view is bound to {config.host}, without encryption: {who}")
+        moves = "moves" if config.remote_drives else "cannot move"
+        self._say(
+            f"warning: the view is bound to {config.host}, without encryption: whoever has this "
+            f"address, with the name of this machine, sees the view and {moves} its sliders",
+        )
         if not config.remote_drives:
             self.panel.note("only pages on the machine that runs the command move the sliders")
 
     def open(self, model: mujoco.MjModel) -> None:
-        """Replace the shown model, which needs visual meshes; say at the first where."""
+        """Replace the shown model, which needs visual meshes; the first call says where the view is."""
         if self._model is None:
-            self._introduce(self._config)
+            self._introduce()
         if model is not self._model and self.alive:
             self._scene = Scene(self._server, model)
             self._model = model
@@ -99,23 +112,25 @@ class WebView:
         if self._scene is None or not self.alive:
             return
         try:
-            with self._server.atomic():
-                self._scene.move(data.xpos, data.xquat)
-                self._scene.draw_forces(overlay.arrows)
-            self._scene.draw_preview(overlay.preview)
-            self._overlay = overlay
-            now = time.monotonic()
-            if now >= self._panel_due_s:
-                self.panel.show(overlay)
-                self._panel_due_s = now + _PANEL_PERIOD_S
-            self._frame_due_s = now + self._period_s * (
-                1.0 if self._server.get_clients() else _UNWATCHED
-            )
+            self._draw(self._scene, data, overlay)
         except Exception as error:  # no error may reach the simulation
             self.alive = False
             self._say(
                 f"the view ended early ({type(error).__name__}: {error}); what it showed goes on",
             )
+
+    def _draw(self, scene: Scene, data: mujoco.MjData, overlay: Overlay) -> None:
+        with self._server.atomic():
+            scene.move(data.xpos, data.xquat)
+            scene.draw_forces(overlay.arrows)
+        scene.draw_preview(overlay.preview)
+        self._overlay = overlay
+        now_s = time.monotonic()
+        if now_s >= self._panel_due_s:
+            self.panel.show(overlay)
+            self._panel_due_s = now_s + _PANEL_PERIOD_S
+        is_watched = bool(self._server.get_clients())
+        self._frame_due_s = now_s + self._period_s * (1.0 if is_watched else _UNWATCHED)
 
     def close(self) -> None:
         """Mark the page as ended; stop the server."""
@@ -132,8 +147,8 @@ class WebView:
             self._server.stop()
 
 
-def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
-    """Return the first bindable port.
+def free_port(host: str, first: int, tries: int = _PORTS_N) -> int:
+    """Return the first bindable port from `first` on.
 
     Raises:
         UsageError: Unusable interface, or no free port.
@@ -143,25 +158,35 @@ def free_port(host: str, first: int, tries: int = _PORTS_TRIED) -> int:
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
             socket.create_server((host, port), family=family).close()
-            return port
         except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                refused = f"the view cannot bind interface '{host}', port {port}: {error.strerror or error}"
-                remedy = (
-                    "--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up"
-                )
-                raise UsageError(refused, remedy=remedy) from error
-    remedy = "end the program that holds them, or --view-port N"
-    raise UsageError(f"no free port for the view among {first} to {last}", remedy=remedy)
+            if error.errno == errno.EADDRINUSE:
+                continue
+            reason = error.strerror or error
+            raise UsageError(
+                f"the view cannot bind interface '{host}', port {port}: {reason}",
+                remedy="--view-host 127.0.0.1 for this machine only, and a --view-port from 1024 up",
+            ) from error
+        return port
+    raise UsageError(
+        f"no free port for the view among {first} to {last}",
+        remedy="end the program that holds them, or --view-port N",
+    )
 
 
 def url(host: str, port: int) -> str:
     """Return the address to open on this machine."""
-    return f"http://{_shown(host)}:{port}"
+    return f"http://{_reachable_name(host)}:{port}"
 
 
-def _shown(host: str) -> str:
-    return {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+def _reachable_name(host: str) -> str:
+    """Return the name of an interface in an address; for all interfaces, that of this machine."""
+    if host == "0.0.0.0":
+        return "127.0.0.1"
+    if host == "::":
+        return "[::1]"
+    if ":" in host:
+        return f"[{host}]"
+    return host
 
 
 def tunnel_command(host: str, port: int) -> str:
@@ -170,7 +195,7 @@ def tunnel_command(host: str, port: int) -> str:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container without a passwd entry for this user
         user = "user"
-    return f"ssh -L {port}:{_shown(host)}:{port} {user}@{socket.gethostname()}"
+    return f"ssh -L {port}:{_reachable_name(host)}:{port} {user}@{socket.gethostname()}"
 
 
 def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
