@@ -20,7 +20,7 @@ from collections import Counter
 from pathlib import Path
 
 from minidual.config.seeds import stream
-from minidual.gate.fingerprint import circumstances_now
+from minidual.gate.circumstances import circumstances_now
 from scripts.campaign.case import Case, Place, Result, command, run_cases
 from scripts.campaign.kinds import KINDS, Kind
 
@@ -82,7 +82,7 @@ class Campaign:
         self.known: dict[tuple[str, str], dict] = {}
         self.rows: dict[str, Row] = {}
         self._digest = _tree_digest(source)
-        commit = circumstances_now(())["commit"]
+        commit = circumstances_now(()).commit
         self.head = {
             "seed": options.seed,
             "small": options.small,

@@ -8,8 +8,8 @@ import textwrap
 
 import pytest
 
-from minidual.gate import fingerprint
-from minidual.gate.fingerprint import Code, code_of
+from minidual.gate import code
+from minidual.gate.code import Code, code_of
 from minidual.gate.table import StageEntry, StageTable
 from minidual.stages.registry import STAGES
 from tests.support.pipeline_toys import Bench
@@ -40,9 +40,9 @@ def package(tmp_path, monkeypatch):
 
     def write(name, text):
         (folder / f"{name}.py").write_text(textwrap.dedent(text))
-        fingerprint._reach.cache_clear()
-        fingerprint._module.cache_clear()
-        fingerprint._files.cache_clear()
+        code._reach.cache_clear()
+        code._module.cache_clear()
+        code._files.cache_clear()
 
     write("__init__", "")
     write("stage", STAGE)
@@ -52,11 +52,11 @@ def package(tmp_path, monkeypatch):
     write("stranger", "import toycode.stage\n")
     monkeypatch.syspath_prepend(str(folder.parent))
     importlib.invalidate_caches()
-    fingerprint._spec.cache_clear()
+    code._spec.cache_clear()
     yield write
     for name in [name for name in sys.modules if name.startswith("toycode")]:
         del sys.modules[name]
-    fingerprint._spec.cache_clear()
+    code._spec.cache_clear()
 
 
 def reach():

@@ -152,13 +152,13 @@ def test_renaming_a_run_keeps_it_fresh(finished):
 
 def test_version_change_warns_and_stays_fresh(finished, monkeypatch):
     monkeypatch.setattr("minidual.__version__", "99.0")
-    from minidual.gate import fingerprint
+    from minidual.gate import circumstances
 
-    fingerprint.circumstances_now.cache_clear()
+    circumstances.circumstances_now.cache_clear()
     try:
         state = finished.gate().state("first")
     finally:
-        fingerprint.circumstances_now.cache_clear()
+        circumstances.circumstances_now.cache_clear()
     assert state.state == "pass"
     assert any("this is 99.0" in warning for warning in state.warnings)
 

@@ -14,7 +14,7 @@ from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.canonical import digest
-from minidual.gate.stage import Progress
+from minidual.gate.progress import Progress
 from minidual.plant.world import World
 from minidual.show.figures.film import Postures, film_trial
 from minidual.stages.carry import _record

@@ -15,8 +15,9 @@ import pytest
 from minidual import emergency
 from minidual.config.learning import TrainConfig
 from minidual.config.root import Config
-from minidual.gate.fingerprint import Code
-from minidual.gate.stage import Progress, StageContext, StageResult
+from minidual.gate.code import Code
+from minidual.gate.progress import Progress
+from minidual.gate.stage import StageContext, StageResult
 from minidual.policies import policy
 from minidual.policies.kinds import ChunkPolicy, TrainResult
 from minidual.policies.policy import EmittedActions, exercise_checkpoint

@@ -20,9 +20,10 @@ from rich.text import Text
 
 from minidual.errors import printable
 from minidual.gate.check import Check, with_unit
-from minidual.gate.gate import Gate, StageState
+from minidual.gate.gate import Gate
+from minidual.gate.progress import Progress, ProgressTask
 from minidual.gate.runner import StageOutcome
-from minidual.gate.stage import Progress, ProgressTask
+from minidual.gate.state import StageState
 from minidual.gate.table import StageEntry
 from minidual.gate.verdict import Verdict
 

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from minidual.gate.gate import StageState
 from minidual.gate.runner import StageOutcome
+from minidual.gate.state import StageState
 
 
 def outcome_document(outcome: StageOutcome) -> dict[str, Any]:

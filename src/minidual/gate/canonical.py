@@ -13,8 +13,13 @@ from typing import Any, cast
 def canonical(value: Any, where: str = "value") -> Any:
     """Return `value` as JSON types; non-finite floats become "nan", "inf" or "-inf".
 
-    Takes pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums and numpy values; TypeError
-    names the place of anything else.
+    Args:
+        value: Pydantic models, mappings with string keys, sequences, sets (sorted), paths, enums,
+            numpy values, and what JSON has.
+        where: Name of the value in errors.
+
+    Raises:
+        TypeError: Anything else; names its place.
     """
     if isinstance(value, enum.Enum):
         value = value.value
@@ -27,20 +32,22 @@ def canonical(value: Any, where: str = "value") -> Any:
     if hasattr(value, "model_dump"):
         return canonical(value.model_dump(mode="json"), where)
     if isinstance(value, Mapping):
-        mapping = cast(Mapping[Any, Any], value)
-        for key in mapping:
-            if not isinstance(key, str):
-                raise TypeError(f"{where}: key {key!r} is not a string")
-        return {key: canonical(item, f"{where}.{key}") for key, item in mapping.items()}
+        return _canonical_mapping(cast(Mapping[Any, Any], value), where)
     if isinstance(value, set | frozenset):
         return sorted(canonical(item, where) for item in cast(set[Any], value))
     if isinstance(value, list | tuple):
-        return [
-            canonical(item, f"{where}[{i}]") for i, item in enumerate(cast(Sequence[Any], value))
-        ]
+        items = cast(Sequence[Any], value)
+        return [canonical(item, f"{where}[{index}]") for index, item in enumerate(items)]
     if hasattr(value, "tolist"):  # numpy scalars and arrays
         return canonical(value.tolist(), where)
     raise TypeError(f"{where}: {type(value).__name__} cannot be written as JSON")
+
+
+def _canonical_mapping(mapping: Mapping[Any, Any], where: str) -> dict[str, Any]:
+    for key in mapping:
+        if not isinstance(key, str):
+            raise TypeError(f"{where}: key {key!r} is not a string")
+    return {key: canonical(item, f"{where}.{key}") for key, item in mapping.items()}
 
 
 def digest(value: Any) -> str:

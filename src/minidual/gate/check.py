@@ -18,22 +18,24 @@ _COMPARE = {
     ">=": operator.ge,
     "==": operator.eq,
 }
+_BITS_MAX = 1000
+"""Of integers: a float holds up to 1024."""
 
 
-def _plain_number(value: Any, what: str) -> Number:
-    if (
-        not isinstance(value, bool | int | float)
-        and hasattr(value, "item")
-        and getattr(value, "ndim", 0) == 0
-    ):
+def _plain_number(value: Any, name: str) -> Number:
+    if not isinstance(value, bool | int | float) and _is_numpy_scalar(value):
         value = value.item()
     if not isinstance(value, bool | int | float):
         raise TypeError(
-            f"{what} must be a number or a bool, not {type(value).__name__} ({value!r})",
+            f"{name} must be a number or a bool, not {type(value).__name__} ({value!r})"
         )
-    if isinstance(value, int) and value.bit_length() > 1000:
-        raise ValueError(f"{what} has {value.bit_length()} bits, more than a float holds")
+    if isinstance(value, int) and value.bit_length() > _BITS_MAX:
+        raise ValueError(f"{name} has {value.bit_length()} bits, more than a float holds")
     return value
+
+
+def _is_numpy_scalar(value: Any) -> bool:
+    return hasattr(value, "item") and getattr(value, "ndim", 0) == 0
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Check:
     Attributes:
         unit: "" for ratios and counts.
         why: What the limit protects.
+        remedy: What to do when it fails.
     """
 
     name: str
@@ -58,19 +61,15 @@ class Check:
     def __post_init__(self) -> None:
         if not self.name or any(c.isspace() for c in self.name):
             raise ValueError(f"a check needs a name without blanks, not {self.name!r}")
-        object.__setattr__(
-            self,
-            "observed",
-            _plain_number(self.observed, f"check {self.name}: observed"),
-        )
+        observed = _plain_number(self.observed, f"check {self.name}: observed")
+        object.__setattr__(self, "observed", observed)
         if self.op is None:
             if self.limit is not None:
                 raise ValueError(f"check {self.name}: limit {self.limit} without an operator")
             return
         if self.op not in _COMPARE:
-            raise ValueError(
-                f"check {self.name}: no operator {self.op!r}; there are {', '.join(get_args(Op))}",
-            )
+            names = ", ".join(get_args(Op))
+            raise ValueError(f"check {self.name}: no operator {self.op!r}; there are {names}")
         limit = _plain_number(self.limit, f"check {self.name}: limit")
         if not math.isfinite(limit):
             raise ValueError(f"check {self.name}: the limit must be finite, is {limit}")
@@ -91,37 +90,39 @@ class Check:
         """
         if self.op is None or self.limit is None or isinstance(self.limit, bool):
             return None
-        gap = float(self.observed) - float(self.limit)
+        excess = float(self.observed) - float(self.limit)
         if self.op in (">", ">="):
-            return gap
-        return (
-            0.0 - gap if self.op in ("<", "<=") else 0.0 - abs(gap)
-        )  # from 0.0, so that none is -0.0
+            return excess
+        # Subtracted from 0.0, so that no margin is -0.0.
+        if self.op in ("<", "<="):
+            return 0.0 - excess
+        return 0.0 - abs(excess)
 
     @property
     def relative_margin(self) -> float | None:
         """Margin over the size of the limit; None where that says nothing."""
-        if (
-            self.margin is None
-            or not math.isfinite(self.margin)
-            or not self.limit
-            or self.op == "=="
-        ):
+        margin = self.margin
+        if margin is None or not math.isfinite(margin):
             return None
-        return self.margin / abs(self.limit)
+        if not self.limit or self.op == "==":
+            return None
+        return margin / abs(self.limit)
 
     def margin_text(self) -> str:
         """Return, for example, "+0.05 (+25%)"; "" without a margin."""
-        if self.margin is None or not math.isfinite(self.margin) or self.op == "==":
+        margin = self.margin
+        if margin is None or not math.isfinite(margin) or self.op == "==":
             return ""
-        return f"{self.margin:+.3g}" + (
-            "" if self.relative_margin is None else f" ({self.relative_margin:+.0%})"
-        )
+        text = f"{margin:+.3g}"
+        relative = self.relative_margin
+        return text if relative is None else f"{text} ({relative:+.0%})"
 
     def sentence(self) -> str:
         """Return, for example, "tilt_max_rad is 0.12 rad, limit <= 0.0873 rad"."""
-        limit = f", limit {self.op} {with_unit(self.limit, self.unit)}" if self.op else ""
-        return f"{self.name} is {with_unit(self.observed, self.unit)}{limit}"
+        text = f"{self.name} is {with_unit(self.observed, self.unit)}"
+        if self.op is None:
+            return text
+        return f"{text}, limit {self.op} {with_unit(self.limit, self.unit)}"
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON types, with result and margin."""
@@ -132,13 +133,18 @@ def with_unit(value: Number | None, unit: str) -> str:
     """Return four significant digits and the unit; yes or no for bools."""
     if isinstance(value, bool):
         text = "yes" if value else "no"
+    elif isinstance(value, float):
+        text = f"{value:.4g}"
     else:
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        text = str(value)
     return f"{text} {unit}".rstrip()
 
 
 Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]
-"""{check: observed value, or (observed value, operator, limit)}; without a limit it is only reported."""
+"""{check: observed value, or (observed value, operator, limit)}.
+
+Without a limit the value is only reported.
+"""
 
 
 def checks_of(
@@ -147,12 +153,19 @@ def checks_of(
     prefix: str = "",
     **names: object,
 ) -> list[Check]:
-    """Return a check per row, called `prefix` and its name; `names` are filled into its words."""
+    """Return a check for each row.
+
+    Args:
+        words: {check: {"unit", "why", "remedy": text}}.
+        rows: Observed values and limits.
+        prefix: Of the names.
+        **names: Filled into the texts, as by `str.format`.
+    """
     checks: list[Check] = []
     for name, row in rows.items():
         observed, op, limit = row if isinstance(row, tuple) else (row, None, None)
+        if limit is None:
+            op = None
         texts = {key: text.format(**names) for key, text in words[name].items()}
-        checks.append(
-            Check(f"{prefix}{name}", observed, None if limit is None else op, limit, **texts),
-        )
+        checks.append(Check(f"{prefix}{name}", observed, op, limit, **texts))
     return checks

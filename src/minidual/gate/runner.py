@@ -11,8 +11,11 @@ from minidual.config.loader import LoadedConfig
 from minidual.durable import disk_errors, now_text
 from minidual.errors import ExitCode, MinidualError, UsageError
 from minidual.gate.canonical import canonical
-from minidual.gate.gate import Gate, StageState
-from minidual.gate.stage import Folders, Progress, StageContext, closing_checks
+from minidual.gate.fingerprint import Fingerprint
+from minidual.gate.gate import Gate
+from minidual.gate.progress import Progress
+from minidual.gate.stage import Folders, StageContext, StageResult, closing_checks
+from minidual.gate.state import StageState
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.gate.verdict import Verdict, Waiver, build_manifest, derive_status, strays
@@ -22,6 +25,7 @@ EXIT_OF_STATUS = {
     "fail": ExitCode.ACCEPTANCE_FAILED,
     "error": ExitCode.NOTHING_EVALUATED,
 }
+_INTERRUPTED = "interrupted at the keyboard"
 
 
 class StageCrashedError(MinidualError):
@@ -47,6 +51,21 @@ class StageOutcome(NamedTuple):
     def exit_code(self) -> ExitCode:
         """0 for pass, 1 for fail, 5 if nothing was evaluated."""
         return EXIT_OF_STATUS[self.verdict.status]
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """One execution of a stage, as it begins."""
+
+    entry: StageEntry
+    options: dict[str, Any]
+    loaded: LoadedConfig
+    """Under the options."""
+    fingerprint: Fingerprint
+    upstream: dict[str, Verdict]
+    waivers: tuple[Waiver, ...]
+    typed: tuple[str, ...]
+    """Settings and options as typed."""
 
 
 @dataclass
@@ -75,10 +94,17 @@ class Runner:
         force: bool = False,
         waiver: str | None = None,
     ) -> StageOutcome:
-        """Run one stage unless it passes and is fresh; `force` runs it anyway. `waiver`: reason to open a closed gate.
+        """Run one stage unless it passes and is fresh.
+
+        Args:
+            name: Stage.
+            options: Its options as typed.
+            force: Run it even if it passes and is fresh.
+            waiver: Reason to open a closed gate.
 
         Raises:
-            GateClosedError, UsageError: An upstream stage does not pass; another process writes here.
+            GateClosedError, UsageError: An upstream stage does not pass; another process writes
+                here.
             StageCrashedError: Unforeseen exception.
         """
         with disk_errors(self.store.folder), self.store.writing(self.command(name), [name]):
@@ -98,20 +124,17 @@ class Runner:
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """
         names = self.table.until(end)
-        command = "run" if end is None else f"run --until {end}"
-        with disk_errors(self.store.folder), self.store.writing(self.command(command), names):
+        command = self.command("run" if end is None else f"run --until {end}")
+        with disk_errors(self.store.folder), self.store.writing(command, names):
             for name in self._gate().rerun(names, force):
                 self._validate(self._gate(), name)
             for name in names:
-                # A passing, fresh stage keeps the options it was run with; one that runs again follows the
-                # configuration.
-                fresh = self._gate().state(name).state == "pass" and not force
-                outcome = self._run_locked(
-                    self._gate(None if fresh else {name: {}}),
-                    name,
-                    force,
-                    waiver,
-                )
+                # A passing, fresh stage keeps the options it was run with; one that runs again
+                # follows the configuration.
+                gate = self._gate()
+                if gate.state(name).state != "pass" or force:
+                    gate = self._gate({name: {}})
+                outcome = self._run_locked(gate, name, force, waiver)
                 yield outcome
                 if outcome.exit_code != ExitCode.PASS and waiver is None:
                     return
@@ -120,7 +143,8 @@ class Runner:
         return Gate(self.table, self.store, self.loaded, options or {})
 
     def _validate(self, gate: Gate, name: str) -> None:
-        self.table[name].resolved(gate.effective(name, None)[1].config, checked=True)
+        config = gate.effective(name, None)[1].config
+        self.table[name].resolved(config, checked=True)
 
     def _run_locked(self, gate: Gate, name: str, force: bool, waiver: str | None) -> StageOutcome:
         if waiver is not None and not waiver.strip():
@@ -144,96 +168,122 @@ class Runner:
         closed: list[StageState],
         reason: str | None,
     ) -> tuple[Waiver, ...]:
+        """Return the waivers of the upstream stages and the one that opens this gate."""
         waivers: list[Waiver] = []
         for verdict in gate.verdicts(name).values():
-            waivers += [item for item in verdict.waivers if item not in waivers]
+            waivers += [waiver for waiver in verdict.waivers if waiver not in waivers]
         if closed and reason is not None:
-            waivers.append(
-                Waiver(name, reason, {item.name: item.state for item in closed}, now_text()),
-            )
+            blocking: dict[str, str] = {state.name: state.state for state in closed}
+            waivers.append(Waiver(name, reason, blocking, now_text()))
         elif reason is not None:
             self.progress.note(f"the gate of {name} is open, the waiver is not used")
         return tuple(waivers)
-
-    def _weakened(self, gate: Gate, entry: StageEntry, loaded: LoadedConfig) -> tuple[str, ...]:
-        if not loaded.config.acceptance:
-            return ()
-        own = [f"{entry.name}: {line}" for line in entry.weaker(loaded.config, loaded.reference())]
-        above = [
-            line for verdict in gate.verdicts(entry.name).values() for line in verdict.weakened
-        ]
-        return tuple(dict.fromkeys([*above, *own]))
 
     def _execute(self, gate: Gate, name: str, waivers: tuple[Waiver, ...]) -> None:
         entry = self.table[name]
         run = entry.load()
         options, loaded = gate.effective(name, None)
-        fingerprint = gate.fingerprint(name)
-        verdicts = gate.verdicts(name)
-        of_run = {"", *(override.text for override in self.loaded.overrides)}
-        typed = " ".join(
-            shlex.join(text.split(" ", 1)) for text in gate.typed(name)[1:] if text not in of_run
+        attempt = _Attempt(
+            entry=entry,
+            options=options,
+            loaded=loaded,
+            fingerprint=gate.fingerprint(name),
+            upstream=gate.verdicts(name),
+            waivers=waivers,
+            typed=tuple(gate.typed(name)[1:]),
         )
-        folder = self.store.begin(name, loaded.to_yaml(), entry.keeps, typed)
-        about: Any = {
-            "config": entry.resolved(loaded.config),
-            "seed": loaded.config.seed,
-            "profile": loaded.profile,
-        }
-        about |= {"verdicts": verdicts, "waivers": waivers, "options": options}
-        context = StageContext(
-            **about,
-            folder=folder,
-            upstream=Folders({up: self.store.stage_folder(up) for up in verdicts}),
-            summaries={up: self.table[up].summary for up in self.table.upstream(name)},
-            code_changes=gate.code_changes(name) if entry.closing else {},
-            progress=self.progress,
-            workers=loaded.config.workers if self.view is None else 1,
-            view=self.view,
-        )
+        context = self._begin(gate, attempt)
         started_at = now_text()
         started = time.monotonic()
         try:
             with disk_errors(self.store.folder):
                 result = run(context)
                 emergency.check()
-                judged = entry.closing and derive_status(result.checks) != "error"
-                closing = closing_checks(waivers, context.code_changes) if judged else ()
-                known: Any = {
-                    "stage": name,
-                    "run": self.store.run,
-                    "fingerprint": fingerprint,
-                    "waivers": waivers,
-                }
-                known |= {"started_at": started_at, "finished_at": now_text()}
-                verdict = Verdict(
-                    **known,
-                    checks=(*result.checks, *closing),
-                    artefacts=build_manifest(folder),
-                    acceptance_profile=loaded.config.acceptance,
-                    duration_s=round(time.monotonic() - started, 3),
-                    options=canonical(options, f"{name}.options"),
-                    overrides=tuple(gate.typed(name)[1:]),
-                    weakened=self._weakened(gate, entry, loaded),
-                    data=canonical(result.data, f"{name}.data"),
-                    notes=tuple(result.notes),
-                )
-                previous = gate.state(name)
-                made = previous.verdict.artefacts if previous.verdict else {}
-                keep_old = bool(entry.keeps or strays(self.store.stage_folder(name), made))
-                if (kept := self.store.publish(name, verdict, keep_old=keep_old)) is not None:
-                    self.progress.note(f"the earlier {name} is kept in {kept}")
+                verdict = self._verdict(attempt, context, result, started_at, started)
+                self._publish(gate, attempt, verdict)
         except KeyboardInterrupt as stop:
-            self.store.abandon(name, "interrupted", str(stop) or "interrupted at the keyboard")
+            self.store.abandon(name, "interrupted", str(stop) or _INTERRUPTED)
             raise
         except Exception as error:
             if self.interrupted():
-                self.store.abandon(name, "interrupted", "interrupted at the keyboard")
+                self.store.abandon(name, "interrupted", _INTERRUPTED)
             elif isinstance(error, MinidualError):
                 self.store.abandon(name, "error", error.message)
             else:
                 raise self._crashed(name, error) from error
             raise
+
+    def _begin(self, gate: Gate, attempt: _Attempt) -> StageContext:
+        """Make the temporary folder and the context of a stage."""
+        entry = attempt.entry
+        loaded = attempt.loaded
+        config_text = loaded.to_yaml()
+        folder = self.store.begin(entry.name, config_text, entry.keeps, self._own_options(attempt))
+        upstream = {name: self.store.stage_folder(name) for name in attempt.upstream}
+        return StageContext(
+            config=entry.resolved(loaded.config),
+            seed=loaded.config.seed,
+            profile=loaded.profile,
+            progress=self.progress,
+            options=attempt.options,
+            workers=loaded.config.workers if self.view is None else 1,
+            view=self.view,
+            folder=folder,
+            upstream=Folders(upstream),
+            verdicts=attempt.upstream,
+            summaries={up: self.table[up].summary for up in self.table.upstream(entry.name)},
+            code_changes=gate.code_changes(entry.name) if entry.closing else {},
+            waivers=attempt.waivers,
+        )
+
+    def _own_options(self, attempt: _Attempt) -> str:
+        """Return the options of the stage itself as typed, quoted for a shell."""
+        of_run = {"", *(override.text for override in self.loaded.overrides)}
+        own = [text for text in attempt.typed if text not in of_run]
+        return " ".join(shlex.join(text.split(" ", 1)) for text in own)
+
+    def _verdict(
+        self,
+        attempt: _Attempt,
+        context: StageContext,
+        result: StageResult,
+        started_at: str,
+        started: float,
+    ) -> Verdict:
+        """Return the verdict of a result; `started` is the monotonic time of its begin [s]."""
+        finished_at = now_text()
+        entry = attempt.entry
+        checks = [*result.checks]
+        if entry.closing and derive_status(checks) != "error":
+            checks += closing_checks(attempt.waivers, context.code_changes)
+        return Verdict(
+            stage=entry.name,
+            run=self.store.run,
+            fingerprint=attempt.fingerprint,
+            checks=tuple(checks),
+            artefacts=build_manifest(context.folder),
+            acceptance_profile=attempt.loaded.config.acceptance,
+            started_at=started_at,
+            finished_at=finished_at,
+            duration_s=round(time.monotonic() - started, 3),
+            options=canonical(attempt.options, f"{entry.name}.options"),
+            overrides=attempt.typed,
+            waivers=attempt.waivers,
+            weakened=_weakened(attempt),
+            data=canonical(result.data, f"{entry.name}.data"),
+            notes=tuple(result.notes),
+        )
+
+    def _publish(self, gate: Gate, attempt: _Attempt, verdict: Verdict) -> None:
+        """Publish a result; keep an earlier one that holds recordings or files of others."""
+        name = attempt.entry.name
+        previous = gate.state(name).verdict
+        artefacts = {} if previous is None else previous.artefacts
+        others = strays(self.store.stage_folder(name), artefacts)
+        keep_old = bool(attempt.entry.keeps or others)
+        kept = self.store.publish(name, verdict, keep_old=keep_old)
+        if kept is not None:
+            self.progress.note(f"the earlier {name} is kept in {kept}")
 
     def _crashed(self, name: str, error: Exception) -> StageCrashedError:
         text = f"{name} crashed: {type(error).__name__}: {error}"
@@ -246,3 +296,16 @@ class Runner:
             text,
             remedy="this is a defect in minidual, please report it with that file",
         )
+
+
+def _weakened(attempt: _Attempt) -> tuple[str, ...]:
+    """Return what upstream stages and this one ask less for than the shipped profile."""
+    loaded = attempt.loaded
+    if not loaded.config.acceptance:
+        return ()
+    lines: list[str] = []
+    for verdict in attempt.upstream.values():
+        lines += verdict.weakened
+    for line in attempt.entry.weaker(loaded.config, loaded.reference()):
+        lines.append(f"{attempt.entry.name}: {line}")
+    return tuple(dict.fromkeys(lines))

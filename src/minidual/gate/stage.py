@@ -1,12 +1,11 @@
-"""A stage: a function from `StageContext` to `StageResult`. A tool: from `ToolContext` to `ToolResult`, without a gate.
+"""What a stage or tool gets and returns.
 
-A stage writes only in `context.folder`, derives randomness from `context.seed` and returns at least one check with a
-limit.
+A stage is a function from `StageContext` to `StageResult`: it writes only in `context.folder`, derives
+randomness from `context.seed` and returns at least one check with a limit. A tool is a function from
+`ToolContext` to `ToolResult`, without a gate.
 """
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,62 +14,17 @@ from minidual.config.root import Config
 from minidual.durable import remove, set_aside
 from minidual.errors import ExitCode, GateClosedError
 from minidual.gate.check import Check
-from minidual.gate.store import ResultPlace
+from minidual.gate.place import ResultPlace
+from minidual.gate.progress import Progress
 from minidual.gate.verdict import Verdict, Waiver
-
-_EVERY_S = 10.0
-
-
-class ProgressTask(AbstractContextManager["ProgressTask"]):
-    """Counted work, a context manager. Prints a line at most every 10 s, and one at the end."""
-
-    def __init__(self, description: str, total: float | None, say: Callable[[str], None]) -> None:
-        self._description = description
-        self._total = total
-        self._say = say
-        self._done = 0.0
-        self._note = ""
-        self._first: tuple[float, float] | None = (
-            None  # time and count of the first call, of earlier work perhaps
-        )
-        self._started = self._last = time.monotonic()
-
-    def advance(self, steps: float = 1, note: str = "") -> None:
-        """Count `steps`; `note` ("loss 0.12") is shown beside the count."""
-        self._done += steps
-        self._note = note or self._note
-        now = time.monotonic()
-        self._first = self._first or (now, self._done)
-        if now - self._last >= _EVERY_S:
-            self._last = now
-            self._say(self._line(now))
-
-    def _line(self, now: float) -> str:
-        of = "" if self._total is None else f"/{self._total:g}"
-        line = f"{self._description}: {self._done:g}{of}, {now - self._started:.0f} s"
-        since, before = self._first or (now, self._done)
-        if self._total is not None and before < self._done < self._total:
-            line += f", about {(now - since) * (self._total - self._done) / (self._done - before):.0f} s left"
-        return f"{line}, {self._note}" if self._note else line
-
-    def __exit__(self, *error: object) -> None:
-        self._say(self._line(time.monotonic()) + (" (stopped)" if any(error) else ""))
-
-
-class Progress:
-    """Plain lines through `say`; silent by default."""
-
-    def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
-        self.note = say
-        """Shows one line."""
-
-    def task(self, description: str, total: float | None = None) -> ProgressTask:
-        """Begin a task: `with progress.task("trials", 20) as task: ... task.advance()`."""
-        return ProgressTask(description, total, self.note)
 
 
 class Folders(dict[str, Path]):
-    """{upstream stage: its folder}; GateClosedError for a stage without result, which no waiver replaces."""
+    """{upstream stage: its folder}.
+
+    Raises:
+        GateClosedError: A stage has no result, which no waiver replaces.
+    """
 
     def __missing__(self, stage: str) -> Path:
         raise GateClosedError(
@@ -99,6 +53,8 @@ class StageContext(Context):
     Attributes:
         folder: Temporary.
         upstream: {upstream stage: its folder}.
+        verdicts: {upstream stage: its verdict}.
+        summaries: {upstream stage: its summary}.
         code_changes: {upstream stage: modules changed since}; closing stages only.
         waivers: Own and inherited.
     """
@@ -125,38 +81,43 @@ class StageResult:
     notes: Sequence[str] = ()
 
 
+StageFunction = Callable[[StageContext], StageResult]
+
+
 def closing_checks(
     waivers: Sequence[Waiver],
     code_changes: Mapping[str, Sequence[str]],
 ) -> list[Check]:
-    """Return the checks of a closing stage; `code_changes` is {upstream stage: modules changed since}."""
+    """Return the checks of a closing stage.
+
+    Args:
+        waivers: Its own and inherited.
+        code_changes: {upstream stage: modules changed since}.
+    """
     waived = ", ".join(waiver.stage for waiver in waivers)
     stages = ", ".join(code_changes)
-    modules = ", ".join(sorted({module for names in code_changes.values() for module in names})[:3])
-    rerun = f"run {stages} again with --force ({modules} changed)"
-    rows = (
-        (
-            "gate.waivers",
-            waivers,
-            "evidence behind a waived gate",
-            f"run {waived} without --waive-gate",
-        ),
-        ("gate.code_changed", code_changes, "results of other code", rerun),
-    )
+    modules = {module for names in code_changes.values() for module in names}
+    some_modules = ", ".join(sorted(modules)[:3])
     return [
         Check(
-            name,
-            len(found),
+            "gate.waivers",
+            len(waivers),
             "==",
             0,
-            why=f"{what} is no acceptance",
-            remedy=mend if found else "",
-        )
-        for name, found, what, mend in rows
+            why="evidence behind a waived gate is no acceptance",
+            remedy=f"run {waived} without --waive-gate" if waivers else "",
+        ),
+        Check(
+            "gate.code_changed",
+            len(code_changes),
+            "==",
+            0,
+            why="results of other code is no acceptance",
+            remedy=f"run {stages} again with --force ({some_modules} changed)"
+            if code_changes
+            else "",
+        ),
     ]
-
-
-StageFunction = Callable[[StageContext], StageResult]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +151,11 @@ class ToolContext(Context):
         return temporary
 
     def begin(self) -> None:
-        """Remove output of an interrupted run; DataError if something else than a folder is in its place."""
+        """Remove output of an interrupted run.
+
+        Raises:
+            DataError: Something else than a folder is in its place.
+        """
         place = ResultPlace(self.folder)
         place.check()
         remove(place.temporary)
@@ -198,10 +163,11 @@ class ToolContext(Context):
     def publish(self) -> None:
         """Move output to its final folder; an earlier one is set aside."""
         place = ResultPlace(self.folder)
-        if place.temporary.is_dir():
-            if place.folder.exists():
-                self.progress.note(f"the earlier output is in {set_aside(place.folder, self.name)}")
-            place.temporary.rename(place.folder)
+        if not place.temporary.is_dir():
+            return
+        if place.folder.exists():
+            self.progress.note(f"the earlier output is in {set_aside(place.folder, self.name)}")
+        place.temporary.rename(place.folder)
 
 
 @dataclass(frozen=True)
@@ -225,5 +191,9 @@ ToolFunction = Callable[[ToolContext], ToolResult]
 def markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return rows of equal keys as a Markdown table."""
     heads = [head.replace("_", " ") for head in rows[0]]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    return lines + ["| " + " | ".join(str(v) for v in row.values()) + " |" for row in rows]
+    lines = [_markdown_row(heads), "|" + "---|" * len(heads)]
+    return lines + [_markdown_row(map(str, row.values())) for row in rows]
+
+
+def _markdown_row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 from minidual.config.loader import Override
 from minidual.config.root import Config
 from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
-from minidual.gate.fingerprint import Code, code_of
+from minidual.gate.code import Code, code_of
 from minidual.gate.stage import StageFunction, ToolFunction
 from minidual.gate.weakening import weaker_values
 from minidual.registry import Registry, load_target

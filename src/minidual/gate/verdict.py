@@ -47,7 +47,8 @@ class Waiver:
 
 def derive_status(checks: Sequence[Check]) -> Status:
     """Return "pass", "fail", or "error" if no check has a limit."""
-    if not (results := [check.passed for check in checks if check.passed is not None]):
+    results = [check.passed for check in checks if check.passed is not None]
+    if not results:
         return "error"
     return "pass" if all(results) else "fail"
 
@@ -57,6 +58,7 @@ class Verdict:
     """Result of a finished stage.
 
     Attributes:
+        acceptance_profile: Whether its profile counts as acceptance.
         weakened: Values weaker than the shipped profile's, here and upstream.
     """
 
@@ -77,9 +79,10 @@ class Verdict:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [check.name for check in self.checks]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"stage {self.stage} returned check '{twice[0]}' twice")
+        counts = Counter(check.name for check in self.checks)
+        repeated = sorted(name for name, count in counts.items() if count > 1)
+        if repeated:
+            raise ValueError(f"stage {self.stage} returned check '{repeated[0]}' twice")
 
     @property
     def status(self) -> Status:
@@ -88,7 +91,10 @@ class Verdict:
 
     @property
     def acceptance(self) -> bool:
-        """Whether it counts as acceptance: by its profile, and nothing weakened or waived here or upstream."""
+        """Whether it counts as acceptance.
+
+        It does by its profile, if nothing is weakened or waived here or upstream.
+        """
         return self.acceptance_profile and not self.waivers and not self.weakened
 
     def failed_checks(self) -> list[Check]:
@@ -116,22 +122,25 @@ def verdict_from_json(record: dict[str, Any]) -> Verdict:
     """Return the verdict; DataError if malformed, edited or inconsistent."""
     if record.get("schema") != SCHEMA:
         raise DataError(f"schema {record.get('schema')} is not {SCHEMA}")
-    if record.get("digest") != digest({key: record[key] for key in record if key != "digest"}):
+    body = {key: value for key, value in record.items() if key != "digest"}
+    if record.get("digest") != digest(body):
         raise DataError("its content does not match its digest: it was edited after it was written")
     try:
         verdict = _adapter(Verdict).validate_python(record)
     except (ValueError, TypeError) as error:
         raise DataError(f"malformed verdict ({type(error).__name__}: {error})") from error
-    for key, says, derived in changes(_by_name(record), _by_name(verdict.to_json())):
-        raise DataError(f"it says {key} {says!r}, its content says {derived!r}")
+    for key, written, derived in changes(_by_name(record), _by_name(verdict.to_json())):
+        raise DataError(f"it says {key} {written!r}, its content says {derived!r}")
     return verdict
 
 
 def _by_name(record: dict[str, Any]) -> dict[str, Any]:
-    return {**record, "checks": {check["name"]: check for check in record["checks"]}, "digest": ""}
+    """Return a record with checks by name and without digest, for comparison."""
+    checks = {check["name"]: check for check in record["checks"]}
+    return {**record, "checks": checks, "digest": ""}
 
 
-def _distinct(pairs: list[tuple[str, Any]]) -> None:
+def _refuse_repeated_keys(pairs: list[tuple[str, Any]]) -> None:
     """Refuse keys that stand twice: readers disagree about which of the values holds."""
     for key, count in Counter(key for key, _ in pairs).items():
         if count > 1:
@@ -142,55 +151,59 @@ def read_verdict(path: Path) -> tuple[Verdict, str]:
     """Return (verdict, sha256 of its file); DataError if absent or corrupt."""
     try:
         content = regular_file(path, _BYTES_MAX).read_bytes()
-        record: Any = from_json(
-            content,
-        )  # unlike json: refuses deep nesting and characters that cannot be printed
+        # Unlike json, it refuses deep nesting and characters that cannot be printed.
+        record: Any = from_json(content)
         if not isinstance(record, dict):
             raise DataError("not a JSON object")
-        json.loads(content, object_pairs_hook=_distinct)
-        return verdict_from_json(cast(dict[str, Any], record)), hashlib.sha256(content).hexdigest()
+        json.loads(content, object_pairs_hook=_refuse_repeated_keys)
+        verdict = verdict_from_json(cast(dict[str, Any], record))
     except (DataError, OSError, ValueError) as error:
         raise DataError(f"{path} is corrupt: {getattr(error, 'message', error)}") from error
+    return verdict, hashlib.sha256(content).hexdigest()
 
 
 def build_manifest(folder: Path) -> dict[str, Artefact]:
     """Return {relative posix path: Artefact} of all files."""
-    files = {
-        path.relative_to(folder).as_posix(): path
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-    own = [name for name in files if name not in (VERDICT_FILE, ATTEMPT_FILE)]
-    return {name: Artefact(file_sha256(files[name]), files[name].stat().st_size) for name in own}
+    manifest: dict[str, Artefact] = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in (VERDICT_FILE, ATTEMPT_FILE):
+            manifest[name] = Artefact(file_sha256(path), path.stat().st_size)
+    return manifest
 
 
 def manifest_changes(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
     """Return a reason per missing or changed artefact."""
     reasons: list[str] = []
     for name, artefact in manifest.items():
-        path = folder / name
         try:
-            if (kind := kind_of(path)) != "file":
-                reasons.append(f"artefact {name} is {f'now a {kind}' if kind else 'gone'}")
-            elif path.stat().st_size != artefact.size_bytes:
-                reasons.append(
-                    f"artefact {name} changed (was {artefact.size_bytes} bytes, is {path.stat().st_size})",
-                )
-            elif file_sha256(path) != artefact.sha256:
-                reasons.append(f"artefact {name} changed (same size, other content)")
+            change = _artefact_change(folder / name, artefact)
         except (DataError, OSError, ValueError) as error:  # ValueError: no name of a file
-            reasons.append(f"artefact {name} cannot be read: {error}")
+            change = f"cannot be read: {error}"
+        if change:
+            reasons.append(f"artefact {name} {change}")
     return reasons
+
+
+def _artefact_change(path: Path, artefact: Artefact) -> str:
+    kind = kind_of(path)
+    if not kind:
+        return "is gone"
+    if kind != "file":
+        return f"is now a {kind}"
+    size = path.stat().st_size
+    if size != artefact.size_bytes:
+        return f"changed (was {artefact.size_bytes} bytes, is {size})"
+    if file_sha256(path) != artefact.sha256:
+        return "changed (same size, other content)"
+    return ""
 
 
 def strays(folder: Path, manifest: Mapping[str, Artefact]) -> list[str]:
     """Return the relative paths of other files and links; a link to a folder counts as one."""
-    found = {
-        p.relative_to(folder).as_posix()
-        for p in folder.rglob("*")
-        if p.is_symlink() or not p.is_dir()
-    }
-    return [
-        os.fsencode(name).decode(errors="replace")
-        for name in sorted(found - {*manifest, VERDICT_FILE})
-    ]
+    names: set[str] = set()
+    for path in folder.rglob("*"):
+        if path.is_symlink() or not path.is_dir():
+            names.add(path.relative_to(folder).as_posix())
+    names -= {*manifest, VERDICT_FILE}
+    return [os.fsencode(name).decode(errors="replace") for name in sorted(names)]

@@ -14,7 +14,8 @@ from minidual.control.supervisor import dumping
 from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import dumps
-from minidual.gate.stage import ProgressTask, ToolContext, ToolResult
+from minidual.gate.progress import ProgressTask
+from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.recorder import Recorder
 from minidual.plant.render import Camera, Image, write_video

@@ -19,7 +19,7 @@ from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.canonical import canonical
 from minidual.gate.check import Check, Rows
-from minidual.gate.fingerprint import code_of
+from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality

@@ -8,7 +8,7 @@ from minidual.config.learning import TrainConfig
 from minidual.config.seeds import subseed
 from minidual.gate.canonical import digest
 from minidual.gate.check import Check, Rows
-from minidual.gate.fingerprint import code_of
+from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import (

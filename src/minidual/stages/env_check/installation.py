@@ -9,7 +9,7 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from minidual.errors import DataError, EnvironmentMissingError
-from minidual.gate.fingerprint import circumstances_now, installed_version
+from minidual.gate.circumstances import circumstances_now, installed_version
 from minidual.gate.stage import ToolContext, ToolResult, markdown
 from minidual.gate.verdict import read_verdict
 
@@ -59,9 +59,9 @@ def print_bill(context: ToolContext) -> ToolResult:
         renderer = f"none: {error}"
     now = circumstances_now(())
     about = {
-        "minidual": now["version"],
-        "commit": now["commit"] or "none (installed package)",
-        **now["machine"],
+        "minidual": now.version,
+        "commit": now.commit or "none (installed package)",
+        **now.machine,
     }
     about |= {
         "platform": platform.platform(),
