@@ -94,12 +94,15 @@ def is_stale(path: Path) -> bool:
 
     A living process with its id is another one if it started after the last write.
     """
-    if (match := _PARTIAL.match(path.name)) is None:
+    match = _PARTIAL.match(path.name)
+    if match is None:
         return False
-    import psutil  # 40 ms that a plan does not need
+    import psutil  # takes 40 ms, which a plan does not need
 
     try:
-        return path.stat().st_mtime < psutil.Process(int(match["pid"])).create_time() - 1.0
+        written_at = path.stat().st_mtime
+        started_at = psutil.Process(int(match["pid"])).create_time()
+        return written_at < started_at - 1.0
     except (psutil.NoSuchProcess, FileNotFoundError):
         return True
     except psutil.AccessDenied:
@@ -118,7 +121,7 @@ def remove(path: Path) -> None:
     """Remove a file or folder if it exists."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
-    elif os.path.lexists(path):  # to unlink what is not there fails on a read-only disk
+    elif os.path.lexists(path):  # on a read-only disk, unlinking a missing file fails
         path.unlink(missing_ok=True)
 
 
@@ -128,49 +131,72 @@ def now_text(form: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
 
 
 def set_aside(path: Path, name: str) -> Path:
-    """Move `path` into the folder `set-aside` beside it, as `name` and the UTC time; return the new path."""
-    place = path.parent / "set-aside" / f"{name}-{now_text('%Y%m%d-%H%M%S-%f')}"
-    make_folder(place.parent)
-    path.rename(place)
-    return place
+    """Move `path` into the folder `set-aside` beside it; return its new path.
+
+    It is called `name` and the UTC time there.
+    """
+    target = path.parent / "set-aside" / f"{name}-{now_text('%Y%m%d-%H%M%S-%f')}"
+    make_folder(target.parent)
+    path.rename(target)
+    return target
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and its parents, or raise UsageError (EnvironmentMissingError if the disk refuses)."""
+    """Make a folder and its parents.
+
+    Raises:
+        EnvironmentMissingError: The disk is full or refuses.
+        UsageError: It cannot be made for another reason.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        refused = UsageError(
+        refusal = disk_error(error, path)
+        if refusal is not None:
+            raise refusal from error
+        raise UsageError(
             f"cannot make the folder {path}: {error}",
             remedy="choose another folder",
-        )
-        raise disk_error(error, path) or refused from error
+        ) from error
 
 
 def unwritten(error: Exception, path: Path, remedy: str) -> MinidualError:
-    """Return the error of what could not be written at `path`: that of the disk, or DataError with `remedy`."""
-    return disk_error(error, path) or DataError(
-        f"{path} could not be written: {error}",
-        remedy=remedy,
-    )
+    """Return the error for a file that could not be written at `path`.
+
+    It is that of the disk, or DataError with `remedy`.
+    """
+    refusal = disk_error(error, path)
+    if refusal is not None:
+        return refusal
+    return DataError(f"{path} could not be written: {error}", remedy=remedy)
 
 
 def disk_error(error: BaseException, path: Path) -> EnvironmentMissingError | None:
-    """Return the error of a full disk or missing permission at `path`, or None if `error` is another."""
-    code = getattr(error, "errno", None)
-    what = getattr(error, "filename", None) or path
-    # Errors of HDF5, Arrow and safetensors carry the system's text but not always its number.
-    code = next((full for full in _FULL if os.strerror(full) in str(error)), code)
+    """Return the error of a full disk or missing permission at `path`; None if `error` is another."""
+    code = _system_code(error)
+    written = getattr(error, "filename", None) or path
     if code in _FULL:
-        message = f"no space left on the disk of {path} (writing {what}: {os.strerror(code)})"
+        message = f"no space left on the disk of {path} (writing {written}: {os.strerror(code)})"
         remedy = "free some space"
     elif code in _FORBIDDEN:
-        message = f"no permission for {what}: {os.strerror(code)}"
+        message = f"no permission for {written}: {os.strerror(code)}"
         remedy = "change its permissions"
     else:
         return None
-    remedy += ", or point --runs-dir or MINIDUAL_RUNS at another disk or folder, then run the command again"
-    return EnvironmentMissingError(message, remedy=remedy)
+    return EnvironmentMissingError(
+        message,
+        remedy=f"{remedy}, or point --runs-dir or MINIDUAL_RUNS at another disk or folder, "
+        "then run the command again",
+    )
+
+
+def _system_code(error: BaseException) -> int | None:
+    """Return the number of the operating system's error behind `error`, or None."""
+    # Errors of HDF5, Arrow and safetensors carry the system's text but not always its number.
+    for full in _FULL:
+        if os.strerror(full) in str(error):
+            return full
+    return getattr(error, "errno", None)
 
 
 @contextlib.contextmanager
@@ -178,10 +204,13 @@ def disk_errors(folder: Path) -> Generator[None]:
     """Turn the error of a full disk or missing permission into EnvironmentMissingError."""
     try:
         yield
+    except MinidualError:
+        raise
     except Exception as error:
-        if isinstance(error, MinidualError) or (found := disk_error(error, folder)) is None:
+        refusal = disk_error(error, folder)
+        if refusal is None:
             raise
-        raise found from error
+        raise refusal from error
 
 
 def expanded(text: str) -> Path:
@@ -190,7 +219,10 @@ def expanded(text: str) -> Path:
 
 
 def kind_of(path: Path) -> str:
-    """Return "file", "folder", "FIFO", "socket", "device" or "broken link" behind links; "" if nothing is there.
+    """Return what is at a path, behind links.
+
+    Returns:
+        "file", "folder", "FIFO", "socket", "device", "broken link", or "" if nothing is there.
 
     Raises:
         DataError: No permission, a loop of links, or a name that is too long.
@@ -205,27 +237,34 @@ def kind_of(path: Path) -> str:
 
 def require(path: Path, kind: str) -> None:
     """Raise DataError unless nothing or a readable `kind` ("file", "folder") is at `path`."""
-    found = kind_of(path)
-    if found not in ("", kind):
+    present = kind_of(path)
+    if not present:
+        return
+    if present != kind:
         raise DataError(
-            f"{path} is a {found}; minidual keeps a {kind} there",
+            f"{path} is a {present}; minidual keeps a {kind} there",
             remedy="move it away or delete it",
         )
-    if found and not os.access(path, os.R_OK | (os.X_OK if kind == "folder" else 0)):
+    permissions = os.R_OK | os.X_OK if kind == "folder" else os.R_OK
+    if not os.access(path, permissions):
         raise DataError(f"no permission to read {path}", remedy="change its permissions")
 
 
 def regular_file(path: Path, bytes_max: int) -> Path:
     """Return `path`; DataError unless it is a regular file of at most `bytes_max`."""
-    if (kind := kind_of(path)) != "file":
-        raise DataError(f"{path} {f'is a {kind}, not a file' if kind else 'does not exist'}")
-    if (size := path.stat().st_size) > bytes_max:
+    kind = kind_of(path)
+    if not kind:
+        raise DataError(f"{path} does not exist")
+    if kind != "file":
+        raise DataError(f"{path} is a {kind}, not a file")
+    size = path.stat().st_size
+    if size > bytes_max:
         raise DataError(f"{path} holds {size:,} bytes; at most {bytes_max:,} are read")
     return path
 
 
 @contextlib.contextmanager
-def reading(what: Path | str, remedy: str) -> Generator[None]:
+def reading(source: Path | str, remedy: str) -> Generator[None]:
     """Turn an error of damaged content into DataError."""
     try:
         yield
@@ -234,15 +273,19 @@ def reading(what: Path | str, remedy: str) -> Generator[None]:
             error.remedy = error.remedy or remedy
         raise
     except Exception as error:  # libraries raise anything over it
-        said = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise DataError(
-            f"{what} is missing, cut or corrupt, and cannot be read: {said:.300}",
+            f"{source} is missing, cut or corrupt, and cannot be read: {reason:.300}",
             remedy=remedy,
         ) from error
 
 
 def read_json(path: Path, bytes_max: int = JSON_BYTES_MAX) -> Any:
-    """Parse a JSON file; DataError if it is none, or no regular file of at most `bytes_max`."""
+    """Parse a JSON file.
+
+    Raises:
+        DataError: It is none, or no regular file of at most `bytes_max`.
+    """
     try:
         return json.loads(regular_file(path, bytes_max).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

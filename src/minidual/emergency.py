@@ -1,6 +1,7 @@
-"""The emergency stop of this process and its workers: once pressed, supervised arms stop and the command ends.
+"""The emergency stop of this process and its workers.
 
-SIGUSR1 (`minidual stop`), the button of the view and a key of the keyboard leader press it.
+Once pressed, supervised arms stop and the command ends. SIGUSR1 (`minidual stop`), the button of the
+view and a key of the keyboard leader press it.
 """
 
 import functools
@@ -50,24 +51,24 @@ def listen() -> None:
     """Press at SIGUSR1 from now on; call before other threads and processes start."""
     global _listening
     _listening = True
-    # inherited by threads and processes, which the signal would end; no long call delays the thread that takes it
+    # Blocked here, and so in the threads and processes that start later, which it would end. A thread
+    # of its own takes it: no long call delays that.
     signal.pthread_sigmask(signal.SIG_BLOCK, {SIGNAL})
     threading.Thread(target=_wait, daemon=True, name="emergency-stop").start()
 
 
 def _wait() -> None:
     while True:
-        seen = signal.sigtimedwait({SIGNAL}, _AGAIN_S)
-        if (
-            seen is not None and seen.si_signo == SIGNAL
-        ):  # CPython returns another after Ctrl-Z and fg
+        received = signal.sigtimedwait({SIGNAL}, _AGAIN_S)
+        # After Ctrl-Z and fg CPython returns another signal.
+        if received is not None and received.si_signo == SIGNAL:
             press("signal SIGUSR1")
         elif _reason:  # a worker may have started since
             _tell_children()
 
 
 def _tell_children() -> None:
-    import psutil  # 40 ms that commands do not need
+    import psutil  # takes 40 ms
 
     for child in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):

@@ -1,11 +1,14 @@
-"""Errors with an exit code. Messages name thing, bound and alternatives; `remedy` says what to do."""
+"""Errors with an exit code.
+
+Messages name the thing, the bound and the alternatives; `remedy` says what to do.
+"""
 
 import difflib
 import re
 from collections.abc import Collection, Iterable, Sequence
 from enum import IntEnum
 
-_UNSEEN = re.compile(
+_UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]",
 )
 """Control, zero-width and direction characters but newline and tab, and half surrogates."""
@@ -74,25 +77,32 @@ class DataError(MinidualError):
 
 def shortened(items: Sequence[str], shown: int = 6, sep: str = ", ") -> str:
     """Return the first items, and the number of the rest."""
+    text = sep.join(items[:shown])
     rest = len(items) - shown
-    return sep.join(items[:shown]) + (f", and {rest} more" if rest > 0 else "")
+    return f"{text}, and {rest} more" if rest > 0 else text
 
 
 def printable(text: str) -> str:
     r"""Return `text` with what a terminal would obey or hide written as \uXXXX, which JSON reads back."""
-    return _UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return _UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     """Return an error that lists the known names and suggests the closest."""
     names = sorted(known)
-    close = [n for n in names if name and n.startswith(name)] or difflib.get_close_matches(
-        name,
-        names,
-        n=1,
-    )
-    remedy = f"did you mean '{close[0]}'?" if close else None
+    closest = _closest(name, names)
+    remedy = None if closest is None else f"did you mean '{closest}'?"
     return UsageError(f"no {kind} '{name}'; there are {', '.join(names) or 'none'}", remedy=remedy)
+
+
+def _closest(name: str, names: Sequence[str]) -> str | None:
+    """Return the first name that begins with `name`, else the most similar one."""
+    if name:
+        for candidate in names:
+            if candidate.startswith(name):
+                return candidate
+    similar = difflib.get_close_matches(name, names, n=1)
+    return similar[0] if similar else None
 
 
 def check_name(kind: str, name: str, known: Collection[str]) -> None:

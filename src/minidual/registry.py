@@ -1,6 +1,7 @@
 """Tables of named things.
 
-A value is the thing or its target "module:attribute", imported at first use. Entry points are read at the first lookup.
+A value is the thing or its target "module:attribute", imported at first use. Entry points are read at
+the first lookup.
 """
 
 import importlib
@@ -58,9 +59,9 @@ class Registry[T](Mapping[str, T]):
             try:
                 value = rows[name] = load_target(value)
             except Exception as error:  # another distribution's module raises anything
-                what = f"{type(error).__name__}: {error}"
+                reason = f"{type(error).__name__}: {error}"
                 raise UsageError(
-                    f"{self.kind} '{name}' cannot be loaded from {value}: {what}",
+                    f"{self.kind} '{name}' cannot be loaded from {value}: {reason}",
                 ) from error
         return value
 
@@ -78,9 +79,12 @@ class Registry[T](Mapping[str, T]):
             self._plugged = True
             for entry in importlib.metadata.entry_points(group=cast(str, self._group)):
                 if entry.name in self._rows:
-                    whose = f"{self.kind} '{entry.name}' of the distribution '{entry.dist and entry.dist.name}'"
-                    remedy = "rename it there, or uninstall that distribution"
-                    raise UsageError(f"{whose} is already in the table", remedy=remedy)
+                    distribution = None if entry.dist is None else entry.dist.name
+                    raise UsageError(
+                        f"{self.kind} '{entry.name}' of the distribution '{distribution}' "
+                        "is already in the table",
+                        remedy="rename it there, or uninstall that distribution",
+                    )
                 self._rows[entry.name] = entry.value
         return self._rows
 
@@ -90,11 +94,9 @@ class Registry[T](Mapping[str, T]):
         Raises:
             UsageError: Unknown, repeated or no name.
         """
-        if not (
-            names := [
-                n.strip() for n in (text.split(",") if isinstance(text, str) else text) if n.strip()
-            ]
-        ):
+        words = text.split(",") if isinstance(text, str) else text
+        names = [word.strip() for word in words if word.strip()]
+        if not names:
             raise UsageError(f"no {self.kind} named", remedy=f"name some of {', '.join(self)}")
         for name in names:
             check_name(self.kind, name, self)
@@ -117,7 +119,5 @@ def rows_beside(module_file: str, name: str = "") -> Any:
     """Return the YAML beside a module, by default of its name."""
     path = Path(module_file)
     text = (path.parent / (name or f"{path.stem}.yaml")).read_text(encoding="utf-8")
-    return yaml.load(
-        text,
-        getattr(yaml, "CSafeLoader", yaml.SafeLoader),
-    )  # the compiled one is ten times faster
+    # The compiled loader is ten times faster.
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))

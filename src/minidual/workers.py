@@ -19,7 +19,10 @@ from minidual import emergency
 
 _LOOK_S = 0.2
 _GROWTH_MAX_BYTES = 2_000_000_000
-"""A worker that grows by more is replaced. By default 300 MB: so much is imported with the first policy."""
+"""A worker that grows by more is replaced.
+
+The library's limit is 300 MB; the first policy already imports as much.
+"""
 
 
 def in_workers[Item, Out](
@@ -28,13 +31,11 @@ def in_workers[Item, Out](
     workers: int,
 ) -> Iterator[Out]:
     """Yield function(item) in the order of the items; with one worker, in this process."""
-    # More than one numeric thread per process: they wait for each other on a busy machine.
+    # With more numeric threads in a process they wait for each other on a busy machine.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     processes = min(workers, max(1, len(items)))
-    # Before the first item, which may take seconds to import what it needs.
-    begin = {"initializer": _begin, "initargs": (os.getpid(),)} if processes > 1 else {}
-    parallel = joblib.Parallel(n_jobs=processes, return_as="generator", batch_size=1, **begin)
+    parallel = _pool(processes)
     with _unsignalled_children():
         results = parallel(joblib.delayed(function)(item) for item in items)
     for result in results:
@@ -42,10 +43,23 @@ def in_workers[Item, Out](
         yield result
 
 
+def _pool(processes: int) -> joblib.Parallel:
+    if processes == 1:
+        return joblib.Parallel(n_jobs=1, return_as="generator", batch_size=1)
+    return joblib.Parallel(
+        n_jobs=processes,
+        return_as="generator",
+        batch_size=1,
+        # Begins before the first item, which may take seconds to import what it needs.
+        initializer=_begin,
+        initargs=(os.getpid(),),
+    )
+
+
 @contextlib.contextmanager
 def _unsignalled_children() -> Generator[None]:
     """Start processes that signals to their group do not reach: blocked signals are inherited."""
-    signals = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         for tracker in (resource_tracker, loky_tracker):
