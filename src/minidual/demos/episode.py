@@ -1,21 +1,26 @@
 """Read and validate a recorded episode; docs/data.md lists the faults."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from minidual.demos import checks, schema
-from minidual.demos.checks import EpisodeFault
+from minidual.demos.faults import EpisodeFault
 from minidual.errors import DataError
 from minidual.robot.pair import Array, Robot
 
 ARRAY_BYTES_MAX = 2**32
 """Limit of one array in memory."""
+TICKS_MIN = 2
+
+_ANY = -1
+"""A length that is not checked."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,13 @@ class Episode:
         return len(self.timestamps)
 
 
+class Inspection(NamedTuple):
+    """An episode, None if unreadable, and its faults."""
+
+    episode: Episode | None
+    faults: list[EpisodeFault]
+
+
 def episode_paths(folder: Path | str) -> list[Path]:
     """Return a folder's finished episodes."""
     return sorted(Path(folder).glob("episode_[0-9]*.hdf5"))
@@ -44,7 +56,13 @@ def episode_paths(folder: Path | str) -> list[Path]:
 
 def read_meta(path: Path | str) -> schema.EpisodeMeta:
     """Return the metadata; raises as `read_episode`."""
-    return _sound(path, *_load(Path(path), (), fields=())).meta
+    path = Path(path)
+    try:
+        with _opened(path) as file:
+            meta, _ = schema.EpisodeMeta.from_attrs(file.attrs)
+            return meta
+    except _UnreadableError as error:
+        raise _refusal(path, error.fault) from error
 
 
 def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> Episode:
@@ -53,7 +71,11 @@ def read_episode(path: Path | str, *, cameras: Sequence[str] | None = None) -> E
     Raises:
         DataError: Missing, corrupt, or of another schema.
     """
-    return _sound(path, *_load(Path(path), cameras))
+    path = Path(path)
+    episode, faults = _load(path, cameras)
+    if episode is None:
+        raise _refusal(path, faults[0])
+    return episode
 
 
 def inspect_episode(
@@ -62,139 +84,223 @@ def inspect_episode(
     cameras: Sequence[str] | None = None,
     size: tuple[int, int] | None = None,
     robot: Robot | None = None,
-) -> tuple[Episode | None, list[EpisodeFault]]:
-    """Return an episode (None if unreadable) and every fault; None skips the check of `cameras`, `size` or `robot`.
+) -> Inspection:
+    """Return an episode and every fault; None skips the check of `cameras`, `size` or `robot`.
 
-    All arrays are read, to verify their checksums.
+    All arrays are read, to verify their checksums. Later checks need what the earlier ones check:
+    the first group with a fault ends the inspection.
     """
-    e, faults = _load(Path(path), None)
-    if e is None:
-        return None, faults
-    if cameras is not None and tuple(cameras) != e.meta.cameras:
-        detail = f"cameras are {_list(e.meta.cameras)}; expected {_list(cameras)}"
-        faults.append(EpisodeFault("cameras_wrong", detail))
-    for camera, frames in e.images.items():
-        if size not in (None, frames.shape[1:3]):
-            detail = f"camera '{camera}' has pictures of {frames.shape[1:3]}; expected {size} (height, width)"
-            faults.append(EpisodeFault("images_size", detail))
-    if len(e) < 2:
-        faults.append(EpisodeFault("too_short", f"{len(e)} ticks; an episode has at least 2"))
-    if faults:
-        return e, faults
-    for key, stamps in (("timestamps", e.timestamps), ("image_timestamps", e.image_timestamps)):
-        faults += () if stamps is None else checks.check_monotonic(stamps, key)
-    faults += checks.check_action_is_command(e.qpos, e.action)
-    if faults:
-        return e, faults
-    faults += checks.check_rate(e.timestamps, e.meta.fps)
-    if e.image_timestamps is not None:
-        faults += checks.check_sync(e.timestamps, e.image_timestamps)
-    if robot is not None:
-        faults += checks.check_limits(e.qpos, robot)
-    faults += checks.check_images(e.images, e.qpos)
-    return e, faults
-
-
-def _sound(path: Path | str, episode: Episode | None, faults: list[EpisodeFault]) -> Episode:
+    episode, faults = _load(Path(path), None)
     if episode is None:
-        raise DataError(f"{path}: {faults[0].detail}", remedy=faults[0].remedy)
-    return episode
+        return Inspection(None, faults)
+    faults += _format_faults(episode, cameras, size)
+    if faults:
+        return Inspection(episode, faults)
+    faults += _order_faults(episode)
+    if faults:
+        return Inspection(episode, faults)
+    faults += _content_faults(episode, robot)
+    return Inspection(episode, faults)
 
 
-def _load(
-    path: Path,
+def _format_faults(
+    episode: Episode,
     cameras: Sequence[str] | None,
-    fields: Sequence[schema.Field] = schema.FIELDS,
-) -> tuple[Episode | None, list[EpisodeFault]]:
+    size: tuple[int, int] | None,
+) -> Iterator[EpisodeFault]:
+    recorded = episode.meta.cameras
+    if cameras is not None and tuple(cameras) != recorded:
+        detail = f"cameras are {_list(recorded)}; expected {_list(cameras)}"
+        yield EpisodeFault("cameras_wrong", detail)
+    for camera, frames in episode.images.items():
+        recorded_size = frames.shape[1:3]
+        if size is not None and recorded_size != size:
+            yield EpisodeFault(
+                "images_size",
+                f"camera '{camera}' has pictures of {recorded_size}; "
+                f"expected {size} (height, width)",
+            )
+    if len(episode) < TICKS_MIN:
+        detail = f"{len(episode)} ticks; an episode has at least {TICKS_MIN}"
+        yield EpisodeFault("too_short", detail)
+
+
+def _order_faults(episode: Episode) -> Iterator[EpisodeFault]:
+    yield from checks.check_monotonic(episode.timestamps, "timestamps")
+    if episode.image_timestamps is not None:
+        yield from checks.check_monotonic(episode.image_timestamps, "image_timestamps")
+    yield from checks.check_action_is_command(episode.qpos, episode.action)
+
+
+def _content_faults(episode: Episode, robot: Robot | None) -> Iterator[EpisodeFault]:
+    yield from checks.check_rate(episode.timestamps, episode.meta.fps)
+    if episode.image_timestamps is not None:
+        yield from checks.check_sync(episode.timestamps, episode.image_timestamps)
+    if robot is not None:
+        yield from checks.check_limits(episode.qpos, robot)
+    yield from checks.check_images(episode.images, episode.qpos)
+
+
+class _UnreadableError(Exception):
+    """A file that cannot be opened or read at all."""
+
+    def __init__(self, fault: EpisodeFault) -> None:
+        super().__init__(str(fault))
+        self.fault = fault
+
+
+def _refusal(path: Path, fault: EpisodeFault) -> DataError:
+    return DataError(f"{path}: {fault.detail}", remedy=fault.remedy)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """Open an episode; every error within becomes _UnreadableError."""
     if not path.is_file():
-        return None, [EpisodeFault("file_missing", f"no episode file {path}")]
-    arrays: dict[str, Array] = dict.fromkeys(
-        (f.name for f in schema.FIELDS if f.required),
-        np.empty(0),
-    )
-    faults: list[EpisodeFault] = []
+        raise _UnreadableError(EpisodeFault("file_missing", f"no episode file {path}"))
     try:
         with h5py.File(path, "r") as file:
-            meta, ticks = schema.EpisodeMeta.from_attrs(file.attrs)
-            found = (file.get(key) for key in ("observations/qpos", "action"))
-            joints_n = next(
-                (f.shape[1] for f in found if isinstance(f, h5py.Dataset) and f.ndim == 2),
-                0,
-            )
-            for field in fields:
-                if field.key in file:
-                    expected = (ticks, *field.row_shape(joints_n))
-                    arrays[field.name] = _array(file, field.key, expected, np.float64, faults)
-                elif field.required:
-                    faults.append(EpisodeFault("field_missing", f"{field.key} is missing"))
-            images = _images(file, meta, ticks, cameras, faults)
-            faults += (
-                ()
-                if faults
-                else checks.check_finite(
-                    {f.key: arrays[f.name] for f in fields if f.name in arrays},
-                )
-            )
+            yield file
     except DataError as error:
-        return None, [EpisodeFault("attributes_wrong", f"{path.name}: {error.message}")]
+        detail = f"{path.name}: {error.message}"
+        raise _UnreadableError(EpisodeFault("attributes_wrong", detail)) from error
     except Exception as error:  # h5py raises anything
-        return None, [EpisodeFault("file_corrupt", f"{path.name} is truncated or corrupt: {error}")]
-    return (None if faults else Episode(meta, images, path=path, **arrays)), faults
+        detail = f"{path.name} is truncated or corrupt: {error}"
+        raise _UnreadableError(EpisodeFault("file_corrupt", detail)) from error
 
 
-def _images(
-    file: h5py.File,
-    meta: schema.EpisodeMeta,
-    ticks: int,
-    cameras: Sequence[str] | None,
-    faults: list[EpisodeFault],
-) -> dict[str, NDArray[np.uint8]]:
-    stored = list(file.get("observations/images", ()))
-    if cameras is None and sorted(stored) != sorted(meta.cameras):
-        detail = f"the file declares cameras {_list(meta.cameras)} and stores {_list(stored)}"
-        faults.append(EpisodeFault("cameras_wrong", detail))
-    if absent := [camera for camera in cameras or () if camera not in stored]:
-        faults.append(
-            EpisodeFault(
-                "cameras_wrong",
-                f"no camera {_list(absent)}; there are {_list(meta.cameras)}",
-            ),
+def _load(path: Path, cameras: Sequence[str] | None) -> Inspection:
+    """Return the episode, or why its file is not one."""
+    try:
+        with _opened(path) as file:
+            return _Reader(file, path).read(cameras)
+    except _UnreadableError as error:
+        return Inspection(None, [error.fault])
+
+
+class _Reader:
+    """Reads an open file, collecting faults of its layout."""
+
+    def __init__(self, file: h5py.File, path: Path) -> None:
+        self._file = file
+        self._path = path
+        self._meta, self._ticks = schema.EpisodeMeta.from_attrs(file.attrs)
+        self._faults: list[EpisodeFault] = []
+
+    def read(self, cameras: Sequence[str] | None) -> Inspection:
+        """Read the arrays and the images of `cameras`, None for all."""
+        arrays = self._read_fields()
+        images = self._read_images(cameras)
+        if not self._faults:
+            by_key = {f.key: arrays[f.name] for f in schema.FIELDS if f.name in arrays}
+            self._faults += checks.check_finite(by_key)
+        if self._faults:
+            return Inspection(None, self._faults)
+        episode = Episode(
+            meta=self._meta,
+            images=images,
+            qpos=arrays["qpos"],
+            gripper=arrays["gripper"],
+            action=arrays["action"],
+            action_gripper=arrays["action_gripper"],
+            timestamps=arrays["timestamps"],
+            qvel=arrays.get("qvel"),
+            image_timestamps=arrays.get("image_timestamps"),
+            path=self._path,
         )
-    wanted = [
-        camera
-        for camera in meta.cameras
-        if camera in stored and (cameras is None or camera in cameras)
-    ]
-    return {
-        c: _array(file, schema.image_key(c), (ticks, -1, -1, 3), np.uint8, faults) for c in wanted
-    }
+        return Inspection(episode, self._faults)
+
+    def _read_fields(self) -> dict[str, Array]:
+        joints_n = self._joints_n()
+        arrays: dict[str, Array] = {}
+        for field in schema.FIELDS:
+            if field.key in self._file:
+                shape = (self._ticks, *field.row_shape(joints_n))
+                arrays[field.name] = self._array(field.key, shape, np.float64)
+            elif field.required:
+                self._faults.append(EpisodeFault("field_missing", f"{field.key} is missing"))
+        return arrays
+
+    def _joints_n(self) -> int:
+        """Return the row length of the first two-dimensional array of joints, or 0."""
+        for key in ("observations/qpos", "action"):
+            dataset = self._file.get(key)
+            if isinstance(dataset, h5py.Dataset) and dataset.ndim == 2:
+                return dataset.shape[1]
+        return 0
+
+    def _read_images(self, cameras: Sequence[str] | None) -> dict[str, NDArray[np.uint8]]:
+        declared = self._meta.cameras
+        stored = list(self._file.get("observations/images", ()))
+        if cameras is None:
+            requested = declared
+            if sorted(stored) != sorted(declared):
+                detail = f"the file declares cameras {_list(declared)} and stores {_list(stored)}"
+                self._faults.append(EpisodeFault("cameras_wrong", detail))
+        else:
+            requested = tuple(cameras)
+            absent = [camera for camera in requested if camera not in stored]
+            if absent:
+                detail = f"no camera {_list(absent)}; there are {_list(declared)}"
+                self._faults.append(EpisodeFault("cameras_wrong", detail))
+        shape = (self._ticks, _ANY, _ANY, 3)
+        images: dict[str, NDArray[np.uint8]] = {}
+        for camera in declared:
+            if camera in stored and camera in requested:
+                images[camera] = self._array(schema.image_key(camera), shape, np.uint8)
+        return images
+
+    def _array[Item: np.generic](
+        self,
+        key: str,
+        shape: tuple[int, ...],
+        dtype: type[Item],
+    ) -> NDArray[Item]:
+        """Return a dataset; note a fault and return nothing if its shape or type is another."""
+        dataset = self._file[key]
+        nothing = np.empty(0, dtype)
+        if not isinstance(dataset, h5py.Dataset):
+            self._note_wrong(key, "a group", shape, dtype)
+            return nothing
+        if _is_unsafe(dataset):
+            self._faults.append(
+                EpisodeFault(
+                    "field_too_large",
+                    f"{key} {dataset.shape} takes over {ARRAY_BYTES_MAX} bytes, "
+                    "or lies in another file",
+                ),
+            )
+            return nothing
+        if not (np.can_cast(dataset.dtype, dtype) and _fits(dataset.shape, shape)):
+            self._note_wrong(key, f"{dataset.dtype} {dataset.shape}", shape, dtype)
+            return nothing
+        return np.asarray(dataset[()], dtype=dtype)
+
+    def _note_wrong(
+        self,
+        key: str,
+        stored: str,
+        shape: tuple[int, ...],
+        dtype: DTypeLike,
+    ) -> None:
+        detail = f"{key} is {stored}; it must be {np.dtype(dtype)} {shape}"
+        self._faults.append(EpisodeFault("field_wrong", detail))
 
 
-def _array(
-    file: h5py.File,
-    key: str,
-    shape: tuple[int, ...],
-    dtype: type,
-    faults: list[EpisodeFault],
-) -> NDArray[Any]:
-    """Return a dataset; append a fault if its shape (-1: any length) or type is another."""
-    found: Any = file[key]
-    is_array = isinstance(found, h5py.Dataset)
-    # Checked before anything is read: a sparse file declares terabytes, and a link leads to another file.
-    if is_array and (
-        found.size * found.dtype.itemsize > ARRAY_BYTES_MAX or found.external or found.is_virtual
-    ):
-        what = f"{key} {found.shape} takes over {ARRAY_BYTES_MAX} bytes, or lies in another file"
-        faults.append(EpisodeFault("field_too_large", what))
-        return np.empty(0, dtype)
-    alike = is_array and np.can_cast(found.dtype, dtype) and len(found.shape) == len(shape)
-    if alike and all(wanted in (-1, n) for n, wanted in zip(found.shape, shape, strict=True)):
-        return np.asarray(found[()], dtype=dtype)
-    shown = f"{found.dtype} {found.shape}" if is_array else "a group"
-    faults.append(
-        EpisodeFault("field_wrong", f"{key} is {shown}; it must be {np.dtype(dtype)} {shape}"),
-    )
-    return np.empty(0, dtype)
+def _is_unsafe(dataset: h5py.Dataset) -> bool:
+    """Return whether a dataset declares too much, or leads to another file.
+
+    To be asked before anything is read: a sparse file may declare terabytes.
+    """
+    size = dataset.size * dataset.dtype.itemsize
+    return bool(size > ARRAY_BYTES_MAX or dataset.external or dataset.is_virtual)
+
+
+def _fits(shape: tuple[int, ...], expected: tuple[int, ...]) -> bool:
+    if len(shape) != len(expected):
+        return False
+    pairs = zip(shape, expected, strict=True)
+    return all(length in (_ANY, n) for n, length in pairs)
 
 
 def _list(names: Sequence[str]) -> str:

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from minidual.config.learning import TeleopConfig
 from minidual.motion.api import Planner
-from minidual.registry import Registry, rows_beside
+from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 from minidual.skills.operator import Demonstration, ScriptedOperator, demonstrate_plan
@@ -47,7 +47,10 @@ class Leader(ABC):
 
     @abstractmethod
     def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return joints (n,) [rad] and openings (2,) at a time since the start, or None without a reading."""
+        """Return joints (n,) [rad] and openings (2,) at a time since the start.
+
+        None without a reading.
+        """
 
     @abstractmethod
     def finished(self, now_s: float) -> bool:
@@ -65,18 +68,21 @@ class ScriptedLeader(Leader):
 
     @classmethod
     def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
-        """Plan: by phases where both hands hold one object all the way, else as the task is planned."""
-        config = setup.config
-        seed = setup.seed
+        """Plan a trial.
+
+        By phases where both hands hold one object all the way, else as the task is planned.
+        """
         rate_hz = setup.config.rate_hz
         if setup.task.together:
             operator = ScriptedOperator(
                 setup.task.scene,
-                config.operator,
+                setup.config.operator,
                 kinematics=Kinematics(setup.robot),
             )
-            return cls(operator.plan(trial, seed=seed, rate_hz=rate_hz))
-        return cls(demonstrate_plan(setup.task, trial, setup.planner, seed=seed, rate_hz=rate_hz))
+            return cls(operator.plan(trial, seed=setup.seed, rate_hz=rate_hz))
+        return cls(
+            demonstrate_plan(setup.task, trial, setup.planner, seed=setup.seed, rate_hz=rate_hz),
+        )
 
     def read(self, now_s: float) -> tuple[Array, Array] | None:
         """Return the plan at `now_s`."""
@@ -84,12 +90,11 @@ class ScriptedLeader(Leader):
 
     def finished(self, now_s: float) -> bool:
         """Return whether the plan has ended."""
-        return now_s >= self.demonstration.duration_s - 0.5 / self.demonstration.rate_hz
+        half_tick_s = 0.5 / self.demonstration.rate_hz
+        return now_s >= self.demonstration.duration_s - half_tick_s
 
 
-LEADERS: Registry[type[Leader]] = Registry(
-    "leader",
-    rows_beside(__file__),
-    group="minidual.leaders",
-)
-"""Leaders by `teleop.leader`."""
+LEADERS: Registry[type[Leader]] = Registry("leader", group="minidual.leaders")
+"""Leaders by `teleop.leader`; those of other distributions are entry points of the group."""
+LEADERS.add("scripted", ScriptedLeader)
+LEADERS.add("keyboard", "minidual.demos.keyboard:KeyboardLeader")

@@ -8,10 +8,11 @@ import json
 import logging
 import os
 import threading
-from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, NamedTuple
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")  # LeRobot reads it on import
 
@@ -27,20 +28,39 @@ from minidual import durable
 from minidual.demos.episode import Episode, read_episode
 from minidual.demos.lerobot_reader import ACTION, STATE, LeRobotTables, camera_key, read_dataset
 from minidual.errors import DataError, UsageError
-from minidual.robot.pair import Robot
+from minidual.robot.pair import Array, Robot
 
 SOURCES_FILE = "meta/minidual_sources.json"
 """Lists the recordings of a dataset."""
-_VIDEO_FILE_MB = 4  # an episode is added by writing its whole file again
 IMAGE_DIFFERENCE_MAX = 6.0
 """Limit of an image's mean difference to the recorded one, of 255."""
-_SHORTCUTS: Any = (
-    (compute_stats, "auto_downsample_height_width", lambda picture: picture[:, 2::4, 2::4]),
-    (dataset_writer, "embed_images", lambda table: table),
+_VIDEO_FILE_MB = 4
+"""Size at which the next video file begins: an episode is added by writing its whole file again."""
+
+
+class _Shortcut(NamedTuple):
+    """A function that replaces one of LeRobot's."""
+
+    module: ModuleType
+    name: str
+    replacement: Callable[[Any], Any]
+
+
+def _every_fourth_pixel(picture: Any) -> Any:
+    """Return a picture (3, H, W) with every fourth row and column, for its statistics."""
+    return picture[:, 2::4, 2::4]
+
+
+def _unchanged(table: Any) -> Any:
+    """Return a table, which holds no pictures, as it is."""
+    return table
+
+
+_SHORTCUTS = (
+    _Shortcut(compute_stats, "auto_downsample_height_width", _every_fourth_pixel),
+    _Shortcut(dataset_writer, "embed_images", _unchanged),
 )
-"""Of LeRobot: statistics of pictures (3, H, W) from every fourth row and column, and tables, which hold no pictures, as
-they are. A demonstration of 405 ticks takes 0.6 s of processor time instead of 1.2.
-"""
+"""With them a demonstration of 405 ticks takes 0.6 s of processor time instead of 1.2."""
 
 
 def state_names(robot: Robot) -> tuple[str, ...]:
@@ -57,7 +77,9 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
         UsageError: No episodes, or `out_dir` exists.
         DataError: Inconsistent episodes, or failed verification.
     """
-    if (first := next(paths := iter(paths), None)) is None:
+    paths = iter(paths)
+    first = next(paths, None)
+    if first is None:
         raise UsageError("no episodes to convert", remedy="record some: minidual teleop-record")
     if out_dir.exists():
         raise UsageError(f"{out_dir} exists already", remedy="remove it or choose another folder")
@@ -65,104 +87,135 @@ def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables
     durable.remove_stale(out_dir.parent.glob(f".{out_dir.name}.*.partial"))
     try:
         with durable.replacing(out_dir) as partial:
-            verify_dataset(
-                partial,
-                _write_dataset(partial, out_dir.name, first, paths, robot),
-                robot,
-            )
+            all_paths = itertools.chain([first], paths)
+            written = _write_dataset(partial, out_dir.name, first, all_paths, robot)
+            verify_dataset(partial, written, robot)
     except OSError as error:
-        raise durable.unwritten(
-            error,
-            out_dir,
-            "check the disk or choose another folder",
-        ) from error
+        remedy = "check the disk or choose another folder"
+        raise durable.unwritten(error, out_dir, remedy) from error
     return read_dataset(out_dir)
 
 
 def _write_dataset(
     root: Path,
     name: str,
-    first: Path,
-    others: Iterable[Path],
+    sample: Path,
+    paths: Iterable[Path],
     robot: Robot,
 ) -> list[Path]:
+    """Write the episodes in the format of `sample`; return their paths."""
+    sample_episode = read_episode(sample)
+    shapes = {camera: frames.shape[1:] for camera, frames in sample_episode.images.items()}
+    records: list[dict[str, Any]] = []
+    written: list[Path] = []
+    with ExitStack() as stack:
+        stack.enter_context(_quiet_and_fast())
+        fps = int(sample_episode.meta.fps)
+        dataset = _create_dataset(root, name, fps, shapes, robot)
+        stack.callback(dataset.finalize)
+        for path in paths:
+            written.append(path)
+            episode = read_episode(path, cameras=tuple(shapes))
+            _check_format(path, episode, dataset.fps, shapes)
+            _add_episode(dataset, episode)
+            records.append(_source_record(path, episode))
+    text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
+    (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
+    return written
+
+
+@contextmanager
+def _quiet_and_fast() -> Generator[None]:
+    """Change LeRobot for a while: no reports on stderr, lost videos as errors, `_SHORTCUTS`."""
+    with ExitStack() as stack:
+        av.logging.set_libav_level(av.logging.ERROR)
+        stack.enter_context(SuppressProgressBars())
+        # LeRobot reports a video that it cannot end in time, and goes on without it.
+        video_utils.logger.addFilter(_raise_report)
+        stack.callback(video_utils.logger.removeFilter, _raise_report)
+        for shortcut in _SHORTCUTS:
+            original = getattr(shortcut.module, shortcut.name)
+            setattr(shortcut.module, shortcut.name, shortcut.replacement)
+            stack.callback(setattr, shortcut.module, shortcut.name, original)
+        yield
+
+
+def _create_dataset(
+    root: Path,
+    name: str,
+    fps: int,
+    shapes: dict[str, tuple[int, ...]],
+    robot: Robot,
+) -> LeRobotDataset:
     names = state_names(robot)
     vector = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
     features: dict[str, dict[str, Any]] = {STATE: vector, ACTION: vector}
-    given = read_episode(first)
-    shapes = {camera: frames.shape[1:] for camera, frames in given.images.items()}
     for camera, shape in shapes.items():
         features[camera_key(camera)] = {
             "dtype": "video",
             "shape": shape,
             "names": ["height", "width", "channels"],
         }
-    records = list[dict[str, Any]]()
-    written = list[Path]()
-    with ExitStack() as stack:
-        # Keep encoder reports and progress bars off stderr.
-        av.logging.set_libav_level(av.logging.ERROR)
-        stack.enter_context(SuppressProgressBars())
-        # LeRobot reports a video that it cannot end in time, and goes on without it.
-        stack.callback(video_utils.logger.removeFilter, _raise_report)
-        video_utils.logger.addFilter(_raise_report)
-        for module, member, instead in _SHORTCUTS:
-            stack.callback(setattr, module, member, getattr(module, member))
-            setattr(module, member, instead)
-        dataset = LeRobotDataset.create(
-            repo_id=f"local/{name}",
-            fps=int(given.meta.fps),
-            features=features,
-            root=root,
-            robot_type=f"dual_{robot.arm.name}",
-            use_videos=True,
-            video_backend="pyav",
-            rgb_encoder=RGBEncoderConfig(
-                vcodec="h264",
-                preset="veryfast",
-                pix_fmt="yuv444p",
-                crf=12,
-            ),
-            streaming_encoding=True,
-            encoder_queue_maxsize=0,  # without bound: a full queue drops pictures with only a warning
-            video_files_size_in_mb=_VIDEO_FILE_MB,
+    return LeRobotDataset.create(
+        repo_id=f"local/{name}",
+        fps=fps,
+        features=features,
+        root=root,
+        robot_type=f"dual_{robot.arm.name}",
+        use_videos=True,
+        video_backend="pyav",
+        rgb_encoder=RGBEncoderConfig(
+            vcodec="h264",
+            preset="veryfast",
+            pix_fmt="yuv444p",
+            crf=12,
+        ),
+        streaming_encoding=True,
+        encoder_queue_maxsize=0,  # without bound: a full queue drops pictures with only a warning
+        video_files_size_in_mb=_VIDEO_FILE_MB,
+    )
+
+
+def _check_format(
+    path: Path,
+    episode: Episode,
+    fps: int,
+    shapes: dict[str, tuple[int, ...]],
+) -> None:
+    """Raise DataError for another rate or other pictures than the dataset's."""
+    if episode.meta.fps != fps:
+        raise DataError(
+            f"{path} runs at {episode.meta.fps:g} Hz, the dataset at {fps} Hz; "
+            "all episodes need one rate, a whole number",
         )
-        stack.callback(dataset.finalize)
-        for path in itertools.chain([first], others):
-            written.append(path)
-            episode = read_episode(path, cameras=tuple(shapes))
-            if episode.meta.fps != dataset.fps:
-                raise DataError(
-                    f"{path} runs at {episode.meta.fps:g} Hz, the dataset at {dataset.fps} Hz (whole, one)",
-                )
-            for camera, shape in shapes.items():
-                if episode.images[camera].shape[1:] != shape:
-                    raise DataError(
-                        f"{path}: camera '{camera}' is {episode.images[camera].shape[1:]}, not {shape}",
-                    )
-            state, action = _vectors(episode)
-            try:
-                for k in range(len(episode)):
-                    images = {
-                        camera_key(camera): frames[k] for camera, frames in episode.images.items()
-                    }
-                    dataset.add_frame(
-                        {STATE: state[k], ACTION: action[k], "task": episode.meta.task, **images},
-                    )
-                dataset.save_episode(parallel_encoding=False)
-            except RuntimeError as error:  # from an encoder's thread
-                raise OSError(f"{error}") from error
-            meta = episode.meta
-            facts = {
-                "file": path.name,
-                "seed": meta.seed,
-                "ticks": len(episode),
-                "success": meta.success,
-            }
-            records.append({**facts, "extra": dict(meta.extra)})
-    text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
-    (root / SOURCES_FILE).write_text(text + "\n", encoding="utf-8")
-    return written
+    for camera, shape in shapes.items():
+        recorded = episode.images[camera].shape[1:]
+        if recorded != shape:
+            raise DataError(f"{path}: camera '{camera}' is {recorded}, not {shape}")
+
+
+def _add_episode(dataset: LeRobotDataset, episode: Episode) -> None:
+    state = _with_grippers(episode.qpos, episode.gripper)
+    action = _with_grippers(episode.action, episode.action_gripper)
+    try:
+        for tick in range(len(episode)):
+            images = {camera_key(camera): frames[tick] for camera, frames in episode.images.items()}
+            dataset.add_frame(
+                {STATE: state[tick], ACTION: action[tick], "task": episode.meta.task, **images},
+            )
+        dataset.save_episode(parallel_encoding=False)
+    except RuntimeError as error:  # from an encoder's thread
+        raise OSError(f"{error}") from error
+
+
+def _source_record(path: Path, episode: Episode) -> dict[str, Any]:
+    return {
+        "file": path.name,
+        "seed": episode.meta.seed,
+        "ticks": len(episode),
+        "success": episode.meta.success,
+        "extra": dict(episode.meta.extra),
+    }
 
 
 def _raise_report(record: logging.LogRecord) -> bool:
@@ -171,17 +224,16 @@ def _raise_report(record: logging.LogRecord) -> bool:
     return False  # an encoder's thread, which raises it again here
 
 
-def _vectors(episode: Episode) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return state and action, (T, n + 2)."""
-    state = (episode.qpos, episode.gripper)
-    action = (episode.action, episode.action_gripper)
-    return np.concatenate(state, axis=1).astype(np.float32), np.concatenate(action, axis=1).astype(
-        np.float32,
-    )
+def _with_grippers(joints: Array, openings: Array) -> NDArray[np.float32]:
+    """Return joints (T, n) and openings (T, 2) as (T, n + 2)."""
+    return np.concatenate([joints, openings], axis=1).astype(np.float32)
 
 
 def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
-    """Compare a dataset, read without LeRobot, with its recordings; return the largest image difference.
+    """Compare a dataset, read without LeRobot, with its recordings.
+
+    Returns:
+        The largest mean difference of an image to the recorded one, of 255.
 
     Raises:
         DataError: Unequal lengths or float32 values, or images beyond the limit.
@@ -191,36 +243,49 @@ def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
         raise DataError(f"{root} holds {len(data.starts)} episodes; {len(paths)} were recorded")
     if data.names != state_names(robot):
         raise DataError(f"{root} names its state {data.names}; it must be {state_names(robot)}")
-    for index, (path, start, stop) in enumerate(zip(paths, data.starts, data.stops, strict=True)):
-        episode = read_episode(path, cameras=())
-        label = f"episode {index} ({path.name})"
-        if stop - start != len(episode):
-            raise DataError(f"{label} has {stop - start} rows; {len(episode)} ticks were recorded")
-        for key, stored, recorded in zip(
-            (STATE, ACTION),
-            (data.state, data.action),
-            _vectors(episode),
-            strict=True,
-        ):
-            if not np.array_equal(stored[start:stop], recorded):
-                error = float(np.max(np.abs(stored[start:stop] - recorded)))
-                raise DataError(f"{label}: {key} differs from the recording by {error:.3g}")
+    for index, path in enumerate(paths):
+        _verify_rows(data, index, path)
+    differences = [_verify_camera(data, camera, paths) for camera in data.cameras]
+    return max(differences, default=0.0)
+
+
+def _verify_rows(data: LeRobotTables, index: int, path: Path) -> None:
+    """Raise DataError unless states and actions of an episode are those recorded."""
+    episode = read_episode(path, cameras=())
+    rows = slice(data.starts[index], data.stops[index])
+    rows_n = data.stops[index] - data.starts[index]
+    label = f"episode {index} ({path.name})"
+    if rows_n != len(episode):
+        raise DataError(f"{label} has {rows_n} rows; {len(episode)} ticks were recorded")
+    state = _with_grippers(episode.qpos, episode.gripper)
+    action = _with_grippers(episode.action, episode.action_gripper)
+    for key, stored, recorded in (
+        (STATE, data.state[rows], state),
+        (ACTION, data.action[rows], action),
+    ):
+        if not np.array_equal(stored, recorded):
+            error = float(np.max(np.abs(stored - recorded)))
+            raise DataError(f"{label}: {key} differs from the recording by {error:.3g}")
+
+
+def _verify_camera(data: LeRobotTables, camera: str, paths: Sequence[Path]) -> float:
+    """Return the largest difference of a camera's images; DataError if it is over the limit."""
     worst = 0.0
-    pictures = np.empty(0, np.uint8)
-    for camera in data.cameras:
-        for row, image in data.frames(camera):
-            path = paths[data.episode_index[row]]
-            tick = int(data.frame_index[row])
-            label = f"episode {data.episode_index[row]} ({path.name}): camera '{camera}'"
-            if tick == 0:
-                pictures = read_episode(path, cameras=(camera,)).images[camera]
-            if image.shape != pictures.shape[1:]:
-                raise DataError(f"{label} is {image.shape}, recorded {pictures.shape[1:]}")
-            difference = float(np.mean(np.abs(image.astype(np.int16) - pictures[tick])))
-            if difference > IMAGE_DIFFERENCE_MAX:
-                off = f"differs from the recording by {difference:.1f} of 255 on average"
-                raise DataError(
-                    f"{label} at tick {tick} {off}; the limit is {IMAGE_DIFFERENCE_MAX:g}",
-                )
-            worst = max(worst, difference)
+    recorded = np.empty(0, np.uint8)
+    for row, image in data.frames(camera):
+        episode_index = data.episode_index[row]
+        tick = int(data.frame_index[row])
+        path = paths[episode_index]
+        label = f"episode {episode_index} ({path.name}): camera '{camera}'"
+        if tick == 0:
+            recorded = read_episode(path, cameras=(camera,)).images[camera]
+        if image.shape != recorded.shape[1:]:
+            raise DataError(f"{label} is {image.shape}, recorded {recorded.shape[1:]}")
+        difference = float(np.mean(np.abs(image.astype(np.int16) - recorded[tick])))
+        if difference > IMAGE_DIFFERENCE_MAX:
+            raise DataError(
+                f"{label} at tick {tick} differs from the recording by {difference:.1f} of 255 "
+                f"on average; the limit is {IMAGE_DIFFERENCE_MAX:g}",
+            )
+        worst = max(worst, difference)
     return worst

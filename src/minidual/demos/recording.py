@@ -6,7 +6,7 @@ Results depend neither on workers nor on interruptions.
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -14,10 +14,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from minidual import durable
+from minidual.demos.attempt import ATTEMPTS, KEPT, REJECTED, Attempt
 from minidual.demos.checks import camera_references, check_swapped
+from minidual.demos.job import Job
 from minidual.demos.leader import LEADERS
 from minidual.demos.quality import EpisodeQuality
-from minidual.demos.rig import ATTEMPTS, KEPT, REJECTED, Attempt, Job, Rig
+from minidual.demos.rig import Rig
 from minidual.errors import DataError
 from minidual.workers import in_workers
 
@@ -28,51 +30,78 @@ Observe = Callable[[Rig, int], AbstractContextManager[object]]
 """Returns a context entered during the trial."""
 
 _rigs: dict[str, Rig] = {}
+"""The rig of this process, by its job."""
 
 
 def claim(folder: Path, inputs: Mapping[str, Any], name: str) -> str:
-    """Prepare `folder` for a recording made from `inputs` (JSON types); return a message about an earlier one, or "".
+    """Prepare `folder` for a recording made from `inputs` (JSON types).
 
-    An interrupted recording with equal inputs stays, to be continued. Another one moves to `set-aside` beside `folder`,
-    under `name`.
+    An interrupted recording with equal inputs stays, to be continued. Another one moves to
+    `set-aside` beside `folder`, under `name`.
+
+    Returns:
+        A message about an earlier recording, or "".
     """
-    path = folder / INPUTS_FILE
     gathered = folder.with_name(f".{name}.aside")
     if gathered.exists():  # killed while it was set aside
         durable.set_aside(gathered, name)
-    before: Any = {}
-    with suppress(DataError):  # missing or damaged: the recording is set aside
-        before = durable.read_json(path)
-    before = before if isinstance(before, dict) else {}
-    note = ""
+    earlier_inputs = _read_inputs(folder)
     begun = any((folder / part).exists() for part in (KEPT, REJECTED, ATTEMPTS))
-    if begun and before != inputs:
-        gathered.mkdir()
-        for part in (folder / part for part in PARTS):
-            if part.exists():
-                part.rename(gathered / part.name)
-        target = durable.set_aside(gathered, name)
-        changed = sorted(
-            key for key in before.keys() | inputs.keys() if before.get(key) != inputs.get(key)
-        )
-        note = f"an interrupted recording with other inputs ({', '.join(changed)}) was moved to {target}"
-    elif begun:
-        halves = durable.remove_stale(folder.glob("*/.*.partial"))
-        done = len(list((folder / KEPT).glob("*.hdf5")))
-        note = f"an interrupted recording is continued: demonstrations so far: {done}"
-        note += "".join(f"; removed {half.name}, which is half-written" for half in halves)
-    durable.write_text(path, json.dumps(inputs, indent=1, sort_keys=True) + "\n")
+    if not begun:
+        note = ""
+    elif earlier_inputs == inputs:
+        note = _continue(folder)
+    else:
+        target = _set_aside(folder, gathered, name)
+        changed = ", ".join(_changed_keys(earlier_inputs, inputs))
+        note = f"an interrupted recording with other inputs ({changed}) was moved to {target}"
+    durable.write_text(folder / INPUTS_FILE, json.dumps(inputs, indent=1, sort_keys=True) + "\n")
     return note
+
+
+def _read_inputs(folder: Path) -> dict[str, Any]:
+    """Return the inputs of the recording in `folder`, none if they are missing or damaged."""
+    try:
+        inputs = durable.read_json(folder / INPUTS_FILE)
+    except DataError:
+        return {}
+    return inputs if isinstance(inputs, dict) else {}
+
+
+def _continue(folder: Path) -> str:
+    """Remove half-written files; return a message."""
+    removed = durable.remove_stale(folder.glob("*/.*.partial"))
+    demonstrations_n = len(list((folder / KEPT).glob("*.hdf5")))
+    note = f"an interrupted recording is continued: demonstrations so far: {demonstrations_n}"
+    for path in removed:
+        note += f"; removed {path.name}, which is half-written"
+    return note
+
+
+def _set_aside(folder: Path, gathered: Path, name: str) -> Path:
+    """Move the recording aside by way of the folder `gathered`; return its new path."""
+    gathered.mkdir()
+    for part in PARTS:
+        path = folder / part
+        if path.exists():
+            path.rename(gathered / part)
+    return durable.set_aside(gathered, name)
+
+
+def _changed_keys(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+    return sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
 
 
 def _record_in_worker(job: Job, index: int, observe: Observe | None) -> Attempt:
     key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.config}/{job.arbiter}"
     if key not in _rigs:
         while _rigs:
-            _rigs.popitem()[1].close()
+            _, rig_of_another_job = _rigs.popitem()
+            rig_of_another_job.close()
         _rigs[key] = Rig(job, job.teleop.cameras)
     rig = _rigs[key]
-    with nullcontext() if observe is None else observe(rig, index):
+    observed = nullcontext() if observe is None else observe(rig, index)
+    with observed:
         return rig.record(index)
 
 
@@ -90,68 +119,79 @@ class RecordedAttempts(NamedTuple):
     @property
     def kept(self) -> tuple[Attempt, ...]:
         """Demonstrations in order."""
-        return tuple(a for a in self.attempts if a.kept)
+        return tuple(attempt for attempt in self.attempts if attempt.kept)
 
     def numbers(self, elapsed_s: float = 0.0) -> dict[str, float]:
         """Return the judged numbers; NaN propagates and fails its check.
 
-        Rates leave process start out. `elapsed_s`: from the first attempt to the finished dataset, of this process.
+        Rates leave process start out. `elapsed_s`: from the first attempt to the finished dataset,
+        of this process.
         """
-        qualities = [cast(EpisodeQuality, a.quality) for a in self.kept]
-        latencies = np.concatenate([a.latencies_s for a in self.attempts])
-        recording_s, before_s = (
-            sum(a.wall_s for a in self.attempts if a.adopted >= k) / self.workers for k in (0, 1)
-        )
-        synchronised = [
-            a.sync_error_max_s for a in self.attempts if a.kept or np.isfinite(a.sync_error_max_s)
+        qualities = [cast(EpisodeQuality, attempt.quality) for attempt in self.kept]
+        latencies_s = np.concatenate([attempt.latencies_s for attempt in self.attempts])
+        recording_s = self._recording_s(self.attempts)
+        adopted_s = self._recording_s([attempt for attempt in self.attempts if attempt.adopted])
+        # A rejected attempt without pictures has no error; a demonstration's NaN must show.
+        sync_errors_s = [
+            attempt.sync_error_max_s
+            for attempt in self.attempts
+            if attempt.kept or np.isfinite(attempt.sync_error_max_s)
         ]
+        episodes_n = len(self.kept)
         return {
-            "episodes": len(self.kept),
+            "episodes": episodes_n,
             "attempts": len(self.attempts),
-            "success_rate": float(np.mean([a.success for a in self.attempts])),
-            "schema_ok": bool(self.kept) and not any(a.faults for a in self.kept),
+            "success_rate": float(np.mean([attempt.success for attempt in self.attempts])),
+            "schema_ok": bool(self.kept) and not any(attempt.faults for attempt in self.kept),
             "jerk_rms_max": max(quality.rms_jerk_rad_s3 for quality in qualities),
-            "sync_error_max_s": float(np.max(synchronised)),
-            "latency_p50_s": float(np.percentile(latencies, 50)),
-            "latency_p99_s": float(np.percentile(latencies, 99)),
-            "episodes_per_min": 60.0 * len(self.kept) / max(recording_s, before_s + elapsed_s),
-            "recorded_per_min": 60.0 * len(self.kept) / recording_s,
+            "sync_error_max_s": float(np.max(sync_errors_s)),
+            "latency_p50_s": float(np.percentile(latencies_s, 50)),
+            "latency_p99_s": float(np.percentile(latencies_s, 99)),
+            "episodes_per_min": 60.0 * episodes_n / max(recording_s, adopted_s + elapsed_s),
+            "recorded_per_min": 60.0 * episodes_n / recording_s,
             "recorded_ticks": sum(quality.ticks for quality in qualities),
         }
 
+    def _recording_s(self, attempts: Sequence[Attempt]) -> float:
+        return sum(attempt.wall_s for attempt in attempts) / self.workers
+
 
 def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Iterator[Attempt]:
-    """Yield attempts in order, until there are `episodes_n` demonstrations or the attempts allowed are used up.
+    """Yield attempts in order.
 
-    Attempts that an interrupted recording left in `job.folder` count (see `claim`). `observe` needs one worker.
+    They end when there are `episodes_n` demonstrations or the attempts allowed are used up.
+    Attempts that an interrupted recording left in `job.folder` count (see `claim`). `observe` needs
+    one worker.
 
     Raises:
         UsageError, HandoverError: The leader is unknown, displaced or refused.
         EnvironmentMissingError: Missing device or renderer.
     """
     allowed = math.ceil(job.teleop.episodes_n * job.teleop.attempts_max_ratio)
+    processes = usable_workers(job, workers)
     tried = 0
     missing = job.teleop.episodes_n
     while missing > 0 and tried < allowed:
         indices = range(tried, min(tried + missing, allowed))
         for attempt in in_workers(
-            lambda i: _record_in_worker(job, i, observe),
+            lambda index: _record_in_worker(job, index, observe),
             indices,
-            usable_workers(job, workers),
+            processes,
         ):
-            tried = tried + 1
-            missing = missing - attempt.kept
+            tried += 1
+            missing -= int(attempt.kept)
             yield attempt
 
 
 def recording_of(job: Job, workers: int, attempts: Sequence[Attempt]) -> RecordedAttempts:
     """Return the recording, with the faults that only all attempts show."""
-    references = camera_references([a.views for a in attempts if a.kept])
-    judged = (
-        replace(a, faults=(*a.faults, *map(str, check_swapped(a.views, references))))
-        for a in attempts
-    )
-    return RecordedAttempts(tuple(judged), min(usable_workers(job, workers), job.teleop.episodes_n))
+    references = camera_references([attempt.views for attempt in attempts if attempt.kept])
+    judged: list[Attempt] = []
+    for attempt in attempts:
+        swapped = map(str, check_swapped(attempt.views, references))
+        judged.append(replace(attempt, faults=(*attempt.faults, *swapped)))
+    processes = min(usable_workers(job, workers), job.teleop.episodes_n)
+    return RecordedAttempts(tuple(judged), processes)
 
 
 def record(job: Job, *, workers: int) -> RecordedAttempts:

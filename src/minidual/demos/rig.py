@@ -1,144 +1,38 @@
 """Run and write one demonstration."""
 
-import itertools
-import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import TracebackType
 
-import mujoco
 import numpy as np
-from pydantic import Field, ValidationError
 
 from minidual import durable
 from minidual.collision.errors import PlanningError
-from minidual.config.base import StrictModel
-from minidual.config.control import ArbiterConfig, SupervisorConfig
-from minidual.config.learning import TeleopConfig
 from minidual.config.seeds import stream
 from minidual.control.stack import ControlStack
-from minidual.demos.checks import Thumbnails, thumbnails
+from minidual.demos.attempt import ATTEMPTS, KEPT, REJECTED, Attempt, AttemptFiles
+from minidual.demos.checks import thumbnails
 from minidual.demos.episode import inspect_episode
+from minidual.demos.job import PURPOSE, Job, Room
 from minidual.demos.leader import LEADERS, LeaderSetup
-from minidual.demos.quality import EpisodeQuality, episode_quality, rms_jerk
+from minidual.demos.quality import episode_quality, rms_jerk
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.writer import EpisodeWriter
-from minidual.errors import DataError
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Robot, robot_from
 from minidual.skills.supervised import trial_supervisor
-from minidual.tasks.task import Task, Trial, placement
+from minidual.tasks.judge import Outcome
+from minidual.tasks.task import Trial, placement
 
-PURPOSE = "demonstrations"
-"""Random stream, not used by tests."""
-KEPT = "episodes"
-REJECTED = "rejected"
-ATTEMPTS = "attempts"
-"""Folders of a recording: demonstrations, other episodes, and one JSON file for each attempt."""
-MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad")
+__all__ = ["ATTEMPTS", "KEPT", "PURPOSE", "REJECTED", "Attempt", "Job", "Rig", "Room"]
 
-
-class _Said(StrictModel):
-    """An attempt's JSON file."""
-
-    success: bool
-    reason: str
-    measures: dict[str, float]
-    latencies_s: tuple[float, ...]
-    wall_s: float
-    path: str | None = Field(pattern=rf"^({KEPT}|{REJECTED})/episode_\d{{6}}\.hdf5$")
-
-
-type Room = tuple[
-    str,
-    Callable[[mujoco.MjModel, Task, Trial, np.random.Generator], AbstractContextManager[None]],
-]
-"""Name, and a context that changes what the cameras see of a compiled model, then restores it."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """Inputs shared by all trials; they take turns in `rooms`."""
-
-    folder: Path
-    task: Task
-    teleop: TeleopConfig
-    arbiter: ArbiterConfig
-    seed: int
-    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
-    rooms: tuple[Room, ...] = ()
-
-    @property
-    def robot(self) -> Robot:
-        """The arms."""
-        return robot_from(self.task.config.robot)
-
-    def trial(self, index: int) -> Trial:
-        """Return trial `index`."""
-        return self.task.trial(self.seed, PURPOSE, index, widen=self.teleop.widen)
-
-    def room(self, trial: Trial, turn: int = 0) -> Room | None:
-        """Return a trial's room; `turn` counts changes of room within it."""
-        return self.rooms[(trial.index + turn) % len(self.rooms)] if self.rooms else None
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One trial that was run.
-
-    Attributes:
-        reason: Why it is no demonstration, or "".
-        latencies_s: Wall time per tick, see `SessionResult`.
-        wall_s: Wall time to plan, run, write and read back.
-        adopted: Whether an interrupted recording ran it.
-        quality, sync_error_max_s, faults, views: Of the file, read back; `views` are thumbnails.
-    """
-
-    trial: Trial
-    success: bool
-    reason: str
-    path: Path | None = None
-    measures: Mapping[str, float] = field(default_factory=dict)
-    latencies_s: Sequence[float] = ()
-    wall_s: float = 0.0
-    adopted: bool = False
-    quality: EpisodeQuality | None = None
-    sync_error_max_s: float = float("nan")
-    faults: tuple[str, ...] = ()
-    views: Thumbnails = field(default_factory=dict)
-
-    @property
-    def kept(self) -> bool:
-        """Whether it became a demonstration."""
-        return not self.reason
-
-    def row(self) -> dict[str, Any]:
-        """Return a flat CSV row."""
-        x, y, yaw = placement(next(iter(self.trial.start.values())))
-        row: dict[str, Any] = {
-            "trial": self.trial.index,
-            "start_x_m": x,
-            "start_y_m": y,
-            "start_yaw_rad": yaw,
-        }
-        row |= {"success": self.success, "kept": self.kept, "reason": self.reason}
-        row |= dict.fromkeys(MEASURES, float("nan")) | dict(self.measures)
-        row["file"] = self.path.name if self.path and self.quality else ""
-        row |= (
-            dict.fromkeys(EpisodeQuality._fields, "")
-            if self.quality is None
-            else self.quality._asdict()
-        )
-        return {
-            key: round(value, 6) if isinstance(value, float) else value
-            for key, value in row.items()
-        }
+MOTION_MIN_RAD = 1e-3
+"""A failed episode in which no joint moves further, or under 1 s long, is not written."""
 
 
 class Rig:
@@ -150,136 +44,139 @@ class Rig:
         self.world = World(job.task.scene, job.robot, visuals=True)
         self._cameras = tuple(cameras)
         self._eye = Camera.recorded(self.world.model, self.world.scene.camera) if cameras else None
-        supervisor = trial_supervisor(job.supervisor, self.world.dt, job.robot)
-        rate_hz = job.teleop.rate_hz
         stack = ControlStack(
             self.world,
             self.kinematics,
             job.arbiter,
-            rate_hz=rate_hz,
-            supervisor=supervisor,
+            rate_hz=job.teleop.rate_hz,
+            supervisor=trial_supervisor(job.supervisor, self.world.dt, job.robot),
         )
         self.session = TeleopSession(stack, job.teleop, self._pictures)
         self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
 
     def lead(self, trial: Trial, on_tick: Callable[[Tick], None]) -> SessionResult:
         """Run one episode."""
+        task = self.job.task
         teleop = self.job.teleop
         leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
-        stay = round(teleop.room_change_s * teleop.rate_hz)
-        ticks = itertools.count(1)
-        with closing(leader), ExitStack() as shown:
-            # Leaving a room restores what was there when it was entered.
-            self.world.mark_goal(*placement(trial.goal[self.job.task.carried]))
-            shown.enter_context(self.room(trial))
+        ticks_per_room = round(teleop.room_change_s * teleop.rate_hz)
+        with closing(leader):
+            # Leaving a room restores what was there when it was entered: the mark comes first.
+            self.world.mark_goal(*placement(trial.goal[task.carried]))
+            with _RoomTour(lambda turn: self.room(trial, turn), ticks_per_room) as tour:
 
-            def tick(ticked: Tick) -> None:
-                on_tick(ticked)
-                if stay and (done := next(ticks)) % stay == 0:
-                    shown.close()
-                    shown.enter_context(self.room(trial, done // stay))
+                def tick(measured: Tick) -> None:
+                    on_tick(measured)
+                    tour.tick()
 
-            return self.session.run(self.job.task, trial, leader, on_tick=tick)
+                return self.session.run(task, trial, leader, on_tick=tick)
 
     def room(self, trial: Trial, turn: int = 0) -> AbstractContextManager[None]:
         """Show one of the trial's rooms to the cameras."""
-        job = self.job
         room = self.job.room(trial, turn)
         if room is None:
             return nullcontext()
         name, applied = room
-        rng = stream(
-            job.seed,
-            f"room/{trial.purpose}/{name}" + (f"/{turn}" if turn else ""),
-            trial.index,
-        )
-        return applied(self.world.model, job.task, trial, rng)
+        purpose = f"room/{trial.purpose}/{name}"
+        if turn:
+            purpose += f"/{turn}"
+        rng = stream(self.job.seed, purpose, trial.index)
+        return applied(self.world.model, self.job.task, trial, rng)
 
     def record(self, index: int) -> Attempt:
         """Return trial `index` as an interrupted recording left it, else run it.
 
-        An episode's file gets its name after it was read back and the attempt's JSON file was written.
+        An episode's file gets its name after it was read back and the attempt's JSON file was
+        written.
         """
         trial = self.job.trial(index)
-        return self._adopted(trial) or self._recorded(trial)
+        adopted = self._adopted(trial)
+        if adopted is not None:
+            return adopted
+        return self._recorded(trial)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._eye is not None:
+            self._eye.close()
 
     def _adopted(self, trial: Trial) -> Attempt | None:
-        record = self._attempt_path(trial)
-        if not record.exists():
-            return None
-        try:
-            said = _Said.model_validate(durable.read_json(record))
-        except (DataError, ValidationError):  # damaged since
-            for path in (record, *self.job.folder.glob(f"*/episode_{trial.index:06d}.hdf5")):
-                durable.set_aside(path, path.name)
-            return None
-        path = self.job.folder / said.path if said.path else None
-        attempt = Attempt(trial, **said.model_dump(exclude={"path"}), path=path, adopted=True)
-        if path is None:
+        """Return the attempt of an interrupted recording if its files are whole."""
+        attempt = AttemptFiles(self.job.folder).read(trial)
+        if attempt is None or attempt.path is None:
             return attempt
-        if path.exists():  # else killed before the file got its name
-            judged = self._read_back(attempt, path)
-            if judged.kept == attempt.kept:
-                return judged
-            durable.set_aside(path, path.name)  # damaged since
-        return None
+        if not attempt.path.exists():  # killed before the file got its name
+            return None
+        judged = self._read_back(attempt, attempt.path)
+        if judged.kept != attempt.kept:  # the file was damaged since
+            durable.set_aside(attempt.path, attempt.path.name)
+            return None
+        return judged
 
     def _recorded(self, trial: Trial) -> Attempt:
-        job = self.job
         began = time.perf_counter()
-        name = f"episode_{trial.index:06d}.hdf5"
-        with EpisodeWriter(job.folder / REJECTED / name, self._meta(trial)) as writer:
+        folder = self.job.folder
+        name = AttemptFiles.episode_name(trial.index)
+        with EpisodeWriter(folder / REJECTED / name, self._meta(trial)) as writer:
             try:
                 result = self.lead(trial, lambda tick: writer.append(**tick._asdict()))
             except (SimulationDivergedError, PlanningError) as error:
-                return self._concluded(Attempt(trial, False, error.message.splitlines()[0]), began)
-            said = {"completion_s": result.outcome.duration_s}
-            said |= {
-                name: value
-                for name in MEASURES[1:]
-                if np.isfinite(value := result.outcome.number(name))
-            }
+                reason = error.message.splitlines()[0]
+                return self._concluded(Attempt(trial, success=False, reason=reason), began)
             attempt = Attempt(
                 trial,
-                result.success,
-                self._reason(result),
-                None,
-                said,
-                result.latencies_s,
+                success=result.success,
+                reason=self._reason(result),
+                measures=_measures(result.outcome),
+                latencies_s=result.latencies_s,
             )
-            empty = (
-                len(result.q) < job.teleop.rate_hz or float(np.ptp(result.q, axis=0).max()) < 1e-3
-            )
-            if attempt.reason and empty:
+            if attempt.reason and self._is_empty(result):
                 return self._concluded(attempt, began)
             partial = writer.finish(
                 success=result.success,
-                extra={"reason": attempt.reason, **said},
+                extra={"reason": attempt.reason, **attempt.measures},
             )
             attempt = self._read_back(attempt, partial)
-            path = job.folder / (KEPT if attempt.kept else REJECTED) / name
+            path = folder / (KEPT if attempt.kept else REJECTED) / name
             attempt = self._concluded(replace(attempt, path=path), began)
             writer.publish(path)
             return attempt
 
+    def _is_empty(self, result: SessionResult) -> bool:
+        """Return whether an episode lasts under a second, or no joint moves."""
+        if len(result.q) < self.job.teleop.rate_hz:
+            return True
+        return float(np.ptp(result.q, axis=0).max()) < MOTION_MIN_RAD
+
+    def _reason(self, result: SessionResult) -> str:
+        """Return why an episode is no demonstration, or ""."""
+        if result.reason:
+            return result.reason
+        jerk = rms_jerk(result.q, self.job.teleop.rate_hz)
+        limit = self.job.teleop.jerk_max_rad_s3
+        if jerk <= limit:
+            return ""
+        return f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
+
     def _read_back(self, attempt: Attempt, path: Path) -> Attempt:
+        """Return the attempt with what its file says."""
         camera = self.job.task.config.scene.camera
-        size = (camera.height_px, camera.width_px)
-        episode, found = inspect_episode(
+        episode, faults = inspect_episode(
             path,
             cameras=self.job.teleop.cameras,
-            size=size,
+            size=(camera.height_px, camera.width_px),
             robot=self.job.robot,
         )
-        faults = tuple(map(str, found))
-        attempt = replace(attempt, faults=faults, reason=attempt.reason or next(iter(faults), ""))
+        names = tuple(map(str, faults))
+        reason = attempt.reason
+        if not reason and names:
+            reason = names[0]
+        attempt = replace(attempt, faults=names, reason=reason)
         if episode is None:
             return attempt
-        if (stamps := episode.image_timestamps) is not None:
-            attempt = replace(
-                attempt,
-                sync_error_max_s=float(np.max(np.abs(stamps - episode.timestamps))),
-            )
+        if episode.image_timestamps is not None:
+            sync_errors_s = np.abs(episode.image_timestamps - episode.timestamps)
+            attempt = replace(attempt, sync_error_max_s=float(np.max(sync_errors_s)))
         if faults:
             return attempt
         return replace(
@@ -289,52 +186,82 @@ class Rig:
         )
 
     def _concluded(self, attempt: Attempt, began: float) -> Attempt:
+        """Return the attempt with its wall time, and write its JSON file."""
         attempt = replace(attempt, wall_s=time.perf_counter() - began)
-        record = {
-            key: getattr(attempt, key)
-            for key in ("success", "reason", "measures", "latencies_s", "wall_s")
-        }
-        record["path"] = attempt.path and f"{attempt.path.parent.name}/{attempt.path.name}"
-        durable.make_folder(self.job.folder / ATTEMPTS)
-        durable.write_text(self._attempt_path(attempt.trial), json.dumps(record) + "\n")
+        AttemptFiles(self.job.folder).write(attempt)
         return attempt
-
-    def _attempt_path(self, trial: Trial) -> Path:
-        return self.job.folder / ATTEMPTS / f"{trial.index:06d}.json"
 
     def _meta(self, trial: Trial) -> EpisodeMeta:
         teleop = self.job.teleop
         task = self.job.task
-        extra = {
+        extra: dict[str, object] = {
             "trial": trial.index,
             "purpose": trial.purpose,
             "leader": teleop.leader,
             "start_x_y_yaw": list(placement(trial.start[task.carried])),
             "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
         }
-        if (room := self.job.room(trial)) is not None:
-            extra |= {"condition": room[0], "room_change_s": teleop.room_change_s}
+        room = self.job.room(trial)
+        if room is not None:
+            extra["condition"] = room[0]
+            extra["room_change_s"] = teleop.room_change_s
         return EpisodeMeta(
-            teleop.rate_hz,
-            task.instruction,
-            self.job.seed,
-            teleop.cameras,
+            fps=teleop.rate_hz,
+            task=task.instruction,
+            seed=self.job.seed,
+            cameras=teleop.cameras,
             extra=extra,
         )
-
-    def _reason(self, result: SessionResult) -> str:
-        if result.reason:
-            return result.reason
-        jerk = rms_jerk(result.q, self.job.teleop.rate_hz)
-        limit = self.job.teleop.jerk_max_rad_s3
-        return "" if jerk <= limit else f"RMS jerk {jerk:.0f} rad/s^3, limit {limit:.0f}"
-
-    def close(self) -> None:
-        """Free the renderer."""
-        if self._eye is not None:
-            self._eye.close()
 
     def _pictures(self) -> dict[str, Image]:
         if self._eye is None:
             return {}
         return {name: self._eye.picture(self.world.data, name).copy() for name in self._cameras}
+
+
+def _measures(outcome: Outcome) -> dict[str, float]:
+    """Return the outcome's finite measures."""
+    measures = {"completion_s": outcome.duration_s}
+    for name in ("goal_error_m", "tilt_max_rad"):
+        value = outcome.number(name)
+        if np.isfinite(value):
+            measures[name] = value
+    return measures
+
+
+class _RoomTour(AbstractContextManager["_RoomTour"]):
+    """Shows the cameras one room after the other.
+
+    Args:
+        show: Returns the context of a turn's room.
+        ticks_each: Ticks after which the room changes; 0: never.
+    """
+
+    def __init__(
+        self,
+        show: Callable[[int], AbstractContextManager[None]],
+        ticks_each: int,
+    ) -> None:
+        self._show = show
+        self._ticks_each = ticks_each
+        self._ticks = 0
+        self._shown = ExitStack()
+
+    def __enter__(self) -> "_RoomTour":
+        self._shown.enter_context(self._show(0))
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._shown.__exit__(kind, error, traceback)
+
+    def tick(self) -> None:
+        """Count a tick; change the room if it is due."""
+        self._ticks += 1
+        if self._ticks_each and self._ticks % self._ticks_each == 0:
+            self._shown.close()
+            self._shown.enter_context(self._show(self._ticks // self._ticks_each))

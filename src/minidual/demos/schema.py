@@ -18,42 +18,55 @@ key                                   shape         meaning
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from minidual.errors import DataError
-from minidual.registry import rows_beside
 from minidual.robot.pair import GRIPPERS_N
 
 SCHEMA_VERSION = 1
 TICKS = "num_timesteps"
 """Attribute: number of ticks."""
+REQUIRED_ATTRIBUTES = (
+    TICKS,
+    "success",
+    "sim",
+    "fps",
+    "task",
+    "seed",
+    "cameras",
+    "schema_version",
+)
 MAX_SYNC_S = 0.020
 """Largest time between joints and images."""
-_PLAIN = {
-    "success": bool,
-    "sim": bool,
-    "fps": float,
-    "task": str,
-    "seed": int,
-}  # attributes that are not JSON
+
+Axis = Literal["joints", "grippers"]
 
 
 class Field(NamedTuple):
-    """One float64 array; `axes` are those of a row."""
+    """One float64 array of T rows; `axes` are those of a row."""
 
     name: str
     key: str
-    axes: Sequence[str]
+    axes: tuple[Axis, ...] = ()
     required: bool = True
 
     def row_shape(self, joints_n: int) -> tuple[int, ...]:
-        """Return the row shape."""
-        return tuple(joints_n if axis == "joints" else GRIPPERS_N for axis in self.axes)
+        """Return the shape of a row for `joints_n` joints."""
+        sizes = {"joints": joints_n, "grippers": GRIPPERS_N}
+        return tuple(sizes[axis] for axis in self.axes)
 
 
-FIELDS = tuple(Field(name, **row) for name, row in rows_beside(__file__).items())
+FIELDS = (
+    Field("qpos", "observations/qpos", ("joints",)),
+    Field("qvel", "observations/qvel", ("joints",), required=False),
+    Field("gripper", "observations/gripper", ("grippers",)),
+    Field("action", "action", ("joints",)),
+    Field("action_gripper", "action_gripper", ("grippers",)),
+    Field("timestamps", "timestamps"),
+    Field("image_timestamps", "image_timestamps", required=False),
+)
 """Every numeric array."""
 
 
@@ -102,40 +115,50 @@ class EpisodeMeta:
         """Trial number; DataError if not recorded."""
         number = self.extra.get("trial")
         if not isinstance(number, int):
-            raise DataError(
-                f"the episode names no trial (extra facts: {', '.join(self.extra) or 'none'})",
-            )
+            names = ", ".join(self.extra) or "none"
+            raise DataError(f"the episode names no trial (extra facts: {names})")
         return number
 
     def to_attrs(self, ticks: int) -> dict[str, Any]:
-        """Return the attributes of a file."""
-        plain = {name: kind(getattr(self, name)) for name, kind in _PLAIN.items()}
-        cameras = json.dumps(list(self.cameras))
-        extra = json.dumps(dict(self.extra), sort_keys=True, allow_nan=False)
+        """Return the attributes of a file with `ticks` ticks."""
         return {
             TICKS: int(ticks),
-            **plain,
-            "cameras": cameras,
+            "success": bool(self.success),
+            "sim": bool(self.sim),
+            "fps": float(self.fps),
+            "task": str(self.task),
+            "seed": int(self.seed),
+            "cameras": json.dumps(list(self.cameras)),
             "schema_version": SCHEMA_VERSION,
-            "extra": extra,
+            "extra": json.dumps(dict(self.extra), sort_keys=True, allow_nan=False),
         }
 
     @staticmethod
     def from_attrs(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:
         """Return (meta, ticks); DataError if missing, invalid or of another version."""
-        required = EpisodeMeta(1.0, "", 0, ()).to_attrs(0).keys() - {"extra"}
-        if missing := sorted(required - attrs.keys()):
+        missing = sorted(set(REQUIRED_ATTRIBUTES) - attrs.keys())
+        if missing:
             raise DataError(f"missing attributes: {', '.join(missing)}")
         try:
-            if (version := int(attrs["schema_version"])) != SCHEMA_VERSION:
-                raise DataError(
-                    f"schema version {version}; this program reads version {SCHEMA_VERSION}",
-                )
-            plain: dict[str, Any] = {name: kind(attrs[name]) for name, kind in _PLAIN.items()}
-            cameras = tuple(map(str, json.loads(attrs["cameras"])))
-            meta = EpisodeMeta(cameras=cameras, extra=json.loads(attrs.get("extra", "{}")), **plain)
-            if (ticks := int(attrs[TICKS])) < 0:
-                raise DataError(f"{TICKS} is {ticks}")
-            return meta, ticks
+            return _parsed(attrs)
         except (ValueError, TypeError, OverflowError, RecursionError) as error:
             raise DataError(f"unreadable attributes: {error}") from error
+
+
+def _parsed(attrs: Mapping[str, Any]) -> tuple[EpisodeMeta, int]:
+    version = int(attrs["schema_version"])
+    if version != SCHEMA_VERSION:
+        raise DataError(f"schema version {version}; this program reads version {SCHEMA_VERSION}")
+    meta = EpisodeMeta(
+        fps=float(attrs["fps"]),
+        task=str(attrs["task"]),
+        seed=int(attrs["seed"]),
+        cameras=tuple(map(str, json.loads(attrs["cameras"]))),
+        sim=bool(attrs["sim"]),
+        success=bool(attrs["success"]),
+        extra=json.loads(attrs.get("extra", "{}")),
+    )
+    ticks = int(attrs[TICKS])
+    if ticks < 0:
+        raise DataError(f"{TICKS} is {ticks}")
+    return meta, ticks
