@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from minidual.policies.policy import CELL_PX, occlusion, on_object
+from minidual.policies.occlusion import CELL_PX, occlusion, on_object
 from minidual.show.figures.canvas import draw_occlusion
 
 

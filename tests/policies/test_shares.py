@@ -10,7 +10,7 @@ import pytest
 from tests.support.late import late
 
 torch = late("torch")
-shares = late("minidual.policies.batches")
+shares = late("minidual.policies.shares")
 pytestmark = pytest.mark.torch
 
 

@@ -263,12 +263,18 @@ def test_an_interruption_within_a_step_leaves_the_progress_of_a_whole_one(
     count: int,
 ) -> None:
     """The progress held the averaged weights, or those of a step that was done again."""
+    from minidual.policies import optimiser
     from minidual.policies import train as loop
     from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
 
     config = TrainConfig(**SMALL, checkpoint_every_steps=2)
     whole = train(demos, config, 5, tmp_path / "whole")
-    place = {"predict_action_chunk": SpatialActPolicy, "step": torch.optim.AdamW}.get(name, loop)
+    place = {
+        "predict_action_chunk": SpatialActPolicy,
+        "LossRow": loop,
+        "step": torch.optim.AdamW,
+        "get_ema_multi_avg_fn": optimiser,
+    }[name]
     with monkeypatch.context() as patch:
         patch.setattr(place, name, at_call(count, getattr(place, name)))
         with pytest.raises(KeyboardInterrupt):

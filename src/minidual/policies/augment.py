@@ -1,7 +1,7 @@
 """Change training pictures as other rooms and other camera poses would.
 
-Colours: c' = e^l diag(e^g) M P c + o with light l, channel gains g, mixing M (grey stays grey), permutation P.
-Places: turn, scale and shift about the middle; the border is repeated.
+Colours: c' = e^l diag(e^g) M P c + o with light l, channel gains g, mixing M (grey stays grey),
+permutation P. Places: turn, scale and shift about the middle; the border is repeated.
 """
 
 import cv2
@@ -22,12 +22,15 @@ def colour_maps(n: int, config: AugmentConfig, rng: np.random.Generator) -> NDAr
     offset = FULL * config.offset * rng.uniform(-1.0, 1.0, (n, 3))
     order = np.argsort(rng.random((n, 3)), axis=1)
     order[rng.random(n) >= config.permuted_share] = np.arange(3)
+    # Rows of a mixing sum to 1, so that grey stays grey.
     diagonal = np.arange(3)
     mixing[:, diagonal, diagonal] = 0.0
     mixing[:, diagonal, diagonal] = 1.0 - mixing.sum(axis=2)
-    mixed = np.take_along_axis(mixing, np.repeat(order[:, None, :], 3, axis=1), axis=2)
-    turned = np.exp(light[:, None] + gains)[:, :, None] * mixed
-    return np.concatenate([turned, offset[:, :, None]], axis=2).astype(np.float32)
+    order_of_each_row = np.repeat(order[:, None, :], 3, axis=1)
+    mixed = np.take_along_axis(mixing, order_of_each_row, axis=2)
+    brightness = np.exp(light[:, None] + gains)
+    linear = brightness[:, :, None] * mixed
+    return np.concatenate([linear, offset[:, :, None]], axis=2).astype(np.float32)
 
 
 def warps(
@@ -47,9 +50,9 @@ def warps(
     shift[straight] = 0.0
     along = scale * np.cos(turn)
     across = scale * np.sin(turn)
-    turned = np.stack([along, -across, across, along], axis=1).reshape(n, 2, 2)
+    linear = np.stack([along, -across, across, along], axis=1).reshape(n, 2, 2)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    return np.dstack([turned, middle + shift - turned @ middle])
+    return np.dstack([linear, middle + shift - linear @ middle])
 
 
 def augment(
@@ -59,16 +62,17 @@ def augment(
 ) -> NDArray[np.uint8]:
     """Return changed copies of pictures (n, H, W, 3)."""
     n, height, width, _ = pictures.shape
-    colours = colour_maps(n, config, rng) if config.photometric else [None] * n
-    places = warps(n, height, width, config, rng) if config.geometric else [None] * n
     changed = pictures.copy()
-    for picture, colour, place in zip(changed, colours, places, strict=True):
-        if colour is not None:
-            cv2.transform(picture, colour, dst=picture)
-        if place is not None and (place != _UNMOVED).any():
+    # All colours are drawn before all places: the order of the draws is part of the result.
+    colours = colour_maps(n, config, rng) if config.photometric else None
+    places = warps(n, height, width, config, rng) if config.geometric else None
+    for k, picture in enumerate(changed):
+        if colours is not None:
+            cv2.transform(picture, colours[k], dst=picture)
+        if places is not None and (places[k] != _UNMOVED).any():
             picture[:] = cv2.warpAffine(
                 picture,
-                place,
+                places[k],
                 (width, height),
                 borderMode=cv2.BORDER_REPLICATE,
             )

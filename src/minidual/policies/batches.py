@@ -1,10 +1,7 @@
-"""Normalised training batches from demonstrations, and their gradients; statistics in LeRobot's layout."""
+"""Normalised training batches from demonstrations; statistics in LeRobot's layout."""
 
-import copy
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
-from typing import Any
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,37 +9,49 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from minidual.config.learning import TrainConfig
-from minidual.demos.lerobot_reader import ACTION, STATE, Image, Rows, camera_key, colours
+from minidual.config.seeds import stream
+from minidual.demos.lerobot_reader import ACTION, STATE, Rows, camera_key, colours
+from minidual.demos.lerobot_video import Image
 from minidual.policies.augment import augment
 from minidual.policies.demonstrations import Demonstrations
 from minidual.robot.pair import Array
 
 LEROBOT_EPS = 1e-8
 """Added to std by LeRobot's processors."""
+STATISTICS_IMAGES = 512
 
 Stats = dict[str, dict[str, Tensor]]
-Losses = Mapping[str, float]
+Batch = dict[str, Tensor]
 
 
 def dataset_statistics(demos: Demonstrations, rows: Rows, std_floor: float) -> Stats:
     """Return mean and std over `rows`.
 
-    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from 512 frames. `std_floor` is the least std.
+    State and action: (dim,). Images: (3, 1, 1) in [0, 1], from 512 frames. `std_floor` is the least
+    std.
     """
     stats: Stats = {}
     for key, array in ((STATE, demos.state), (ACTION, demos.action)):
         values = array[rows].astype(np.float64)
         stats[key] = _mean_std(values.mean(axis=0), values.std(axis=0), std_floor)
-    chosen = rows[np.linspace(0, len(rows) - 1, min(512, len(rows))).astype(np.int64)]
+    sampled = rows[_spread(len(rows), STATISTICS_IMAGES)]
     for camera in demos.cameras:
-        mean, std = colours(demos.images[camera][chosen])
+        mean, std = colours(demos.images[camera][sampled])
         stats[camera_key(camera)] = _mean_std(mean[:, None, None], std[:, None, None], std_floor)
     return stats
 
 
+def _spread(count: int, samples_max: int) -> Rows:
+    """Return evenly spaced indices below `count`, at most `samples_max`."""
+    return np.linspace(0, count - 1, min(samples_max, count)).astype(np.int64)
+
+
 def _mean_std(mean: Array, std: Array, floor: float) -> dict[str, Tensor]:
-    values = {"mean": mean, "std": np.maximum(std, floor)}
-    return {name: torch.from_numpy(value.astype(np.float32)) for name, value in values.items()}
+    floored = np.maximum(std, floor)
+    return {
+        "mean": torch.from_numpy(mean.astype(np.float32)),
+        "std": torch.from_numpy(floored.astype(np.float32)),
+    }
 
 
 def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
@@ -52,12 +61,10 @@ def normalise(values: Tensor, stats: dict[str, Tensor]) -> Tensor:
 
 def normalise_images(images: Tensor, stats: dict[str, Tensor]) -> Tensor:
     """Normalise uint8 (B, H, W, 3) to channels-last float (B, 3, H, W)."""
-    inverse = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
-    return torch.addcmul(
-        -stats["mean"].view(1, 1, 1, 3) * inverse,
-        images.float(),
-        inverse / 255.0,
-    ).permute(0, 3, 1, 2)
+    mean = stats["mean"].view(1, 1, 1, 3)
+    inverse_std = 1.0 / (stats["std"].view(1, 1, 1, 3) + LEROBOT_EPS)
+    channels_last = torch.addcmul(-mean * inverse_std, images.float(), inverse_std / 255.0)
+    return channels_last.permute(0, 3, 1, 2)
 
 
 class BatchMaker:
@@ -69,116 +76,112 @@ class BatchMaker:
     def __init__(self, demos: Demonstrations, config: TrainConfig, stats: Stats) -> None:
         self._demos = demos
         self._config = config
-        self._stats = {
-            key: {n: t.to(config.device) for n, t in s.items()} for key, s in stats.items()
-        }
+        self._stats: Stats = {}
+        for key, values in stats.items():
+            self._stats[key] = {name: value.to(config.device) for name, value in values.items()}
 
-    def training(self, rows: Rows, rng: np.random.Generator) -> dict[str, Tensor]:
+    def training(self, rows: Rows, rng: np.random.Generator) -> Batch:
         """Return an augmented batch."""
+        demos = self._demos
         config = self._config
-        state = self._demos.state[rows].copy()
-        sigma = np.where(
-            self._demos.phase[rows] == 0,
-            config.state_noise_approach_rad,
-            config.state_noise_rad,
-        )
-        n = self._demos.joints_n
-        state[:, :n] += (rng.standard_normal((len(rows), n)) * sigma[:, None]).astype(np.float32)
+        state = demos.state[rows].copy()
+        in_approach = demos.phase[rows] == 0
+        sigma = np.where(in_approach, config.state_noise_approach_rad, config.state_noise_rad)
+        noise = rng.standard_normal((len(rows), demos.joints_n)) * sigma[:, None]
+        state[:, : demos.joints_n] += noise.astype(np.float32)
         pictures = {
-            c: augment(self._demos.images[c][rows], config.augment, rng)
-            for c in self._demos.cameras
+            camera: augment(demos.images[camera][rows], config.augment, rng)
+            for camera in demos.cameras
         }
         return self._assemble(rows, state, pictures)
 
-    def clean(self, rows: Rows) -> dict[str, Tensor]:
+    def clean(self, rows: Rows) -> Batch:
         """Return an unaugmented batch."""
         demos = self._demos
-        return self._assemble(
-            rows,
-            demos.state[rows],
-            {c: demos.images[c][rows] for c in demos.cameras},
-        )
+        pictures = {camera: demos.images[camera][rows] for camera in demos.cameras}
+        return self._assemble(rows, demos.state[rows], pictures)
 
     def _assemble(
         self,
         rows: Rows,
         state: NDArray[np.float32],
         pictures: dict[str, Image],
-    ) -> dict[str, Tensor]:
+    ) -> Batch:
         demos = self._demos
-        device = self._config.device
-        ahead = rows[:, None] + np.arange(self._config.chunk_size)
-        chunk = demos.action[np.minimum(ahead, demos.last_tick[rows][:, None])]
-        ticks = demos.keyframe_ticks[rows]
-        to_come = (ticks >= 0) & (np.arange(ticks.shape[1]) >= demos.phase[rows][:, None])
-        batch: dict[str, Tensor] = {
-            STATE: normalise(torch.from_numpy(state).to(device), self._stats[STATE]),
-            ACTION: normalise(torch.from_numpy(chunk).to(device), self._stats[ACTION]),
-            "action_is_pad": torch.zeros(chunk.shape[:2], dtype=torch.bool, device=device),
-            "keyframe": normalise(
-                torch.from_numpy(demos.action[ticks]).to(device),
-                self._stats[ACTION],
+        rows_ahead = rows[:, None] + np.arange(self._config.chunk_size)
+        last_rows = demos.last_tick[rows][:, None]
+        chunk = demos.action[np.minimum(rows_ahead, last_rows)]
+        keyframe_rows = demos.keyframe_ticks[rows]
+        exists = keyframe_rows >= 0
+        switches_n = keyframe_rows.shape[1]
+        to_come = exists & (np.arange(switches_n) >= demos.phase[rows][:, None])
+        batch: Batch = {
+            STATE: self._normalised(STATE, state),
+            ACTION: self._normalised(ACTION, chunk),
+            "action_is_pad": torch.zeros(
+                chunk.shape[:2],
+                dtype=torch.bool,
+                device=self._config.device,
             ),
-            "keyframe_is_valid": torch.from_numpy(to_come).to(device),
+            "keyframe": self._normalised(ACTION, demos.action[keyframe_rows]),
+            "keyframe_is_valid": self._on_device(to_come),
         }
         for camera in demos.cameras:
             key = camera_key(camera)
-            batch[key] = normalise_images(
-                torch.from_numpy(pictures[camera]).to(device),
-                self._stats[key],
-            )
+            batch[key] = normalise_images(self._on_device(pictures[camera]), self._stats[key])
         return batch
 
+    def _normalised(self, key: str, values: NDArray[np.float32]) -> Tensor:
+        return normalise(self._on_device(values), self._stats[key])
 
-class Shares:
-    """Copies of a policy with common weights and gradients of their own, for one share of a batch on each thread.
+    def _on_device(self, values: NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(values).to(self._config.device)
 
-    Torch's own threads wait for each other in every layer, those with shares of their own once a step.
-    `forward(batch)` of a policy returns (loss, parts); it must not draw random numbers if `count` is above 1.
+
+class DrawnBatch(NamedTuple):
+    """The batch of a step, and the seed of what the policy draws in it."""
+
+    seed: int
+    tensors: Batch
+
+
+class BatchStream:
+    """Draws each step's batch from the stream (seed, step).
+
+    The next batch is cut on a thread of its own while the gradient is computed: it takes a sixth of
+    a step.
     """
 
-    def __init__(self, policy: Any, count: int) -> None:
-        self.policies = [policy, *(_sharing(policy) for _ in range(count - 1))]
-        self._parameters = [
-            [p for p in own.parameters() if p.requires_grad] for own in self.policies
-        ]
-        self._pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,))
+    def __init__(
+        self,
+        maker: BatchMaker,
+        demos: Demonstrations,
+        rows: Rows,
+        config: TrainConfig,
+        seed: int,
+    ) -> None:
+        self._maker = maker
+        self._config = config
+        self._seed = seed
+        self._rows = rows
+        weights = np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
+        self._probabilities = weights / weights.sum()
+        self._pool = ThreadPoolExecutor(1)
+        self._next: Future[DrawnBatch] | None = None
+
+    def take(self, step: int) -> DrawnBatch:
+        """Return the batch of `step`; steps are taken in ascending order."""
+        drawn = self._draw(step) if self._next is None else self._next.result()
+        is_last = step + 1 >= self._config.steps
+        self._next = None if is_last else self._pool.submit(self._draw, step + 1)
+        return drawn
 
     def close(self) -> None:
-        """End the threads."""
-        self._pool.shutdown()
+        """End the thread."""
+        self._pool.shutdown(cancel_futures=True)
 
-    def gradient(self, batch: dict[str, Tensor]) -> tuple[float, Losses]:
-        """Leave the batch's mean gradient in the first policy; return loss and parts."""
-        if len(self.policies) == 1:
-            return _gradient(self.policies[0], batch)
-        rows = len(next(iter(batch.values())))
-        shares = [
-            slice(*ends)
-            for ends in pairwise(np.linspace(0, rows, len(self.policies) + 1).astype(int).tolist())
-        ]
-        weights = [(share.stop - share.start) / rows for share in shares]
-        if not all(weights):
-            raise ValueError(f"{rows} rows cannot be shared by {len(shares)} threads")
-        split = [{key: values[share] for key, values in batch.items()} for share in shares]
-        results = list(self._pool.map(_gradient, self.policies, split))
-        for same in zip(*self._parameters, strict=True):
-            if same[0].grad is not None:
-                same[0].grad = sum(w * p.grad for w, p in zip(weights, same, strict=True))
-        mean = lambda values: sum(w * v for w, v in zip(weights, values, strict=True))  # noqa: E731
-        parts = {name: mean([parts[name] for _, parts in results]) for name in results[0][1]}
-        return mean([loss for loss, _ in results]), parts
-
-
-def _sharing(policy: Any) -> Any:
-    other = copy.deepcopy(policy)
-    for own, common in zip(other.parameters(), policy.parameters(), strict=True):
-        own.data = common.data
-    return other
-
-
-def _gradient(policy: Any, batch: dict[str, Tensor]) -> tuple[float, Losses]:
-    policy.zero_grad(set_to_none=True)
-    loss, parts = policy.forward(batch)
-    loss.backward()
-    return float(loss.detach()), parts
+    def _draw(self, step: int) -> DrawnBatch:
+        rng = stream(self._seed, "train.batch", step)
+        seed = int(rng.integers(2**63))
+        rows = rng.choice(self._rows, self._config.batch_size, p=self._probabilities)
+        return DrawnBatch(seed, self._maker.training(rows, rng))

@@ -3,14 +3,21 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minidual.demos.lerobot_reader import Image, Rows, read_dataset
+from minidual.demos.lerobot_reader import Rows, read_dataset
+from minidual.demos.lerobot_video import Image
 from minidual.demos.quality import grip_changes
 from minidual.errors import DataError
 from minidual.robot.pair import GRIPPERS_N
+
+SWITCH_SHARE_MIN = 0.5
+"""Grippers that move less, of the most over all episodes, do not switch."""
+SWITCH_TICKS_MIN = 25
+"""Switches no further apart count once: both hands switch together."""
 
 
 @dataclass
@@ -36,36 +43,21 @@ class Demonstrations:
 
     def __post_init__(self) -> None:
         """Derive phases; DataError for invalid data."""
-        if len(self) == 0:
-            raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
-        if self.state.shape != self.action.shape or self.dim <= GRIPPERS_N:
-            raise DataError(
-                f"dataset column 'action' has shape {self.action.shape}, 'state' {self.state.shape}",
-            )
-        if not self.images:
-            raise DataError(
-                "the dataset has no camera images",
-                remedy="minidual teleop-record --force",
-            )
-        if np.any(np.diff(self.episode_index) < 0):
-            raise DataError(
-                "dataset column 'episode_index' is not ascending: episodes must be contiguous",
-            )
-        self.phase, self.last_tick = (
-            np.zeros(len(self), dtype=np.int64),
-            np.zeros(len(self), dtype=np.int64),
-        )
-        gripper = self.action[:, self.joints_n :]
-        span = gripper.max(axis=0) - gripper.min(axis=0)
+        self._check()
+        openings = self.action[:, self.joints_n :]
+        span = openings.max(axis=0) - openings.min(axis=0)
         bounds = list(self.episode_bounds().values())
-        switches = [gripper_switches(gripper[start:stop], span) for start, stop in bounds]
-        self.keyframe_ticks = np.full((len(self), max(map(len, switches))), -1, dtype=np.int64)
+        switches = [gripper_switches(openings[start:stop], span) for start, stop in bounds]
+        switches_max = max(map(len, switches))
+        self.phase = np.zeros(len(self), dtype=np.int64)
+        self.last_tick = np.zeros(len(self), dtype=np.int64)
+        self.keyframe_ticks = np.full((len(self), switches_max), -1, dtype=np.int64)
         for (start, stop), ticks in zip(bounds, switches, strict=True):
+            self.last_tick[start:stop] = stop - 1
             for k, tick in enumerate(ticks):
                 # The switching tick belongs to the phase before it.
                 self.phase[start + tick + 1 : stop] += 1
                 self.keyframe_ticks[start:stop, k] = start + tick
-            self.last_tick[start:stop] = stop - 1
 
     def __len__(self) -> int:
         return int(self.state.shape[0])
@@ -87,14 +79,36 @@ class Demonstrations:
 
     def episode_bounds(self) -> dict[int, tuple[int, int]]:
         """Return {episode: (first row, one past the last)}."""
-        episodes, first = np.unique(self.episode_index, return_index=True)
-        stops = [*first[1:].tolist(), len(self)]
-        return {int(e): (int(a), int(b)) for e, a, b in zip(episodes, first, stops, strict=True)}
+        episodes, starts = np.unique(self.episode_index, return_index=True)
+        stops = [*starts[1:].tolist(), len(self)]
+        bounds: dict[int, tuple[int, int]] = {}
+        for episode, start, stop in zip(episodes, starts, stops, strict=True):
+            bounds[int(episode)] = (int(start), int(stop))
+        return bounds
 
     def rows_of(self, episodes: list[int]) -> Rows:
         """Return their rows."""
         bounds = self.episode_bounds()
-        return np.concatenate([np.empty(0, np.int64), *(np.arange(*bounds[e]) for e in episodes)])
+        rows = [np.arange(*bounds[episode]) for episode in episodes]
+        return np.concatenate([np.empty(0, np.int64), *rows])
+
+    def _check(self) -> None:
+        if len(self) == 0:
+            raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
+        if self.state.shape != self.action.shape or self.dim <= GRIPPERS_N:
+            raise DataError(
+                f"dataset column 'action' has shape {self.action.shape}, "
+                f"'state' {self.state.shape}",
+            )
+        if not self.images:
+            raise DataError(
+                "the dataset has no camera images",
+                remedy="minidual teleop-record --force",
+            )
+        if np.any(np.diff(self.episode_index) < 0):
+            raise DataError(
+                "dataset column 'episode_index' is not ascending: episodes must be contiguous",
+            )
 
 
 def load_demonstrations(
@@ -104,7 +118,9 @@ def load_demonstrations(
     *,
     folder: Path | None = None,
 ) -> Demonstrations:
-    """Read a LeRobot dataset with `cameras` (all if empty); `folder` takes images for which memory is short.
+    """Read a LeRobot dataset with `cameras` (all if empty).
+
+    `folder` takes images for which memory is short.
 
     Raises:
         DataError: Missing or corrupt dataset.
@@ -124,25 +140,35 @@ def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) ->
     Crossings within 25 ticks count once; grippers moving less than half of `span` (2,) are ignored.
     """
     crossings: list[int] = []
-    for values, most in zip(gripper.T, span, strict=True):
-        if most > 1e-6 and np.ptp(values) >= 0.5 * most:
+    for values, largest in zip(gripper.T, span, strict=True):
+        if largest > 1e-6 and np.ptp(values) >= SWITCH_SHARE_MIN * largest:
             crossings += grip_changes(values)
-    events: list[int] = []
+    switches: list[int] = []
     for tick in sorted(crossings):
-        if not events or tick - events[-1] > 25:
-            events.append(tick)
-    return events
+        if not switches or tick - switches[-1] > SWITCH_TICKS_MIN:
+            switches.append(tick)
+    return switches
+
+
+class Split(NamedTuple):
+    """Episodes for training and for validation."""
+
+    training: list[int]
+    validation: list[int]
 
 
 def split_episodes(
     episodes: Collection[int],
     fraction: float,
     rng: np.random.Generator,
-) -> tuple[list[int], list[int]]:
-    """Return (training, validation) episodes; at least one trains."""
+) -> Split:
+    """Draw the validation episodes; at least one episode trains."""
     count = min(round(fraction * len(episodes)), len(episodes) - 1)
     if fraction > 0 and len(episodes) > 1:
         count = max(count, 1)
-    chosen = set(rng.permutation(len(episodes))[:count].tolist())
-    training = [e for i, e in enumerate(episodes) if i not in chosen]
-    return training, [e for i, e in enumerate(episodes) if i in chosen]
+    held_out = set(rng.permutation(len(episodes))[:count].tolist())
+    split = Split([], [])
+    for index, episode in enumerate(episodes):
+        part = split.validation if index in held_out else split.training
+        part.append(episode)
+    return split

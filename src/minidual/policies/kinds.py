@@ -14,7 +14,7 @@ from minidual.config.learning import TrainConfig
 from minidual.durable import read_json, reading, write_csv
 from minidual.errors import DataError, unknown_name
 from minidual.policies.demonstrations import Demonstrations
-from minidual.registry import Registry, rows_beside
+from minidual.registry import Registry
 
 Image = NDArray[np.uint8]
 Advance = Callable[[int, float], None]
@@ -36,7 +36,7 @@ class ChunkPolicy(ABC):
     dim: int
 
     def reset(self) -> None:  # noqa: B027
-        """Forget what was seen: a new episode begins."""
+        """Forget earlier observations: a new episode begins."""
 
     @abstractmethod
     def predict(
@@ -125,11 +125,11 @@ class PolicyKind(ABC):
         """
 
 
-POLICIES: Registry[PolicyKind] = Registry(
-    "policy",
-    rows_beside(__file__),
-    group="minidual.policies",
-)
+POLICIES: Registry[PolicyKind] = Registry("policy", group="minidual.policies")
+"""Policies by `train.policy`; those of other distributions are entry points of the group."""
+# By name, because their modules import torch and LeRobot.
+POLICIES.add("spatial_act", "minidual.policies.act:SPATIAL_ACT")
+POLICIES.add("act", "minidual.policies.act:ACT_KIND")
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
@@ -137,28 +137,30 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
     if not folder.is_dir():
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     with reading(f"checkpoint {folder}", f"{REMEDY} --force"):
-        if (kind := read_json(folder / "config.json")["type"]) not in POLICIES:
-            raise DataError(
-                f"checkpoint {folder}: {unknown_name('policy', kind, POLICIES).message}",
-            )
+        kind = read_json(folder / "config.json")["type"]
+        if kind not in POLICIES:
+            unknown = unknown_name("policy", kind, POLICIES)
+            raise DataError(f"checkpoint {folder}: {unknown.message}")
     return POLICIES[kind].load(folder, device, threads)
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:
     """Write the loss curve; no times, so equal seeds give equal files."""
-    write_csv(
-        path,
-        [
-            {n: f"{v:.6g}" if isinstance(v, float) else v for n, v in asdict(row).items()}
-            for row in curve
-        ],
-    )
+    rows: list[dict[str, object]] = []
+    for loss_row in curve:
+        rows.append({name: _six_digits(value) for name, value in asdict(loss_row).items()})
+    write_csv(path, rows)
+
+
+def _six_digits(value: object) -> object:
+    return f"{value:.6g}" if isinstance(value, float) else value
 
 
 def write_train_json(result: TrainResult, extra: dict[str, Any], path: Path) -> dict[str, Any]:
     """Write and return the summary."""
-    record = {
-        key: value for key, value in asdict(result).items() if key not in ("curve", "set_aside")
-    } | extra
+    record = asdict(result)
+    del record["curve"]
+    del record["set_aside"]
+    record |= extra
     path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return record

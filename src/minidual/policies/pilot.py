@@ -18,7 +18,11 @@ from minidual.policies.policy import PolicyRuntime
 from minidual.robot.pair import Robot
 
 SOURCE = "policy"
-PICTURE_AGE_MAX_S = 0.1  # three periods of a 30 Hz camera
+PICTURE_AGE_MAX_S = 0.1
+"""Three periods of a 30 Hz camera."""
+
+Picture = Callable[[str], tuple[Image, float]]
+"""Returns a camera's image (H, W, 3) and when it was taken [s], on the control clock."""
 
 
 def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
@@ -27,12 +31,14 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
     Raises:
         DataError, UsageError: Corrupt checkpoint, or one for other arms.
     """
-    options = config.model_dump(include={"device", "threads", "n_action_steps", "blend_ticks"})
-    return PolicyRuntime.load(checkpoint, limits=(robot.q_lower, robot.q_upper), **options)
-
-
-Picture = Callable[[str], tuple[Image, float]]
-"""Returns a camera's image (H, W, 3) and when it was taken [s], on the control clock."""
+    return PolicyRuntime.load(
+        checkpoint,
+        config.device,
+        threads=config.threads,
+        n_action_steps=config.n_action_steps,
+        blend_ticks=config.blend_ticks,
+        limits=(robot.q_lower, robot.q_upper),
+    )
 
 
 def next_command(
@@ -44,35 +50,34 @@ def next_command(
     """Return the policy's command for the current images and state.
 
     Raises:
-        DataError: An input does not fit; PolicyStoppedError: a camera fails, or see `PolicyRuntime.act`.
+        DataError: An input does not fit; PolicyStoppedError: a camera fails, or see
+            `PolicyRuntime.act`.
     """
-    images = {name: partial(_taken, picture, name, world) for name in runtime.cameras}
-    asked_s = world.time
+    images = {name: partial(_fresh_image, picture, name, world) for name in runtime.cameras}
+    measured_s = world.time
     action = runtime.act(images, np.concatenate([world.q, world.gripper]))
+    answer_age_s = world.time - measured_s
+    if answer_age_s > PICTURE_AGE_MAX_S:
+        raise PolicyStoppedError("late_answer", age_s=answer_age_s, limit_s=PICTURE_AGE_MAX_S)
     n = runtime.joints_n
-    if world.time - asked_s > PICTURE_AGE_MAX_S:
-        raise PolicyStoppedError(
-            "late_answer",
-            age_s=world.time - asked_s,
-            limit_s=PICTURE_AGE_MAX_S,
-        )
-    return JointCommand(action[:n], action[n:], asked_s, sequence)
+    return JointCommand(action[:n], action[n:], measured_s, sequence)
 
 
-def _taken(picture: Picture, name: str, world: World) -> Image:
+def _fresh_image(picture: Picture, camera: str, world: World) -> Image:
+    """Return a camera's image; PolicyStoppedError if it fails or its image is old."""
     try:
-        image, stamp_s = picture(name)
+        image, stamp_s = picture(camera)
     except Exception as error:  # drivers raise anything
         raise PolicyStoppedError(
             "camera_failed",
-            camera=name,
+            camera=camera,
             error=f"{type(error).__name__}: {error}",
         ) from error
     age_s = world.time - stamp_s
     if not -PICTURE_AGE_MAX_S <= age_s <= PICTURE_AGE_MAX_S:
         raise PolicyStoppedError(
             "stale_picture",
-            camera=name,
+            camera=camera,
             age_s=age_s,
             limit_s=PICTURE_AGE_MAX_S,
         )
@@ -133,22 +138,26 @@ class PolicyPilot:
         try:
             self.stack.advance()
         except ReflexError as error:
-            self.aborted = (
-                self.aborted or error.message
-            )  # it may follow from what stopped the policy
+            if self.aborted is None:  # else it may follow from what stopped the policy
+                self.aborted = error.message
         if self._broken is not None and self.done:
             raise self._broken
 
     def _tick(self) -> None:
-        if self.stack.state is not ArbiterState.SETTLING and self.aborted is None:
-            try:
-                command = next_command(self._runtime, self.world, self._picture, self._step + 1)
-            except DataError as error:
-                self.aborted = error.message
-                self.stack.halt(SOURCE)
-            except Exception as error:  # must not take this tick's torque away
-                self._broken = error
-                self.stack.fail(error)
-            else:
-                self.stack.propose(SOURCE, command)
+        settling = self.stack.state is ArbiterState.SETTLING
+        if not settling and self.aborted is None:
+            self._propose()
         self.stack.arbitrate()
+
+    def _propose(self) -> None:
+        """Propose the policy's command; an error stops the arms, and this tick has its torque."""
+        try:
+            command = next_command(self._runtime, self.world, self._picture, self._step + 1)
+        except DataError as error:
+            self.aborted = error.message
+            self.stack.halt(SOURCE)
+        except Exception as error:  # raised when the arms rest
+            self._broken = error
+            self.stack.fail(error)
+        else:
+            self.stack.propose(SOURCE, command)

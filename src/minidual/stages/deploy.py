@@ -18,8 +18,8 @@ from minidual.gate.check import Check, Rows
 from minidual.gate.stage import StageContext, StageResult
 from minidual.gate.verdict import CONFIG_FILE
 from minidual.plant.render import Camera, Image
+from minidual.policies.occlusion import occlusion, on_object
 from minidual.policies.pilot import load_runtime
-from minidual.policies.policy import occlusion, on_object
 from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial

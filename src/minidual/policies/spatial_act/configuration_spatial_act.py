@@ -1,9 +1,8 @@
 """Configuration of `spatial_act`, found by file and class name."""
 
 from dataclasses import dataclass, fields
-from typing import Any
 
-from lerobot.configs import PreTrainedConfig
+from lerobot.configs import PolicyFeature, PreTrainedConfig
 from lerobot.policies.act.configuration_act import ACTConfig
 
 
@@ -12,7 +11,8 @@ from lerobot.policies.act.configuration_act import ACTConfig
 class SpatialActConfig(ACTConfig):
     """Settings of ACT's transformer and of the keypoint encoder that replaces its resnet.
 
-    A head predicts the actions at the first `keyframes` gripper switches. `bf16`: convolve in bfloat16.
+    A head predicts the actions at the first `keyframes` gripper switches. `bf16`: convolve in
+    bfloat16.
     """
 
     pretrained_backbone_weights: str | None = None
@@ -20,8 +20,10 @@ class SpatialActConfig(ACTConfig):
     keyframes: int = 2
     bf16: bool = False
 
-    def transformer(self, **changes: Any) -> ACTConfig:
-        """Return the transformer's ACT configuration."""
-        return ACTConfig(
-            **{f.name: getattr(self, f.name) for f in fields(ACTConfig) if f.init} | changes,
-        )
+    def transformer(self, input_features: dict[str, PolicyFeature]) -> ACTConfig:
+        """Return ACT's configuration for these inputs."""
+        settings = {
+            field.name: getattr(self, field.name) for field in fields(ACTConfig) if field.init
+        }
+        settings["input_features"] = input_features
+        return ACTConfig(**settings)

@@ -1,16 +1,16 @@
 """The policy `spatial_act`: keypoints per camera, then LeRobot's ACT transformer.
 
-Keyframes form ACT's environment-state token: the actions at the gripper switches to come, learned from images alone
-(docs/train-act.md). Where demonstrations have none, keypoints do.
+Keyframes form ACT's environment-state token: the actions at the gripper switches to come, learned
+from images alone (docs/train-act.md). Where demonstrations have none, keypoints do.
 
-Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Coordinates stay float32: over 128 pixels
-bfloat16 resolves a quarter pixel.
+Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Coordinates stay
+float32: over 128 pixels bfloat16 resolves a quarter pixel.
 """
 
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -23,9 +23,32 @@ from minidual.policies.spatial_act.configuration_spatial_act import SpatialActCo
 from minidual.robot.pair import GRIPPERS_N
 
 _LEAST_VARIANCE = 1e-6
-_SWITCHED = 1.0  # standard deviations; an opening's two values are about two apart
-_BEGINS_BETWEEN = 0.25  # share of samples that are told past keyframes, as a policy is that begins between two switches
-Parts = tuple[Tensor, tuple[Tensor | None, Tensor | None], Tensor]
+_SWITCHED = 1.0
+"""Least change of an opening at a switch [standard deviations]; its two values are about two apart.
+"""
+_BEGINS_BETWEEN = 0.25
+"""Share of training samples that get past keyframes.
+
+A policy that begins between two switches gets them too.
+"""
+
+
+class ModelOutput(NamedTuple):
+    """What the model predicts.
+
+    Attributes:
+        actions: Chunk (B, S, A).
+        latent: Mean and log variance of the VAE's latent, or None.
+        keyframes: (B, K, A).
+    """
+
+    actions: Tensor
+    latent: tuple[Tensor | None, Tensor | None]
+    keyframes: Tensor
+
+
+def _same(flat: Tensor) -> Tensor:
+    return flat
 
 
 class SpatialSoftmax(nn.Module):
@@ -52,23 +75,33 @@ class SpatialSoftmax(nn.Module):
 
 def _pixel_centres(height: int, width: int, device: torch.device) -> Tensor:
     """Return x, y, x^2 and y^2 of every pixel (height * width, 4)."""
-    along = [
-        (torch.arange(n, dtype=torch.float32, device=device) + 0.5) * (2.0 / n) - 1.0
-        for n in (height, width)
-    ]
-    y, x = (grid.flatten() for grid in torch.meshgrid(*along, indexing="ij"))
+    rows = _centres(height, device)
+    columns = _centres(width, device)
+    y, x = torch.meshgrid(rows, columns, indexing="ij")
+    x = x.flatten()
+    y = y.flatten()
     return torch.stack([x, y, x.square(), y.square()], dim=1)
 
 
+def _centres(n: int, device: torch.device) -> Tensor:
+    """Return the centres of n pixels along an axis from -1 to 1."""
+    return (torch.arange(n, dtype=torch.float32, device=device) + 0.5) * (2.0 / n) - 1.0
+
+
 def _rectified(*layers: nn.Module) -> nn.Sequential:
-    return nn.Sequential(*(part for layer in layers for part in (layer, nn.ReLU(inplace=True))))
+    """Return the layers, each with a ReLU behind it."""
+    parts: list[nn.Module] = []
+    for layer in layers:
+        parts.append(layer)
+        parts.append(nn.ReLU(inplace=True))
+    return nn.Sequential(*parts)
 
 
 class KeypointEncoder(nn.Module):
     """Convolutions of total stride 4, then spatial softmax.
 
-    Two layers on maps of half the size add what stands around a place: features alone see 21 pixels, with these 81. Maps
-    have mean 0 and deviation 1, whatever the light. `bf16`: convolve in bfloat16.
+    Two layers on maps of half the size add context: features alone see 21 pixels, with these 81.
+    Maps have mean 0 and deviation 1, whatever the light. `bf16`: convolve in bfloat16.
     """
 
     def __init__(self, keypoints: int, *, bf16: bool = False) -> None:
@@ -80,8 +113,9 @@ class KeypointEncoder(nn.Module):
             nn.Conv2d(16, 64, 3, stride=2, padding=1),
             nn.Conv2d(64, 64, 3, padding=1),
         )
-        around = [nn.Conv2d(64, 64, 3, padding=dilation, dilation=dilation) for dilation in (1, 2)]
-        self.context = nn.Sequential(nn.AvgPool2d(2, ceil_mode=True), *_rectified(*around))
+        half_size = nn.AvgPool2d(2, ceil_mode=True)
+        dilated = [nn.Conv2d(64, 64, 3, padding=dilation, dilation=dilation) for dilation in (1, 2)]
+        self.context = nn.Sequential(half_size, *_rectified(*dilated))
         self.heads = nn.Conv2d(64, keypoints, 1)
         self.pool = SpatialSoftmax(keypoints)
         for module in self.modules():
@@ -95,21 +129,22 @@ class KeypointEncoder(nn.Module):
         """Map images (B, 3, H, W) to maps (B, K, H / 4, W / 4)."""
         with torch.autocast(image.device.type, torch.bfloat16, enabled=self.bf16):
             features = self.features(image.to(memory_format=torch.channels_last))
-            around = nn.functional.interpolate(
+            context = nn.functional.interpolate(
                 self.context(features),
                 features.shape[-2:],
                 mode="bilinear",
             )
-            return self.heads(features + around)
+            return self.heads(features + context)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map images (B, 3, H, W) to (B, 3 K)."""
         maps = self.maps(image).float()
-        return self.pool(nn.functional.layer_norm(maps, maps.shape[2:], eps=_LEAST_VARIANCE))
+        normalised = nn.functional.layer_norm(maps, maps.shape[2:], eps=_LEAST_VARIANCE)
+        return self.pool(normalised)
 
 
 class KeyframeReader(nn.Module):
-    """Encoders and keyframe head: what reads pictures."""
+    """Encoders and keyframe head: the layers that see pictures."""
 
     def __init__(self, config: SpatialActConfig, action_dim: int) -> None:
         super().__init__()
@@ -119,63 +154,69 @@ class KeyframeReader(nn.Module):
         )
         self.keypoint_dim = 3 * config.keypoints * len(self.cameras)
         self.shape = (config.keyframes, action_dim)
-        # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over the few
-        # centimetres that an object moves, and few demonstrations suffice for a linear map.
-        self.linear = nn.Linear(self.keypoint_dim, math.prod(self.shape))
+        # Linear plus a small nonlinear branch: the map from pixels to joints is nearly linear over
+        # the few centimetres that an object moves, and few demonstrations suffice for a linear map.
+        keyframes_dim = math.prod(self.shape)
+        self.linear = nn.Linear(self.keypoint_dim, keyframes_dim)
         self.hidden = nn.Sequential(
             nn.Linear(self.keypoint_dim, 64),
             nn.ReLU(),
-            nn.Linear(64, math.prod(self.shape)),
+            nn.Linear(64, keyframes_dim),
         )
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return keypoints (B, 3 P) and keyframes (B, K A)."""
         pairs = zip(self.encoders, self.cameras, strict=True)
-        keypoints = torch.cat([encoder(batch[camera]) for encoder, camera in pairs], dim=1)
+        of_cameras = [encoder(batch[camera]) for encoder, camera in pairs]
+        keypoints = torch.cat(of_cameras, dim=1)
         return keypoints, self.linear(keypoints) + self.hidden(keypoints)
 
 
 class SpatialActModel(nn.Module):
-    """Reader of pictures and transformer."""
+    """Keyframe reader and transformer."""
 
     def __init__(self, config: SpatialActConfig) -> None:
         super().__init__()
         assert config.action_feature is not None
-        # LeRobot gives what is named backbone a learning rate of its own.
+        # LeRobot gives the module named `backbone` a learning rate of its own.
         self.backbone = KeyframeReader(config, config.action_feature.shape[0])
         token_dim = math.prod(self.backbone.shape) or self.backbone.keypoint_dim
         inputs = {
-            key: ft
-            for key, ft in (config.input_features or {}).items()
-            if ft.type is not FeatureType.VISUAL
+            key: feature
+            for key, feature in (config.input_features or {}).items()
+            if feature.type is not FeatureType.VISUAL
         }
         inputs[OBS_ENV_STATE] = PolicyFeature(type=FeatureType.ENV, shape=(token_dim,))
-        self.act = ACT(config.transformer(input_features=inputs))
+        self.act = ACT(config.transformer(inputs))
 
     def forward(
         self,
         batch: dict[str, Tensor],
-        filtered: Callable[[Tensor], Tensor] = lambda flat: flat,
-    ) -> Parts:
-        """Return action chunk (B, S, A), latent parameters and keyframes (B, K, A), `filtered` as (B, K A)."""
-        token, flat = self.backbone(batch)
-        keyframe = filtered(flat).unflatten(1, self.backbone.shape)
-        if keyframe.numel():
-            # The transformer sees no keypoints: late ones follow the hands, and it would follow them. In training it is
-            # told the true keyframes: told predicted ones, with their errors, it would learn to stay short of them. Past
-            # ones are 0: else nothing tells the end of a handover from the start of its mirror image.
-            told = keyframe.detach()
-            if self.training and "keyframe" in batch:
-                told = told * (torch.rand(len(told), 1, 1, device=told.device) < _BEGINS_BETWEEN)
-                told = torch.where(
-                    batch["keyframe_is_valid"].unsqueeze(-1),
-                    batch["keyframe"],
-                    told,
-                )
-            token = told.flatten(1)
+        filtered: Callable[[Tensor], Tensor] = _same,
+    ) -> ModelOutput:
+        """Predict from a batch; `filtered` maps the keyframes (B, K A) to those that are used."""
+        keypoints, flat = self.backbone(batch)
+        keyframes = filtered(flat).unflatten(1, self.backbone.shape)
+        # The transformer sees no keypoints: late ones follow the hands, and it would follow them.
+        token = self._keyframe_token(batch, keyframes) if keyframes.numel() else keypoints
         inner = {key: batch[key] for key in (OBS_STATE, ACTION, "action_is_pad") if key in batch}
-        actions, latent = self.act({**inner, OBS_ENV_STATE: token})
-        return actions, latent, keyframe
+        inner[OBS_ENV_STATE] = token
+        actions, latent = self.act(inner)
+        return ModelOutput(actions, latent, keyframes)
+
+    def _keyframe_token(self, batch: dict[str, Tensor], keyframes: Tensor) -> Tensor:
+        """Return the keyframes (B, K A) that the transformer gets.
+
+        In training these are the true ones: with predicted ones, with their errors, it would learn
+        to stay short of them. Past ones are 0: else nothing tells the end of a handover from the
+        start of its mirror image.
+        """
+        token = keyframes.detach()
+        if self.training and "keyframe" in batch:
+            begins_between = torch.rand(len(token), 1, 1, device=token.device) < _BEGINS_BETWEEN
+            to_come = batch["keyframe_is_valid"].unsqueeze(-1)
+            token = torch.where(to_come, batch["keyframe"], token * begins_between)
+        return token.flatten(1)
 
 
 class SpatialActPolicy(ACTPolicy):
@@ -192,61 +233,75 @@ class SpatialActPolicy(ACTPolicy):
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was seen: a new episode."""
+        """Forget earlier observations: a new episode."""
         super().reset()
         self._total = torch.zeros(0)
-        self._at_first = torch.zeros(0)
-        self._due = -1
         self._count = 0
+        self._next_keyframe = -1
+        self._openings_at_switch = torch.zeros(0)
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Return a chunk (B, S, A), each keyframe to come the mean of all looks since `reset`.
 
-        The first looks are the clearest: later ones show the hands before the object, and follow them.
+        The first looks are the clearest: later ones show the hands before the object, and follow
+        them.
         """
         if self.training:
             self.eval()  # it visits every module: a tenth of an inference
-        return self.model(batch, partial(self._mean_look, batch[OBS_STATE][:, -GRIPPERS_N:]))[0]
+        openings = batch[OBS_STATE][:, -GRIPPERS_N:]
+        return self.model(batch, partial(self._mean_look, openings)).actions
 
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
+        """Return the mean of the keyframes (B, K A) predicted since `reset`, 0 for past ones."""
         look = flat.unflatten(1, self.model.backbone.shape)
-        if self._due < 0:
+        is_first = self._next_keyframe < 0
+        if is_first:
             self._total = torch.zeros_like(look)
             self._count = 0
-        if self._due < 0 or (openings - self._at_first).abs().max() > _SWITCHED:
-            self._due = self._due + 1
-            self._at_first = openings
+        if is_first or (openings - self._openings_at_switch).abs().max() > _SWITCHED:
+            self._next_keyframe += 1
+            self._openings_at_switch = openings
         self._total = self._total + look
-        self._count = self._count + 1
+        self._count += 1
         mean = self._total / self._count
-        mean[:, : self._due] = 0.0
+        mean[:, : self._next_keyframe] = 0.0
         return mean.flatten(1)
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
         """Return the loss and its parts.
 
-        Optional `keyframe` (B, K, A): normalised actions at gripper switches; `keyframe_is_valid` (B, K) marks those to
-        come.
+        Optional `keyframe` (B, K, A): normalised actions at gripper switches; `keyframe_is_valid`
+        (B, K) marks those to come.
         """
-        actions, (mean, log_variance), keyframe = self.model(batch)
-        loss = _masked_l1(actions, batch[ACTION], ~batch["action_is_pad"])
+        output = self.model(batch)
+        loss = _masked_l1(output.actions, batch[ACTION], ~batch["action_is_pad"])
         parts = {"l1_loss": float(loss.detach())}
         if "keyframe" in batch:
-            posture = _masked_l1(keyframe, batch["keyframe"], batch["keyframe_is_valid"])
-            parts["keyframe_loss"] = float(posture.detach())
-            loss = loss + posture
-        if self.config.use_vae and mean is not None and log_variance is not None:
-            divergence = (
-                (-0.5 * (1 + log_variance - mean.square() - log_variance.exp())).sum(-1).mean()
+            keyframe_loss = _masked_l1(
+                output.keyframes,
+                batch["keyframe"],
+                batch["keyframe_is_valid"],
             )
+            parts["keyframe_loss"] = float(keyframe_loss.detach())
+            loss = loss + keyframe_loss
+        mean, log_variance = output.latent
+        if self.config.use_vae and mean is not None and log_variance is not None:
+            divergence = _divergence(mean, log_variance)
             parts["kld_loss"] = float(divergence.detach())
             loss = loss + self.config.kl_weight * divergence
         return loss, parts
 
 
-def _masked_l1(predicted: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
-    """Mean absolute error over `valid` (B, S)."""
+def _divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """Return the mean Kullback-Leibler divergence of normal distributions to the standard one."""
+    each = -0.5 * (1 + log_variance - mean.square() - log_variance.exp())
+    return each.sum(-1).mean()
+
+
+def _masked_l1(predicted: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """Return the mean absolute error over `valid` (B, S)."""
     mask = valid.unsqueeze(-1)
     count = (mask.sum() * predicted.shape[-1]).clamp_min(1)
-    return (nn.functional.l1_loss(predicted, wanted, reduction="none") * mask).sum() / count
+    errors = nn.functional.l1_loss(predicted, target, reduction="none")
+    return (errors * mask).sum() / count
