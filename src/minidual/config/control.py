@@ -176,7 +176,7 @@ class SupervisorConfig(StrictModel):
     """Reflex on the jerk of the commanded reference, as in the real arm; the reference filter does not bound it."""
     tcp_speed_max_m_per_s: float = Field(default=1.7, ge=0.01, le=1.7)
     contact_scale: float = Field(default=1.0, ge=0.1, le=1.0)
-    """Share of each mode's bounds (control/senses.py)."""
+    """Share of each mode's bounds (control/observer.py)."""
     deviation_scale: float = Field(default=1.0, ge=0.1, le=1.0)
     """Same, distance from the reference."""
     deviation_s: float = Field(default=0.05, ge=0.001, le=0.05)

@@ -1,4 +1,4 @@
-"""The command arbiter: the only writer of joint commands, with at most one driving source.
+"""Arbitrate: the only writer of joint commands, with at most one driving source.
 
 A switch or a silent source brakes timed commands along their paths; a halt drops them. States: docs/control.md.
 """
@@ -6,7 +6,6 @@ A switch or a silent source brakes timed commands along their paths; a halt drop
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -21,12 +20,11 @@ from minidual.control.commands import (
     Refusal,
 )
 from minidual.control.execution import Execution, Underway
+from minidual.control.joint_target import ARMS, JointTarget
 from minidual.control.mailbox import Mailbox, check_openings
 from minidual.errors import UsageError, check_name
 from minidual.robot.pair import SIDES, Array, Robot
 
-_STOP_SHARE = 0.5
-"""Share of the joints' acceleration limits for stopping at a switch."""
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
 
 
@@ -55,6 +53,22 @@ class ArbiterOutput:
     speed: float = 1.0
 
 
+@dataclass(frozen=True)
+class _Switch:
+    """A switch to a mode that waits for still arms since `since_s`."""
+
+    mode: str
+    since_s: float
+
+
+@dataclass(frozen=True)
+class _Halt:
+    """A halt by a source, with hand openings (2,) or None."""
+
+    source: str
+    gripper: Array | None
+
+
 class CommandArbiter:
     """Decides which joint target reaches the controllers.
 
@@ -63,6 +77,13 @@ class CommandArbiter:
     Args:
         gripper: Openings (2,) held until commanded otherwise.
         admit: Returns why the controllers refuse a command, or None.
+
+    Attributes:
+        source: Source that may drive, or None.
+        speed: Share of full speed, from the next tick on.
+        underway: Running timed commands.
+        on_confirm: Called with the mode at confirmation, before the source's first command.
+        on_flush: Called with the mode at a switch, "hold" at a halt.
     """
 
     def __init__(
@@ -75,41 +96,37 @@ class CommandArbiter:
         admit: Callable[[Command], Reason | None] = lambda command: None,
     ) -> None:
         self.config = ArbiterConfig() if config is None else config
-        self._robot = robot
         self.underway = Underway(control_dt_s, robot, admit)
         self.on_confirm: Callable[[str], None] = lambda mode: None
-        """Called with the mode at confirmation, before the source's first command."""
         self.on_flush: list[Callable[[str], None]] = []
-        """Called with the mode at a switch, "hold" at a halt."""
         self._mailboxes = {
             source: Mailbox(robot, partial(self._refuse, source)) for source in SOURCES
         }
         self._requested: str | None = None
-        self._halt: tuple[str, Array | None] | None = None
+        self._halt: _Halt | None = None
+        self._switch: _Switch | None = None
         self._refusals: list[Refusal] = []
         self.state = ArbiterState.HOLDING
         self.source: str | None = None
-        """Source that may drive."""
-        self._switch: tuple[str, float] | None = None
-        """Mode to switch to, and since when [s]."""
-        self._target: Any = None
-        """(n,) [rad], from the first tick on."""
-        self._was = robot.home
+        self._robot = robot
+        self._target: JointTarget | None = None  # from the first tick on
         self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
         self._last_tick_s: float | None = None
         self._heard_s = 0.0
+        """Time of the newest streamed command, or of the last tick with a running timed one."""
+        self._alive_s = -np.inf
+        """When the source was last known to live."""
         self._affirmed: set[str] = set()
         self._streamed = set[int]()
-        self._stopping = set[int]()
-        """Arms with a fresh streamed command, and arms on the way to where they can stop since theirs have ended."""
-        self._alive_s = -np.inf
+        """Arms with a fresh streamed command."""
         self.speed = self.config.speed_override
-        """Share of full speed, from the next tick on."""
+
+    # Requests ------------------------------------------------------------------------------------------------
 
     def propose(self, source: str, command: Command) -> Refusal | None:
         """Offer a command; return its refusal, or None.
 
-        A tick that takes it checks the posture. Commands of idle sources are kept until a flush.
+        The tick that takes it checks the posture. Commands of idle sources are kept until a flush.
 
         Raises:
             UsageError: Unknown source.
@@ -124,17 +141,16 @@ class CommandArbiter:
             self._affirmed.add(source)
 
     def request(self, mode: str) -> None:
-        """Request a source, or "hold"; the last request counts, but one of who drives takes back no hold."""
+        """Request a source, or "hold"; the last request counts.
+
+        A repeated request by the active source does not cancel a pending hold.
+        """
         check_name("mode", mode, (*SOURCES, HOLD))
         if self._requested == HOLD and mode == self.source:
-            self._requested = mode
-            mode = HOLD
-        if self._requested not in (None, mode):
-            self._refuse(
-                self._requested,
-                "superseded",
-                f"'{mode}' was requested before the switch began",
-            )
+            self._supersede(mode, f"'{HOLD}' was requested before the switch began")
+            return
+        if self._requested != mode:
+            self._supersede(self._requested, f"'{mode}' was requested before the switch began")
         self._requested = mode
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
@@ -143,82 +159,71 @@ class CommandArbiter:
         Openings `gripper` (2,) are accepted only from the driving source.
         """
         self._mailbox(source)
-        if gripper is not None and (reason := check_openings(gripper)):
-            self._refuse(source, *reason)
-            gripper = None
-        if self._requested not in (None, HOLD):
-            self._refuse(
-                self._requested,
-                "superseded",
-                "the arms were halted before the switch began",
-            )
+        if gripper is not None:
+            reason = check_openings(gripper)
+            if reason:
+                self._refuse(source, *reason)
+                gripper = None
+        if self._requested != HOLD:
+            self._supersede(self._requested, "the arms were halted before the switch began")
             self._requested = None
-        self._halt = (source, None if gripper is None else np.array(gripper, dtype=float))
+        openings = None if gripper is None else np.array(gripper, dtype=float)
+        self._halt = _Halt(source, openings)
 
-    def _mailbox(self, source: str) -> Mailbox:
-        check_name("command source", source, SOURCES)
-        return self._mailboxes[source]
+    def stand(self, q: Array, v: Array) -> None:
+        """Forget the joint target: what drove the arms to q, v (n,) had none. They stop where they can."""
+        if self._target is not None:
+            self._target.stand(q, v)
 
     @property
     def switching(self) -> bool:
         """Whether a switch is requested or waits."""
         return self._requested is not None or self._switch is not None
 
-    def tick(
-        self,
-        now_s: float,
-        q_measured: Array,
-        v_measured: Array,
-        q_held: Array | None = None,
-    ) -> ArbiterOutput:
-        """Return the output at now_s [s] for measured q (n,) [rad] and v (n,) [rad/s].
+    # Tick ----------------------------------------------------------------------------------------------------
 
-        A switch holds arms at rest at `q_held` (n,), by default at the measured posture.
+    def tick(self, now_s: float, q: Array, v: Array) -> ArbiterOutput:
+        """Return the output at now_s [s] for measured, finite q (n,) [rad] and v (n,) [rad/s].
+
+        A switch holds the arms, once they are at rest, at the measured posture.
 
         Raises:
-            UsageError: Time runs backwards, or the first posture is not finite.
+            UsageError: Time runs backwards.
         """
         dt = self._elapsed(now_s)
-        posture = self._posture(q_measured)
-        moved = (
-            0.25 * (posture - self._was) / dt if dt > 0.0 else v_measured
-        )  # velocities may be what has failed
-        speed = float(np.max(np.abs([v_measured, moved])))  # NaN counts as not still
-        self._was = posture
+        posture = np.clip(q, self._robot.q_lower, self._robot.q_upper)
+        if self._target is None:
+            self._target = JointTarget(self._robot, self.config)
+            self._target.hold(posture)
+        target = self._target
         if self.source in self._affirmed:
             self._alive_s = now_s
         self._affirmed.clear()
-        halted = self._begin_halt(now_s, posture, v_measured)
-        ended = False
-        cut = self.underway.braking
-        if self.underway.executions:
-            for execution in self.underway.executions:
-                if execution.why is not None:
-                    self._refuse(self.source or HOLD, *execution.why)
-                    execution.why = None
-            self._target, ended = self.underway.follow(self._target)
-        held = posture if q_held is None else self._posture(q_held)
-        self._begin_requested(now_s, held, v_measured)
-        switched_to = None
-        if self._switch is not None and now_s > self._switch[1]:
-            switched_to = self._settle(*self._switch, now_s, speed, held)
+        halted = self._begin_halt(target, now_s, posture, v)
+        was_braking = self.underway.braking
+        ended = self._follow_underway(target)
+        self._begin_requested(target, now_s, posture, v)
+        switched_to = self._settle(target, now_s, posture, v)
         driven = False
         if self.source is not None:
-            if ended and not (cut and self._is_gone(now_s)):
+            if ended and not (was_braking and self._is_gone(now_s)):
                 self.state = ArbiterState.WAITING
                 self._heard_s = now_s
-            self._begin_timed(self.source, now_s, posture, v_measured)
-            heard = self._streamed
-            driven = self._drive(self.source, now_s, dt)
-            if (silent := heard - self._streamed) or self._stopping:
-                self._stop_silent(silent, self._where_they_stop(posture, v_measured))
+            self._begin_timed(self.source, now_s, posture, v)
+            streamed = self._streamed
+            driven = self._drive(target, self.source, now_s, dt)
+            silent = streamed - self._streamed
+            if silent or target.stopping:
+                self._stop_silent(target, silent, target.stopped(posture, v))
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
         refusals = tuple(self._refusals)
         self._refusals = []
-        now = self._target.copy(), self._gripper.copy(), self.state, self.source if driven else None
         return ArbiterOutput(
-            *now,
+            target.q.copy(),
+            self._gripper.copy(),
+            self.state,
+            self.source if driven else None,
             switched_to,
             refusals,
             self.underway.executions,
@@ -226,143 +231,104 @@ class CommandArbiter:
             self.speed,
         )
 
-    def _stop_silent(self, silent: set[int], rest: Array) -> None:
-        """Hold arms where they can stop: at once if nobody drives, else in bounded steps, arm by arm."""
-        driven = self.state in (ArbiterState.ACTIVE, ArbiterState.ALIGNING)
-        bound = self.config.switch_step_max_rad
-        way = rest - self._target
-        self._target = self._target.copy()
-        arms = {
-            arm
-            for arm in range(len(SIDES))
-            if arm not in self._streamed and not self.underway.busy((arm,))
-        }
-        arms &= (self._stopping | silent) if driven else arms
-        # Nearer arms stay at their target: loaded ones would sag.
-        far = {arm for arm in arms if np.abs(way[self._robot.joints_of(arm)]).max() > bound}
-        for arm in (
-            (far | arms & self._stopping) if driven else (arms & (silent | far) if far else ())
-        ):
-            if driven and arm in silent:
-                self._refuse(
-                    self.source or HOLD,
-                    "stale",
-                    f"{SIDES[arm]} arm: no command for {self.config.stale_s} s",
-                )
-            joints = self._robot.joints_of(arm)
-            self._target[joints] += np.clip(way[joints], -bound, bound) if driven else way[joints]
-        self._stopping = far if driven else set()
-
-    def stand(self, q: Array, v: Array | float = 0.0) -> None:
-        """Forget the joint target: what drove the arms to q, v (n,) had none. They stop where they can; NaN is rest."""
-        v = np.clip(np.nan_to_num(v), -self._robot.v_max, self._robot.v_max)
-        rest = q + v * np.abs(v) / (2.0 * _STOP_SHARE * self._robot.a_max)
-        self._target = np.clip(rest, self._robot.q_lower, self._robot.q_upper)
-
     def _elapsed(self, now_s: float) -> float:
-        last = now_s if self._last_tick_s is None else self._last_tick_s
-        if not now_s >= last:
-            raise UsageError(f"the arbiter's time runs backwards: {now_s} s after {last} s")
+        last_s = now_s if self._last_tick_s is None else self._last_tick_s
+        if not now_s >= last_s:
+            raise UsageError(f"the arbiter's time runs backwards: {now_s} s after {last_s} s")
         self._last_tick_s = now_s
-        return now_s - last
+        return now_s - last_s
 
-    def _posture(self, q_measured: Array) -> Array:
-        usable = np.shape(q_measured) == (self._robot.dof,) and bool(np.isfinite(q_measured).all())
-        if usable:
-            posture = np.clip(q_measured, self._robot.q_lower, self._robot.q_upper)
-            if self._target is None:
-                self._target = posture
-            return posture
-        if self._target is None:
-            raise UsageError(
-                f"the first measured posture is not {self._robot.dof} finite angles: {q_measured}",
-            )
-        self._refuse("measurement", "not_finite", f"measured joints {q_measured}")
-        return self._target
+    def _follow_underway(self, target: JointTarget) -> bool:
+        """Let the target follow running trajectories; return whether a timed command has ended."""
+        if not self.underway.executions:
+            return False
+        for execution in self.underway.executions:
+            if execution.why is not None:
+                self._refuse(self.source or HOLD, *execution.why)
+                execution.why = None
+        target.q, ended = self.underway.follow(target.q)
+        return ended
 
-    def _begin_requested(self, now_s: float, posture: Array, v_measured: Array) -> None:
+    # Switches and halts --------------------------------------------------------------------------------------
+
+    def _begin_requested(self, target: JointTarget, now_s: float, q: Array, v: Array) -> None:
         mode = self._requested
         self._requested = None
         if mode is None:
             return
         if self._switch is not None:
-            if mode == self._switch[0]:
+            if mode == self._switch.mode:
                 return
-            self._refuse(self._switch[0], "superseded", f"'{mode}' was requested while settling")
+            self._supersede(self._switch.mode, f"'{mode}' was requested while settling")
         elif mode == self.source and self.state in _DRIVING:
             return
         self.source = None
         self.underway.brake()
-        self._target, _ = self.underway.follow(self._where_they_stop(posture, v_measured))
+        target.stop(q, v)
+        target.q, _ = self.underway.follow(target.q)
         self._flush(mode, now_s)
-        self._switch = mode, now_s
+        self._switch = _Switch(mode, now_s)
         self.state = ArbiterState.SETTLING
 
-    def _begin_halt(self, now_s: float, posture: Array, v_measured: Array) -> bool:
-        if self._halt is None:
-            return False
-        (source, gripper) = self._halt
+    def _settle(self, target: JointTarget, now_s: float, q: Array, v: Array) -> str | None:
+        """End a switch whose arms are still, or have not become still in time; return the mode confirmed."""
+        switch = self._switch
+        if switch is None or not now_s > switch.since_s:
+            return None
+        speed = float(np.max(np.abs(v)))
+        waited_s = now_s - switch.since_s
+        still_speed = self.config.still_speed_rad_s
+        if speed < still_speed and not self.underway.executions:
+            self._switch = None
+            target.hold(q)
+            holds = switch.mode == HOLD
+            self.source = None if holds else switch.mode
+            self.state = ArbiterState.HOLDING if holds else ArbiterState.WAITING
+            self._heard_s = now_s
+            self.on_confirm(switch.mode)
+            return switch.mode
+        if waited_s >= self.config.settle_timeout_s:
+            self._switch = None
+            self.state = ArbiterState.STOPPED
+            fastest = f"fastest joint {speed:.3f} rad/s after {waited_s:.3f} s"
+            detail = f"{fastest}; still means below {still_speed} rad/s"
+            self._refuse(switch.mode, "not_still", detail)
+        return None
+
+    def _begin_halt(self, target: JointTarget, now_s: float, q: Array, v: Array) -> bool:
+        halt = self._halt
         self._halt = None
-        if gripper is not None and source == self.source:
-            self._gripper = gripper
-        elif gripper is not None:
-            self._refuse(source, "not_driving", "only the source that drives may move the hands")
+        if halt is None:
+            return False
+        if halt.gripper is not None and halt.source == self.source:
+            self._gripper = halt.gripper
+        elif halt.gripper is not None:
+            detail = "only the source that drives may move the hands"
+            self._refuse(halt.source, "not_driving", detail)
         if self._switch is not None:
-            self._refuse(self._switch[0], "superseded", "the arms were halted while settling")
+            self._supersede(self._switch.mode, "the arms were halted while settling")
             self._switch = None
         self.underway.executions = ()
         self._flush(HOLD, now_s)
-        self._target = self._where_they_stop(posture, v_measured)
+        target.stop(q, v)
         self.source = None
         self.state = ArbiterState.STOPPED
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
         self._streamed = set()
-        self._stopping = set()
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:
             listener(mode)
 
-    def _settle(
-        self,
-        mode: str,
-        since_s: float,
-        now_s: float,
-        speed: float,
-        posture: Array,
-    ) -> str | None:
-        waited = now_s - since_s
-        still_speed = self.config.still_speed_rad_s
-        if speed < still_speed and not self.underway.executions:
-            self._switch = None
-            self._target = posture
-            self.source = None if mode == HOLD else mode
-            self.state = ArbiterState.HOLDING if mode == HOLD else ArbiterState.WAITING
-            self._heard_s = now_s
-            self.on_confirm(mode)
-            return mode
-        if waited >= self.config.settle_timeout_s:
-            self._switch = None
-            self.state = ArbiterState.STOPPED
-            fastest = f"fastest joint {speed:.3f} rad/s after {waited:.3f} s"
-            self._refuse(mode, "not_still", f"{fastest}; still means below {still_speed} rad/s")
-        return None
+    # Driving -------------------------------------------------------------------------------------------------
 
-    def _refuse(self, source: str, name: str, detail: str) -> Refusal:
-        self._refusals.append(Refusal(source, name, detail))
-        return self._refusals[-1]
-
-    def _begin_timed(self, source: str, now_s: float, posture: Array, v: Array) -> None:
+    def _begin_timed(self, source: str, now_s: float, q: Array, v: Array) -> None:
+        far_rad = self.config.switch_step_max_rad
         for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
-            if reason := self.underway.begin(
-                command,
-                posture,
-                v,
-                self.config.switch_step_max_rad,
-                self._gripper,
-            ):
+            reason = self.underway.begin(command, q, v, far_rad, self._gripper)
+            if reason:
                 self._refuse(source, *reason)
                 continue
             self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))
@@ -370,6 +336,7 @@ class CommandArbiter:
                 self._gripper[arm] = command.gripper[arm]
 
     def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
+        """Return the source's streamed commands by arm that may drive now."""
         mailbox = self._mailboxes[source]
         fresh = mailbox.fresh(now_s, self.config.stale_s)
         for arm, command in list(fresh.items()):
@@ -380,12 +347,12 @@ class CommandArbiter:
                 del fresh[arm]
         return fresh
 
-    def _drive(self, source: str, now_s: float, dt: float) -> bool:
+    def _drive(self, target: JointTarget, source: str, now_s: float, dt: float) -> bool:
+        """Move the target by the source's commands; return whether one passed."""
         fresh = self._fresh(source, now_s)
-        was_aligning = self.state == ArbiterState.ALIGNING
         self._streamed = set(fresh)
         if fresh:
-            newest_s = max(c.stamp_s for c in fresh.values())
+            newest_s = max(command.stamp_s for command in fresh.values())
             self._heard_s = max(self._heard_s, newest_s)
             self._alive_s = max(self._alive_s, min(now_s, newest_s))
         driven = self._run_timed(now_s)
@@ -393,35 +360,16 @@ class CommandArbiter:
             if not driven:
                 self._go_quiet(now_s)
             return driven
-        wanted = self._target.copy()
-        for arm, command in fresh.items():
-            joints = self._robot.joints_of(arm)
-            lower = self._robot.q_lower[joints]
-            upper = self._robot.q_upper[joints]
-            wanted[joints] = np.clip(
-                command.q[joints] if len(command.arms) > 1 else command.q,
-                lower,
-                upper,
-            )
-        step = wanted - self._target
-        largest = float(np.max(np.abs(step)))
-        # A step over the bound starts an alignment, which ends once one tick at its speed reaches the target.
-        align = self.speed * self.config.align_speed_rad_s * dt
-        aligning = largest > self.config.switch_step_max_rad or (was_aligning and largest > align)
-        if aligning:
-            wanted = self._target + step * min(
-                1.0,
-                min(align, self.config.switch_step_max_rad) / largest,
-            )
-        else:
-            # The hands do not move while aligning, so that they keep what they hold.
+        target.aligning = self.state == ArbiterState.ALIGNING
+        follows = target.approach(fresh, dt, self.speed)
+        self.state = ArbiterState.ACTIVE if follows else ArbiterState.ALIGNING
+        if follows:  # aligning hands do not move, so that they keep what they hold
             for arm, command in fresh.items():
                 self._gripper[arm] = command.gripper[arm]
-        self._target = wanted
-        self.state = ArbiterState.ALIGNING if aligning else ArbiterState.ACTIVE
         return True
 
     def _run_timed(self, now_s: float) -> bool:
+        """Return whether timed commands run; brake them if their source is gone."""
         if not self.underway.executions:
             return False
         if self._is_gone(now_s):
@@ -443,22 +391,27 @@ class CommandArbiter:
         elif self.state != ArbiterState.WAITING:
             self.state = ArbiterState.STALE
 
-    def _where_they_stop(self, posture: Array, v_measured: Array) -> Array:
-        robot = self._robot
-        v = np.clip(v_measured, -robot.v_max, robot.v_max)
-        wanted = self._target
-        if not np.isfinite(v).all():
-            return posture.copy()
-        rest = np.clip(
-            posture + v * np.abs(v) / (2.0 * _STOP_SHARE * robot.a_max),
-            robot.q_lower,
-            robot.q_upper,
-        )
-        ahead = ((wanted - posture) * v >= 0.0) | (
-            np.abs(wanted - posture) < self.config.switch_step_max_rad
-        )
-        return np.where(
-            ahead & ((rest - wanted) * v > 0.0),
-            wanted,
-            rest,
-        )  # never beyond what was commanded
+    def _stop_silent(self, target: JointTarget, silent: set[int], rest: Array) -> None:
+        """Bring arms whose source has gone silent to rest."""
+        idle = {arm for arm in ARMS - self._streamed if not self.underway.busy((arm,))}
+        if self.state not in (ArbiterState.ACTIVE, ArbiterState.ALIGNING):
+            target.stop_all(idle, silent, rest)
+            return
+        for arm in target.stop_arms(idle, silent, rest):
+            detail = f"{SIDES[arm]} arm: no command for {self.config.stale_s} s"
+            self._refuse(self.source or HOLD, "stale", detail)
+
+    # Refusals ------------------------------------------------------------------------------------------------
+
+    def _mailbox(self, source: str) -> Mailbox:
+        check_name("command source", source, SOURCES)
+        return self._mailboxes[source]
+
+    def _supersede(self, mode: str | None, detail: str) -> None:
+        if mode is not None:
+            self._refuse(mode, "superseded", detail)
+
+    def _refuse(self, source: str, name: str, detail: str) -> Refusal:
+        refusal = Refusal(source, name, detail)
+        self._refusals.append(refusal)
+        return refusal

@@ -10,7 +10,7 @@ import numpy as np
 from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, Reason
 from minidual.control.controllers import Controller
-from minidual.control.soft_stop import TorqueRate
+from minidual.control.joint_control import towards_torque
 from minidual.errors import MinidualError, check_name
 from minidual.robot.pair import SIDES, Array, Robot
 
@@ -37,7 +37,8 @@ class ControllerManager:
         self._dt = dt_s
         self._fade_steps = max(1, round(_FADE_S / dt_s))
         self.fade_left = 0
-        self._rate: TorqueRate | None = None
+        self._swiftly = False
+        self._tau_step = robot.arm.tau_rate_max * dt_s
         self._offset: Array | None = None
         self.tau = np.zeros(robot.dof)
         """Last torques (n,) [Nm]."""
@@ -53,21 +54,22 @@ class ControllerManager:
             ControllerSwitchError: A joint is unclaimed or claimed twice, or a controller is not ready.
         """
         chosen = tuple(self[name] for name in names)
-        for arm, arm_name in enumerate(SIDES):
-            if not (claims := [c.name for c in chosen if arm in c.arms]):
-                left = (
-                    f"the {arm_name} arm's joints would be left to nobody by ({', '.join(names)})"
+        for arm, side in enumerate(SIDES):
+            claims = [controller.name for controller in chosen if arm in controller.arms]
+            if not claims:
+                raise ControllerSwitchError(
+                    "unclaimed",
+                    f"the {side} arm's joints would be left to nobody by ({', '.join(names)})",
+                    remedy="name a whole set: both_arms; left_arm and right_arm; or object_impedance",
                 )
-                remedy = "name a whole set: both_arms; left_arm and right_arm; or object_impedance"
-                raise ControllerSwitchError("unclaimed", left, remedy=remedy)
             if len(claims) > 1:
-                both = " and ".join(claims)
                 raise ControllerSwitchError(
                     "doubly_claimed",
-                    f"the {arm_name} arm's joints would be driven by {both}",
+                    f"the {side} arm's joints would be driven by {' and '.join(claims)}",
                 )
         for controller in chosen:
-            if reason := controller.not_ready():
+            reason = controller.not_ready()
+            if reason:
                 raise ControllerSwitchError("not_ready", f"controller {controller.name}: {reason}")
         return chosen
 
@@ -83,19 +85,23 @@ class ControllerManager:
         if self._active and chosen != self._active:
             self.fade_left = self._fade_steps
             self._offset = None
-            self._rate = (
-                TorqueRate(self.tau, self._dt, self._robot.arm.tau_rate_max) if swiftly else None
-            )
+            self._swiftly = swiftly
         self._active = chosen
         self.active = tuple(names)
         self._claims = [
-            (k, self._robot.joints_of(arm)) for k, c in enumerate(chosen) for arm in c.arms
+            (index, self._robot.joints_of(arm))
+            for index, controller in enumerate(chosen)
+            for arm in controller.arms
         ]
 
     def refuses(self, command: Command) -> Reason | None:
         """Return why a command is refused, or None."""
-        of_arms = (c for c in self._active if set(c.arms) & set(command.arms))
-        return next((reason for c in of_arms if (reason := c.refuses(command)) is not None), None)
+        for controller in self._active:
+            if set(controller.arms) & set(command.arms):
+                reason = controller.refuses(command)
+                if reason is not None:
+                    return reason
+        return None
 
     def follow(self, output: ArbiterOutput) -> None:
         """Pass on the arbiter's output."""
@@ -104,16 +110,16 @@ class ControllerManager:
 
     def update(self, q: Array, v: Array) -> Array:
         """Run one control step; return torques (n,) [Nm]."""
-        active = self._active
-        tau = (
-            active[0].update(q, v)
-            if len(active) == 1
-            else self._joined([one.update(q, v) for one in active])
-        )
+        tau = self._joined([controller.update(q, v) for controller in self._active])
         if self.fade_left:
             tau = self._faded(tau)
         self.tau = tau
         return tau
+
+    @property
+    def compliant(self) -> bool:
+        """Whether an active controller lets its arms leave their reference."""
+        return any(controller.compliant for controller in self._active)
 
     @property
     def reference(self) -> Array:
@@ -123,10 +129,12 @@ class ControllerManager:
     @property
     def acceleration(self) -> Array | None:
         """Last commanded reference acceleration (n,) [rad/s^2], or None."""
-        if len(self._active) == 1:
-            return self._active[0].acceleration
-        parts = [a for controller in self._active if (a := controller.acceleration) is not None]
-        return self._joined(parts) if len(parts) == len(self._active) else None
+        parts: list[Array] = []
+        for controller in self._active:
+            if controller.acceleration is None:
+                return None
+            parts.append(controller.acceleration)
+        return self._joined(parts)
 
     def _joined(self, parts: Sequence[Array]) -> Array:
         if len(parts) == 1:
@@ -137,12 +145,11 @@ class ControllerManager:
         return joined
 
     def _faded(self, tau: Array) -> Array:
-        if self._rate is not None:
-            followed = self._rate.limit(tau)
-            if np.array_equal(followed, tau):
-                self._rate = None
+        if self._swiftly:
+            reached = towards_torque(self.tau, tau, self._tau_step)
+            if np.array_equal(reached, tau):
                 self.fade_left = 0
-            return followed
+            return reached
         if self._offset is None:
             self._offset = np.nan_to_num(self.tau - tau)
         share = self.fade_left / self._fade_steps

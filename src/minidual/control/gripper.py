@@ -11,9 +11,10 @@ import math
 import numpy as np
 from numba.core import types
 
+from minidual.control.kernels import within
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
-from minidual.robot.compiled import ROWS, VIEW, kernel
+from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
 from minidual.robot.pair import SIDES, Array
 
 SAFETY = 1.5  # friction varies by some tenths between pads and days
@@ -53,7 +54,7 @@ JOINT_PINCH_N = 60.0
 _SERVO_N_PER_M = 5000.0  # k: this servo settles with a 20 ms time constant
 _COMPLIANCE_M_PER_NS = 0.01
 _HOLDS_N = 5.0
-"""A hand that feels more at the start holds something."""
+"""A hand that feels more than this at the start holds something."""
 _NEAR = 0.9
 _FIRMER = 1.3
 _MOST = 0.95
@@ -69,76 +70,86 @@ _SLIPPED_M = 0.0003
 """Fingers that close further have lost the object, or were shaken."""
 
 
-_OPEN, _TARGET, _HELD, _LOST_N = range(4)
+_OPEN, _TARGET, _HELD, _LOST_TICKS = range(4)
 _OPENS = 1
 _LOSES = 2
 _WIDE = 4
 
 
-@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, types.float64, types.UniTuple(types.float64, 3)))
+@kernel(types.intp(VIEW, VIEW, VIEW, ROWS, types.float64, VECTOR))
 def advance(
     command: Array,
-    felt: Array,
-    fingers: Array,
+    grip_n: Array,
+    fingers_m: Array,
     hands: Array,
     force_n: float,
-    how: tuple[float, float, float],
+    constants: Array,
 ) -> int:
-    """Advance `hands` (4, 2): open or closed, target [m], fingers [m] when they held, ticks without the grip.
+    """Advance both hands by one step.
 
-    command: NaN keeps the target. how: gain, step [m], travel [m]. Return the sum of 1 if a hand begins to open, 2 if a
-    closed one has lost its grip in this tick, and 4 if both are fully open.
+    Args:
+        command: Openings (2,), 0 closed to 1 open; NaN keeps the finger target.
+        grip_n, fingers_m: Measured (2,).
+        hands: (4, 2), updated: 1 open or 0 closed, finger target [m], fingers [m] when they held, and ticks
+            without the grip.
+        force_n: Grip force of closed hands.
+        constants: Gain [m/N], step [m], travel [m].
+
+    Returns:
+        The sum of 1 if a hand begins to open, 2 if a closed one has no grip in this tick, 4 if both are wide.
     """
-    found = 0
+    events = 0
     wide_n = 0
-    (gain, step_m, travel_m) = how
-    if len(felt) != 2 or len(fingers) != 2:
-        raise ValueError("the grip and the fingers of both hands are two numbers each")
+    gain = constants[0]
+    step_m = constants[1]
+    travel_m = constants[2]
     for i in range(2):
         if math.isnan(command[i]):
             continue
         if command[i] > OPEN_ABOVE:
             if not hands[_OPEN, i]:
-                found = found | _OPENS
-                hands[_LOST_N, i] = 0.0
+                events |= _OPENS
+                hands[_LOST_TICKS, i] = 0.0
             hands[_OPEN, i] = 1.0
         elif command[i] < CLOSE_BELOW:
             hands[_OPEN, i] = 0.0
         if hands[_OPEN, i]:
-            hands[_HELD, i], hands[_TARGET, i] = math.nan, min(hands[_TARGET, i] + step_m, travel_m)
+            hands[_HELD, i] = math.nan
+            hands[_TARGET, i] = min(hands[_TARGET, i] + step_m, travel_m)
             wide_n += hands[_TARGET, i] == travel_m
             continue
-        moved = fingers[i] - hands[_HELD, i]
-        away = abs(moved) > _NOTHING_M or math.isnan(
-            fingers[i],
-        )  # opened, closed on less than it held, or not known
-        way = gain * (felt[i] - force_n)
-        target = min(
-            hands[_TARGET, i] + (step_m if way > step_m else -step_m if way < -step_m else way),
-            travel_m,
-        )
-        if felt[i] >= _NEAR * force_n and not away:
+        moved_m = fingers_m[i] - hands[_HELD, i]  # NaN until the hand has held something
+        away = abs(moved_m) > _NOTHING_M  # opened, or closed on less than it held
+        way_m = within(gain * (grip_n[i] - force_n), -step_m, step_m)
+        target_m = min(hands[_TARGET, i] + way_m, travel_m)
+        if grip_n[i] >= _NEAR * force_n and not away:
             if math.isnan(hands[_HELD, i]):
-                hands[_HELD, i] = fingers[i]
-            hands[_TARGET, i], hands[_LOST_N, i] = target, 0.0
+                hands[_HELD, i] = fingers_m[i]
+            hands[_TARGET, i] = target_m
+            hands[_LOST_TICKS, i] = 0.0
             continue
-        if not math.isnan(felt[i]):  # else the target stays; it is not far ahead of the fingers
-            behind = min(
-                fingers[i] - 0.5 * travel_m,
-                hands[_TARGET, i] + step_m,
-            )  # one reading may be wrong
-            hands[_TARGET, i] = max(min(target, hands[_TARGET, i]), behind)
-        lost = away or (not felt[i] >= _LOST * force_n and moved > -_SLIPPED_M)
-        hands[_LOST_N, i], found = (
-            (hands[_LOST_N, i] + 1.0, found | _LOSES) if lost else (0.0, found)
-        )
-    return found | (_WIDE if wide_n == 2 else 0)
+        # The target does not run far ahead of the fingers; one finger reading may be wrong.
+        behind_m = min(fingers_m[i] - 0.5 * travel_m, hands[_TARGET, i] + step_m)
+        hands[_TARGET, i] = max(min(target_m, hands[_TARGET, i]), behind_m)
+        slipped = grip_n[i] < _LOST * force_n and moved_m > -_SLIPPED_M
+        if away or slipped:
+            hands[_LOST_TICKS, i] += 1.0
+            events |= _LOSES
+        else:
+            hands[_LOST_TICKS, i] = 0.0
+    if wide_n == 2:
+        events |= _WIDE
+    return events
 
 
 class Grippers:
-    """Turns opening commands (0 closed, 1 open) into finger targets [m].
+    """Both hands of a plant.
 
-    The closing force is limited to what the motors give.
+    Attributes:
+        targets_m: Finger targets (2,) [m].
+        closed: Whether each hand held something at the reset.
+        wide: Whether both hands are fully open.
+        fault: Which hand has lost its grip, or empty.
     """
 
     def __init__(
@@ -148,80 +159,56 @@ class Grippers:
         pinch_force_n: float = JOINT_PINCH_N,
         speed_m_per_s: float = 0.08,
     ) -> None:
-        self._plant = plant
         self._travel_m = plant.robot.hand.travel_m
         self._usual_n = min(pinch_force_n, plant.grip_max_n)
         self._firm_n = max(self._usual_n, min(_FIRMER * self._usual_n, _MOST * plant.grip_max_n))
         self._lost_ticks = max(1.0, _LOST_S / plant.dt)
-        self._how = (
-            min(_COMPLIANCE_M_PER_NS * plant.dt, 0.5 / _SERVO_N_PER_M),
-            speed_m_per_s * plant.dt,
-            self._travel_m,
-        )
-        self.reset()
+        gain_m_per_n = min(_COMPLIANCE_M_PER_NS * plant.dt, 0.5 / _SERVO_N_PER_M)
+        step_m = speed_m_per_s * plant.dt
+        self._constants = np.array([gain_m_per_n, step_m, self._travel_m])
+        self._hands = np.ones((4, 2))
+        self.reset(plant.fingers, plant.grip)
 
-    def reset(self) -> None:
+    def reset(self, fingers_m: Array, grip_n: Array) -> None:
         """Start with open hands, or closed where they hold something, and the usual pinch.
 
-        Raises:
-            UsageError: The grip is not measured.
+        A hand that holds something at the start stays closed, so that nothing falls when a program starts again.
         """
-        grip = self._plant.grip
         self._force_n = self._usual_n
-        if not np.isfinite(grip + self._plant.fingers).all():
-            raise UsageError(
-                f"the grip is not measured ({grip} N)",
-                remedy="begin once both hands are measured",
-            )
-        self.closed = grip > _HOLDS_N
-        """(2,) of the start; a program that begins anew lets nothing fall."""
-        self._hands = np.ones((4, 2))
+        self.closed = grip_n > _HOLDS_N
         self.wide = not self.closed.any()
-        """wide: whether both hands are fully open."""
-        self.targets_m = np.where(
-            self.closed,
-            self._plant.fingers - grip / _SERVO_N_PER_M,
-            self._travel_m,
-        )
-        self._hands[_OPEN], self._hands[_TARGET] = ~self.closed, self.targets_m
+        self.targets_m = np.where(self.closed, fingers_m - grip_n / _SERVO_N_PER_M, self._travel_m)
+        self._hands[_OPEN] = ~self.closed
+        self._hands[_TARGET] = self.targets_m
         self.forget_grip()
 
-    def forget_grip(self, *, excused: bool = False) -> None:
-        """Expect no grip until hands close on something anew; `excused`: nor fingers to be measured, where they are not."""
-        self._hands[_HELD:] = [[math.nan], [0.0]]
+    def forget_grip(self) -> None:
+        """Expect no grip until hands close on something anew."""
+        self._hands[_HELD] = math.nan
+        self._hands[_LOST_TICKS] = 0.0
         self.fault = ""
-        """fault: which hand lost its grip, or empty."""
-        if excused:
-            self._hands[
-                _LOST_N,
-                np.isnan(self._plant.fingers),
-            ] = -np.inf  # until they are measured, or the hand opens
 
     def close(self, targets_m: Array) -> None:
         """Start closed on an object, at finger targets (2,) [m]."""
-        self._hands[_OPEN], self._hands[_TARGET], self.targets_m, self.wide = (
-            0.0,
-            targets_m,
-            targets_m.copy(),
-            False,
-        )
+        self._hands[_OPEN] = 0.0
+        self._hands[_TARGET] = targets_m
+        self.targets_m = targets_m.copy()
+        self.wide = False
 
     def firmer(self) -> None:
         """From now on, pinch harder."""
         self._force_n = self._firm_n
 
-    def stop(self) -> Array:
-        """Return the command (2,) of a stop: fingers on the way stay where they are (NaN), other hands go on."""
-        fingers = self._plant.fingers
-        (opening, target_m, held_m, _) = self._hands
-        moving = np.isnan(held_m) & ((opening == 0.0) | (target_m < self._travel_m))
-        free = moving & ~(self._plant.grip > _HOLDS_N) & np.isfinite(fingers)
-        near = np.clip(
-            fingers,
-            target_m - _LAG_M,
-            target_m + _LAG_M,
-        )  # the reading may be what the stop is for
-        target_m[free] = np.clip(near[free], 0.0, self._travel_m)
+    def stop(self, fingers_m: Array, grip_n: Array) -> Array:
+        """Return the command (2,) of a stop: moving fingers stay where they are (NaN), other hands go on."""
+        opening, target_m, held_m, _ = self._hands
+        on_the_way = (opening == 0.0) | (target_m < self._travel_m)
+        moving = np.isnan(held_m) & on_the_way
+        free = moving & ~(grip_n > _HOLDS_N)
+        near_m = np.clip(
+            fingers_m, target_m - _LAG_M, target_m + _LAG_M
+        )  # the reading may be wrong
+        target_m[free] = np.clip(near_m[free], 0.0, self._travel_m)
         return np.where(moving, np.nan, opening)
 
     @property
@@ -229,36 +216,34 @@ class Grippers:
         """What was commanded last (2,), 0 closed or 1 open; a stop changes nothing."""
         return self._hands[_OPEN].copy()
 
-    def step(self, command: Array) -> Array:
+    def step(self, command: Array, fingers_m: Array, grip_n: Array) -> Array:
         """Advance towards command (2,), NaN for fingers that stay; return finger targets (2,) [m]."""
         if self.wide and min(command.tolist()) > OPEN_ABOVE:
             return self.targets_m
-        grip = self._plant.grip
-        fingers = self._plant.fingers
-        found = advance(command, grip, fingers, self._hands, self._force_n, self._how)
+        events = advance(command, grip_n, fingers_m, self._hands, self._force_n, self._constants)
         self.targets_m = self._hands[_TARGET].copy()
-        self.wide = found >= _WIDE
-        if found & _OPENS:
+        self.wide = bool(events & _WIDE)
+        if events & _OPENS:
             self.fault = ""
-        if found & _LOSES:
-            self._name_lost(grip, fingers)
+        if events & _LOSES:
+            self._name_lost(fingers_m, grip_n)
         return self.targets_m
 
-    def holds(self, hand: int) -> bool:
+    def holds(self, hand: int, fingers_m: Array, grip_n: Array) -> bool:
         """Return whether a hand has closed on something and feels it."""
-        between_m = min(self._hands[_HELD, hand], self._plant.fingers[hand])
-        return bool(between_m > _NOTHING_M and self._plant.grip[hand] >= _LOST * self._force_n)
+        between_m = min(self._hands[_HELD, hand], fingers_m[hand])
+        return bool(between_m > _NOTHING_M and grip_n[hand] >= _LOST * self._force_n)
 
-    def lost(self, hand: int) -> bool:
+    def lost(self, hand: int, fingers_m: Array) -> bool:
         """Return whether a hand had closed on something that has slid out, or been torn out."""
-        torn = self._hands[_LOST_N, hand] > self._lost_ticks
-        return bool(
-            self._hands[_HELD, hand] > _NOTHING_M
-            and (torn or self._plant.fingers[hand] <= _NOTHING_M),
-        )
+        if not self._hands[_HELD, hand] > _NOTHING_M:
+            return False
+        torn = self._hands[_LOST_TICKS, hand] > self._lost_ticks
+        return bool(torn or fingers_m[hand] <= _NOTHING_M)
 
-    def _name_lost(self, grip: Array, fingers: Array) -> None:
-        for hand, (_, _, held_m, lost_n) in enumerate(self._hands.T):
-            if lost_n > self._lost_ticks:
-                what = f"{grip[hand]:.0f} of {self._force_n:.0f} N, fingers {1e3 * (fingers[hand] - held_m):+.1f} mm"
-                self.fault = f"the {SIDES[hand]} hand: {what}"
+    def _name_lost(self, fingers_m: Array, grip_n: Array) -> None:
+        for hand, (_, _, held_m, lost_ticks) in enumerate(self._hands.T):
+            if lost_ticks > self._lost_ticks:
+                force = f"{grip_n[hand]:.0f} of {self._force_n:.0f} N"
+                way = f"fingers {1e3 * (fingers_m[hand] - held_m):+.1f} mm"
+                self.fault = f"the {SIDES[hand]} hand: {force}, {way}"

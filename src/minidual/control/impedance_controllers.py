@@ -7,7 +7,7 @@ import numpy as np
 from minidual.config.control import ImpedanceConfig
 from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import Command, ObjectCommand, Reason
-from minidual.control.controllers import LOAD_MAX_N, Controller, JointTrajectoryController, Payload
+from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
 from minidual.control.impedance import (
@@ -19,6 +19,7 @@ from minidual.control.impedance import (
     towards,
 )
 from minidual.control.kernels import apart, within
+from minidual.control.payload import LOAD_MAX_N, Payload
 from minidual.errors import DataError, UsageError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, inverse
@@ -60,6 +61,7 @@ class ObjectImpedanceController(Controller):
     """Object impedance along a path; `sensor` is required for activation."""
 
     name = "object_impedance"
+    compliant = True
     takes = (ObjectCommand,)
 
     def __init__(self, kinematics: Kinematics, dt_s: float, sensor: ObjectSensor | None) -> None:
@@ -151,9 +153,9 @@ class ObjectImpedanceController(Controller):
         return -self._ready()[0].push
 
     @property
-    def bears_n(self) -> float:
-        """Weight in each hand."""
-        return 0.5 * self._ready()[0].held.mass_kg * GRAVITY_M_PER_S2
+    def mass_kg(self) -> float:
+        """Mass that each hand bears."""
+        return 0.5 * self._ready()[0].held.mass_kg
 
     def follow(self, output: ArbiterOutput) -> None:
         """Take a begun object path; slow it down towards singularities and joint limits, stop it if left behind."""
@@ -275,6 +277,8 @@ class ObjectImpedanceController(Controller):
 
 class HandImpedanceController(JointTrajectoryController):
     """Does what `left_arm` or `right_arm` does, by impedance."""
+
+    compliant = True
 
     def __init__(self, arm: int, kinematics: Kinematics, dt_s: float, payload: Payload) -> None:
         super().__init__(f"{SIDES[arm]}_arm", kinematics, dt_s, payload)

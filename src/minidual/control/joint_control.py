@@ -70,6 +70,11 @@ class ReferenceFilter:
         return q, v, self.a
 
 
+def towards_torque(tau: Array, goal: Array, step: float) -> Array:
+    """Return the torques (n,) [Nm] nearest to `goal` that differ from tau by at most `step`."""
+    return tau + np.clip(goal - tau, -step, step)
+
+
 def motor_torque(
     kinematics: Kinematics,
     q: Array,
@@ -121,7 +126,7 @@ class JointLoop[P: Plant]:
     def reset(self) -> None:
         """Start at the measured posture, hands open."""
         self.reference.reset(self.world.q)
-        self.grippers.reset()
+        self.grippers.reset(self.world.fingers, self.world.grip)
 
     def step(self, q_target: Array, gripper: Array) -> None:
         """Run one control and physics step."""
@@ -132,6 +137,6 @@ class JointLoop[P: Plant]:
         world = self.world
         world.command(
             self.controller.torque(world.q, world.v, q_ref, v_ref, a_ref),
-            self.grippers.step(gripper),
+            self.grippers.step(gripper, world.fingers, world.grip),
         )
         world.step()

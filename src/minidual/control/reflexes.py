@@ -1,31 +1,118 @@
-"""The supervisor's reflexes, and its bounds: the arms' limits, tightened by the configuration."""
+"""The supervisor's reflexes: families of causes, each with a remedy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numba.core import types
-
-from minidual.config.control import SupervisorConfig
 from minidual.errors import MinidualError
-from minidual.registry import rows_beside
-from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
-from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What has happened, and the unit of the value that shows it."""
+
+    text: str
+    unit: str = ""
 
 
 @dataclass(frozen=True)
 class ReflexKind:
-    """A row of reflexes.yaml."""
+    """A family of reflexes.
 
-    cause: str
+    Attributes:
+        remedy: What to check.
+        causes: By detail; the detail is empty in families of one.
+    """
+
     remedy: str
-    unit: str = ""
+    causes: Mapping[str, Cause]
 
 
-REFLEXES = {name: ReflexKind(**words) for name, words in rows_beside(__file__).items()}
+REFLEXES: dict[str, ReflexKind] = {
+    "joint_position": ReflexKind(
+        "keep targets inside the limits and slow down towards them; minidual.robot.pair has the limits",
+        {"": Cause("a joint is beyond its position limit, or too fast to stop before it", "rad")},
+    ),
+    "speed": ReflexKind(
+        "slow the motion down: lower the velocity scale of the plan, or send targets through the filter",
+        {
+            "joint": Cause("a joint is faster than its limit", "rad/s"),
+            "hand": Cause("a hand is faster than its limit", "m/s"),
+        },
+    ),
+    "torque": ReflexKind(
+        "look for an oscillation, a jump of the target, a load that is too heavy, or gains that are too high",
+        {
+            "range": Cause("a controller asked for more torque than the motor has", "Nm"),
+            "rate": Cause(
+                "a controller asks for faster changes of torque than the motors follow", "Nm/s"
+            ),
+            "saturation": Cause("a motor stood at its torque limit", "Nm"),
+        },
+    ),
+    "reference": ReflexKind(
+        "time the trajectory within the limits (plan.planner.acceleration_scale), or send targets "
+        "through the filter",
+        {
+            "acceleration": Cause(
+                "the commanded reference accelerates more than the joint may", "rad/s^2"
+            ),
+            "jerk": Cause("the acceleration of the commanded reference jumps", "rad/s^3"),
+        },
+    ),
+    "contact": ReflexKind(
+        "free the arm by hand; see what it met, what blocks it, and what it holds",
+        {
+            "joint": Cause("an arm touches something", "Nm"),
+            "stuck": Cause("a joint stands still under a torque that should move it", "Nm"),
+            "hand": Cause("a hand presses on something", "N"),
+        },
+    ),
+    "tracking_error": ReflexKind(
+        "see what holds the joint: an obstacle, a load, a weak motor, an encoder that is off",
+        {"": Cause("a joint does not follow its reference", "rad")},
+    ),
+    "gripper_opened": ReflexKind(
+        "look at the hand's drive and supply, then open it",
+        {"": Cause("a hand has lost its grip although it is told to hold")},
+    ),
+    "clearance": ReflexKind(
+        "plan around what is in the way (minidual plan checks collisions), or slow down near it",
+        {
+            "workspace": Cause("a hand is leaving the workspace (supervisor.workspace_m)", "m"),
+            "arms": Cause("two parts of the arms come too close", "m"),
+            "stop": Cause("a stop would end in a collision", "m"),
+        },
+    ),
+    "emergency_stop": ReflexKind(
+        "make the scene safe, then reset the supervisor",
+        {"": Cause("the emergency stop was pressed")},
+    ),
+    "measurement": ReflexKind(
+        "look at the named sensor; supervisor.position_mismatch_rad, frozen_s and "
+        "measurement_age_max_s are the bounds",
+        {
+            "not_finite": Cause("a measurement is not a finite number"),
+            "implausible": Cause("readings of a joint contradict one another, or stand still"),
+            "stale": Cause("nothing new is measured", "s"),
+            "clock": Cause("the control time does not grow"),
+        },
+    ),
+    "plant_failed": ReflexKind(
+        "mend what the plant names; recover() is refused until it reports no fault",
+        {"": Cause("the plant reports a fault")},
+    ),
+    "controller_failed": ReflexKind(
+        "remove what it names, or recover with controllers that need less, such as both_arms",
+        {"": Cause("a controller, a source, a sensor or a monitor has failed")},
+    ),
+    "stale_command": ReflexKind(
+        "see that the source runs and keeps its rate; supervisor.stale_s is how long it may be silent",
+        {"": Cause("no command has come for too long", "s")},
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -34,33 +121,39 @@ class Reflex:
 
     Attributes:
         name: Key of REFLEXES.
+        detail: Key of its causes.
         where: Joint, hand, pair of parts, or reason.
-        value: NaN possible for `not_finite`.
+        value: NaN possible for what is not finite.
         details: Measurements and requested torque of that tick (JSON types).
     """
 
     name: str
+    detail: str
     time_s: float
     where: str
-    value: float
-    bound: float | None
+    value: float = 1.0
+    bound: float | None = None
     details: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @property
-    def kind(self) -> ReflexKind:
-        """Its table row."""
-        return REFLEXES[self.name]
+    def label(self) -> str:
+        """Name and detail."""
+        return f"{self.name}.{self.detail}" if self.detail else self.name
+
+    @property
+    def remedy(self) -> str:
+        """What to check."""
+        return REFLEXES[self.name].remedy
 
     @property
     def text(self) -> str:
         """One line with value and bound."""
-        unit = f" {self.kind.unit}" if self.kind.unit else ""
-        numbers = (
-            "" if self.bound is None else f" ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
-        )
-        return (
-            f"reflex {self.name} at {self.time_s:.3f} s: {self.kind.cause}: {self.where}{numbers}"
-        )
+        cause = REFLEXES[self.name].causes[self.detail]
+        line = f"reflex {self.label} at {self.time_s:.3f} s: {cause.text}: {self.where}"
+        if self.bound is None:
+            return line
+        unit = f" {cause.unit}" if cause.unit else ""
+        return f"{line} ({self.value:.6g}{unit}, bound {self.bound:.6g}{unit})"
 
 
 class ReflexError(MinidualError):
@@ -74,113 +167,7 @@ class ReflexError(MinidualError):
     remedy: str
 
     def __init__(self, reflex: Reflex, tau: Array) -> None:
-        super().__init__(reflex.text, remedy=reflex.kind.remedy)
+        super().__init__(reflex.text, remedy=reflex.remedy)
         self.reflex = reflex
         self.tau = tau
         self.dump: Path | None = None
-
-
-QUANTITIES: tuple[str, ...] = (
-    "position",
-    "velocity",
-    "torque",
-    "torque_step",
-    "acceleration",
-    "acceleration_step",
-)
-"""Quantities compared each tick, per joint; a step is a difference between ticks."""
-
-POSITION_TOLERANCE_RAD = 1e-3  # targets may lie on the bound; tracking is imperfect
-TORQUE_TOLERANCE = 1e-6  # relative excess accepted as rounding
-SATURATED = 0.999
-"""Share of the torque limit that counts as saturated; controllers clip at 1."""
-_WIDTH_M = 0.1
-"""Lateral extent of a link or hand."""
-
-
-@kernel(types.float64(VIEW, VIEW, VIEW, VECTOR, VIEW, types.boolean, ROWS, ROWS, ROWS))
-def excess(
-    q: Array,
-    v: Array,
-    tau: Array,
-    before: Array,
-    a_ref: Array,
-    follows: bool,
-    centre: Array,
-    scale: Array,
-    rows: Array,
-) -> float:
-    """Return the largest |x - centre| scale of QUANTITIES (6, n); NaN stays.
-
-    Fills `rows` (6, n) with them: the step of the torque is since `before`, that of a_ref (n,) 0 unless it `follows`.
-    """
-    most = 0.0
-    for j in range(len(before)):
-        rows[0, j], rows[1, j], rows[2, j], rows[3, j] = q[j], v[j], tau[j], tau[j] - before[j]
-        rows[4, j], rows[5, j] = a_ref[j], a_ref[j] - rows[4, j] if follows else 0.0
-    for i in range(rows.shape[0]):
-        for j in range(rows.shape[1]):
-            ratio = abs(rows[i, j] - centre[i, j]) * scale[i, j]
-            most = ratio if ratio > most or ratio != ratio else most
-    return most
-
-
-class TickBounds:
-    """Bounds of QUANTITIES: `|x - centre| * scale > 1` needs a closer check.
-
-    Attributes:
-        centre, scale: (6, n).
-        q_lower, q_upper: (n,) [rad], margins applied.
-        tau_step, a_step: Largest change per tick.
-    """
-
-    def __init__(self, config: SupervisorConfig, dt_s: float, robot: Robot) -> None:
-        self.q_lower = robot.q_lower + config.position_margin_rad
-        self.q_upper = robot.q_upper - config.position_margin_rad
-        self.v_max = config.velocity_scale * robot.v_max
-        self.tau_max = config.torque_scale * robot.tau_max
-        self.tau_step = config.torque_rate_scale * robot.arm.tau_rate_max * dt_s
-        self.a_max = config.acceleration_scale * robot.a_max
-        self.a_step = robot.jerk_max * dt_s
-        position = 0.5 * (self.q_upper - self.q_lower) + POSITION_TOLERANCE_RAD
-        steps = np.full(robot.dof, self.tau_step), self.a_max, self.a_step
-        half = np.stack(
-            [position, self.v_max, SATURATED * self.tau_max, *(x * (1.0 + 1e-9) for x in steps)],
-        )
-        self.centre = np.zeros_like(half)
-        self.centre[0] = 0.5 * (self.q_lower + self.q_upper)
-        self.scale = 1.0 / half
-
-
-class Reach:
-    """Bounds on the motion of arm points.
-
-    Attributes:
-        m: (n,) [m]; a turn dq of joint j moves no point by more than m[j] |dq|.
-    """
-
-    def __init__(self, kinematics: Kinematics) -> None:
-        model = kinematics.model
-        robot = kinematics.robot
-        chain: list[float] = []
-        for arm, frame in enumerate(kinematics.tcp_ids):
-            tool = model.frames[frame]
-            steps = [
-                model.jointPlacements[model.getJointId(name)]
-                for name in robot.joint_names[robot.joints_of(arm)]
-            ]
-            lengths = [
-                float(np.abs(step.translation).sum()) for step in (*steps[1:], tool.placement)
-            ]
-            chain += np.cumsum(lengths[::-1])[::-1].tolist()
-        self.m = np.array(chain) + _WIDTH_M
-        self._acceleration = float(self.m @ robot.a_max)
-
-    def safe_time_s(self, v: Array, gap_m: float) -> float:
-        """Return the time [s] in which a gap [m] cannot close.
-
-        In time h a gap shrinks by at most h sum_j m[j] (|v_j| + a_j h), over both arms.
-        """
-        speed = float(self.m @ np.abs(v))
-        root = np.sqrt(speed * speed + 4.0 * self._acceleration * max(0.0, gap_m))
-        return float(root - speed) / (2.0 * self._acceleration)

@@ -64,6 +64,10 @@ class Plant(Protocol):
         """Set torques (n,) [Nm] and finger targets (2,) [m]."""
         ...
 
+    def brake(self, arms: tuple[int, ...]) -> None:
+        """Hold exactly these arms by brakes that need no measurements, and release the others."""
+        ...
+
     def step(self) -> None:
         """Advance by `dt`, or wait for the next measurements."""
         ...

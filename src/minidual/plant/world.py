@@ -15,7 +15,7 @@ from minidual.plant.marks import GOAL_MARK
 from minidual.plant.model import build_model
 from minidual.plant.protocol import PlantEndedError
 from minidual.robot.compiled import bound
-from minidual.robot.pair import DUAL_PANDA, Array, Robot
+from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
 
 
 class StepRecorder(Protocol):
@@ -34,6 +34,8 @@ class SimulationDivergedError(PlantEndedError):
     """A state or command is not finite."""
 
 
+_BRAKE_NM_S_PER_RAD = 50.0
+"""Damping of a braked joint, beside exact gravity compensation, as far as the motors' limits reach."""
 _NOT_FINITE = {
     int(mujoco.mjtWarning.mjWARN_BADQPOS): "positions",
     int(mujoco.mjtWarning.mjWARN_BADQVEL): "velocities",
@@ -220,6 +222,7 @@ class World:
         q = self.robot.home if q is None else np.asarray(q, dtype=float)
         self._check_posture(q)
         new_poses = {self.truth(name): pose for name, pose in (poses or {}).items()}
+        self.brake(())
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.joints.qpos] = q
         self.data.qpos[self.finger_joints.qpos] = self.robot.hand.travel_m
@@ -246,9 +249,22 @@ class World:
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`; torques are clipped at the motor limits."""
+        if self._braked.any():
+            tau = np.where(self._braked, self._brake_torque(), tau)
         self._ctrl[self.joints.ctrl] = tau
         self._ctrl[self._first_fingers] = fingers
         self._ctrl[self._second_fingers] = fingers
+
+    def brake(self, arms: tuple[int, ...]) -> None:
+        """See `Plant`: a damper on the true motion, in place of the commanded torques."""
+        braked = [arm in arms for arm in range(len(SIDES))]
+        self._braked = np.repeat(braked, self.robot.dof_per_arm)
+
+    def _brake_torque(self) -> Array:
+        """Return the torques (n,) [Nm] of the brakes."""
+        bias = self.data.qfrc_bias[self.joints.qvel]
+        tau = bias - _BRAKE_NM_S_PER_RAD * self.v
+        return np.clip(tau, -self.robot.tau_max, self.robot.tau_max)
 
     def step(self) -> None:
         """Advance by `dt`.

@@ -12,7 +12,7 @@ import numpy as np
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
 from minidual.config.scene import OBSTACLE, ObjectConfig, PartConfig, SceneConfig
-from minidual.control.reflexes import Reach
+from minidual.control.bounds import Reach
 from minidual.errors import UsageError, check_name
 from minidual.motion.api import Planner
 from minidual.robot.pair import SIDES, Array, Robot

@@ -19,7 +19,7 @@ from minidual.control.commands import (
 )
 from minidual.control.impedance import ObjectPath, SingularPostureError
 from minidual.control.reflexes import ReflexError
-from minidual.control.soft_stop import STOP_SHARE, SoftStop
+from minidual.control.soft_stop import halt_duration_s
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError
@@ -395,7 +395,7 @@ class ImpedanceCarry:
         world = self.world
         self.fault = Fault(name, detail, world.time if at_s is None else at_s)
         if stop_s is None:
-            stop_s = SoftStop(world.q, world.v, STOP_SHARE * world.robot.a_max).duration_s
+            stop_s = halt_duration_s(world.robot, world.q, world.v)
         self._stop_s = stop_s
 
     def _stop_if_due(self) -> None:

@@ -65,7 +65,7 @@ class PlannedCarry(Drive):
         start = State(world.q, dict(known))
         self._tries_left = _TRIES
         self._touch: tuple[Solution, Segment, Array] | None = None
-        apart_m = None if stack.supervisor is None else stack.supervisor.config.self_collision_min_m
+        apart_m = stack.supervisor.config.self_collision_min_m
         self.solution: Solution | None = None
         try:
             self.solution = solve(task, trial, start, planner, seed, apart_m, self.by_force)
@@ -103,8 +103,8 @@ class PlannedCarry(Drive):
     def _stopped(self, error: ReflexError) -> None:
         solution = self.solution
         supervisor = self.stack.supervisor
-        touched = error.reflex.name.endswith("_contact")
-        if solution and supervisor and touched and self.phase == "descend" and self._tries_left:
+        touched = error.reflex.label in ("contact.joint", "contact.hand")
+        if solution and touched and self.phase == "descend" and self._tries_left:
             self._touch = solution, self._left[0], supervisor.touch
         super()._stopped(error)
 

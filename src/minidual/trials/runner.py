@@ -12,9 +12,9 @@ import numpy as np
 
 from minidual import emergency
 from minidual.config.seeds import stream
+from minidual.control.bounds import SATURATED
 from minidual.control.impedance import SingularPostureError
 from minidual.control.kernels import strain
-from minidual.control.reflexes import SATURATED
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder

@@ -102,9 +102,7 @@ class Drive:
 
     def _felt(self, segment: Segment) -> bool:
         """Return whether the keeping hands feel the object; too long without is a fault."""
-        unfelt = [
-            hand for hand in segment.kept_by if not self.stack.grippers.holds(SIDES.index(hand))
-        ]
+        unfelt = [hand for hand in segment.kept_by if not self.stack.holds(SIDES.index(hand))]
         now_s = self.stack.plant.time
         if unfelt and now_s - self._ended_s > _FEEL_S:
             detail = f"the {unfelt[0]} hand feels no grip after {_FEEL_S} s"
@@ -114,7 +112,7 @@ class Drive:
 
     def _tell_held(self, segment: Segment) -> None:
         supervisor = self.stack.supervisor
-        if supervisor is None or segment.scene is None:
+        if segment.scene is None:
             return
         supervisor.hold(None)
         for held in segment.scene.attached:

@@ -5,6 +5,7 @@ from contextlib import suppress
 import mujoco
 import numpy as np
 
+from minidual.control.measurement import Reader
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
@@ -48,8 +49,9 @@ def torque_pulse_mapping(
     def after(tau: Array) -> tuple[Array, Array]:
         world.reset()
         supervisor.reset()
+        measurement = Reader(world, supervisor.config).reset()
         try:
-            applied = supervisor.guard(world.time, world.q, world.v, gravity + tau)
+            applied = supervisor.guard(measurement, gravity + tau, gravity)
         except ReflexError as error:  # its joint does not move as predicted
             applied = error.tau
         world.command(applied, fingers)
