@@ -39,12 +39,12 @@ from minidual.show.view import make_view
 from minidual.show.view.web import WebView
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.workers import in_workers
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
 from tests.show.test_view_guard import CAMERA
 from tests.support.browser import unused_port
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import DOF, HOME
+from tests.support.stacks import hand_over, move, stack_on, trajectory
 
 WORKING = """
 import sys, time

@@ -20,16 +20,23 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.skills.phases import still
 from minidual.skills.pipeline.drive import Drive
-from tests.control.test_broken import under_way
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
 from tests.control.test_gaps import Gap
 from tests.control.test_gaps import Slow as At50Hz
 from tests.control.test_glitch import off_by
 from tests.control.test_late import Slow as At100Hz
-from tests.control.test_lies import OPEN, run, supervised
-from tests.control.test_recover import Carried
+from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
+from tests.support.stacks import (
+    OPEN,
+    Arms,
+    hand_over,
+    move,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+    under_way,
+)
 
 STRIDE = HOME + np.eye(14)[0] * 0.9 + np.eye(14)[7] * 0.9
 
@@ -47,7 +54,7 @@ def after_one_lie(plant: Arms, stack: ControlStack, **lies: Any) -> tuple[float,
     """Return the largest speed in a second after one packet of lies, and where the arms were."""
     was = plant.__dict__["q"].copy()
     plant.lies.update(lies)
-    assert run(stack, 1) == ["implausible_measurement"]
+    assert run(stack, 1) == ["measurement.implausible"]
     plant.lies.clear()
     return in_a_second(plant, stack), was
 
@@ -84,7 +91,7 @@ def test_a_velocity_that_was_wrong_in_the_last_packet_starts_no_stop_in_motion(
     for _ in range(1000):
         names += run(stack, 1)
         fastest = max(fastest, float(np.abs(plant.v).max()))
-    assert names == ["joint_velocity" if dv < 10.0 else "implausible_measurement"]
+    assert names == ["speed.joint" if dv < 10.0 else "measurement.implausible"]
     assert fastest < 0.03
     assert np.abs(plant.q - HOME).max() < 0.005
 

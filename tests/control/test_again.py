@@ -22,11 +22,9 @@ from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
 from minidual.trials.modes import ModesDemo
 from minidual.trials.modes_turns import SwitchError, Turn
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
-from tests.control.test_lies import OPEN, run, supervised
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.panda import A_MAX, HOME, Q_UPPER, V_MAX
+from tests.support.stacks import OPEN, Arms, hand_over, move, run, stack_on, supervised, trajectory
 
 APART = np.r_[np.full(7, 0.5), np.full(7, -0.5)]
 WIDE = SupervisorConfig(workspace_m=((-2, 2), (-2, 2), (-2, 2.5)))

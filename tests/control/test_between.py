@@ -10,8 +10,8 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from tests.control.test_controllers import OPEN, hand_over, move, stack_on, trajectory
 from tests.support.panda import HOME
+from tests.support.stacks import OPEN, hand_over, move, stack_on, trajectory
 
 CLOSED = np.zeros(2)
 HAND = ("left_hand", "right_arm")

@@ -11,62 +11,28 @@ import pytest
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.impedance import ObjectPath, ObjectState, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
-from minidual.robot.pair import Array
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.support.control_plant import ArmsPlant, HandsObject
+from tests.support.control_plant import HandsObject
 from tests.support.panda import HOME, TAU_RATE_MAX
-
-CLOSED = np.zeros(2)
-
-
-class FailingPlant(ArmsPlant):
-    """Arms whose readings can be replaced: `lies[name]` gets the true one and may raise."""
-
-    def __init__(self, scene: SceneConfig) -> None:
-        self.lies: dict[str, Callable[[Any], Any]] = {}
-        super().__init__(scene)
-
-    def __getattribute__(self, name: str) -> Any:
-        value = super().__getattribute__(name)
-        lies = super().__getattribute__("lies")
-        return lies[name](value) if name in lies else value
-
-    def step(self) -> None:
-        kept = self.lies  # physics does not read the sensors
-        self.lies = {}
-        super().step()
-        self.lies = kept
+from tests.support.random_driver import Path, jumps
+from tests.support.stacks import (
+    CLOSED,
+    FailingPlant,
+    breaks,
+    hand_over,
+    move,
+    stack_on,
+    trajectory,
+    under_way,
+)
 
 
 @pytest.fixture
 def plant(scene: SceneConfig) -> FailingPlant:
     return FailingPlant(scene)
-
-
-def breaks(*_args: object, **_kwargs: object) -> Any:
-    raise ZeroDivisionError("the bus is gone")
-
-
-def under_way(plant: FailingPlant) -> ControlStack:
-    """Return a supervised stack in the middle of a motion."""
-    distance: list[Callable[[Array], tuple[str, float]]] = [lambda q: ("a with b", 1.0)]
-    supervisor = Supervisor(dt_s=plant.dt, self_distance=lambda q: distance[0](q))
-    supervisor.distance = distance  # type: ignore[attr-defined]
-    stack = stack_on(plant, supervisor=supervisor)
-    hand_over(stack, "moveit")
-    assert (
-        stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8), gripper=CLOSED))
-        is None
-    )
-    for _ in range(400):
-        stack.step()
-    assert np.abs(plant.v).max() > 0.5
-    return stack
 
 
 def stopped(plant: FailingPlant, stack: ControlStack, steps: int = 1500) -> ReflexError:
@@ -148,7 +114,7 @@ def test_an_exception_in_the_loop_is_a_soft_stop_and_leaves_no_tick_without_torq
     stack = under_way(plant)
     FAILURES[what](plant, stack)
     error = stopped(plant, stack)
-    assert error.reflex.name == "controller_failed"
+    assert error.reflex.label == "controller_failed"
     assert "ZeroDivisionError: the bus is gone" in error.message
     assert stack.reflex is error
 
@@ -167,7 +133,7 @@ def test_a_clock_that_fails_is_a_soft_stop(plant: FailingPlant, what: str) -> No
     stack = under_way(plant)
     plant.lies["time"] = CLOCKS[what](plant.time)
     error = stopped(plant, stack)
-    assert error.reflex.name == "clock"
+    assert error.reflex.label == "measurement.clock"
 
 
 def test_a_clock_that_fails_after_the_encoders_leaves_a_stop_that_sees(plant: FailingPlant) -> None:
@@ -175,14 +141,14 @@ def test_a_clock_that_fails_after_the_encoders_leaves_a_stop_that_sees(plant: Fa
     stack = under_way(plant)
     plant.lies["q"], began = breaks, plant.time
     plant.lies["time"] = plant.lies["stamp_s"] = lambda t: np.nan if t > began + 0.1 else t
-    assert stopped(plant, stack).reflex.name == "controller_failed"
+    assert stopped(plant, stack).reflex.label == "controller_failed"
 
 
 def test_a_clock_that_jumps_ahead_is_a_soft_stop(plant: FailingPlant) -> None:
     stack = under_way(plant)
     began = plant.time
     plant.lies["time"] = lambda t: t + 0.5 * (t > began + 0.05)
-    assert stopped(plant, stack).reflex.name == "stale_command"
+    assert stopped(plant, stack).reflex.label == "stale_command"
 
 
 @pytest.mark.parametrize("stamp", [np.inf, 100.0])
@@ -191,7 +157,7 @@ def test_a_stamp_of_the_future_is_a_soft_stop(plant: FailingPlant, stamp: float)
     stack = under_way(plant)
     plant.lies["stamp_s"] = lambda t: stamp
     error = stopped(plant, stack)
-    assert error.reflex.name == "controller_failed"
+    assert error.reflex.label == "controller_failed"
     assert "the measurements are" in error.message
 
 
@@ -199,7 +165,7 @@ def test_arms_that_were_measured_a_second_ago_do_not_recover(plant: FailingPlant
     """Before, the next tick stopped them again."""
     stack = under_way(plant)
     plant.lies["stamp_s"] = lambda t: t - 1.0
-    assert stopped(plant, stack).reflex.name == "controller_failed"
+    assert stopped(plant, stack).reflex.label == "controller_failed"
     plant.lies["stamp_s"] = lambda t: t - 1.0
     with pytest.raises(UsageError, match="measured 1000 ms ago"):
         stack.recover()
@@ -225,7 +191,7 @@ def test_a_velocity_that_lies_does_not_drive_the_arm(plant: FailingPlant, bias: 
         try:
             stack.step()
         except ReflexError as error:
-            names.append(error.reflex.name)
+            names.append(error.reflex.label)
         fastest = max(fastest, float(np.abs(plant.__dict__["v"]).max()))
         way = max(way, float(np.abs(plant.__dict__["q"] - HOME).max()))
     assert len(names) == 1
@@ -251,9 +217,9 @@ def test_a_push_on_frozen_positions_does_not_cost_the_velocity(
         try:
             stack.step()
         except ReflexError as error:
-            names.append(error.reflex.name)
+            names.append(error.reflex.label)
         fastest = max(fastest, float(np.abs(plant.v).max()))
-    assert names == ["joint_contact"]
+    assert names == ["contact.joint"]
     assert 0.3 < fastest < 1.3, fastest
     assert np.abs(plant.v).max() < 0.05
 
@@ -282,31 +248,9 @@ def test_contact_is_felt_whatever_the_phase_of_the_measurements(period: int, pha
                 stamp_s,
             )
         except ReflexError as error:
-            name = error.reflex.name
+            name = error.reflex.label
             break
-    assert name in ("joint_contact", "joint_stuck", "cartesian_contact")
-
-
-class Path:
-    """A straight lift whose poses can be replaced."""
-
-    def __init__(self, here: Array) -> None:
-        x, y, z = (float(value) for value in here[:3, 3])
-        self._path = ObjectPath(
-            Waypoint((x, y, z), 0.0, 0.0),
-            [Waypoint((x, y, z + 0.1), 0.0, 0.8)],
-        )
-        self.duration_s = self._path.duration_s
-        self.lie: Callable[[ObjectState, float], ObjectState] = lambda state, t: state
-
-    def at(self, t_s: float) -> ObjectState:
-        return self.lie(self._path.at(t_s), t_s)
-
-
-def jumps(state: ObjectState, t_s: float) -> ObjectState:
-    T = state.T_world_object.copy()
-    T[0, 3] += 0.05 * (t_s > 0.42)
-    return ObjectState(T, state.twist, state.acceleration)
+    assert name in ("contact.joint", "contact.stuck", "contact.hand")
 
 
 def carrying(plant: FailingPlant) -> tuple[ControlStack, Path]:
@@ -336,7 +280,7 @@ def test_an_object_path_that_changes_after_it_was_accepted_is_a_soft_stop(
     assert np.abs(plant.v).max() > 0.1
     path.lie = lie
     error = stopped(plant, stack)
-    assert error.reflex.name == "controller_failed"
+    assert error.reflex.label == "controller_failed"
     assert named in error.message
 
 

@@ -22,12 +22,20 @@ from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor
 from tests.control.test_again import APART
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
 from tests.control.test_late import Slow
-from tests.control.test_lies import CLOSED, OPEN, run, supervised
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import HOME, Q_UPPER
+from tests.support.stacks import (
+    CLOSED,
+    OPEN,
+    Arms,
+    hand_over,
+    move,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+)
 
 COARSE = [(20, 1e-3), (16, 2e-3)]
 
@@ -110,7 +118,7 @@ def test_one_joint_that_freezes_alone_at_rest_is_still_named(
         stuck = float(plant.__dict__[name][joint])
         plant.lies[name] = lambda x, stuck=stuck: np.where(np.arange(14) == joint, stuck, x)
     assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.8 * APART, 0.8))) is None
-    assert run(stack, 90) == ["implausible_measurement"]
+    assert run(stack, 90) == ["measurement.implausible"]
     assert np.abs(plant.__dict__["v"][joint]) < 0.2
 
 
@@ -202,7 +210,7 @@ def test_a_stop_believes_no_reading_far_from_what_the_fingers_were_told(
     assert 0.01 < told_m[0] < 0.03
     plant.lies |= {"q": lambda q: 0.0 * q, "v": lambda v: 0.0 * v}
     plant.fingers = np.full(2, wrong_m)
-    assert run(stack, 1) == ["implausible_measurement"]
+    assert run(stack, 1) == ["measurement.implausible"]
     assert np.abs(stack.grippers.targets_m - told_m).max() < 0.0051
 
 
@@ -285,7 +293,7 @@ def test_an_arm_whose_power_returned_before_the_clock_began_anew_is_watched(
     stack.recover()
     assert run(stack, 100) == []
     plant.pushed = 60.0 * np.eye(14)[10]
-    assert run(stack, 10) == ["joint_contact"]
+    assert run(stack, 10) == ["contact.joint"]
 
 
 def course(times: list[float], q: list[float], v: list[float], joint: int) -> Trajectory:

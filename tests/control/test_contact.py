@@ -9,12 +9,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from minidual.control.senses import ContactSense, Expected
 
 from minidual.config.control import CarryConfig, SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand
 from minidual.control.reflexes import Reflex, ReflexError
-from minidual.control.senses import ContactSense, Expected
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.motion.ik import posture_at
@@ -101,7 +101,7 @@ def test_a_target_under_the_table_does_not_press_for_ever(world: World, supervis
         assert np.mean(forces[-100:]) > 60.0
     else:
         assert error is not None
-        assert error.name in ("joint_contact", "cartesian_contact")
+        assert error.name in ("contact.joint", "contact.hand")
         assert error.time_s - touched_s < 0.05
         assert np.mean(forces[-100:]) < 25.0
 
@@ -160,15 +160,15 @@ def _left_hand(how: str) -> Change:
 
 FAULTS: dict[str, tuple[Change, tuple[str, ...], float]] = {
     **{
-        f"joint {j + 1} sticks": (_sticks(j), ("joint_stuck", "joint_contact"), 0.01)
+        f"joint {j + 1} sticks": (_sticks(j), ("contact.stuck", "contact.joint"), 0.01)
         for j in (1, 3, 5, 8)
     },
     **{
-        f"pushed along {'xyz'[a]}": (_pushed(a), ("joint_contact", "cartesian_contact"), 0.02)
+        f"pushed along {'xyz'[a]}": (_pushed(a), ("contact.joint", "contact.hand"), 0.02)
         for a in range(3)
     },
     **{
-        f"encoder {j + 1} jumps": (_jumps(j), ("implausible_measurement",), 0.001)
+        f"encoder {j + 1} jumps": (_jumps(j), ("measurement.implausible",), 0.001)
         for j in (0, 1, 3, 5)
     },
     "a hand opens": (_left_hand("opens"), ("gripper_opened",), 0.01),
@@ -205,7 +205,7 @@ def test_a_fault_in_a_carry_is_named_as_what_it_is(faulty: FaultyWorld, what: st
     assert carry.fault is not None
     assert carry.stack.reflex is not None
     reflex: Any = carry.stack.reflex
-    assert reflex.reflex.name in names, carry.fault.text
+    assert reflex.reflex.label in names, carry.fault.text
     assert carry.fault.at_s - onset_s <= within_s + 1e-9
     assert "reflex" in carry.fault.name
 
@@ -220,7 +220,7 @@ def test_a_joint_that_sticks_at_01_to_03_rad_per_s_is_named_in_4_ms(
     """Before: `slip` or `gripper_opened`, 16 to 32 ms after the arms had torn at the object."""
     carry, onset_s = _carried(faulty, _sticks(joint), after_s)
     reflex: Any = carry.stack.reflex
-    assert reflex.reflex.name == "joint_stuck"
+    assert reflex.reflex.label == "contact.stuck"
     assert reflex.reflex.where.split(",")[0] == DUAL_PANDA.joint_names[joint]
     assert reflex.reflex.time_s - onset_s <= 0.004 + 1e-9
 

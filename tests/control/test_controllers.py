@@ -9,7 +9,7 @@ import pytest
 
 from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand, TrajectoryCommand
+from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.impedance import (
     HeldObject,
@@ -31,57 +31,7 @@ from minidual.robot.trajectory import Trajectory
 from tests.support.arm_scripts import pinch_rod
 from tests.support.control_plant import ArmsPlant, HandsObject, TrueObject
 from tests.support.panda import A_MAX, HOME, V_MAX
-
-OPEN = np.ones(2)
-PAIR = ("left_arm", "right_arm")
-
-
-def move(a: Array, b: Array, duration_s: float, group: str = "both_arms") -> Trajectory:
-    """A rest-to-rest trajectory at 1 kHz."""
-    n = round(1000 * duration_s)
-    blend = np.array([minimum_jerk(k / n) for k in range(n + 1)])
-    step = b - a
-    return Trajectory(
-        np.arange(n + 1) * 1e-3,
-        a + blend[:, :1] * step,
-        blend[:, 1:2] * step / duration_s,
-        blend[:, 2:] * step / duration_s**2,
-        group,
-    )
-
-
-class Attended(ControlStack):
-    """A stack whose driving source says all the time that it is there, until it dies."""
-
-    dead = False
-
-    def step(self) -> None:
-        if self.source is not None and not self.dead:
-            self.affirm(self.source)
-        super().step()
-
-
-def stack_on(plant: Any, **options: Any) -> Attended:
-    return Attended(plant, Kinematics(), **options)
-
-
-def hand_over(stack: ControlStack, mode: str, controllers: Any = None) -> None:
-    stack.request(mode, controllers)
-    for _ in range(700):
-        stack.step()
-        if stack.source == mode:
-            return
-    raise AssertionError(f"{mode} was not handed over: {stack.state}, {stack.refusals}")
-
-
-def trajectory(
-    stack: ControlStack,
-    motion: Any,
-    sequence: int = 1,
-    **fields: Any,
-) -> TrajectoryCommand:
-    fields = {"gripper": OPEN, "stamp_s": stack.plant.time, "sequence": sequence, **fields}
-    return TrajectoryCommand(motion, **fields)
+from tests.support.stacks import OPEN, PAIR, hand_over, move, stack_on, trajectory
 
 
 @pytest.fixture
@@ -934,7 +884,7 @@ def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(
     assert np.abs(hard.v).max() < V_MAX.min()
     assert (np.abs(hard.a).max(axis=0) > 0.5 * A_MAX).any()
     assert stack.propose("moveit", trajectory(stack, hard, 2)) is None
-    with pytest.raises(ReflexError, match="reference_acceleration"):
+    with pytest.raises(ReflexError, match="reference.acceleration"):
         _run_out(stack)
 
     world.reset()

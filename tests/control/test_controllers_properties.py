@@ -35,9 +35,9 @@ from minidual.control.stack import ControlStack
 from minidual.errors import DataError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-from tests.control.test_controllers import move
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import GROUPS, HOME, V_MAX
+from tests.support.stacks import move
 
 Event = tuple[Any, ...]
 CONFIG = ArbiterConfig()

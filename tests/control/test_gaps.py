@@ -12,13 +12,20 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, TrajectoryCommand
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from tests.control.test_broken import FailingPlant
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
-from tests.control.test_lies import CLOSED, run, supervised
-from tests.control.test_recover import Carried
+from tests.support.carried_rod import Carried
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import HOME
+from tests.support.stacks import (
+    CLOSED,
+    Arms,
+    FailingPlant,
+    hand_over,
+    move,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+)
 
 JOINT_2 = np.eye(14)[1]
 

@@ -16,13 +16,19 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.tasks.catalogue import make_task
-from tests.control.test_broken import FailingPlant, breaks, under_way
-from tests.control.test_controllers import hand_over, stack_on
-from tests.control.test_driver import Arms
 from tests.control.test_gaps import Gap
-from tests.control.test_lies import run, supervised
-from tests.control.test_recover import Carried
+from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
+from tests.support.stacks import (
+    Arms,
+    FailingPlant,
+    breaks,
+    hand_over,
+    run,
+    stack_on,
+    supervised,
+    under_way,
+)
 
 V_MAX = Kinematics().robot.v_max
 AWAY = HOME + 0.3
@@ -57,7 +63,7 @@ def test_one_packet_with_position_and_velocity_wrong_moves_no_resting_arm(
     stack = supervised(plant)
     assert run(stack, 200) == []
     plant.lies.update(q=off_by(joint, dq), v=off_by(joint, dv))
-    assert run(stack, 1) == ["implausible_measurement"]
+    assert run(stack, 1) == ["measurement.implausible"]
     plant.lies.clear()
     fastest = share_of_limit(plant, stack)
     assert fastest < 0.02
@@ -74,7 +80,7 @@ def test_it_moves_no_rod_in_the_hands(world: World, dq: float, dv: float) -> Non
     carried.run(1)
     gap.instead.clear()
     carried.run(1000)
-    assert carried.names == ["implausible_measurement"]
+    assert carried.names == ["measurement.implausible"]
     assert carried.height_m > 0.145
     assert world.grip.min() > 55.0
 

@@ -26,9 +26,9 @@ from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
-from tests.control.test_controllers import PAIR, hand_over, move, stack_on, trajectory
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import A_MAX, HOME
+from tests.support.stacks import PAIR, hand_over, move, stack_on, trajectory
 
 STOPPING = ("soft_stop",)
 CLOSED = np.zeros(2)

@@ -21,9 +21,9 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array, inverse, pose, rot_x, rot_z
-from tests.control.test_controllers import OPEN, hand_over, move, stack_on, trajectory
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import HOME, TAU_RATE_MAX
+from tests.support.stacks import OPEN, hand_over, move, stack_on, trajectory
 
 RIGHT = slice(7, 14)
 SOFT = ("left_arm", "right_hand")

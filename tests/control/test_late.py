@@ -16,12 +16,19 @@ from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
-from tests.control.test_broken import FailingPlant
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
-from tests.control.test_lies import CLOSED, run, supervised
-from tests.control.test_recover import Carried
+from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
+from tests.support.stacks import (
+    CLOSED,
+    Arms,
+    FailingPlant,
+    hand_over,
+    move,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+)
 
 WAY = np.tile([0.8, 0.4, 0.0, 0.5, 0.0, 0.4, 0.5], 2)
 
@@ -150,7 +157,7 @@ def test_a_sensor_that_freezes_among_overtaken_packets_is_still_named(scene: Sce
         return q, v, stamp_s
 
     net._last = stuck
-    assert run(stack, 100)[:1] == ["implausible_measurement"]
+    assert run(stack, 100)[:1] == ["measurement.implausible"]
 
 
 def test_measurements_that_are_always_late_are_named_by_their_age(scene: SceneConfig) -> None:
@@ -365,4 +372,4 @@ def test_a_push_at_100_hz_is_named_as_one(scene: SceneConfig, kinematics: Kinema
     stack = supervised(plant)
     assert run(stack, 30) == []
     plant.pushed = 100.0 * kinematics.tcp_jacobians(HOME)[0][1]
-    assert run(stack, 3) == ["joint_contact"]
+    assert run(stack, 3) == ["contact.joint"]

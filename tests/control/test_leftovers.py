@@ -16,12 +16,22 @@ from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from tests.control.test_broken import FailingPlant, under_way
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms, Driver
-from tests.control.test_lies import CLOSED, OPEN, run, supervised
-from tests.control.test_recover import Carried
+from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
+from tests.support.random_driver import Driver
+from tests.support.stacks import (
+    CLOSED,
+    OPEN,
+    Arms,
+    FailingPlant,
+    hand_over,
+    move,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+    under_way,
+)
 
 WAY = np.array([0.9, 0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
 

@@ -10,36 +10,27 @@ import pytest
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.impedance import InHand, ObjectPath, ObjectState, Waypoint
-from minidual.control.reflexes import ReflexError
-from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
-from minidual.control.supervisor import Supervisor
+from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from tests.control.test_broken import FailingPlant, breaks, under_way
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
-from tests.control.test_recover import KINEMATICS, Carried
+from tests.support.carried_rod import KINEMATICS, Carried
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import HOME
-
-OPEN = np.ones(2)
-CLOSED = np.zeros(2)
-
-
-def supervised(plant: ArmsPlant, **options: Any) -> ControlStack:
-    return stack_on(plant, supervisor=Supervisor(dt_s=plant.dt), **options)
-
-
-def run(stack: ControlStack, ticks: int) -> list[str]:
-    """Step; return the names of the reflexes."""
-    names = []
-    for _ in range(ticks):
-        try:
-            stack.step()
-        except ReflexError as error:
-            names.append(error.reflex.name)
-    return names
+from tests.support.stacks import (
+    CLOSED,
+    OPEN,
+    Arms,
+    FailingPlant,
+    breaks,
+    hand_over,
+    move,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+    under_way,
+)
 
 
 @pytest.mark.parametrize("glitch_rad_per_s", [1.0, 2.0])

@@ -23,11 +23,9 @@ from minidual.skills.operator import ScriptedOperator
 from minidual.skills.phases import Segment
 from minidual.skills.pipeline.drive import Drive
 from tests.control.test_again import APART, WIDE, in_motion
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
-from tests.control.test_lies import OPEN, run, supervised
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.panda import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX
+from tests.support.stacks import OPEN, Arms, hand_over, move, run, stack_on, supervised, trajectory
 
 RIGHT = np.arange(14) >= 7
 
@@ -170,7 +168,7 @@ def test_power_that_returns_to_an_arm_on_its_brakes_is_no_contact(scene: SceneCo
     plant.pushed[8] = (
         40.0  # the negative control: after a tenth of a second the arm is watched again
     )
-    assert set(run(stack, 200)) & {"joint_contact", "cartesian_contact"}
+    assert set(run(stack, 200)) & {"contact.joint", "contact.hand"}
 
 
 @pytest.mark.parametrize("how", ["stop", "halt"])

@@ -12,11 +12,9 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from tests.control.test_controllers import hand_over
-from tests.control.test_driver import Arms
-from tests.control.test_lies import CLOSED, OPEN, run, supervised
-from tests.control.test_recover import Carried
+from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
+from tests.support.stacks import CLOSED, OPEN, Arms, hand_over, run, supervised
 
 
 def test_the_first_torque_of_a_stop_does_not_wait_for_the_callback(scene: SceneConfig) -> None:
@@ -116,7 +114,7 @@ def test_an_object_that_is_not_measured_is_named_in_the_same_tick(
         carried.sensor.__dict__.update(spoilt)
     with pytest.raises(ReflexError) as caught:
         carried.stack.step()
-    assert caught.value.reflex.name == "controller_failed"
+    assert caught.value.reflex.label == "controller_failed"
     assert what in caught.value.message
     assert "what measures it" in str(caught.value.__cause__)
     carried.run(1500)

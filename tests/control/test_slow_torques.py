@@ -9,10 +9,8 @@ from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.supervisor import Supervisor
 from minidual.robot.kinematics import Kinematics
-from tests.control.test_controllers import hand_over, move, stack_on, trajectory
-from tests.control.test_driver import Arms
-from tests.control.test_lies import run
 from tests.support.panda import HOME
+from tests.support.stacks import Arms, hand_over, move, run, stack_on, trajectory
 
 WAY = np.tile([0.5, 0.3, 0.0, 0.4, 0.0, 0.4, 0.5], 2)
 
@@ -64,11 +62,11 @@ def swing(scene: SceneConfig, told_s: float, push: np.ndarray | None = None) -> 
 
 
 def test_torques_that_act_late_are_no_contact_once_told(scene: SceneConfig) -> None:
-    assert swing(scene, 0.0)[:1] in (["cartesian_contact"], ["joint_contact"])
+    assert swing(scene, 0.0)[:1] in (["contact.hand"], ["contact.joint"])
     assert swing(scene, 0.02) == []
 
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_a_push_is_still_named(scene: SceneConfig, kinematics: Kinematics, arm: int) -> None:
     push = 60.0 * kinematics.tcp_jacobians(HOME)[arm][1]
-    assert swing(scene, 0.02, push)[:1] in (["cartesian_contact"], ["joint_contact"])
+    assert swing(scene, 0.02, push)[:1] in (["contact.hand"], ["contact.joint"])

@@ -14,9 +14,9 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
-from tests.control.test_controllers import OPEN, hand_over, move, stack_on, trajectory
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import A_MAX, HOME, V_MAX
+from tests.support.stacks import OPEN, hand_over, move, stack_on, trajectory
 
 SLOW = ArbiterConfig(speed_override=0.1)
 STEP = np.where(np.arange(14) % 7 == 0, 0.1, 0.025)

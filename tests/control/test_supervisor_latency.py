@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from minidual.control.senses import EVERY, Expected
 
 from minidual.config.control import SupervisorConfig
 from minidual.control.reflexes import REFLEXES, ReflexError
-from minidual.control.senses import EVERY, Expected
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -56,9 +56,9 @@ class Timed(GuardedArms):
     def latency_ms(self, name: str) -> float:
         assert self.error is not None
         names = (
-            {name, "joint_contact"} if name == "joint_stuck" else {name}
+            {name, "contact.joint"} if name == "contact.stuck" else {name}
         )  # it has to come to a stand first
-        assert self.error.reflex.name in names, self.error.message
+        assert self.error.reflex.label in names, self.error.message
         return 1e3 * (
             self.world.time - self.world.dt - self.onset_s
         )  # one step was made after the reflex
@@ -314,12 +314,12 @@ def stale_command(world: World) -> Timed:
 
 MAKERS = {k: v for k, v in globals().items() if k in REFLEXES}
 MAKERS |= {
-    "reference_acceleration": reference(),
-    "reference_jerk": reference(jerk_reflex=True),
-    "joint_contact": pushed("left_panda_link5", (0.0, 100.0, 0.0)),
-    "cartesian_contact": pushed("right_panda_hand", (0.0, 0.0, 30.0)),
+    "reference.acceleration": reference(),
+    "reference.jerk": reference(jerk_reflex=True),
+    "contact.joint": pushed("left_panda_link5", (0.0, 100.0, 0.0)),
+    "contact.hand": pushed("right_panda_hand", (0.0, 0.0, 30.0)),
     "not_finite": measured(not_finite),
-    "implausible_measurement": measured(jumps),
+    "measurement.implausible": measured(jumps),
 }
 
 
@@ -327,18 +327,18 @@ PHASES = (0, 3, 6, 9)
 """Ticks of the first slow check, 10 ms apart; of the contact checks, 4 ms apart, they are all phases."""
 MOST_MS = {
     **dict.fromkeys(REFLEXES, 0.0),  # in the tick that has the value
-    **dict.fromkeys(("joint_position", "tcp_speed", "workspace"), 10.0),
-    **dict.fromkeys(("joint_contact", "joint_stuck"), 10.0),
+    **dict.fromkeys(("joint_position", "speed.hand", "workspace"), 10.0),
+    **dict.fromkeys(("contact.joint", "contact.stuck"), 10.0),
     **{
-        "cartesian_contact": 30.0,
+        "contact.hand": 30.0,
         "tracking_error": 54.0,
         "gripper_opened": 4.0,
-        "stopping_distance": -10.0,
+        "clearance.stop": -10.0,
     },
     **{
         "torque_rate": 51.0,
-        "torque_saturation": 21.0,
-        "stale_measurement": 21.0,
+        "torque.saturation": 21.0,
+        "measurement.stale": 21.0,
         "stale_command": 101.0,
     },
 }
@@ -379,4 +379,4 @@ def test_a_row_that_is_missing_or_wrong_is_seen() -> None:
         [-18.0, -10.0],
     ]
     with pytest.raises(AssertionError, match="no row of tcp_speed"):
-        told_ms(page, "tcp_speed")
+        told_ms(page, "speed.hand")

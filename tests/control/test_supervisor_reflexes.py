@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from minidual.control.senses import Expected
 
 from minidual.config.control import SupervisorConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.reflexes import REFLEXES, Reach, Reflex, ReflexError
-from minidual.control.senses import Expected
 from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
@@ -125,7 +125,7 @@ def nearest():
 
 def must_trip(error: ReflexError | None, name: str, where: str = "") -> Reflex:
     assert error is not None, f"no {name}"
-    assert error.reflex.name == name, error.reflex.text
+    assert error.reflex.label == name, error.reflex.text
     assert where in error.reflex.where
     assert error.remedy is not None
     assert error.remedy.startswith(REFLEXES[name].remedy)
@@ -159,7 +159,7 @@ class TestReflexes:
         set_up = arms()
         reflex = must_trip(
             set_up.run(1.0, accelerate(6, 12.0)),
-            "joint_velocity",
+            "speed.joint",
             "left_panda_joint7",
         )
         assert V_MAX[6] < reflex.value < V_MAX[6] + 0.1
@@ -167,7 +167,7 @@ class TestReflexes:
     def test_torque_range(self, arms):
         reflex = must_trip(
             arms().run(0.1, torque=lambda t, tau: tau + 200.0 * np.eye(DOF)[8]),
-            "torque_range",
+            "torque.range",
         )
         assert reflex.where == JOINT_NAMES[8]
         assert reflex.value > reflex.bound == TAU_MAX[8]
@@ -176,34 +176,34 @@ class TestReflexes:
         chatter = 5.0 * np.eye(DOF)[2]
         set_up = arms()
         error = set_up.run(1.0, torque=lambda t, tau: tau + chatter * (-1) ** round(t * 1e3))
-        reflex = must_trip(error, "torque_rate", "left_panda_joint3 for 50 ms")
+        reflex = must_trip(error, "torque.rate", "left_panda_joint3 for 50 ms")
         assert abs(reflex.value) > reflex.bound == TAU_RATE_MAX
         assert 0.05 <= reflex.time_s <= 0.053
 
     def test_torque_saturation_after_20_ms(self, arms):
         reflex = must_trip(
             arms().run(0.2, torque=lambda t, tau: np.where(np.arange(DOF) == 7, TAU_MAX, tau)),
-            "torque_saturation",
+            "torque.saturation",
             "right_panda_joint1 for 20 ms",
         )
         assert reflex.time_s == pytest.approx(0.020, abs=1e-9)
 
     def test_reference_acceleration(self, arms):
         error = arms().run(0.1, accelerate(1, 7.6), tell_reference=True)
-        assert must_trip(error, "reference_acceleration", "joint2").bound == 7.5
+        assert must_trip(error, "reference.acceleration", "joint2").bound == 7.5
 
     def test_reference_jerk_where_it_is_a_reflex(self, arms):
         profile = accelerate(0, 10.0, until_s=0.05)
         assert arms().run(0.2, profile, tell_reference=True) is None
         world = arms(jerk_reflex=True)
         world.world.reset()
-        reflex = must_trip(world.run(0.2, profile, tell_reference=True), "reference_jerk", "joint1")
+        reflex = must_trip(world.run(0.2, profile, tell_reference=True), "reference.jerk", "joint1")
         assert abs(reflex.value) == pytest.approx(10_000.0)
 
     def test_tcp_speed(self, arms):
         reflex = must_trip(
             arms(tcp_speed_max_m_per_s=0.3).run(1.0, accelerate(0, 3.0)),
-            "tcp_speed",
+            "speed.hand",
             "left",
         )
         assert 0.3 < reflex.value < 0.35
@@ -218,7 +218,7 @@ class TestReflexes:
                 before=_push(set_up.world, "left_panda_link5", (0.0, newtons, 0.0)),
             )
             assert (error is not None) == (newtons > 50.0)
-        reflex = must_trip(error, "joint_contact", "free motion")
+        reflex = must_trip(error, "contact.joint", "free motion")
         assert 0.1 < reflex.time_s <= 0.112
         assert abs(reflex.value) > reflex.bound == pytest.approx(0.15 * 87.0)
         set_up.world.data.xfrc_applied[:] = 0.0
@@ -236,7 +236,9 @@ class TestReflexes:
             world.model.dof_damping[dof] = 1e5 if t > 0.0995 else 0.1
 
         begin_swing(world)
-        reflex = must_trip(set_up.run(0.2, swing, before=block), "joint_stuck", JOINT_NAMES[joint])
+        reflex = must_trip(
+            set_up.run(0.2, swing, before=block), "contact.stuck", JOINT_NAMES[joint]
+        )
         assert 0.1 < reflex.time_s <= 0.106
 
     def test_cartesian_contact_where_a_hand_is_pushed(self, arms):
@@ -248,7 +250,7 @@ class TestReflexes:
                 before=_push(set_up.world, "right_panda_hand", (0.0, 0.0, newtons)),
             )
             assert (error is not None) == (newtons > 20.0)
-        reflex = must_trip(error, "cartesian_contact", "the right hand, free motion")
+        reflex = must_trip(error, "contact.hand", "the right hand, free motion")
         assert reflex.value > reflex.bound == 20.0
 
     def test_tracking_error_of_a_joint_without_drive(self, arms):
@@ -293,7 +295,9 @@ class TestReflexes:
     def test_workspace_is_left_by_nobody(self, arms):
         box = ((-0.7, 1.1), (-1.1, 0.4), (-0.005, 1.3))
         set_up = arms(workspace_m=box)
-        reflex = must_trip(set_up.run(2.0, accelerate(0, 1.0)), "workspace", "y of the left hand")
+        reflex = must_trip(
+            set_up.run(2.0, accelerate(0, 1.0)), "clearance.workspace", "y of the left hand"
+        )
         assert reflex.bound == 0.4
         assert set_up.controller is not None
         hand = set_up.supervisor._kinematics.tcp_poses(set_up.world.q)[0]
@@ -310,7 +314,7 @@ class TestReflexes:
         assert any("left" in a and "right" in b for a, b, _ in bare.world.contact_pairs())
         set_up = arms(nearest, self_collision_min_m=0.03)
         set_up.world.reset()
-        reflex = must_trip(set_up.run(2.2, converge), "self_collision", "with")
+        reflex = must_trip(set_up.run(2.2, converge), "clearance.arms", "with")
         assert "left" in reflex.where
         assert "right" in reflex.where
         assert 0.02 < reflex.value < 0.03
@@ -324,7 +328,7 @@ class TestReflexes:
         set_up = arms(clearance=SceneClearance(DUAL_PANDA))
         reflex = must_trip(
             set_up.run(2.0, accelerate(1, 3.0, until_s=0.3)),
-            "stopping_distance",
+            "clearance.stop",
             "with table",
         )
         assert reflex.value < reflex.bound
@@ -421,7 +425,7 @@ class TestReflexes:
                 tau = error.tau
             set_up._apply(tau)
             assert np.abs(world.v).max() < 1.3  # 31 rad/s before
-        reflex = must_trip(stopped, "stale_measurement")
+        reflex = must_trip(stopped, "measurement.stale")
         assert reflex.time_s == pytest.approx(0.041, abs=0.0011)
         assert np.abs(world.v).max() < 0.02
 
@@ -539,7 +543,7 @@ class TestStop:
         error = set_up.run(0.1, swing, senses=senses)
         must_trip(error, "not_finite") if what in LOSSES else must_trip(
             error,
-            "implausible_measurement",
+            "measurement.implausible",
             what,
         )
         speed, way = set_up.go_on(1.0, senses=senses)
@@ -561,7 +565,7 @@ class TestStop:
 
     def test_an_emergency_stop_under_another_reflex_outlives_the_reset(self, arms):
         set_up = arms()
-        must_trip(set_up.run(1.0, accelerate(6, 12.0)), "joint_velocity")
+        must_trip(set_up.run(1.0, accelerate(6, 12.0)), "speed.joint")
         set_up.supervisor.estop("red button")
         set_up.go_on(0.5)
         set_up.supervisor.reset()

@@ -83,7 +83,7 @@ def test_the_arms_rest_before_they_touch(
     arms = guarded(world, start, SceneClearance(DUAL_PANDA))
     error = arms.run(7.0, towards(start, way, speed))
     assert error is not None
-    assert error.reflex.name == "stopping_distance", error.reflex.text
+    assert error.reflex.label == "clearance.stop", error.reflex.text
     assert parts <= set(error.reflex.where.split(" with ")), error.reflex.text
     assert not touches(arms)
 
@@ -92,7 +92,7 @@ def test_without_the_look_ahead_they_touch(world: World) -> None:
     arms = guarded(world, APART, None)
     error = arms.run(2.0, towards(APART, -BOTH[0], 0.73))
     assert error is not None
-    assert error.reflex.name == "self_collision"
+    assert error.reflex.label == "clearance.arms"
     assert touches(arms, 0.6)
 
 
@@ -154,7 +154,7 @@ def test_a_clearance_that_fails_is_named_and_the_arms_stop(world: World) -> None
 
     error = guarded(world, HOME, Broken(DUAL_PANDA)).run(0.1)
     assert error is not None
-    assert error.reflex.name == "controller_failed"
+    assert error.reflex.label == "controller_failed"
     assert "ZeroDivisionError: no scene" in error.message
 
 

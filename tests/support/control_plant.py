@@ -38,6 +38,7 @@ class ArmsPlant:
         self.q = np.array(HOME if q is None else q, dtype=float)
         self.v = np.zeros(14)
         self.steps = 0
+        self.brake(())
         self.torques.clear()
 
     @property
@@ -53,10 +54,17 @@ class ArmsPlant:
         self.tau = np.array(tau, dtype=float)
         self.torques.append(self.tau)
 
+    def brake(self, arms: tuple[int, ...]) -> None:
+        self.braked = np.repeat([arm in arms for arm in (0, 1)], 7)
+
     def step(self) -> None:
         model = self._kinematics.model
         data = self._kinematics.data
-        a = pin.aba(model, data, self.q, self.v, self.tau - JOINT_DAMPING * self.v)
+        tau = self.tau - JOINT_DAMPING * self.v
+        if self.braked.any():
+            gravity = pin.computeGeneralizedGravity(model, data, self.q)
+            tau = np.where(self.braked, gravity - 50.0 * self.v, tau)
+        a = pin.aba(model, data, self.q, self.v, tau)
         self.v = self.v + self.dt * np.array(a)
         self.q = self.q + self.dt * self.v
         self.steps += 1

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from minidual.control.joint_control import ComputedTorque
+from minidual.control.measurement import Measurement, Reader
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
@@ -18,6 +19,41 @@ OPEN_M = np.full(2, 0.04)
 Reference = Callable[[float], tuple[Array, Array, Array]]
 Torque = Callable[[float, Array], Array]
 Senses = Callable[[float, Array, Array], tuple[Array, Array]]
+
+
+class SensedPlant:
+    """A world whose joint readings pass through `senses(time, q, v)`."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.robot = world.robot
+        self.dt = world.dt
+        self.health = ""
+        self.senses: Senses = lambda _t, q, v: (q, v)
+
+    @property
+    def time(self) -> float:
+        return self._world.time
+
+    @property
+    def stamp_s(self) -> float:
+        return self._world.time
+
+    @property
+    def q(self) -> Array:
+        return self.senses(self.time, self._world.q, self._world.v)[0]
+
+    @property
+    def v(self) -> Array:
+        return self.senses(self.time, self._world.q, self._world.v)[1]
+
+    @property
+    def fingers(self) -> Array:
+        return self._world.fingers
+
+    @property
+    def grip(self) -> Array:
+        return self._world.grip
 
 
 class GuardedArms:
@@ -32,6 +68,10 @@ class GuardedArms:
         self.world = world
         self.supervisor = supervisor
         self.controller = ComputedTorque(Kinematics(), natural_frequency_rad_s=30.0)
+        self.plant = SensedPlant(world)
+        self._reader = Reader(self.plant, supervisor.config)
+        self._measured = self._reader.reset()
+        self._last = np.array(Kinematics().gravity(world.q))
         self.applied: list[Array] = []
         self.error: ReflexError | None = None
 
@@ -51,12 +91,15 @@ class GuardedArms:
         """
         for _ in range(round(seconds / self.world.dt)):
             t = self.world.time
-            q, v = senses(t, self.world.q, self.world.v)
             before(t)
+            measurement = self._read(senses)
+            q = measurement.q
+            v = measurement.v
             q_ref, v_ref, a_ref = hold(HOME)(t) if reference is None else reference(t)
             tau = torque(t, self.controller.torque(q, v, q_ref, v_ref, a_ref))
             try:
-                tau = self.supervisor.guard(t, q, v, tau, a_ref if tell_reference else None)
+                a_told = a_ref if tell_reference else None
+                tau = self.supervisor.guard(measurement, tau, self._last, a_told)
             except ReflexError as error:
                 self.error = error
                 tau = error.tau
@@ -78,14 +121,21 @@ class GuardedArms:
         speeds = []
         ways = []
         for _ in range(round(seconds / self.world.dt)):
-            t = self.world.time
-            self._apply(self.supervisor.guard(t, *senses(t, self.world.q, self.world.v), mad))
+            self._apply(self.supervisor.guard(self._read(senses), mad, self._last))
             speeds.append(np.abs(self.world.v).reshape(2, -1).max(axis=1))
             ways.append(np.abs(self.world.q - began).reshape(2, -1).max(axis=1))
         return np.max(speeds, axis=0), np.max(ways, axis=0)
 
+    def _read(self, senses: Senses) -> Measurement:
+        self.plant.senses = senses
+        self._measured = self._reader.read(self._last, self.supervisor.observer.needed)
+        return self._measured
+
     def _apply(self, tau: Array) -> None:
-        self.applied.append(np.array(tau))
+        self._last = np.array(tau)
+        self.applied.append(self._last)
+        if self.error is not None and self._reader.braking_due:
+            self.world.brake(self._measured.blind_arms)
         self.world.command(tau, OPEN_M)
         self.world.step()
 

@@ -72,7 +72,7 @@ def _steps(method: Any, limit: int) -> int:
 
 @pytest.mark.parametrize(
     ("config", "reflex"),
-    [(FRAIL, "joint_velocity"), (SupervisorConfig(), "")],
+    [(FRAIL, "speed.joint"), (SupervisorConfig(), "")],
 )
 def test_a_reflex_ends_the_trial_of_a_policy(
     world: World,
@@ -171,7 +171,7 @@ def test_a_reflex_is_a_fault_of_a_carry_and_the_supervisor_stops_the_arms(world:
     result, _ = bench.run(trial, on_step=lambda _, method: phases.add(method.phase))
     assert not result.success
     assert "reflex" in result.aborted
-    assert "joint_velocity" in result.aborted
+    assert "speed.joint" in result.aborted
     assert "stop" in phases
     assert bench.world.gripper.min() > 0.9, "a hand that had nothing to do with it closed"
     assert np.abs(bench.world.v).max() < 0.01

@@ -75,8 +75,9 @@ class Measurement(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What the plant says in one tick, unchecked; see `Measurement`."""
+    """What the plant says in one tick, unchecked; `health` as in `Plant`, the others as in `Measurement`."""
 
+    health: str
     time_s: float
     stamp_s: float
     q: Array
@@ -111,15 +112,14 @@ class Reader:
         Raises:
             UsageError: The plant is ill, or its joints or hands are not measured.
         """
-        plant = self._plant
-        if plant.health:
-            raise UsageError(f"the plant cannot be driven: {plant.health}", remedy="mend it first")
         try:
             readings = self._read_all()
         except Exception as error:
             reason = f"{type(error).__name__}: {error}"
             raise UsageError(f"the plant is not measured: {reason}") from error
-        time_s, stamp_s, q, v, fingers_m, grip_n = readings
+        health, time_s, stamp_s, q, v, fingers_m, grip_n = readings
+        if health:
+            raise UsageError(f"the plant cannot be driven: {health}", remedy="mend it first")
         if not np.isfinite(q + v).all():
             raise UsageError(f"the arms are not measured: positions {q} rad, velocities {v} rad/s")
         if not np.isfinite(fingers_m + grip_n).all():
@@ -153,11 +153,10 @@ class Reader:
         try:
             readings = self._read_all()
         except Exception as error:
-            fault = MeasurementFault("plant_failed", "", f"{type(error).__name__}: {error}")
-            readings = self._read_each()
-        time_s, stamp_s, q, v, fingers_m, grip_n = readings
-        if self._plant.health:
-            fault = MeasurementFault("plant_failed", "", self._plant.health)
+            readings = self._read_each(f"{type(error).__name__}: {error}")
+        health, time_s, stamp_s, q, v, fingers_m, grip_n = readings
+        if health:
+            fault = MeasurementFault("plant_failed", "", health)
 
         period_s = time_s - last.time_s
         fresh_s = stamp_s - last.stamp_s
@@ -219,6 +218,7 @@ class Reader:
     def _read_all(self) -> Readings:
         plant = self._plant
         return Readings(
+            plant.health,
             float(plant.time),
             float(plant.stamp_s),
             _array(plant.q, self._dof),
@@ -227,7 +227,7 @@ class Reader:
             _array(plant.grip, len(SIDES)),
         )
 
-    def _read_each(self) -> Readings:
+    def _read_each(self, health: str) -> Readings:
         """Return what can be read, NaN for what cannot."""
         plant = self._plant
 
@@ -240,6 +240,7 @@ class Reader:
         no_joints = np.full(self._dof, math.nan)
         no_hands = np.full(len(SIDES), math.nan)
         return Readings(
+            health,
             attempt(lambda: float(plant.time), math.nan),
             attempt(lambda: float(plant.stamp_s), math.nan),
             attempt(lambda: _array(plant.q, self._dof), no_joints),

@@ -16,13 +16,21 @@ OPENING = (
     "missed_grasp",
     "knocked_away",
     "object_lost",
-    "lost_arm",
     "unreachable",
     "gripper_stuck",
 )
 """Faults after which the hands open."""
 _OF_PATHS = "singular", "joint_limit", "off_path"
-CLOSED = ("slip", "tilted", "sensor_lost", "reflex", "interrupted", "gripper_jitter", *_OF_PATHS)
+CLOSED = (
+    "lost_arm",
+    "slip",
+    "tilted",
+    "sensor_lost",
+    "reflex",
+    "interrupted",
+    "gripper_jitter",
+    *_OF_PATHS,
+)
 """Faults after which the hands keep their command."""
 
 

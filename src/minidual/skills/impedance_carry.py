@@ -122,7 +122,6 @@ class ImpedanceCarry:
         self._follows = True
         self._stop_s = 0.0
         self._told: Array | None = None
-        self._dead: tuple[int, ...] = ()
         self._broken: BaseException | None = None
         self._asked_for: str | None = None
         self._refusals_seen = 0
@@ -298,6 +297,9 @@ class ImpedanceCarry:
     def _executing(self) -> Iterator[None]:
         yield
         while self.stack.executing:
+            desired = self.stack.impedance.desired
+            if self.phase == "carry" and desired is not None and desired.twist[2] < 0.0:
+                self._supervisor.hold(None)  # lowered, the object may land early
             yield
 
     def _propose(self, phase: str, kind: Callable[..., Command], *what: object) -> None:
@@ -315,10 +317,8 @@ class ImpedanceCarry:
 
     def _look(self) -> None:
         self.watch.sense()
-        if self._told is not None and ((lost := self.watch.motors(self._told)) or self._dead):
-            self._halt(lost)
-            self._dead = self.watch.lost_arms
-            self.stack.switch_off(self._dead)
+        if self._told is not None:
+            self._halt(self.watch.motors(self._told))
         self._halt(self._sensed())
         if self.watch.grip_limit_n < np.inf:
             self.stack.grippers.firmer()
