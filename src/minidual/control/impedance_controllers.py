@@ -27,8 +27,10 @@ from minidual.robot.pair import SIDES, Array, inverse
 SQUEEZE_RATE_N_PER_S = 200.0
 """Largest squeeze rate; the grip limit acts at once."""
 _START = (0.02, 0.1)
+_CONTINUES = (0.001, 0.01)
 OFF_PATH = (0.04, 0.15)
-"""Largest distance [m] and angle [rad] between an object and a path where it starts, and on its way."""
+"""Largest distance [m] and angle [rad] between an object and a path where it starts, between a path and the end of the
+last one that it continues, and between an object and its path on the way."""
 SLOW_AT, _STOP_AT = np.array([[35.0, 0.1], [60.0, 0.02]])
 """Condition number of a hand's Jacobian [m, rad], and distance [rad] of a joint from its limit, where paths towards a
 singularity or a limit slow down and stop. Carries stay below 28 and above 0.19 rad."""
@@ -103,8 +105,17 @@ class ObjectImpedanceController(Controller):
         """Refuse all but object paths starting at the object."""
         if not isinstance(command, ObjectCommand):
             return super().refuses(command)
-        far = self._away(command.motion.at(0.0), _START)
+        start = command.motion.at(0.0)
+        bounds = OFF_PATH if self._continues(start) else _START
+        far = self._away(start, bounds)
         return ("far_start", f"the path starts {far}") if far else None
+
+    def _continues(self, start: ObjectState) -> bool:
+        """Return whether a path starts where the last one has ended, so that the spring is not stretched further."""
+        if self.desired is None:
+            return False
+        away_m, away_rad = apart(start.T_world_object, self.desired.T_world_object, self._way)
+        return away_m < _CONTINUES[0] and away_rad < _CONTINUES[1]
 
     def _away(
         self,

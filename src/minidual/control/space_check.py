@@ -31,6 +31,10 @@ class Clearance(Protocol):
         """Attach the object's shape to a hand at a pose (4, 4), besides what the other holds; None empties both."""
         ...
 
+    def lower(self) -> None:
+        """Let fingers and what they hold reach the table, where it is put down, until the next `hold`."""
+        ...
+
 
 class SpaceCheck:
     """Checks that need kinematics; `update` in each tick decides which are due."""

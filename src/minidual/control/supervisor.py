@@ -112,6 +112,11 @@ class Supervisor:
         if self._space_check.clearance is not None:
             self._space_check.clearance.hold(arm, T_tcp_shape)
 
+    def lower(self) -> None:
+        """See `Clearance`."""
+        if self._space_check.clearance is not None:
+            self._space_check.clearance.lower()
+
     def bear(self, weights_n: Sequence[float]) -> None:
         """Let stops bear these weights [N], one for each hand; the sequence is read in each tick."""
         self._stop.weights_n = weights_n

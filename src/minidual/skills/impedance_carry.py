@@ -299,7 +299,7 @@ class ImpedanceCarry:
         while self.stack.executing:
             desired = self.stack.impedance.desired
             if self.phase == "carry" and desired is not None and desired.twist[2] < 0.0:
-                self._supervisor.hold(None)  # lowered, the object may land early
+                self._supervisor.lower()  # the object may land early
             yield
 
     def _propose(self, phase: str, kind: Callable[..., Command], *what: object) -> None:

@@ -1,5 +1,6 @@
 """The supervisor of a trial."""
 
+import math
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -74,10 +75,21 @@ class SceneClearance:
         least_m[held, :] = least_m[:, held] = 0.0
         least_m[fingers, table] = least_m[table, fingers] = _FINGERS_TO_TABLE_M
         least_m[held, table] = least_m[table, held] = _HELD_TO_TABLE_M
+        lowered_m = least_m.copy()
+        at_table = [*fingers, *held]
+        lowered_m[at_table, table] = -math.inf
+        lowered_m[table, at_table] = -math.inf
+        self._usual_m = least_m
+        self._lowered_m = lowered_m
         self.hold(None)
+
+    def lower(self) -> None:
+        """See `Clearance`."""
+        self._least_m = self._lowered_m
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`."""
+        self._least_m = self._usual_m
         for index, name in enumerate(self._held):
             away = pose(np.eye(3), (0.0, 0.0, 100.0 * (1 + index)))
             if arm in (None, index):
