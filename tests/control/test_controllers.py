@@ -884,7 +884,7 @@ def test_the_supervisor_hears_the_arbiter_and_sees_the_commanded_acceleration(
     assert np.abs(hard.v).max() < V_MAX.min()
     assert (np.abs(hard.a).max(axis=0) > 0.5 * A_MAX).any()
     assert stack.propose("moveit", trajectory(stack, hard, 2)) is None
-    with pytest.raises(ReflexError, match="reference.acceleration"):
+    with pytest.raises(ReflexError, match=r"reference\.acceleration"):
         _run_out(stack)
 
     world.reset()
