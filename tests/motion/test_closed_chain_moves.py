@@ -36,7 +36,12 @@ from minidual.skills.cycle import thing_of
 from minidual.skills.held_execution import execute
 from minidual.stages.plan import held_checks
 from minidual.tasks.task import grasp_offsets
-from minidual.trials.planning.evaluate import plan_move, run_moves, table_plans, timed_residual
+from minidual.trials.planning.held_evaluate import (
+    plan_move,
+    run_moves,
+    table_plans,
+    timed_residual,
+)
 from minidual.trials.planning.held_moves import HeldMoveGenerator
 from tests.support.panda import HOME, Q_LOWER, Q_UPPER
 

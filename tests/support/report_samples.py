@@ -18,12 +18,8 @@ from minidual.gate.stage import StageContext
 from minidual.gate.verdict import Verdict, Waiver, build_manifest
 from minidual.show.report.figures import Figure, TrialRow, benchmark_figures
 from minidual.show.report.tables import Tables
-from minidual.trials.benchmark import (
-    BenchmarkCell,
-    compare_all,
-    compare_with_clean,
-    conditions_data,
-)
+from minidual.trials.benchmark import BenchmarkCell, conditions_data
+from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 
 METHODS = ("moveit", "impedance", "act")

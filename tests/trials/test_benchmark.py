@@ -30,7 +30,7 @@ from minidual.trials.benchmark import (
     trials_asked,
 )
 from minidual.trials.conditions import CLEAN, CONDITIONS
-from minidual.trials.methods import MethodInputs
+from minidual.trials.methods import Factory, MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench, run_trials
 from tests.support.carry_trials import same_row, sample_trial
@@ -602,20 +602,16 @@ def test_a_disturbed_trial_does_not_depend_on_those_before_it() -> None:
 def test_a_trial_under_a_condition_has_its_settings_however_it_is_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Before, a caller had to set them, and trials that were run by hand under `randomised` had no sensor offset."""
+    """The bench sets them: no caller has to."""
     told: list[tuple[float, float]] = []
-    load = methods.load_target
+    hold = methods.HOLD
 
-    def loaded(target: str) -> Any:
-        def factory(inputs: MethodInputs) -> Any:
-            told.append(
-                (inputs.config.carry.sensing.pose_bias_m, inputs.config.carry.sensing.pose_noise_m),
-            )
-            return load(target)(inputs)
+    def build(inputs: MethodInputs) -> Factory:
+        sensing = inputs.config.carry.sensing
+        told.append((sensing.pose_bias_m, sensing.pose_noise_m))
+        return hold.build(inputs)
 
-        return factory
-
-    monkeypatch.setattr(methods, "load_target", loaded)
+    monkeypatch.setitem(methods.METHODS._rows, "hold", hold._replace(build=build))
     inputs = MethodInputs(Config(), SEED)
     trial = sample_trial(Config().scene, SEED, "benchmark", 0)
     usual = Config().carry.sensing
@@ -654,13 +650,10 @@ def test_counterfactuals_of_force_change_one_setting_and_need_one_object_in_both
 ) -> None:
     settings = {"impedance_open": ("force_gain", 0.0), "impedance_world": ("squeeze_axes", "world")}
     given: list[Config] = []
-    monkeypatch.setattr(
-        methods,
-        "load_target",
-        lambda _: lambda inputs: given.append(inputs.config),
-    )
     for method, (name, value) in settings.items():
         given.clear()
+        row = methods.METHODS[method]._replace(build=lambda inputs: given.append(inputs.config))
+        monkeypatch.setitem(methods.METHODS._rows, method, row)
         methods.METHODS[method].factory(MethodInputs(Config(), SEED))
         (config,) = given
         usual = Config().carry.impedance
@@ -697,11 +690,8 @@ def test_a_method_gets_the_settings_of_its_task_even_from_a_plain_configuration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     given: list[Config] = []
-    monkeypatch.setattr(
-        methods,
-        "load_target",
-        lambda _: lambda inputs: given.append(inputs.config),
-    )
+    row = methods.HOLD._replace(build=lambda inputs: given.append(inputs.config))
+    monkeypatch.setitem(methods.METHODS._rows, "hold", row)
     Bench("hold", MethodInputs(Config(task="handover"), SEED))
     assert given[0] == make_task(Config(task="handover")).config
     assert given[0].plan.planner.padding_m != Config().plan.planner.padding_m

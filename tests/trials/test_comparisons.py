@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from minidual.errors import DataError
-from minidual.trials.benchmark import NO_PAIR, compare_all, compare_with_clean
+from minidual.trials.comparisons import NO_PAIR, compare_all, compare_with_clean
 from minidual.trials.metrics import TrialMetrics
 
 CONDITIONS = ("clean", "push +x")

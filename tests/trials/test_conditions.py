@@ -15,16 +15,13 @@ from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.insertion import depth_m
 from minidual.tasks.judge import begin
 from minidual.tasks.task import level_pose
-from minidual.trials import conditions
-from minidual.trials.conditions import (
-    CLEAN,
-    CONDITIONS,
-    DRY_NM,
-    SENSES,
-    Push,
-    condition,
-    parse_conditions,
-)
+from minidual.trials import changes
+from minidual.trials import condition as condition_module
+from minidual.trials.changes import DRY_NM
+from minidual.trials.condition import Condition
+from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_conditions
+from minidual.trials.disturbances import Push
+from minidual.trials.methods import SENSES
 from tests.support.placing import put_at
 
 TASK = make_task(Config())
@@ -227,9 +224,9 @@ def test_a_change_that_breaks_half_way_is_taken_back(model, monkeypatch):
         raise ValueError("no constants")
 
     before = fields(model)
-    derive = conditions._derive
+    derive = condition_module._derive
     calls = iter((broken, derive))
-    monkeypatch.setattr(conditions, "_derive", lambda model: next(calls)(model))
+    monkeypatch.setattr(condition_module, "_derive", lambda model: next(calls)(model))
     with (
         pytest.raises(ValueError, match="no constants"),
         condition("mass +50 %").applied(model, TASK, TRIAL, RNG),
@@ -381,7 +378,7 @@ def test_the_depth_of_a_peg_of_another_size_is_that_of_its_solids(factor, deep_m
     model = build_model(task.scene, visuals=False)
     trial = task.trial(0, "conditions", 0)
     world = World(task.scene, model=model)
-    with conditions.Condition("size", "", change=partial(conditions.size, factor=factor)).applied(
+    with Condition("size", "", change=partial(changes.size, factor=factor)).applied(
         model,
         task,
         trial,
@@ -418,7 +415,7 @@ def test_an_object_of_another_size_stands_where_it_stood(name, factor):
     body = model.body(task.carried).id
     sizes = model.geom_size[model.geom_bodyid == body].copy()
     world = World(task.scene, model=model)
-    with conditions.Condition("size", "", change=partial(conditions.size, factor=factor)).applied(
+    with Condition("size", "", change=partial(changes.size, factor=factor)).applied(
         model,
         task,
         trial,

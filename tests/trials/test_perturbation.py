@@ -9,10 +9,11 @@ from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext
 from minidual.stages.carry_tools import perturb
 from minidual.trials import benchmark
-from minidual.trials.benchmark import PERTURBED, promised, robustness
+from minidual.trials.benchmark import PERTURBED, promised
 from minidual.trials.conditions import CONDITIONS
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
+from minidual.trials.robustness import robustness
 
 
 def trial_result(index: int, condition: str, *, success: bool) -> TrialMetrics:

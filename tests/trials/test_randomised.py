@@ -15,7 +15,8 @@ from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial, placement
-from minidual.trials.conditions import DRY_NM, condition
+from minidual.trials.changes import DRY_NM
+from minidual.trials.conditions import condition
 
 if TYPE_CHECKING:
     import mujoco

@@ -17,11 +17,11 @@ from minidual.trials.benchmark import (
     PERTURBED,
     count_trials,
     promised,
-    robustness,
     run_benchmark,
 )
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
+from minidual.trials.robustness import robustness
 from minidual.trials.tuning import CARRIES_N, Tuner, TuningError, TuningStep, gains
 
 PERTURB_TRIALS_N = 20

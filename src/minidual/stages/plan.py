@@ -20,8 +20,9 @@ from minidual.show.view.overlay import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import DrivenMove, execute
 from minidual.stages.words import worded
-from minidual.trials.planning import evaluate
-from minidual.trials.planning.evaluate import MoveOutcome, QueryOutcome
+from minidual.trials.planning import evaluate, held_evaluate
+from minidual.trials.planning.evaluate import QueryOutcome
+from minidual.trials.planning.held_evaluate import MoveOutcome
 
 _CARRIES_N = 5
 _JSON_EVERY = 10
@@ -173,13 +174,13 @@ def run_held(context: StageContext) -> tuple[Moves, list[DrivenMove], list[str]]
     held = config.plan.held
     with context.progress.task("held moves", 2 * held.moves_n + held.executed_n) as task:
         for name, own in {"first": seed, "second": subseed(seed, "held-move/second")}.items():
-            outcomes[name] = evaluate.run_moves(
+            outcomes[name] = held_evaluate.run_moves(
                 config,
                 own,
                 lambda _, name=name: task.advance(note=name),
             )
         world = World(config.scene, robot=robot_from(config.robot))
-        driven, undriven = evaluate.table_plans(config, seed)
+        driven, undriven = held_evaluate.table_plans(config, seed)
         words = Overlay(title="plan, held-object move", mode="joint", source="plan")
         for trajectory in driven:
             with watched(context.view, world, lambda: words):

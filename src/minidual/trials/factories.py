@@ -3,12 +3,15 @@
 import functools
 from collections.abc import Callable, Mapping
 
+import mujoco
+
+from minidual.config.scene import ObjectConfig
 from minidual.config.seeds import stream, subseed
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.plant.render import Camera
+from minidual.plant.render import Camera, Image
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot, load_runtime
@@ -26,21 +29,27 @@ from minidual.trials.methods import Factory, MethodInputs
 
 _REST_S = 2.0
 
+type _Plan = Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]
+"""(world, kinematics, trial, sensed poses) -> planned trial."""
+
 
 def _supervisor(inputs: MethodInputs) -> Supervisor:
     config = inputs.config
-    task = make_task(inputs.config)
-    own = [
-        next((i.body for i in task.objects.values() if side in i.grasps), task.scene.object)
-        for side in SIDES
-    ]
-    shapes = [thing_of(body).shape for body in own]
+    task = make_task(config)
     return trial_supervisor(
         config.supervisor,
         task.scene.physics.timestep_s,
         robot_from(config.robot),
-        shapes=shapes,
+        shapes=[thing_of(_object_in(side, task)).shape for side in SIDES],
     )
+
+
+def _object_in(side: str, task: Task) -> ObjectConfig:
+    """Return the object that a hand grasps, by default the task's first."""
+    for item in task.objects.values():
+        if side in item.grasps:
+            return item.body
+    return task.scene.object
 
 
 def impedance(inputs: MethodInputs) -> Factory:
@@ -49,56 +58,55 @@ def impedance(inputs: MethodInputs) -> Factory:
         return planned(inputs, CompliantCarry)
     config = inputs.config
     supervisor = _supervisor(inputs)
-    return lambda world, kinematics, trial: ImpedanceCarry(
-        world,
-        kinematics,
-        config.carry,
-        trial,
-        seed=inputs.seed,
-        supervisor=supervisor,
-        arbiter=config.arbiter,
-    )
+
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> ImpedanceCarry:
+        return ImpedanceCarry(
+            world,
+            kinematics,
+            config.carry,
+            trial,
+            seed=inputs.seed,
+            supervisor=supervisor,
+            arbiter=config.arbiter,
+        )
+
+    return make
 
 
-def _plans(
-    inputs: MethodInputs,
-    task: Task,
-    kind: type[PlannedCarry] = PlannedCarry,
-) -> Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]:
+def _plans(inputs: MethodInputs, task: Task, kind: type[PlannedCarry] = PlannedCarry) -> _Plan:
     config = inputs.config
     supervisor = _supervisor(inputs)
     planner = Planner(config=config.plan.planner, robot=robot_from(config.robot))
 
-    def drive(
+    def plan(
         world: World,
         kinematics: Kinematics,
         trial: Trial,
         poses: Mapping[str, Array],
     ) -> PlannedCarry:
         stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
-        own = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
-        return kind(stack, planner, task, trial, own, poses=poses)
+        seed = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
+        return kind(stack, planner, task, trial, seed, poses=poses)
 
-    return drive
+    return plan
 
 
 def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Factory:
     """Plan from one pose reading, then control joint trajectories."""
     config = inputs.config
-    task = make_task(inputs.config)
-    drive = _plans(inputs, task, kind)
+    task = make_task(config)
+    plan = _plans(inputs, task, kind)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
-        seen = {
-            name: Sensors(world, config.carry.sensing, rng, name).sense().pose
-            for name in task.objects
-        }
-        poses = {name: sample.T_world_object for name, sample in seen.items() if sample is not None}
-        if len(poses) < len(seen):
-            raise RuntimeError("the first reading of the sensors holds a pose")
-        return drive(world, kinematics, trial, poses)
+        poses: dict[str, Array] = {}
+        for name in task.objects:
+            sample = Sensors(world, config.carry.sensing, rng, name).sense().pose
+            if sample is None:
+                raise RuntimeError(f"the first reading of the sensors holds no pose of '{name}'")
+            poses[name] = sample.T_world_object
+        return plan(world, kinematics, trial, poses)
 
     return make
 
@@ -107,10 +115,16 @@ def replayed(inputs: MethodInputs) -> Factory:
     """Drive the plan of the first demonstration's trial, whatever the start."""
     task = make_task(inputs.config)
     widen = inputs.config.teleop.widen
-    shown = task.trial(inputs.seed, "demonstrations", 0, widen=widen)
-    drive = _plans(inputs, task)
-    poses = {name: pose_of(task.objects[name].body, T) for name, T in shown.start.items()}
-    return lambda world, kinematics, trial: drive(world, kinematics, shown, poses)
+    demonstrated = task.trial(inputs.seed, "demonstrations", 0, widen=widen)
+    plan = _plans(inputs, task)
+    poses = {
+        name: pose_of(task.objects[name].body, start) for name, start in demonstrated.start.items()
+    }
+
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
+        return plan(world, kinematics, demonstrated, poses)
+
+    return make
 
 
 class Rest(Drive):
@@ -125,21 +139,29 @@ def resting(inputs: MethodInputs) -> Factory:
     """Hold still."""
     config = inputs.config
     supervisor = _supervisor(inputs)
-    return lambda world, kinematics, trial: Rest(
-        ControlStack(world, kinematics, config.arbiter, supervisor=supervisor),
-    )
+
+    def make(world: World, kinematics: Kinematics, trial: Trial) -> Rest:
+        return Rest(ControlStack(world, kinematics, config.arbiter, supervisor=supervisor))
+
+    return make
 
 
 def policy(inputs: MethodInputs) -> Factory:
-    """Run the policy of the checkpoint."""
+    """Run the policy of the checkpoint.
+
+    Raises:
+        UsageError: There is no checkpoint.
+    """
     if inputs.checkpoint is None:
         raise UsageError("a learned method needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
     robot = robot_from(config.robot)
     runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
-    # One per model: an OpenGL context is slow to create.
-    camera = functools.cache(lambda model: Camera.recorded(model, config.scene.camera))
+
+    @functools.cache  # one a model: an OpenGL context is slow to create
+    def camera(model: mujoco.MjModel) -> Camera:
+        return Camera.recorded(model, config.scene.camera)
 
     def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
         stack = ControlStack(
@@ -149,10 +171,10 @@ def policy(inputs: MethodInputs) -> Factory:
             rate_hz=config.teleop.rate_hz,
             supervisor=supervisor,
         )
-        return PolicyPilot(
-            stack,
-            runtime,
-            lambda name: (camera(world.model).picture(world.data, name), world.time),
-        )
+
+        def picture(name: str) -> tuple[Image, float]:
+            return camera(world.model).picture(world.data, name), world.time
+
+        return PolicyPilot(stack, runtime, picture)
 
     return make

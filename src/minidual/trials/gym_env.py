@@ -17,7 +17,7 @@ from minidual.plant.cameras import CAMERAS
 from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import robot_from
+from minidual.robot.pair import Array, robot_from
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial, level_part, placement, pose_of
@@ -40,19 +40,21 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One task.
 
     Observation:
-        state: (n + 2,) float32, joints of the left and right arm [rad], then gripper openings (0..1).
+        state: (n + 2,) float32, joints of the left and right arm [rad], then gripper openings
+            (0..1).
         images: {camera: (H, W, 3) uint8}, optional.
         object: (7,) float32, true position [m] and quaternion wxyz, optional.
         goal: (3,) float32, where it shall lie: x, y [m], yaw [rad], optional.
 
-    Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above 0.6 opens);
-    held 20 ms.
+    Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above
+    0.6 opens); held 20 ms.
 
-    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the object from its goal)
-    [m], plus 1 on success. Source: Ng, Harada, Russell 1999 (keeps the optimal policy for a discount of 1).
+    Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the
+    object from its goal) [m], plus 1 on success. Source: Ng, Harada, Russell 1999 (keeps the
+    optimal policy for a discount of 1).
 
-    `terminated`: trial finished, object has left the table, or simulation diverged. `truncated`: time limit.
-    `info` has `success`, and at the end `failures` (violated conditions) and `stages`.
+    `terminated`: trial finished, object has left the table, or simulation diverged. `truncated`:
+    time limit. `info` has `success`, and at the end `failures` (violated conditions) and `stages`.
 
     Args:
         scene: Replaces the task's default.
@@ -80,9 +82,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             check_name("camera", name, CAMERAS)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
-        self._task = make_task(
-            Config(task=task) if scene is None else Config(task=task, scene=scene),
-        )
+        config = Config(task=task) if scene is None else Config(task=task, scene=scene)
+        self._task = make_task(config)
         self.scene = self._task.scene
         self.render_mode = render_mode
         self._images = tuple(images)
@@ -95,27 +96,25 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._camera: Camera | None = None
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
+        self._potential = 0.0
         low = np.r_[robot.q_lower, 0.0, 0.0]
         high = np.r_[robot.q_upper, 1.0, 1.0]
-        self._actions = self.action_space = spaces.Box(
-            low.astype(np.float32),
-            high.astype(np.float32),
-        )
         beyond = np.r_[np.full(robot.dof, _OVERTRAVEL_RAD), 0.1, 0.1]
-        self._states = spaces.Box(
-            (low - beyond).astype(np.float32),
-            (high + beyond).astype(np.float32),
-        )
+        self._actions = _box(low, high)
+        self._states = _box(low - beyond, high + beyond)
+        self.action_space = self._actions
+        self.observation_space = self._observations()
+
+    def _observations(self) -> spaces.Dict:
         members: dict[str, spaces.Space[Any]] = {"state": self._states}
-        if object_pose:
+        if self._object_pose:
             members["object"] = spaces.Box(-_FAR, _FAR)
             members["goal"] = spaces.Box(-10.0, 10.0, (3,))
-        if images:
+        if self._images:
             shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
-            members["images"] = spaces.Dict(
-                {name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in images},
-            )
-        self.observation_space = spaces.Dict(members)
+            picture = {name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in self._images}
+            members["images"] = spaces.Dict(picture)
+        return spaces.Dict(members)
 
     def reset(
         self,
@@ -129,14 +128,12 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             UsageError: Unknown option, or not a Trial.
         """
         super().reset(seed=seed)
-        options = options or {}
+        options = {} if options is None else options
         for name in options.keys() - {"trial"}:
             raise unknown_name("option", name, ["trial"])
-        trial = options.get("trial") or self._task.trial(
-            int(self.np_random.integers(2**62)),
-            "gym",
-            0,
-        )
+        trial = options.get("trial")
+        if trial is None:
+            trial = self._task.trial(int(self.np_random.integers(2**62)), "gym", 0)
         if not isinstance(trial, Trial):
             raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a Trial")
         self._judge = begin(self._world, self._task, trial)
@@ -153,61 +150,71 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         Raises:
             UsageError: Wrong shape, not finite, or not reset.
         """
-        if (judge := self._judge) is None:
+        judge = self._judge
+        if judge is None:
             raise UsageError(
                 "the environment was stepped before it was reset",
                 remedy="call env.reset() first",
             )
-        wanted = np.asarray(action, dtype=float)
-        if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
-            finite = np.count_nonzero(np.isfinite(wanted))
-            raise UsageError(
-                f"an action is {self.action_space.shape} finite numbers; {wanted.shape} has {finite}",
-            )
-        wanted = np.clip(wanted, self._actions.low, self._actions.high)
-        diverged = False
-        try:
-            for _ in range(self._substeps):
-                self._loop.step(wanted[:-2], wanted[-2:])
-                judge.observe(self._world)
-        except SimulationDivergedError:
-            diverged = True
-            self._world.reset(poses=judge.trial.start)  # so that the last observation is finite
+        trial = judge.trial
+        diverged = not self._hold(self._checked(action), judge)
+        if diverged:
+            self._world.reset(poses=trial.start)  # so that the last observation is finite
         outcome = judge.outcome(self._world)
         success = outcome.success and not diverged
         fallen = bool(self._world.object_pose(self._task.carried)[2, 3] < _FALLEN_M)
         terminated = diverged or fallen or judge.finished
         truncated = not terminated and self._world.time >= self.scene.task.time_limit_s - 1e-9
-        potential = self._potential if diverged else self._measure_potential(judge.trial)
+        potential = self._potential if diverged else self._measure_potential(trial)
         reward = float(success) + (potential - self._potential)
         self._potential = potential
         info: dict[str, Any] = {
             "success": success,
-            "trial": judge.trial,
+            "trial": trial,
             "time_s": self._world.time,
         }
         if terminated or truncated:
-            info["outcome"], info["stages"] = outcome, judge.stages
-            info["failures"] = (
-                ("diverged",) if diverged else tuple(failure.name for failure in outcome.failures)
+            failures = tuple(failure.name for failure in outcome.failures)
+            info["outcome"] = outcome
+            info["stages"] = judge.stages
+            info["failures"] = ("diverged",) if diverged else failures
+        return self._observe(trial), reward, terminated, truncated, info
+
+    def _checked(self, action: npt.NDArray[np.float32]) -> Array:
+        """Return an action (n + 2,), clipped to its space."""
+        targets = np.asarray(action, dtype=float)
+        finite = np.isfinite(targets)
+        if targets.shape != self.action_space.shape or not finite.all():
+            raise UsageError(
+                f"an action is {self.action_space.shape} finite numbers;"
+                f" {targets.shape} has {np.count_nonzero(finite)}",
             )
-        return self._observe(judge.trial), reward, terminated, truncated, info
+        return np.clip(targets, self._actions.low, self._actions.high)
+
+    def _hold(self, targets: Array, judge: Judge) -> bool:
+        """Hold targets for one control period; return whether the simulation survived."""
+        try:
+            for _ in range(self._substeps):
+                self._loop.step(targets[:-2], targets[-2:])
+                judge.observe(self._world)
+        except SimulationDivergedError:
+            return False
+        return True
 
     def _measure_potential(self, trial: Trial) -> float:
         name = self._task.carried
-        T = self._world.object_pose(name)
-        level = level_part(T)
-        grasps = self._task.objects[name].grasps
-        tcps = zip(self._world.robot.sides, self._kinematics.tcp_poses(self._world.q), strict=True)
-        hands = [
-            float(np.linalg.norm((level @ grasps[s] - tcp)[:3, 3]))
-            for s, tcp in tcps
-            if s in grasps
-        ]
-        goal = float(
-            np.linalg.norm((T - pose_of(self._task.objects[name].body, trial.goal[name]))[:3, 3]),
-        )
-        return -(sum(hands) / max(len(hands), 1) + goal)
+        item = self._task.objects[name]
+        T_world_object = self._world.object_pose(name)
+        level = level_part(T_world_object)
+        tcp_poses = self._kinematics.tcp_poses(self._world.q)
+        hands_m: list[float] = []
+        for side, T_world_tcp in zip(self._world.robot.sides, tcp_poses, strict=True):
+            if side in item.grasps:
+                to_grasp = level @ item.grasps[side] - T_world_tcp
+                hands_m.append(float(np.linalg.norm(to_grasp[:3, 3])))
+        to_goal = T_world_object - pose_of(item.body, trial.goal[name])
+        goal_m = float(np.linalg.norm(to_goal[:3, 3]))
+        return -(sum(hands_m) / max(len(hands_m), 1) + goal_m)
 
     def _observe(self, trial: Trial) -> Observation:
         world = self._world
@@ -215,17 +222,14 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         observation: Observation = {"state": np.clip(state, self._states.low, self._states.high)}
         if self._object_pose:
             body = world.data.body(self._task.carried)
-            observation["object"] = np.clip(
-                np.concatenate([body.xpos, body.xquat]).astype(np.float32),
-                -_FAR,
-                _FAR,
-            )
-            observation["goal"] = np.array(
-                placement(trial.goal[self._task.carried]),
-                dtype=np.float32,
-            )
+            pose = np.concatenate([body.xpos, body.xquat]).astype(np.float32)
+            goal = placement(trial.goal[self._task.carried])
+            observation["object"] = np.clip(pose, -_FAR, _FAR)
+            observation["goal"] = np.array(goal, dtype=np.float32)
         if self._images:
-            camera = self._camera = self._camera or Camera.recorded(world.model, self.scene.camera)
+            if self._camera is None:
+                self._camera = Camera.recorded(world.model, self.scene.camera)
+            camera = self._camera
             observation["images"] = {
                 name: camera.picture(world.data, name) for name in self._images
             }
@@ -235,18 +239,21 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Return the overview image, or None without a render mode."""
         if self.render_mode is None:
             return None
-        camera = self._render_camera = self._render_camera or Camera(
-            self._world.model,
-            *_RENDERED_PX,
-        )
-        return camera.picture(self._world.data, "overview")
+        if self._render_camera is None:
+            self._render_camera = Camera(self._world.model, *_RENDERED_PX)
+        return self._render_camera.picture(self._world.data, "overview")
 
     def close(self) -> None:
         """Free the OpenGL contexts."""
         for camera in (self._camera, self._render_camera):
             if camera is not None:
                 camera.close()
-        self._camera = self._render_camera = None
+        self._camera = None
+        self._render_camera = None
+
+
+def _box(low: Array, high: Array) -> spaces.Box:
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32))
 
 
 for _name in TASKS:

@@ -1,7 +1,7 @@
 """Table of methods.
 
-A method drives a world through one trial: `step()` until `done`, without reading the truth. Others add rows
-(docs/howto-method.md).
+A method drives a world through one trial: `step()` until `done`, without reading the truth. Other
+distributions add rows through the entry point group `minidual.methods` (docs/howto-method.md).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
-from minidual.registry import Registry, load_target, rows_beside
+from minidual.registry import Registry
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial
 
@@ -21,8 +21,11 @@ if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World
     from minidual.robot.kinematics import Kinematics
 
-_ROWS = rows_beside(__file__)
-SENSES: dict[str, str] = _ROWS["senses"]
+SENSES: dict[str, str] = {
+    "pose": "sensed pose of the object",
+    "feedback": "pose or contact force during the motion",
+    "picture": "picture",
+}
 """What a method may read of the object, with its name in messages."""
 
 
@@ -54,10 +57,15 @@ class Method(Protocol):
 
 
 type Factory = Callable[[World, Kinematics, Trial], Method]
+"""Makes the method of one trial."""
 
 
 class MethodInputs(NamedTuple):
-    """Inputs of a factory; `trained`: the checkpoint's task, empty for any."""
+    """What a method is built from.
+
+    Attributes:
+        trained: The task of the checkpoint, empty for any.
+    """
 
     config: Config
     seed: int
@@ -65,11 +73,31 @@ class MethodInputs(NamedTuple):
     trained: str = ""
 
 
+type Build = Callable[[MethodInputs], Factory]
+"""Builds what the trials of one process share, and returns the factory of trials."""
+type Cannot = Callable[[Task, str], str]
+"""(task, trained) -> why a method cannot do a task, or ""."""
+
+
+def _can_any_task(task: Task, trained: str) -> str:
+    return ""
+
+
+def _can_the_task_it_is_trained_on(task: Task, trained: str) -> str:
+    if trained in ("", task.name):
+        return ""
+    return f"its policy is trained on '{trained}'"
+
+
+def _can_hold_one_object_together(task: Task, trained: str) -> str:
+    return "" if task.together else "the hands hold no object together"
+
+
 class MethodSpec(NamedTuple):
     """One row of the table.
 
     Attributes:
-        target: `module:function` that returns a `Factory`.
+        build: Builds a factory of trials.
         needs_images: Whether to compile visual meshes.
         demands: Optional conditions of success that it must meet.
         senses: Rows of SENSES that it reads.
@@ -78,48 +106,119 @@ class MethodSpec(NamedTuple):
         settings: {dotted path: value} of the configuration that it changes.
     """
 
-    target: str
+    build: Build
     summary: str
     needs_images: bool = False
     demands: Collection[str] = ()
     senses: Collection[str] = tuple(SENSES)
     senses_apart: Collection[str] | None = None
-    cannot: Callable[[Task, str], str] = lambda task, trained: ""
+    cannot: Cannot = _can_any_task
     settings: Mapping[str, Any] = MappingProxyType({})
 
     def reads(self, task: Task) -> Collection[str]:
         """Return the rows of SENSES that it reads in a task."""
-        return self.senses if task.together or self.senses_apart is None else self.senses_apart
+        if task.together or self.senses_apart is None:
+            return self.senses
+        return self.senses_apart
 
     def factory(self, inputs: MethodInputs) -> Factory:
-        """Return the trial factory."""
-        return load_target(self.target)(
-            inputs._replace(config=changed(inputs.config, self.settings)),
-        )
+        """Return the factory of trials, with the method's settings."""
+        config = changed(inputs.config, self.settings)
+        return self.build(inputs._replace(config=config))
 
 
-_CANNOT: dict[str, Callable[[Task, str], str]] = {
-    "another_task": lambda task, trained: (
-        "" if trained in ("", task.name) else f"its policy is trained on '{trained}'"
-    ),
-    "held_apart": lambda task, trained: (
-        "" if task.together else "the hands hold no object together"
-    ),
-}
-METHODS: Registry[MethodSpec] = Registry("method", group="minidual.methods")
-for _name, _row in _ROWS["methods"].items():
-    if "cannot" in _row:
-        _row["cannot"] = _CANNOT[_row["cannot"]]
-    METHODS.add(_name, MethodSpec(**_row))
+# Factories import planner, controllers and policies: they are loaded when a method is built.
+
+
+def _planned(inputs: MethodInputs) -> Factory:
+    from minidual.trials import factories
+
+    return factories.planned(inputs)
+
+
+def _impedance(inputs: MethodInputs) -> Factory:
+    from minidual.trials import factories
+
+    return factories.impedance(inputs)
+
+
+def _policy(inputs: MethodInputs) -> Factory:
+    from minidual.trials import factories
+
+    return factories.policy(inputs)
+
+
+def _replayed(inputs: MethodInputs) -> Factory:
+    from minidual.trials import factories
+
+    return factories.replayed(inputs)
+
+
+def _resting(inputs: MethodInputs) -> Factory:
+    from minidual.trials import factories
+
+    return factories.resting(inputs)
+
+
+MOVEIT = MethodSpec(
+    _planned,
+    "planned and timed path (OMPL, TOPP-RA), joint trajectory control",
+    senses=("pose",),
+)
+IMPEDANCE = MethodSpec(
+    _impedance,
+    "impedance of what the hands hold, and internal force control",
+    demands=("squeezed",),
+    senses=("pose", "feedback"),
+    senses_apart=("pose",),
+)
+IMPEDANCE_OPEN = IMPEDANCE._replace(
+    summary="impedance without feedback of the internal force",
+    cannot=_can_hold_one_object_together,
+    settings={"carry.impedance.force_gain": 0.0},
+)
+IMPEDANCE_WORLD = IMPEDANCE._replace(
+    summary="impedance with an internal force of fixed direction in world axes",
+    cannot=_can_hold_one_object_together,
+    settings={"carry.impedance.squeeze_axes": "world"},
+)
+ACT = MethodSpec(
+    _policy,
+    "trained policy, from camera and joints",
+    needs_images=True,
+    senses=("picture",),
+    cannot=_can_the_task_it_is_trained_on,
+)
+REPLAY = MethodSpec(_replayed, "the plan of one demonstration, driven blind", senses=())
+HOLD = MethodSpec(_resting, "the arms rest", senses=())
+
+METHODS: Registry[MethodSpec] = Registry(
+    "method",
+    {
+        "moveit": MOVEIT,
+        "impedance": IMPEDANCE,
+        "impedance_open": IMPEDANCE_OPEN,
+        "impedance_world": IMPEDANCE_WORLD,
+        "act": ACT,
+        "replay": REPLAY,
+        "hold": HOLD,
+    },
+    group="minidual.methods",
+)
 
 
 def check_able(method: str, tasks: Collection[Task], trained: str = "") -> None:
     """Raise UsageError for a method that can do none of these tasks."""
     spec = METHODS[method]
-    reasons = [f"'{task.name}': {why}" for task in tasks if (why := spec.cannot(task, trained))]
-    if len(reasons) == len(tasks):
-        able = [name for name in TASKS if not spec.cannot(make_task(Config(task=name)), trained)]
-        raise UsageError(
-            f"the method '{method}' cannot do {'; '.join(reasons)}",
-            remedy=f"it can do {', '.join(able)}",
-        )
+    reasons: list[str] = []
+    for task in tasks:
+        reason = spec.cannot(task, trained)
+        if reason:
+            reasons.append(f"'{task.name}': {reason}")
+    if len(reasons) < len(tasks):
+        return
+    able = [name for name in TASKS if not spec.cannot(make_task(Config(task=name)), trained)]
+    raise UsageError(
+        f"the method '{method}' cannot do {'; '.join(reasons)}",
+        remedy=f"it can do {', '.join(able)}",
+    )

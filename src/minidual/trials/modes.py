@@ -1,9 +1,9 @@
-"""Demonstration: planner, leader and policy drive one plant in turn, measured at every control step."""
+"""Planner, leader and policy drive one plant in turn; every control step is measured."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,13 +29,26 @@ def parse_modes(text: str) -> tuple[str, ...]:
     Raises:
         UsageError: Unknown or no mode, or one twice in sequence.
     """
-    if not (modes := tuple(m.strip() for m in text.split(",") if m.strip())):
+    modes = tuple(mode.strip() for mode in text.split(",") if mode.strip())
+    if not modes:
         raise UsageError("no mode named", remedy=f"--modes {','.join(DEFAULT_MODES)}")
     for before, mode in zip(("", *modes), modes, strict=False):
         check_name("mode", mode, SOURCES)
         if mode == before:
             raise UsageError(f"mode '{mode}' is named twice in sequence: that is no switch")
     return modes
+
+
+class Bounded(NamedTuple):
+    """A measured value and its bound."""
+
+    value: float
+    bound: float
+
+    @property
+    def exceeded(self) -> bool:
+        """Whether the bound is exceeded; NaN exceeds it."""
+        return not self.value <= self.bound + 1e-9
 
 
 @dataclass
@@ -64,14 +77,42 @@ class Switch:
     torque_step_max_nm: float = 1.0
     controllers: tuple[str, ...] = ()
 
-    def bounds(self, arbiter: ArbiterConfig) -> dict[str, tuple[float, float]]:
-        """Return {name: (value, bound)}."""
+    def bounds(self, arbiter: ArbiterConfig) -> dict[str, Bounded]:
+        """Return the measured values that have a bound, by name."""
         return {
-            "first_step_rad": (self.first_step_rad, arbiter.switch_step_max_rad),
-            "target_step_rad": (self.target_step_rad, arbiter.switch_step_max_rad),
-            "reference_step_ratio": (self.reference_step_ratio, 1.0),
-            "torque_step_nm": (self.torque_step_nm, self.torque_step_max_nm),
+            "first_step_rad": Bounded(self.first_step_rad, arbiter.switch_step_max_rad),
+            "target_step_rad": Bounded(self.target_step_rad, arbiter.switch_step_max_rad),
+            "reference_step_ratio": Bounded(self.reference_step_ratio, 1.0),
+            "torque_step_nm": Bounded(self.torque_step_nm, self.torque_step_max_nm),
         }
+
+
+@dataclass(frozen=True)
+class _Setpoints:
+    """What the stack commands at one step, (n,) each."""
+
+    target: Array
+    reference: Array
+    applied_torque: Array
+    asked_torque: Array
+
+    @classmethod
+    def of(cls, stack: ControlStack[World]) -> "_Setpoints":
+        return cls(
+            target=np.array(stack.output.q_target),
+            reference=np.array(stack.manager.reference),
+            applied_torque=np.array(stack.applied),
+            asked_torque=np.array(stack.manager.tau),
+        )
+
+    def steps_from(self, last: "_Setpoints") -> "_Setpoints":
+        """Return the size of the step from the last set-points, of each joint."""
+        return _Setpoints(
+            target=np.abs(self.target - last.target),
+            reference=np.abs(self.reference - last.reference),
+            applied_torque=np.abs(self.applied_torque - last.applied_torque),
+            asked_torque=np.abs(self.asked_torque - last.asked_torque),
+        )
 
 
 class ModesDemo:
@@ -92,33 +133,42 @@ class ModesDemo:
         self.outcomes: list[dict[str, Any]] = []
         self.rows: list[Mapping[str, object]] = []
         self.ended: str | None = None
-        self._last: Array | None = None
+        self._last: _Setpoints | None = None
         self._steps = 0
 
     def steps(self) -> Iterator[Turn]:
         """Run; yield the current turn after every control step.
 
-        A mode that does not get the arms or loses them, a refused trajectory and a reflex end it early.
+        A mode that does not get the arms or loses them, a refused trajectory and a reflex end it
+        early.
         """
         try:
             for turn in self._turns:
                 yield from self._drive(turn)
         except Exception as error:
             self.ended = str(error)
-            if self.stack.reflex is None and self.turn is not None:
-                self.stack.halt(self.turn.mode)
-            while self.stack.stopping:
-                with suppress(ReflexError):  # the arms come to rest all the same
-                    self.stack.step()
+            self._stop()
             if not isinstance(error, SwitchError | ReflexError | DataError):
                 raise
 
+    def _stop(self) -> None:
+        """Bring the arms to rest."""
+        if self.stack.reflex is None and self.turn is not None:
+            self.stack.halt(self.turn.mode)
+        while self.stack.stopping:
+            with suppress(ReflexError):  # the arms come to rest all the same
+                self.stack.step()
+
     def _drive(self, turn: Turn) -> Iterator[Turn]:
         stack = self.stack
-        world = self.stack.plant
+        world = stack.plant
         self.turn = turn
-        switch = Switch(turn.mode, world.time, speed_at_request_rad_s=float(np.abs(world.v).max()))
-        switch.torque_step_max_nm = world.robot.arm.tau_rate_max * world.dt
+        switch = Switch(
+            turn.mode,
+            world.time,
+            speed_at_request_rad_s=float(np.abs(world.v).max()),
+            torque_step_max_nm=world.robot.arm.tau_rate_max * world.dt,
+        )
         self.switches.append(switch)
         stack.request(turn.mode, turn.controllers)
         while stack.source != turn.mode:
@@ -135,26 +185,30 @@ class ModesDemo:
         self.outcomes.append({"mode": turn.mode, **result})
 
     def exceeded(self, arbiter: ArbiterConfig) -> list[str]:
-        """Return the exceeded bounds of all switches; NaN exceeds all."""
-        return [
-            f"switch to {s.mode} at {s.requested_s:.2f} s: {name} {value:.4g}, bound {bound:g}"
-            for s in self.switches
-            for name, (value, bound) in s.bounds(arbiter).items()
-            if not value <= bound + 1e-9
-        ]
+        """Return the exceeded bounds of all switches as text; NaN exceeds all."""
+        lines: list[str] = []
+        for switch in self.switches:
+            title = f"switch to {switch.mode} at {switch.requested_s:.2f} s"
+            for name, measured in switch.bounds(arbiter).items():
+                if measured.exceeded:
+                    value = f"{name} {measured.value:.4g}"
+                    lines.append(f"{title}: {value}, bound {measured.bound:g}")
+        return lines
 
     def record(self, arbiter: ArbiterConfig) -> dict[str, Any]:
         """Return the measurements as plain data."""
-        named = [(s.mode, s.bounds(arbiter).items()) for s in self.switches]
+        bounds: list[dict[str, Any]] = []
+        for switch in self.switches:
+            row: dict[str, Any] = {"mode": switch.mode}
+            for name, measured in switch.bounds(arbiter).items():
+                row[name] = measured._asdict()
+            bounds.append(row)
         return {
-            "switches": [asdict(s) for s in self.switches],
-            "bounds": [
-                {"mode": mode, **{n: {"value": v, "bound": b} for n, (v, b) in of}}
-                for mode, of in named
-            ],
+            "switches": [asdict(switch) for switch in self.switches],
+            "bounds": bounds,
             "outcomes": self.outcomes,
             "exceeded": self.exceeded(arbiter),
-            "refusals": [asdict(r) for r in self.stack.refusals],
+            "refusals": [asdict(refusal) for refusal in self.stack.refusals],
             "duration_s": self.stack.plant.time,
             "ended": self.ended,
         }
@@ -163,37 +217,37 @@ class ModesDemo:
         stack = self.stack
         switch = self.switches[-1]
         stack.step()
-        now = np.array(
-            [stack.output.q_target, stack.manager.reference, stack.applied, stack.manager.tau],
-        )
-        steps = np.abs(now - (now if self._last is None else self._last))
-        self._last = now
-        self._measure(switch, *steps)
+        setpoints = _Setpoints.of(stack)
+        steps = setpoints.steps_from(setpoints if self._last is None else self._last)
+        self._last = setpoints
+        self._measure(switch, steps)
         if self._steps % _LOG_EVERY == 0:
-            names = ("reference_step_max_rad", "torque_step_max_nm", "torque_step_asked_max_nm")
-            largest = {
-                name: f"{x:.6g}" for name, x in zip(names, steps[1:].max(axis=1), strict=True)
-            }
-            row = {"time_s": f"{stack.plant.time:.3f}", "mode": switch.mode}
-            row |= {"active_source": stack.output.active_source or "", "state": str(stack.state)}
-            self.rows.append({**row, "controllers": " ".join(stack.manager.active), **largest})
+            self._log(switch, steps)
         self._steps += 1
         if stack.state == ArbiterState.STOPPED:
-            last = stack.refusals[-1].detail if stack.refusals else "no command came"
+            reason = stack.refusals[-1].detail if stack.refusals else "no command came"
             raise SwitchError(
-                f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {last}",
+                f"mode '{switch.mode}' lost its turn at {stack.plant.time:.2f} s: {reason}",
             )
 
-    def _measure(
-        self,
-        switch: Switch,
-        target: Array,
-        reference: Array,
-        applied: Array,
-        asked: Array,
-    ) -> None:
+    def _log(self, switch: Switch, steps: _Setpoints) -> None:
         stack = self.stack
-        plant = self.stack.plant
+        self.rows.append(
+            {
+                "time_s": f"{stack.plant.time:.3f}",
+                "mode": switch.mode,
+                "active_source": stack.output.active_source or "",
+                "state": str(stack.state),
+                "controllers": " ".join(stack.manager.active),
+                "reference_step_max_rad": f"{steps.reference.max():.6g}",
+                "torque_step_max_nm": f"{steps.applied_torque.max():.6g}",
+                "torque_step_asked_max_nm": f"{steps.asked_torque.max():.6g}",
+            },
+        )
+
+    def _measure(self, switch: Switch, steps: _Setpoints) -> None:
+        stack = self.stack
+        plant = stack.plant
         driven = stack.output.active_source == switch.mode
         if driven and np.isnan(switch.first_command_s):
             switch.first_command_s = plant.time
@@ -201,13 +255,11 @@ class ModesDemo:
         if plant.time > switch.first_command_s + WINDOW_S:  # false while first_command_s is NaN
             return
         if driven and stack.state in _DRIVEN:
-            switch.target_step_rad = _larger(switch.target_step_rad, target)
-        switch.reference_step_ratio = _larger(
-            switch.reference_step_ratio,
-            reference / (plant.robot.v_max * plant.dt),
-        )
-        switch.torque_step_nm = _larger(switch.torque_step_nm, applied)
-        switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, asked)
+            switch.target_step_rad = _larger(switch.target_step_rad, steps.target)
+        reference_ratio = steps.reference / (plant.robot.v_max * plant.dt)
+        switch.reference_step_ratio = _larger(switch.reference_step_ratio, reference_ratio)
+        switch.torque_step_nm = _larger(switch.torque_step_nm, steps.applied_torque)
+        switch.torque_step_asked_nm = _larger(switch.torque_step_asked_nm, steps.asked_torque)
 
 
 def _larger(so_far: float, steps: Array) -> float:

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,41 +20,57 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import write_recording
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Hands, Kinematics
-from minidual.robot.pair import robot_from
+from minidual.robot.pair import Array, Robot, robot_from
 from minidual.tasks.catalogue import make_task
-from minidual.tasks.judge import Failure, begin
+from minidual.tasks.judge import Failure, Outcome, begin
 from minidual.tasks.task import Task, Trial
-from minidual.tasks.truth import ObjectTruth
-from minidual.trials.conditions import CLEAN, Disturbance
+from minidual.trials.condition import Disturbance
+from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
-from minidual.trials.measures import LOG_RATE_HZ, TrialLog, measure
+from minidual.trials.measures import LOG_RATE_HZ, Sample, TrialLog, measure
 from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec, check_able
 from minidual.trials.metrics import TrialMetrics, trial_metrics
 from minidual.workers import in_workers
 
 SETTLED_S = 0.5
 """A trial ends this long after it is finished."""
-# Errors that end a trial, with the failure name.
+# Errors that end a trial, with the failure's name.
 _BROKEN: dict[type[MinidualError], str] = {
     SimulationDivergedError: "diverged",
     SingularPostureError: "singular",
 }
+# Phases of a method that has stopped: they do not tell where it failed.
+_ENDED_PHASES = ("stop", "done")
 
 StepHook = Callable[[World, Method], None]
 """Called after each step; read-only."""
 Watch = Callable[["Bench", str], StepHook]
 """Returns a trial's step hook, from bench and title."""
 
-
 type Judged = tuple[TrialMetrics, TrialLog]
 
 
+def _watch_nothing(world: World, method: Method) -> None:
+    pass
+
+
 class Bench:
-    """A world and a method for many trials under one condition, with its settings; `visuals` compiles visual meshes.
+    """A world and a method for many trials under one condition, with its settings.
+
+    Attributes:
+        ran: The method of the latest trial.
+
+    Args:
+        method: Row of METHODS.
+        inputs: With the configuration, to which the condition's settings are added.
+        condition: Row of CONDITIONS.
+        visuals: Whether to compile visual meshes even if the method needs none.
 
     Raises:
         UsageError: The condition sets a value out of bounds.
     """
+
+    ran: Method
 
     def __init__(
         self,
@@ -76,31 +91,32 @@ class Bench:
         self.world = World(self.task.scene, robot, model=model)
         self.kinematics = Kinematics(robot)
         self.hands = Hands(self.kinematics)
-        self.factory = self.spec.factory(
-            inputs._replace(config=self.task.config),
-        )  # with the settings of the task
+        self.factory = self.spec.factory(inputs._replace(config=self.task.config))
 
-    def run(self, trial: Trial, *, on_step: StepHook = lambda world, method: None) -> Judged:
-        """Run and judge one trial; an error in _BROKEN ends it as a failure, judged in its last complete state.
+    def run(self, trial: Trial, *, on_step: StepHook = _watch_nothing) -> Judged:
+        """Run and judge one trial.
+
+        An error in _BROKEN ends it as a failure, judged in its last complete state.
 
         Raises:
             EmergencyStop: It was pressed; the arms have stopped.
         """
-        spec = self.condition
-        rng = stream(self.seed, f"disturbance/{trial.purpose}/{spec.name}", trial.index)
-        disturb = None if spec.act is None else spec.act(self.task, rng)
-        with spec.applied(self.world.model, self.task, trial, rng):
-            result, log = self._run(trial, disturb, on_step)
+        condition = self.condition
+        rng = stream(self.seed, f"disturbance/{trial.purpose}/{condition.name}", trial.index)
+        disturbance = None if condition.act is None else condition.act(self.task, rng)
+        with condition.applied(self.world.model, self.task, trial, rng):
+            run = _TrialRun(self, trial, disturbance, on_step)
+            self.ran = run.method
+            run.simulate()
+            result, log = run.judged()
         emergency.check()  # what the emergency stop cut short is no result of the method
-        return replace(
-            result,
-            condition=spec.name,
-            disturbed=None if disturb is None else disturb.took_place,
-        ), log
+        took_place = None if disturbance is None else disturbance.took_place
+        return replace(result, condition=condition.name, disturbed=took_place), log
 
     def record(self, trial: Trial, path: Path) -> Judged:
         """Run a trial and write it to `path` (.npz) for replay."""
-        recorder = self.world.recorder = Recorder(self.world, seed=self.seed)
+        recorder = Recorder(self.world, seed=self.seed)
+        self.world.recorder = recorder
         result, log = self.run(trial)
         self.world.recorder = None
         carry = self.task.config.carry
@@ -109,115 +125,197 @@ class Bench:
             "purpose": trial.purpose,
             "trial": trial.index,
             "success": result.success,
+            "task": self.task.name,
+            "object": carry.object,
+            "motion": carry.motion,
         }
-        details |= {"task": self.task.name, "object": carry.object, "motion": carry.motion}
-        write_recording(
-            path,
-            recorder.recording(
-                f"{self.method}, trial {trial.index}: {result.text}",
-                details=details,
-            ),
-        )
+        title = f"{self.method}, trial {trial.index}: {result.text}"
+        write_recording(path, recorder.recording(title, details=details))
         return result, log
 
-    def _run(self, trial: Trial, disturb: Disturbance | None, on_step: StepHook) -> Judged:
-        world = self.world
-        judge = begin(world, self.task, trial, self.spec.demands)
+
+class _TrialRun:
+    """One trial while it runs: what is judged, logged and measured of it."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        trial: Trial,
+        disturbance: Disturbance | None,
+        on_step: StepHook,
+    ) -> None:
+        self._bench = bench
+        self._world = bench.world
+        self._trial = trial
+        self._disturbance = disturbance
+        self._on_step = on_step
+        self._judge = begin(bench.world, bench.task, trial, bench.spec.demands)
         began_s = time.process_time()
-        method = self.factory(world, self.kinematics, trial)
-        self.ran = method
-        wall = {"planning_s": time.process_time() - began_s}
-        every = round(1.0 / (LOG_RATE_HZ * world.dt))
-        seen = judge.truth[self.task.carried]
-        rows = list[tuple[Any, ...]]()
-        phases = list[str]()
-        most = np.zeros(2)
-        saturated = np.zeros(world.robot.dof)
-        tau_max = np.array(world.robot.tau_max)
-        model = world.model
-        data = world.data
+        self.method = bench.factory(bench.world, bench.kinematics, trial)
+        self._planning_s = time.process_time() - began_s
+        self._carried = self._judge.truth[bench.task.carried]
+        self._samples: list[Sample] = []
+        self._phases: list[str] = []
+        self._strain = _MotorStrain(bench.world.robot)
+        self._complete = _CompleteState(bench.world)
+        self._broken: Failure | None = None
+
+    def simulate(self) -> None:
+        """Run the method until it is done, the task is finished, the time is over, or it breaks."""
+        world = self._world
+        log_every = round(1.0 / (LOG_RATE_HZ * world.dt))
         finished_s = 0.0
-        broken = None
-        time_s = data.time
-        qpos = data.qpos
-        qvel = data.qvel
-        last_q = qpos.copy()
-        last_v = qvel.copy()
-        for step in range(round(self.task.time_limit_s / world.dt)):
+        for step in range(round(self._bench.task.time_limit_s / world.dt)):
             try:
-                method.step()
+                self.method.step()
             except tuple(_BROKEN) as error:
-                data.time = time_s  # a diverged world has been reset
-                qpos[:] = last_q
-                qvel[:] = last_v
-                mujoco.mj_forward(model, data)
-                broken = Failure(_BROKEN[type(error)], world.time, error.message)
-                judge.truth.refresh(world)
-                rows = rows or [self._sample(seen)]
-                break
-            last_q = qpos.copy()  # half the time of writing into an array
-            last_v = qvel.copy()
-            judge.observe(world)
-            time_s = judge.truth.time
-            strain(world.tau, tau_max, SATURATED, saturated, most)
-            if step % every == 0:
-                rows.append(self._sample(seen))
-                phases.append(method.phase)
-            if disturb is not None:
-                before = disturb.took_place
-                disturb(world)
-                if disturb.took_place and not before:
-                    judge.disturbed()
-            on_step(world, method)
-            finished_s = finished_s + world.dt if judge.finished else 0.0
-            if method.done or finished_s > SETTLED_S:
-                break
-        log = TrialLog(*map(np.array, zip(*rows, strict=True)))
-        outcome = judge.outcome(world)
-        if broken is not None:  # the cause comes before its consequences
-            outcome = replace(outcome, success=False, failures=(broken, *outcome.failures))
-        controls = self.task.together and "squeezed" in self.spec.demands
-        wanted_n = self.task.config.carry.impedance.internal_force_n if controls else math.nan
-        mass_kg = float(model.body_mass[world.truth(self.task.carried).body])
-        found = {name: x for name, x in measure(log, mass_kg, wanted_n).items() if math.isfinite(x)}
-        outcome = replace(outcome, measured={**outcome.measured, **found})
-        wall["inference_s"] = getattr(method, "inference_s", math.nan)
-        known: Any = {
-            "torque_ratio_max": most.item(0),
-            "saturated_max_s": most.item(1) * world.dt,
-            "wall": wall,
-        }
+                self._end_broken(error)
+                return
+            self._complete.remember()
+            self._judge.observe(world)
+            self._strain.update(world.tau)
+            if step % log_every == 0:
+                self._samples.append(self._sample())
+                self._phases.append(self.method.phase)
+            self._disturb()
+            self._on_step(world, self.method)
+            finished_s = finished_s + world.dt if self._judge.finished else 0.0
+            if self.method.done or finished_s > SETTLED_S:
+                return
+
+    def _disturb(self) -> None:
+        """Let the disturbance act, and tell the judge when it has."""
+        disturbance = self._disturbance
+        if disturbance is None:
+            return
+        took_place_before = disturbance.took_place
+        disturbance(self._world)
+        if disturbance.took_place and not took_place_before:
+            self._judge.disturbed()
+
+    def _end_broken(self, error: MinidualError) -> None:
+        self._complete.restore()
+        self._broken = Failure(_BROKEN[type(error)], self._world.time, error.message)
+        self._judge.truth.refresh(self._world)
+        if not self._samples:
+            self._samples.append(self._sample())
+
+    def _sample(self) -> Sample:
+        world = self._world
+        q = world.q
+        hands = self._bench.hands
+        hands.update(q)
+        carried = self._carried
+        return Sample(
+            t=world.time,
+            q=q,
+            tau=world.tau,
+            tcp=[p.copy() for p in hands.p],
+            position=carried.xyz,
+            tilt=carried.tilt_rad,
+            pinch=carried.pinch,
+            internal_force=carried.squeeze_n,
+            airborne=carried.airborne,
+        )
+
+    def judged(self) -> Judged:
+        """Return the result and the log."""
+        log = TrialLog.of(self._samples)
         result = trial_metrics(
-            self.method,
-            trial.index,
-            outcome,
+            self._bench.method,
+            self._trial.index,
+            self._outcome(log),
             log,
-            aborted=method.aborted or "",
-            **known,
+            torque_ratio_max=self._strain.ratio_max,
+            saturated_max_s=self._strain.saturated_ticks_max * self._world.dt,
+            aborted=self.method.aborted or "",
+            wall={
+                "planning_s": self._planning_s,
+                "inference_s": getattr(self.method, "inference_s", math.nan),
+            },
         )
         if not result.success:
-            until = phases[: int(result.failed_at_s * LOG_RATE_HZ) + 1]
-            result = replace(
-                result,
-                failed_in=next((p for p in reversed(until) if p not in ("stop", "done")), ""),
-            )
+            result = replace(result, failed_in=self._phase_at(result.failed_at_s))
         return result, log
 
-    def _sample(self, seen: ObjectTruth) -> tuple[Any, ...]:
-        world = self.world
-        q = self.world.q
-        self.hands.update(q)
-        thing = seen.xyz, seen.tilt_rad, seen.pinch, seen.squeeze_n, seen.airborne
-        return (world.time, q, world.tau, [p.copy() for p in self.hands.p], *thing)
+    def _outcome(self, log: TrialLog) -> Outcome:
+        """Return the judge's outcome, with the measures of the motion."""
+        outcome = self._judge.outcome(self._world)
+        if self._broken is not None:  # the cause comes before its consequences
+            failures = (self._broken, *outcome.failures)
+            outcome = replace(outcome, success=False, failures=failures)
+        task = self._bench.task
+        body = self._world.truth(task.carried).body
+        mass_kg = float(self._world.model.body_mass[body])
+        controls_force = task.together and "squeezed" in self._bench.spec.demands
+        wanted_n = task.config.carry.impedance.internal_force_n if controls_force else math.nan
+        measures = {
+            name: value
+            for name, value in measure(log, mass_kg, wanted_n).items()
+            if math.isfinite(value)
+        }
+        return replace(outcome, measured={**outcome.measured, **measures})
+
+    def _phase_at(self, time_s: float) -> str:
+        """Return the method's phase at a time; the last one before it stopped."""
+        logged_n = int(time_s * LOG_RATE_HZ) + 1
+        for phase in reversed(self._phases[:logged_n]):
+            if phase not in _ENDED_PHASES:
+                return phase
+        return ""
+
+
+class _MotorStrain:
+    """The largest share of its limit that a motor gives, and how long one stays at its limit."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._tau_max = np.array(robot.tau_max)
+        self._saturated_ticks = np.zeros(robot.dof)
+        self._largest = np.zeros(2)
+
+    def update(self, tau: Array) -> None:
+        """Take the motor torques (n,) [Nm] of one step."""
+        strain(tau, self._tau_max, SATURATED, self._saturated_ticks, self._largest)
+
+    @property
+    def ratio_max(self) -> float:
+        """Largest |torque| / limit so far."""
+        return self._largest.item(0)
+
+    @property
+    def saturated_ticks_max(self) -> float:
+        """Most steps in a row of one motor at its limit."""
+        return self._largest.item(1)
+
+
+class _CompleteState:
+    """The latest state that a step completed; a world that has diverged is reset."""
+
+    def __init__(self, world: World) -> None:
+        self._model = world.model
+        self._data = world.data
+        self.remember()
+
+    def remember(self) -> None:
+        self._time_s = self._data.time
+        # A copy takes half the time of writing into an array.
+        self._qpos = self._data.qpos.copy()
+        self._qvel = self._data.qvel.copy()
+
+    def restore(self) -> None:
+        self._data.time = self._time_s
+        self._data.qpos[:] = self._qpos
+        self._data.qvel[:] = self._qvel
+        mujoco.mj_forward(self._model, self._data)
 
 
 _BENCHES: dict[str, Bench] = {}
+"""The latest bench of this process, by what it is made of."""
 
 
 def _bench(method: str, inputs: MethodInputs, condition: str) -> Bench:
-    key = (
-        f"{method}/{condition}/{inputs.checkpoint}/{inputs.seed}/{inputs.config.model_dump_json()}"
-    )
+    settings = inputs.config.model_dump_json()
+    key = f"{method}/{condition}/{inputs.checkpoint}/{inputs.seed}/{settings}"
     if key not in _BENCHES:
         _BENCHES.clear()
         _BENCHES[key] = Bench(method, inputs, condition)
@@ -235,15 +333,18 @@ def run_trials(
 ) -> Iterator[TrialMetrics]:
     """Run trials in parallel, or watched in this process; yield results in order."""
     if watch is not None:
-        bench = Bench(method, inputs, condition)
-        for number, trial in enumerate(trials, start=1):
-            title = f"{method}, trial {number} of {len(trials)}" + (
-                f", {condition}" if condition != CLEAN else ""
-            )
-            yield bench.run(trial, on_step=watch(bench, title))[0]
+        yield from _run_watched(Bench(method, inputs, condition), trials, watch)
         return
     yield from in_workers(
         lambda trial: _bench(method, inputs, condition).run(trial)[0],
         trials,
         workers,
     )
+
+
+def _run_watched(bench: Bench, trials: Sequence[Trial], watch: Watch) -> Iterator[TrialMetrics]:
+    under = "" if bench.condition.name == CLEAN else f", {bench.condition.name}"
+    for number, trial in enumerate(trials, start=1):
+        title = f"{bench.method}, trial {number} of {len(trials)}{under}"
+        result, _ = bench.run(trial, on_step=watch(bench, title))
+        yield result

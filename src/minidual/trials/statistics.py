@@ -31,11 +31,15 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
 
 
 def bootstrap_median_interval(values: ArrayLike, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval (low, high) of a median; NaN without values, or with NaN."""
+    """Return the 95 % percentile bootstrap interval (low, high) of a median.
+
+    Both are NaN without values, or with NaN among them.
+    """
     sample = np.asarray(values, dtype=float)
     if sample.size == 0 or not np.isfinite(sample).all():
         return math.nan, math.nan
-    medians = np.median(sample[rng.integers(0, sample.size, (_RESAMPLES_N, sample.size))], axis=1)
+    drawn = rng.integers(0, sample.size, (_RESAMPLES_N, sample.size))
+    medians = np.median(sample[drawn], axis=1)
     low, high = np.quantile(medians, [(1 - _CONFIDENCE) / 2, (1 + _CONFIDENCE) / 2])
     return float(low), float(high)
 
@@ -67,22 +71,33 @@ def paired_rate_interval(
     second_low, second_high = wilson_interval(both + only_second, n)
     first = (both + only_first) / n
     second = (both + only_second) / n
-    # Phi coefficient, continuity-corrected if positive; 0 if undefined.
+    phi = _corrected_phi(both, only_first, only_second, neither)
+    # From each rate to the end of its interval on which the difference shrinks, or grows.
+    shrinks = _combined(first - first_low, second_high - second, phi)
+    grows = _combined(first_high - first, second - second_low, phi)
+    return first - second - shrinks, first - second + grows
+
+
+def _corrected_phi(both: int, only_first: int, only_second: int, neither: int) -> float:
+    """Return the phi coefficient, continuity-corrected if positive; 0 if undefined."""
+    n = both + only_first + only_second + neither
     margins = (
         (both + only_first)
         * (only_second + neither)
         * (both + only_second)
         * (only_first + neither)
     )
+    if margins == 0:
+        return 0.0
     covariance = both * neither - only_first * only_second
     if covariance > 0:
         covariance = max(covariance - n / 2.0, 0.0)
-    phi = covariance / math.sqrt(margins) if margins else 0.0
-    # Distances of the rates from their interval ends, on the side where the difference shrinks or grows.
-    down = (first - first_low, second_high - second)
-    up = (first_high - first, second - second_low)
-    low, high = (math.sqrt(max(0.0, a * a - 2.0 * phi * a * b + b * b)) for a, b in (down, up))
-    return first - second - low, first - second + high
+    return covariance / math.sqrt(margins)
+
+
+def _combined(a: float, b: float, phi: float) -> float:
+    """Return the half width of a difference whose parts have half widths a and b."""
+    return math.sqrt(max(0.0, a * a - 2.0 * phi * a * b + b * b))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -93,8 +108,9 @@ def holm(p_values: Sequence[float]) -> list[float]:
     Raises:
         UsageError: A value outside 0 to 1.
     """
-    if not all(0.0 <= p <= 1.0 for p in p_values):
-        raise UsageError(f"{next(p for p in p_values if not 0.0 <= p <= 1.0)} is no probability")
+    for p in p_values:
+        if not 0.0 <= p <= 1.0:
+            raise UsageError(f"{p} is no probability")
     order = np.argsort(p_values, kind="stable")
     scaled = np.asarray(p_values, dtype=float)[order] * np.arange(len(p_values), 0, -1)
     adjusted = np.empty(len(p_values))

@@ -1,12 +1,14 @@
 """Seeded moves of an object held in both hands.
 
-Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path. Each move has a
-witness: a timed, proven path of a long search.
+Goals are up to 0.5 m and 90 degrees away; in every second move obstacles block the straight path.
+Each move has a witness: a timed, proven path of a long search.
 """
 
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,7 +37,8 @@ _LEAN_RAD = 0.25
 _OBSTACLES_N = 3
 _WITNESS_CHECKS_N = 10_000
 _WITNESS_S = 60.0
-_TRIES_N = 200
+_SCENES_N = 200
+_GOALS_N = 4
 _IK_STARTS_N = 6
 _WITNESS_TRIES = ((0.005, 1.0), (0.008, 0.5), (0.002, 0.5))
 """Padding [m] and check step scale."""
@@ -44,8 +47,29 @@ _LOW = np.array([0.35, -0.3, 0.08])
 _HIGH = np.array([0.6, 0.3, 0.4])
 
 
-type _Held = tuple[Array, Array]
-"""Object pose (4, 4), posture (n,) of the hands on it."""
+class _Hold(NamedTuple):
+    """Pose (4, 4) of the object, and posture q (n,) [rad] of the hands on it."""
+
+    T_world_object: Array
+    q: Array
+
+
+class _Candidate(NamedTuple):
+    """A drawn move before its witness is searched."""
+
+    query: HeldQuery
+    engines: SceneEngines
+    start: _Hold
+    goal: _Hold
+    blocked: bool
+
+
+@dataclass
+class _Counts:
+    """Draws left out so far: without a witness, and without a free posture."""
+
+    undecided: int = 0
+    unreachable: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,52 +123,68 @@ class HeldMoveGenerator:
         """
         rng = stream(self._seed, "held-move/table" if self._from_table else "held-move", index)
         with_obstacles = index % 2 == 1 and not self._from_table
-        rests_on = ("table",) if self._from_table else ()
-        undecided = unreachable = 0
-        for _ in range(_TRIES_N):
-            obstacles = random_obstacles(rng, _OBSTACLES_N, self._robot) if with_obstacles else ()
-            room = PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot)
-            scene = scene_holding(
-                room,
-                self._shape,
-                dict(zip(SIDES, self._grasps, strict=True)),
-                rests_on=rests_on,
-            )
-            engines = SceneEngines(scene)
-            engine = engines.engine("mujoco")
-            apart_m = 0.0 if self._from_table else _ROOM_M
-            if (
-                start := self._held(rng, engine, self._start(rng), self._robot.home, apart_m)
-            ) is None:
-                unreachable += 1
-                continue
-            for _ in range(4):
-                T_goal = _random_goal(rng, start[0])
-                if (goal := self._held(rng, engine, T_goal, start[1], _ROOM_M)) is None:
-                    unreachable += 1
-                    continue
-                blocked = self._blocked(engine, start, T_goal)
-                if with_obstacles and not blocked:
-                    continue
-                query = HeldQuery(start[1], T_goal, self._grasps, scene, int(rng.integers(2**31)))
-                if (witness := self._witness(rng, engines, query, start, goal)) is None:
-                    undecided += 1
+        counts = _Counts()
+        for _ in range(_SCENES_N):
+            for candidate in self._candidates(rng, with_obstacles, counts):
+                witness = self._witness(rng, candidate)
+                if witness is None:
+                    counts.undecided += 1
                     continue
                 return HeldMove(
-                    index,
-                    query,
-                    start[0],
-                    with_obstacles,
-                    blocked,
-                    witness,
-                    undecided,
-                    unreachable,
+                    index=index,
+                    query=candidate.query,
+                    T_world_start=candidate.start.T_world_object,
+                    with_obstacles=with_obstacles,
+                    blocked=candidate.blocked,
+                    witness=witness,
+                    undecided_n=counts.undecided,
+                    unreachable_n=counts.unreachable,
                 )
-        why = f"{undecided} without a witness, {unreachable} unreachable"
-        remedy = "use fewer obstacles or a shorter object"
+        left_out = f"{counts.undecided} without a witness, {counts.unreachable} unreachable"
         raise PlanningError(
-            f"no held-object move {index} after {_TRIES_N} scenes ({why})",
-            remedy=remedy,
+            f"no held-object move {index} after {_SCENES_N} scenes ({left_out})",
+            remedy="use fewer obstacles or a shorter object",
+        )
+
+    def _candidates(
+        self,
+        rng: np.random.Generator,
+        with_obstacles: bool,
+        counts: _Counts,
+    ) -> Iterator[_Candidate]:
+        """Draw a scene with a start, and yield reachable goals in it; count those that are not.
+
+        With obstacles they are goals to which the straight path is blocked.
+        """
+        scene = self._scene(rng, with_obstacles)
+        engines = SceneEngines(scene)
+        engine = engines.engine("mujoco")
+        room_m = 0.0 if self._from_table else _ROOM_M
+        start = self._hold(rng, engine, self._start(rng), self._robot.home, room_m)
+        if start is None:
+            counts.unreachable += 1
+            return
+        for _ in range(_GOALS_N):
+            T_goal = _random_goal(rng, start.T_world_object)
+            goal = self._hold(rng, engine, T_goal, start.q, _ROOM_M)
+            if goal is None:
+                counts.unreachable += 1
+                continue
+            blocked = self._blocked(engine, start, T_goal)
+            if with_obstacles and not blocked:
+                continue
+            seed = int(rng.integers(2**31))
+            query = HeldQuery(start.q, T_goal, self._grasps, scene, seed)
+            yield _Candidate(query, engines, start, goal, blocked)
+
+    def _scene(self, rng: np.random.Generator, with_obstacles: bool) -> PlanningScene:
+        """Return a scene with the object in both hands."""
+        obstacles = random_obstacles(rng, _OBSTACLES_N, self._robot) if with_obstacles else ()
+        return scene_holding(
+            PlanningScene(obstacles=(TABLE, *obstacles), robot=self._robot),
+            self._shape,
+            dict(zip(SIDES, self._grasps, strict=True)),
+            rests_on=("table",) if self._from_table else (),
         )
 
     def _start(self, rng: np.random.Generator) -> Array:
@@ -156,45 +196,58 @@ class HeldMoveGenerator:
             position[2] = self._height_m
         return pose(rot_z(yaw) @ rot_x(lean), position)
 
-    def _held(
+    def _hold(
         self,
         rng: np.random.Generator,
         engine: MujocoEngine,
         T_world_object: Array,
         q_near: Array,
         room_m: float,
-    ) -> _Held | None:
-        for k in range(_IK_STARTS_N):
-            q = np.array(q_near)
-            for arm, grasp in zip(self._hands.arms, self._grasps, strict=True):
-                begin = q_near[arm.joints] if k == 0 else rng.uniform(arm.lower, arm.upper)
-                solution = arm.solve(T_world_object @ grasp, begin)
-                if not solution.reached:
-                    break
-                q[arm.joints] = solution.q
-            else:
-                solved = self._hands.solve(T_world_object, q)
-                if solved is not None and not engine.closest(solved, room_m):
-                    return T_world_object, solved
+    ) -> _Hold | None:
+        """Return a posture of the hands on the object that keeps `room_m` from everything."""
+        for attempt in range(_IK_STARTS_N):
+            q = self._reach(rng, T_world_object, q_near, from_near=attempt == 0)
+            if q is None:
+                continue
+            solved = self._hands.solve(T_world_object, q)
+            if solved is not None and not engine.closest(solved, room_m):
+                return _Hold(T_world_object, solved)
         return None
 
-    def _blocked(self, engine: MujocoEngine, start: _Held, T_goal: Array) -> bool:
-        path = HeldPath.through([start[0], T_goal])
-        marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)), dtype=np.float64)
-        Q, ended = self._hands.follow(path.poses(marks), start[1])
-        return ended is not None or bool(engine.collisions(Q).any())
-
-    def _witness(
+    def _reach(
         self,
         rng: np.random.Generator,
-        engines: SceneEngines,
-        query: HeldQuery,
-        start: _Held,
-        goal: _Held,
+        T_world_object: Array,
+        q_near: Array,
+        *,
+        from_near: bool,
     ) -> Array | None:
+        """Return the IK of both hands, from `q_near` or from a random posture; None if it fails."""
+        q = np.array(q_near)
+        for arm, T_object_tcp in zip(self._hands.arms, self._grasps, strict=True):
+            begin = q_near[arm.joints] if from_near else rng.uniform(arm.lower, arm.upper)
+            solution = arm.solve(T_world_object @ T_object_tcp, begin)
+            if not solution.reached:
+                return None
+            q[arm.joints] = solution.q
+        return q
+
+    def _blocked(self, engine: MujocoEngine, start: _Hold, T_goal: Array) -> bool:
+        """Return whether the straight path collides or cannot be followed."""
+        path = HeldPath.through([start.T_world_object, T_goal])
+        marks = np.linspace(0.0, path.length, max(8, int(path.length / 0.01)), dtype=np.float64)
+        Q, ended = self._hands.follow(path.poses(marks), start.q)
+        return ended is not None or bool(engine.collisions(Q).any())
+
+    def _witness(self, rng: np.random.Generator, candidate: _Candidate) -> Array | None:
+        """Return points of a proven path from start to goal, or None."""
+        start = candidate.start
+        goal = candidate.goal
+        ends = (start.q, goal.q)
+        chart = ObjectChart(start.T_world_object[:3, :3])
         for padding_m, step_scale in _WITNESS_TRIES:
-            checker = EdgeChecker(engines, padding_m, (start[1], goal[1]), _EDGE_STEP_RAD)
-            space = HeldSpace(self._hands, ObjectChart(start[0][:3, :3]), checker, step_scale)
+            checker = EdgeChecker(candidate.engines, padding_m, ends, _EDGE_STEP_RAD)
+            space = HeldSpace(self._hands, chart, checker, step_scale)
             checker.allow(_WITNESS_CHECKS_N, time.perf_counter() + _WITNESS_S)
             path = search_object(
                 space,
@@ -203,10 +256,12 @@ class HeldMoveGenerator:
                 rng,
                 any_posture=False,
             )
+            if path is None:
+                continue
+            from_start = path[::-1]
             with suppress(ClosedChainError, TimingError):
-                if path is not None:
-                    HeldWork(self._prover.planner, query).rounded(path[::-1], "given")
-                    return path[::-1]
+                HeldWork(self._prover.planner, candidate.query).rounded(from_start, "given")
+                return from_start
         return None
 
 
