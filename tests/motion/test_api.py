@@ -16,6 +16,7 @@ from minidual.config.planning import PlannerConfig
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.motion.api import Effort, Planner
+from minidual.motion.ik import check_joints, goal_joints
 from minidual.motion.search import PLANNERS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import pose, rot_x, rot_z
@@ -152,13 +153,34 @@ def test_unreachable_pose_names_the_residual(planner):
         (lambda q: q * np.nan, "left_panda_joint1 = nan"),
         (
             lambda q: np.where(np.arange(14) == 3, 1.0, q),
-            "left_panda_joint4 = 1.0000 rad; its limits are -3.0718 to -0.0698",
+            "left_panda_joint4 = 1 rad; its limits are -3.0718 to -0.0698",
         ),
     ],
 )
 def test_starts_out_of_limits_are_named(planner, change, says):
     with pytest.raises(OutOfLimitsError, match=says):
         planner.plan_to_joints("both_arms", change(HOME.copy()), HOME)
+
+
+def test_a_start_and_a_goal_rounded_to_float32_are_on_the_limits(planner):
+    robot = planner.robot
+    start = HOME.copy()
+    goal = HOME.copy()
+    start[3] = np.float32(robot.q_upper[3])  # -0.0698 is rounded up
+    goal[0] = np.float32(robot.q_lower[0])  # -2.8973 is rounded down
+    assert start[3] > robot.q_upper[3]
+    assert goal[0] < robot.q_lower[0]
+    inside = check_joints(start, "start", robot)
+    assert inside[3] == robot.q_upper[3]
+    assert goal_joints("both_arms", inside, goal, robot)[0] == robot.q_lower[0]
+    assert goal_joints("left_arm", inside, goal[:7], robot)[0] == robot.q_lower[0]
+
+
+def test_a_refused_start_is_told_from_its_limit(planner):
+    start = HOME.copy()
+    start[3] = planner.robot.q_upper[3] + 2e-6
+    with pytest.raises(OutOfLimitsError, match=r"= -0\.069798 rad; its limits .* to -0\.0698 rad"):
+        planner.plan_to_joints("both_arms", start, HOME)
 
 
 def test_goals_out_of_limits_are_named(planner):

@@ -77,7 +77,7 @@ class TestReset:
         q[3] = 0.5
         with pytest.raises(
             UsageError,
-            match=r"left_panda_joint4 = 0\.5000 rad; -3\.0718 <= value <= -0\.0698",
+            match=r"left_panda_joint4 = 0\.5 rad; -3\.0718 <= value <= -0\.0698",
         ):
             world.reset(q)
         q[3] = np.nan
@@ -85,6 +85,13 @@ class TestReset:
             world.reset(q)
         with pytest.raises(UsageError, match=r"shape \(7,\)"):
             world.reset(HOME[:7])
+
+    def test_a_posture_rounded_to_float32_is_on_the_limit(self, world):
+        q = HOME.copy()
+        q[3] = np.float32(world.robot.q_upper[3])
+        assert q[3] > world.robot.q_upper[3]
+        world.reset(q)
+        assert world.q[3] == world.robot.q_upper[3]
 
 
 class TestReadings:

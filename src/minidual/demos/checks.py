@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from minidual.demos import schema
 from minidual.demos.faults import EpisodeFault
+from minidual.robot.limits import joint_text
 from minidual.robot.pair import Array, Robot
 
 Images = Mapping[str, NDArray[np.uint8]]
@@ -122,8 +123,8 @@ def check_limits(qpos: Array, robot: Robot) -> Iterator[EpisodeFault]:
         yield EpisodeFault(
             "outside_joint_limits",
             f"{joints.size} joints leave their limits; joint index {joint} is at "
-            f"{qpos[tick, joint]:.4f} rad at tick {tick}, "
-            f"allowed {robot.q_lower[joint]:.4f} to {robot.q_upper[joint]:.4f}",
+            f"{joint_text(qpos[tick, joint])} rad at tick {tick}, allowed "
+            f"{joint_text(robot.q_lower[joint])} to {joint_text(robot.q_upper[joint])}",
         )
 
 

@@ -19,6 +19,7 @@ from minidual.motion.ik_descent import descend, measure, project, rest, tcp_pose
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.compiled import floats
 from minidual.robot.kinematics import Kinematics, hinges
+from minidual.robot.limits import clipped, joint_text, outside_limits
 from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, Array, Robot
 
 TOLERANCE = 1e-7
@@ -248,11 +249,8 @@ def posture_at(
     return q
 
 
-_ROUNDING_RAD = 1e-9
-
-
 def check_joints(q: Array, what: str, robot: Robot) -> Array:
-    """Return q (n,), clipped to the limits within rounding.
+    """Return q (n,), on its limit where it is beyond by no more than rounding.
 
     Raises:
         OutOfLimitsError: Wrong shape, not finite, or outside limits.
@@ -267,14 +265,16 @@ def check_joints(q: Array, what: str, robot: Robot) -> Array:
         raise OutOfLimitsError(
             f"the {what} has {robot.joint_names[bad]} = {q[bad]}; it must be a finite number",
         )
-    outside = np.maximum(robot.q_lower - q, q - robot.q_upper)
-    worst = int(np.argmax(outside))
-    if outside[worst] > _ROUNDING_RAD:
-        limits = f"its limits are {robot.q_lower[worst]:.4f} to {robot.q_upper[worst]:.4f} rad"
+    if outside_limits(q, robot).any():
+        worst = int(np.argmax(np.maximum(robot.q_lower - q, q - robot.q_upper)))
+        value = joint_text(q[worst])
+        lower = joint_text(robot.q_lower[worst])
+        upper = joint_text(robot.q_upper[worst])
         raise OutOfLimitsError(
-            f"the {what} has {robot.joint_names[worst]} = {q[worst]:.4f} rad; {limits}",
+            f"the {what} has {robot.joint_names[worst]} = {value} rad; "
+            f"its limits are {lower} to {upper} rad",
         )
-    return np.clip(q, robot.q_lower, robot.q_upper)
+    return clipped(q, robot)
 
 
 def goal_joints(

@@ -15,6 +15,7 @@ from minidual.plant.marks import GOAL_MARK
 from minidual.plant.model import build_model
 from minidual.plant.protocol import PlantEndedError
 from minidual.robot.compiled import bound
+from minidual.robot.limits import clipped, joint_text, outside_limits
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot
 
 
@@ -43,7 +44,6 @@ _NOT_FINITE = {
     int(mujoco.mjtWarning.mjWARN_BADCTRL): "commands",
 }
 """MuJoCo only counts these and resets the state or zeroes the commands."""
-_LIMIT_ROUNDING_RAD = 1e-9
 
 
 class World:
@@ -221,6 +221,7 @@ class World:
         """
         q = self.robot.home if q is None else np.asarray(q, dtype=float)
         self._check_posture(q)
+        q = clipped(q, self.robot)
         new_poses = {self.truth(name): pose for name, pose in (poses or {}).items()}
         self.brake(())
         mujoco.mj_resetData(self.model, self.data)
@@ -236,16 +237,13 @@ class World:
         robot = self.robot
         if q.shape != (robot.dof,):
             raise UsageError(f"q has shape {q.shape}; it must be ({robot.dof},)")
-        above_lower = q >= robot.q_lower - _LIMIT_ROUNDING_RAD
-        below_upper = q <= robot.q_upper + _LIMIT_ROUNDING_RAD
-        outside = ~(above_lower & below_upper)
+        outside = outside_limits(q, robot)
         if outside.any():
             i = int(np.argmax(outside))
-            low = robot.q_lower[i]
-            high = robot.q_upper[i]
-            raise UsageError(
-                f"{robot.joint_names[i]} = {q[i]:.4f} rad; {low:.4f} <= value <= {high:.4f}",
-            )
+            value = joint_text(q[i])
+            lower = joint_text(robot.q_lower[i])
+            upper = joint_text(robot.q_upper[i])
+            raise UsageError(f"{robot.joint_names[i]} = {value} rad; {lower} <= value <= {upper}")
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`; torques are clipped at the motor limits."""
