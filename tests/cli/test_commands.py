@@ -484,6 +484,10 @@ def test_config_show_prints_yaml_or_json(cli, capsys):
         ("task=nope", "no task 'nope'; there are handover, "),
         ("benchmark.methods=[impedence]", "did you mean 'impedance'?"),
         ("teleop.conditions=[clean, roon]", "did you mean 'room'?"),
+        (
+            "scene.object.name=stick",
+            "the task 'insertion' has no object 'stick'; there are peg, socket",
+        ),
     ],
 )
 def test_config_show_refuses_names_that_no_table_has(cli, capsys, setting, said):

@@ -19,6 +19,7 @@ from minidual.tasks.task import (
     Task,
     TaskObject,
     Trial,
+    check_objects,
     level_pose,
     near,
     placement,
@@ -74,6 +75,7 @@ def insertion(config: Config) -> Task:
         "scene.task.start_xy_m": (x, -y),
     }
     config = preset(config, {**bodies, **_VALUES})
+    check_objects("insertion", config.scene, (PEG, SOCKET))
     objects: dict[str, TaskObject] = {}
     for name, body in config.scene.objects.items():
         grasp = pose(DOWN, (0.0, _GRASP_Y_M[name], body.grasp_height_m))

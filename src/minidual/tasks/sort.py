@@ -24,6 +24,7 @@ from minidual.tasks.task import (
     Task,
     TaskObject,
     Trial,
+    check_objects,
     level_pose,
     placement,
 )
@@ -68,6 +69,7 @@ def sort(config: Config) -> Task:
     marks = tuple(mark for colour in COLOURS for mark in _bin(colour))
     bodies = {"scene.object": first, "scene.more": tuple(more), "scene.marks": marks}
     config = preset(config, {**bodies, **_VALUES})
+    check_objects("sort", config.scene, names)
     grasps = dict.fromkeys(SIDES, pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m)))
     put = "Put the red cubes into the red bin on the left"
     return Task(

@@ -11,6 +11,7 @@ import numpy as np
 from minidual.config.root import Config
 from minidual.config.scene import ObjectConfig, ObstacleConfig, SceneConfig
 from minidual.config.seeds import stream
+from minidual.errors import ConfigError
 from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.tasks.success import SuccessCondition
 
@@ -119,6 +120,21 @@ class Task:
         rng = stream(seed, f"{self.stream}/{purpose}", index)
         start, goal = self.draw(self, rng, widen)
         return Trial(purpose, index, start, goal)
+
+
+def check_objects(task: str, scene: SceneConfig, names: Sequence[str]) -> None:
+    """Check that the scene holds no other objects than those that a task handles by name.
+
+    Raises:
+        ConfigError: Another object.
+    """
+    for name in scene.objects:
+        if name not in names:
+            raise ConfigError(
+                f"the task '{task}' has no object '{name}'; there are {', '.join(names)}",
+                remedy=f"leave the names of the scene's objects as they are in '{task}', "
+                "or choose other tasks",
+            )
 
 
 def placement(pose: ObjectPose) -> Placement:
