@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from minidual.control.senses import ContactSense, Expected
+from minidual.control.observer import ContactObserver, Expected
 
 from minidual.config.control import CarryConfig, SupervisorConfig
 from minidual.config.scene import SceneConfig

@@ -46,7 +46,7 @@ class Hands:
 def run(hands, grippers, command, steps=1000):
     targets = []
     for _ in range(steps):
-        hands.targets = grippers.step(np.array(command))
+        hands.targets = grippers.step(np.array(command), hands.fingers, hands.grip)
         targets.append(hands.targets.copy())
     return np.array(targets)
 
@@ -83,22 +83,22 @@ def test_a_firmer_pinch_stays_within_what_the_motors_give_and_opens_in_time(hand
 def test_a_hand_whose_object_slides_out_holds_nothing_though_its_fingers_press(hands, grippers):
     """Fingers that press on one another feel the whole force; before, the hand seemed to hold what it had lost."""
     run(hands, grippers, [0.0, 0.0])
-    assert [grippers.holds(hand) for hand in (0, 1)] == [True, True]
-    assert [grippers.lost(hand) for hand in (0, 1)] == [False, False]
+    assert [grippers.holds(hand, hands.fingers, hands.grip) for hand in (0, 1)] == [True, True]
+    assert [grippers.lost(hand, hands.fingers) for hand in (0, 1)] == [False, False]
     hands.half_m[:] = 0.0
     run(hands, grippers, [0.0, 0.0])
     np.testing.assert_allclose(hands.grip, 50.0, rtol=0.01)
-    assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]
-    assert [grippers.lost(hand) for hand in (0, 1)] == [True, True]
+    assert [grippers.holds(hand, hands.fingers, hands.grip) for hand in (0, 1)] == [False, False]
+    assert [grippers.lost(hand, hands.fingers) for hand in (0, 1)] == [True, True]
     run(hands, grippers, [1.0, 1.0])
-    assert [grippers.lost(hand) for hand in (0, 1)] == [False, False], (
+    assert [grippers.lost(hand, hands.fingers) for hand in (0, 1)] == [False, False], (
         "an open hand has lost nothing"
     )
 
 
 def test_a_reset_forgets_the_firmer_pinch(hands, grippers):
     grippers.firmer()
-    grippers.reset()
+    grippers.reset(hands.fingers, hands.grip)
     run(hands, grippers, [0.0, 0.0])
     np.testing.assert_allclose(hands.grip, 50.0, rtol=0.01)
 
@@ -201,18 +201,18 @@ def test_a_wavering_command_does_not_flutter(hands, grippers):
     run(hands, grippers, [0.0, 0.0])
     middle = 0.5 * (CLOSE_BELOW + OPEN_ABOVE)
     for value in (middle, CLOSE_BELOW + 0.01, OPEN_ABOVE - 0.01, CLOSE_BELOW, OPEN_ABOVE):
-        grippers.step(np.array([value, value]))
+        grippers.step(np.array([value, value]), hands.fingers, hands.grip)
         assert opened(grippers) == [False, False]
-    grippers.step(np.array([OPEN_ABOVE + 0.01, middle]))
+    grippers.step(np.array([OPEN_ABOVE + 0.01, middle]), hands.fingers, hands.grip)
     assert opened(grippers) == [True, False]
-    grippers.step(np.array([middle, middle]))
+    grippers.step(np.array([middle, middle]), hands.fingers, hands.grip)
     assert opened(grippers) == [True, False]
 
 
 def test_a_reset_opens_at_once(hands, grippers):
     run(hands, grippers, [0.0, 0.0])
     hands.targets = np.full(2, TRAVEL_M)  # the plant was reset
-    grippers.reset()
+    grippers.reset(hands.fingers, hands.grip)
     assert grippers.targets_m.tolist() == [TRAVEL_M] * 2
     assert opened(grippers) == [True, True]
 
@@ -238,7 +238,7 @@ def test_fingers_that_meet_nothing_press_on_each_other_without_a_slam(scene, com
     grippers = Grippers(world, pinch_force_n=40.0)
     forces = []
     for _ in range(1500):
-        world.command(np.zeros(14), grippers.step(np.zeros(2)))
+        world.command(np.zeros(14), grippers.step(np.zeros(2), hands.fingers, hands.grip))
         world.step()
         forces.append(world.grip)
     assert np.array(forces)[-200:] == pytest.approx(40.0, abs=1.0)
@@ -262,7 +262,7 @@ def test_a_grip_is_lost_when_its_force_falls_and_the_object_is_still_there(
     fingers = hands.fingers
     monkeypatch.setattr(Hands, "grip", np.array([grip_n, 50.0]))
     monkeypatch.setattr(Hands, "fingers", fingers + np.array([moved_m, 0.0]))
-    grippers.step(np.zeros(2))
+    grippers.step(np.zeros(2), hands.fingers, hands.grip)
     assert grippers.fault == "", "one reading"
     run(hands, grippers, [0.0, 0.0], 5)
     assert grippers.fault.startswith("the left hand: 20 of 50 N") == lost
@@ -276,21 +276,21 @@ def test_single_bad_readings_with_good_ones_between_do_not_add_up(hands, gripper
     for _ in range(20):
         for grip_n in (5.0, 50.0, 50.0):
             monkeypatch.setattr(Hands, "grip", np.array([grip_n, 50.0]))
-            grippers.step(np.zeros(2))
+            grippers.step(np.zeros(2), hands.fingers, hands.grip)
     assert grippers.fault == ""
 
 
 def test_a_hand_holds_what_it_has_closed_on_and_feels(hands, grippers):
     hands.half_m[:] = 0.009, 0.0
-    assert [grippers.holds(hand) for hand in (0, 1)] == [False, False]
+    assert [grippers.holds(hand, hands.fingers, hands.grip) for hand in (0, 1)] == [False, False]
     run(hands, grippers, [0.0, 0.0])
     assert hands.grip == pytest.approx([50.0, 50.0], abs=1.0), (
         "nothing between the fingers presses back as well"
     )
-    assert [grippers.holds(hand) for hand in (0, 1)] == [True, False]
+    assert [grippers.holds(hand, hands.fingers, hands.grip) for hand in (0, 1)] == [True, False]
     for nothing in (np.nan, 10.0):
         hands.motor_n = nothing
-        assert not grippers.holds(0)
+        assert not grippers.holds(0, hands.fingers, hands.grip)
     run(hands, grippers, [1.0, 0.0])
     hands.motor_n = 70.0
-    assert not grippers.holds(0)
+    assert not grippers.holds(0, hands.fingers, hands.grip)

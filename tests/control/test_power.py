@@ -11,7 +11,7 @@ from minidual.config.learning import TeleopConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.controllers import Payload
+from minidual.control.payload import Payload
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import ScriptedLeader

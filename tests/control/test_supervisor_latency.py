@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from minidual.control.senses import EVERY, Expected
+from minidual.control.observer import EVERY_S, Expected
 
 from minidual.config.control import SupervisorConfig
 from minidual.control.reflexes import REFLEXES, ReflexError

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from minidual.control.senses import Expected
+from minidual.control.observer import Expected
 
 from minidual.config.control import SupervisorConfig
 from minidual.control.joint_control import JointLoop
-from minidual.control.reflexes import REFLEXES, Reach, Reflex, ReflexError
+from minidual.control.bounds import Reach
+from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World

@@ -11,7 +11,6 @@ import pytest
 from minidual.config.control import CarryConfig, CarryFaultConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.impedance import ObjectImpedance, SingularPostureError
-from minidual.control.soft_stop import SoftStop, TorqueRate
 from minidual.motion.ik import PoseUnreachableError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

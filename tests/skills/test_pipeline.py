@@ -12,7 +12,7 @@ import pytest
 from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.scene import ObjectConfig, SceneConfig
-from minidual.control.reflexes import Reach
+from minidual.control.bounds import Reach
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.motion.api import Planner

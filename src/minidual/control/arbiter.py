@@ -10,20 +10,21 @@ from functools import partial
 import numpy as np
 
 from minidual.config.control import ArbiterConfig
+from minidual.control.command_checks import check_openings
 from minidual.control.commands import (
     HOLD,
     SOURCES,
     ArbiterState,
     Command,
-    JointCommand,
     Reason,
     Refusal,
 )
+from minidual.control.driving import Driving
 from minidual.control.execution import Execution, Underway
-from minidual.control.joint_target import ARMS, JointTarget
-from minidual.control.mailbox import Mailbox, check_openings
+from minidual.control.joint_target import JointTarget
+from minidual.control.mailbox import Mailbox
 from minidual.errors import UsageError, check_name
-from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.pair import Array, Robot
 
 _DRIVING = (ArbiterState.WAITING, ArbiterState.ALIGNING, ArbiterState.ACTIVE, ArbiterState.STALE)
 
@@ -79,7 +80,6 @@ class CommandArbiter:
         admit: Returns why the controllers refuse a command, or None.
 
     Attributes:
-        source: Source that may drive, or None.
         speed: Share of full speed, from the next tick on.
         underway: Running timed commands.
         on_confirm: Called with the mode at confirmation, before the source's first command.
@@ -106,19 +106,12 @@ class CommandArbiter:
         self._halt: _Halt | None = None
         self._switch: _Switch | None = None
         self._refusals: list[Refusal] = []
-        self.state = ArbiterState.HOLDING
-        self.source: str | None = None
         self._robot = robot
         self._target: JointTarget | None = None  # from the first tick on
-        self._gripper = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
+        openings = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
+        self._driving = Driving(self.config, self.underway, openings, self._refuse)
         self._last_tick_s: float | None = None
-        self._heard_s = 0.0
-        """Time of the newest streamed command, or of the last tick with a running timed one."""
-        self._alive_s = -np.inf
-        """When the source was last known to live."""
         self._affirmed: set[str] = set()
-        self._streamed = set[int]()
-        """Arms with a fresh streamed command."""
         self.speed = self.config.speed_override
 
     # Requests ------------------------------------------------------------------------------------------------
@@ -176,6 +169,16 @@ class CommandArbiter:
             self._target.stand(q, v)
 
     @property
+    def source(self) -> str | None:
+        """Source that may drive, or None."""
+        return self._driving.source
+
+    @property
+    def state(self) -> ArbiterState:
+        """What the arbiter does."""
+        return self._driving.state
+
+    @property
     def switching(self) -> bool:
         """Whether a switch is requested or waits."""
         return self._requested is not None or self._switch is not None
@@ -196,8 +199,9 @@ class CommandArbiter:
             self._target = JointTarget(self._robot, self.config)
             self._target.hold(posture)
         target = self._target
+        driving = self._driving
         if self.source in self._affirmed:
-            self._alive_s = now_s
+            self._driving.alive_s = now_s
         self._affirmed.clear()
         halted = self._begin_halt(target, now_s, posture, v)
         was_braking = self.underway.braking
@@ -205,23 +209,19 @@ class CommandArbiter:
         self._begin_requested(target, now_s, posture, v)
         switched_to = self._settle(target, now_s, posture, v)
         driven = False
-        if self.source is not None:
-            if ended and not (was_braking and self._is_gone(now_s)):
-                self.state = ArbiterState.WAITING
-                self._heard_s = now_s
-            self._begin_timed(self.source, now_s, posture, v)
-            streamed = self._streamed
-            driven = self._drive(target, self.source, now_s, dt)
-            silent = streamed - self._streamed
-            if silent or target.stopping:
-                self._stop_silent(target, silent, target.stopped(posture, v))
+        if driving.source is not None:
+            if ended and not (was_braking and driving.is_gone(now_s)):
+                driving.state = ArbiterState.WAITING
+                driving.heard_s = now_s
+            mailbox = self._mailboxes[driving.source]
+            driven = driving.tick(mailbox, target, now_s, dt, self.speed, posture, v)
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
         refusals = tuple(self._refusals)
         self._refusals = []
         return ArbiterOutput(
             target.q.copy(),
-            self._gripper.copy(),
+            driving.gripper.copy(),
             self.state,
             self.source if driven else None,
             switched_to,
@@ -262,13 +262,13 @@ class CommandArbiter:
             self._supersede(self._switch.mode, f"'{mode}' was requested while settling")
         elif mode == self.source and self.state in _DRIVING:
             return
-        self.source = None
+        self._driving.source = None
         self.underway.brake()
         target.stop(q, v)
         target.q, _ = self.underway.follow(target.q)
         self._flush(mode, now_s)
         self._switch = _Switch(mode, now_s)
-        self.state = ArbiterState.SETTLING
+        self._driving.state = ArbiterState.SETTLING
 
     def _settle(self, target: JointTarget, now_s: float, q: Array, v: Array) -> str | None:
         """End a switch whose arms are still, or have not become still in time; return the mode confirmed."""
@@ -282,14 +282,14 @@ class CommandArbiter:
             self._switch = None
             target.hold(q)
             holds = switch.mode == HOLD
-            self.source = None if holds else switch.mode
-            self.state = ArbiterState.HOLDING if holds else ArbiterState.WAITING
-            self._heard_s = now_s
+            self._driving.source = None if holds else switch.mode
+            self._driving.state = ArbiterState.HOLDING if holds else ArbiterState.WAITING
+            self._driving.heard_s = now_s
             self.on_confirm(switch.mode)
             return switch.mode
         if waited_s >= self.config.settle_timeout_s:
             self._switch = None
-            self.state = ArbiterState.STOPPED
+            self._driving.state = ArbiterState.STOPPED
             fastest = f"fastest joint {speed:.3f} rad/s after {waited_s:.3f} s"
             detail = f"{fastest}; still means below {still_speed} rad/s"
             self._refuse(switch.mode, "not_still", detail)
@@ -301,7 +301,7 @@ class CommandArbiter:
         if halt is None:
             return False
         if halt.gripper is not None and halt.source == self.source:
-            self._gripper = halt.gripper
+            self._driving.gripper = halt.gripper
         elif halt.gripper is not None:
             detail = "only the source that drives may move the hands"
             self._refuse(halt.source, "not_driving", detail)
@@ -311,95 +311,16 @@ class CommandArbiter:
         self.underway.executions = ()
         self._flush(HOLD, now_s)
         target.stop(q, v)
-        self.source = None
-        self.state = ArbiterState.STOPPED
+        self._driving.source = None
+        self._driving.state = ArbiterState.STOPPED
         return True
 
     def _flush(self, mode: str, now_s: float) -> None:
-        self._streamed = set()
+        self._driving.flush()
         for mailbox in self._mailboxes.values():
             mailbox.flush(now_s)
         for listener in self.on_flush:
             listener(mode)
-
-    # Driving -------------------------------------------------------------------------------------------------
-
-    def _begin_timed(self, source: str, now_s: float, q: Array, v: Array) -> None:
-        far_rad = self.config.switch_step_max_rad
-        for command in self._mailboxes[source].take_timed(now_s, self.config.stale_s):
-            reason = self.underway.begin(command, q, v, far_rad, self._gripper)
-            if reason:
-                self._refuse(source, *reason)
-                continue
-            self._alive_s = max(self._alive_s, min(now_s, command.stamp_s))
-            for arm in command.arms:
-                self._gripper[arm] = command.gripper[arm]
-
-    def _fresh(self, source: str, now_s: float) -> dict[int, JointCommand]:
-        """Return the source's streamed commands by arm that may drive now."""
-        mailbox = self._mailboxes[source]
-        fresh = mailbox.fresh(now_s, self.config.stale_s)
-        for arm, command in list(fresh.items()):
-            reason = self.underway.busy((arm,)) or self.underway.admit(command)
-            if reason is not None:
-                self._refuse(source, *reason)
-                mailbox.drop(arm)
-                del fresh[arm]
-        return fresh
-
-    def _drive(self, target: JointTarget, source: str, now_s: float, dt: float) -> bool:
-        """Move the target by the source's commands; return whether one passed."""
-        fresh = self._fresh(source, now_s)
-        self._streamed = set(fresh)
-        if fresh:
-            newest_s = max(command.stamp_s for command in fresh.values())
-            self._heard_s = max(self._heard_s, newest_s)
-            self._alive_s = max(self._alive_s, min(now_s, newest_s))
-        driven = self._run_timed(now_s)
-        if not fresh:
-            if not driven:
-                self._go_quiet(now_s)
-            return driven
-        target.aligning = self.state == ArbiterState.ALIGNING
-        follows = target.approach(fresh, dt, self.speed)
-        self.state = ArbiterState.ACTIVE if follows else ArbiterState.ALIGNING
-        if follows:  # aligning hands do not move, so that they keep what they hold
-            for arm, command in fresh.items():
-                self._gripper[arm] = command.gripper[arm]
-        return True
-
-    def _run_timed(self, now_s: float) -> bool:
-        """Return whether timed commands run; brake them if their source is gone."""
-        if not self.underway.executions:
-            return False
-        if self._is_gone(now_s):
-            self.underway.brake()
-        if self.underway.braking:
-            self.state = ArbiterState.STALE
-            return False
-        self._heard_s = now_s
-        self.state = ArbiterState.ACTIVE
-        return True
-
-    def _is_gone(self, now_s: float) -> bool:
-        return now_s - self._alive_s > self.config.stale_s + 1e-9
-
-    def _go_quiet(self, now_s: float) -> None:
-        if now_s - self._heard_s > self.config.stop_after_s:
-            self.state = ArbiterState.STOPPED
-            self.source = None
-        elif self.state != ArbiterState.WAITING:
-            self.state = ArbiterState.STALE
-
-    def _stop_silent(self, target: JointTarget, silent: set[int], rest: Array) -> None:
-        """Bring arms whose source has gone silent to rest."""
-        idle = {arm for arm in ARMS - self._streamed if not self.underway.busy((arm,))}
-        if self.state not in (ArbiterState.ACTIVE, ArbiterState.ALIGNING):
-            target.stop_all(idle, silent, rest)
-            return
-        for arm in target.stop_arms(idle, silent, rest):
-            detail = f"{SIDES[arm]} arm: no command for {self.config.stale_s} s"
-            self._refuse(self.source or HOLD, "stale", detail)
 
     # Refusals ------------------------------------------------------------------------------------------------
 

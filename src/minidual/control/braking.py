@@ -52,7 +52,11 @@ def fill_rest(q: Array, v: Array, slopes: Array, limits: Array, rest: Array) -> 
         x = q[j] + v[j] * (0.5 / slopes[j] + 0.5 * RAMP_S)
         low = limits[0, j]
         high = limits[1, j]
-        rest[j] = low if x < low else high if x > high else x
+        if x < low:
+            x = low
+        elif x > high:
+            x = high
+        rest[j] = x
 
 
 class BrakingLaw:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from minidual.control.command_checks import OBJECT_MAX, own_columns
 from minidual.control.commands import (
     Command,
     ObjectCommand,
@@ -21,7 +22,6 @@ from minidual.control.commands import (
 from minidual.control.gripper import CLOSE_BELOW, OPEN_ABOVE
 from minidual.control.impedance import SQUEEZE_MAX_N, ObjectState
 from minidual.control.kernels import adopt, within
-from minidual.control.mailbox import OBJECT_MAX, own_columns
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array, Robot
 
@@ -99,7 +99,7 @@ class _Execution[C: TimedCommand]:
             if not self.finished:
                 self._k = k = self._k + 1
                 self.finished = k >= self._steps
-                self._t_s = t_s if (t_s := k * self._dt) < self._end_s else self._end_s
+                self._t_s = min(k * self._dt, self._end_s)
             return
         if self.braking:
             rise = self._slope + self._slope_max * self._dt / _BRAKE_RAMP_S
@@ -111,12 +111,8 @@ class _Execution[C: TimedCommand]:
             self._speed_now += within(self._speed - self._speed_now, -slew, slew)
             pace = min(self.pace, self._speed_now)
             change = _PACE_SLOPE * self._dt / _BRAKE_RAMP_S
-            wanted = (self.rate - pace) / _PACE_S
-            self._slope += within(
-                within(wanted, -_PACE_SLOPE, _PACE_SLOPE) - self._slope,
-                -change,
-                change,
-            )
+            slope = within((self.rate - pace) / _PACE_S, -_PACE_SLOPE, _PACE_SLOPE)
+            self._slope += within(slope - self._slope, -change, change)
         self.rate = within(self.rate - self._slope * self._dt, 0.0, 1.0)
         self._t_s = min(self._t_s + self.rate * self._dt, self._end_s)
         if self.rate < _STOPPED_RATE or self._t_s >= self._end_s:
@@ -156,10 +152,8 @@ class TrajectoryExecution(_Execution[TrajectoryCommand]):
         )
 
     def _largest_slope(self) -> float:
-        self._fill(
-            round(self._t_s / self._dt),
-            _LOOK_AHEAD_ROWS,
-        )  # braking, it never comes back to these rows
+        now = round(self._t_s / self._dt)
+        self._fill(now, _LOOK_AHEAD_ROWS)  # braking, it never comes back to these rows
         ahead = np.abs(self._v).max(axis=0)
         limit = float((BRAKE_SHARE * self._a_max / np.maximum(ahead, 1e-6)).min())
         return float(np.clip(limit, _BRAKE_SLOPE_MIN, _BRAKE_SLOPE_MAX))
@@ -186,7 +180,7 @@ class ObjectExecution(_Execution[ObjectCommand]):
         super().__init__(command, dt_s)
         self._at = command.motion.at
         self._squeeze_n = command.squeeze_n
-        self._most = np.array([_TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s, *OBJECT_MAX])
+        self._largest = np.array([_TURN_PER_S * dt_s, _SHIFT_M_PER_S * dt_s, *OBJECT_MAX])
         self.desired = self._own = self._at(0.0).copied()  # overwritten in each step
         self.squeeze_n = self._squeeze_n(0.0)
 
@@ -195,10 +189,9 @@ class ObjectExecution(_Execution[ObjectCommand]):
         super().step()
         squeeze_n = self._squeeze_n(self._t_s)
         if not -1e-6 <= squeeze_n <= SQUEEZE_MAX_N + 1e-6:
-            raise UsageError(
-                f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s; 0 to {SQUEEZE_MAX_N} N",
-            )
-        if not adopt(*self._at(self._t_s), self._most, *self._own):
+            squeeze = f"the path's squeeze is {squeeze_n} N at {self._t_s:.3f} s"
+            raise UsageError(f"{squeeze}; 0 to {SQUEEZE_MAX_N} N")
+        if not adopt(*self._at(self._t_s), self._largest, *self._own):
             fault = f"the object path jumps, or is too fast or too sharp, at {self._t_s:.3f} s"
             raise UsageError(fault, remedy="check its poses and their motion; none may be NaN")
         self.squeeze_n = squeeze_n
@@ -237,32 +230,31 @@ class Underway:
         object path must not open hands whose openings (2,) are closed.
         """
         reason = self.busy(command.arms) or self.admit(command)
-        if reason is None and isinstance(command, TrajectoryCommand):
+        if reason is not None:
+            return reason
+        if isinstance(command, TrajectoryCommand):
             reason = self._far_start(command, posture, far_rad) or self._moving(command, v)
-        elif reason is None and ((gripper < CLOSE_BELOW) & (command.gripper > OPEN_ABOVE)).any():
-            reason = (
-                "gripper_out_of_range",
-                f"gripper {command.gripper} would open the hands that hold the object",
-            )
-        if reason is None:
-            timed = isinstance(command, TrajectoryCommand)
-            begun = (
-                TrajectoryExecution(command, self._dt, self._robot)
-                if timed
-                else ObjectExecution(command, self._dt)
-            )
-            self.executions = (*self.executions, begun)
-        return reason
+            if reason is not None:
+                return reason
+            begun: Execution = TrajectoryExecution(command, self._dt, self._robot)
+        else:
+            opens = (gripper < CLOSE_BELOW) & (command.gripper > OPEN_ABOVE)
+            if opens.any():
+                detail = f"gripper {command.gripper} would open the hands that hold the object"
+                return "gripper_out_of_range", detail
+            begun = ObjectExecution(command, self._dt)
+        self.executions = (*self.executions, begun)
+        return None
 
     def busy(self, arms: tuple[int, ...]) -> Reason | None:
         """Return why these arms are busy, or None."""
         for execution in self.executions:
-            if shared := [SIDES[arm] for arm in arms if arm in execution.arms]:
-                kind = type(execution.command).__name__
-                return (
-                    "busy",
-                    f"a {kind} is under way on {' and '.join(shared)}; wait for its end, or hold",
+            shared = [SIDES[arm] for arm in arms if arm in execution.arms]
+            if shared:
+                running = (
+                    f"a {type(execution.command).__name__} is under way on {' and '.join(shared)}"
                 )
+                return "busy", f"{running}; wait for its end, or hold"
         return None
 
     @property
@@ -294,8 +286,10 @@ class Underway:
 
     def _moving(self, command: TrajectoryCommand, v: Array) -> Reason | None:
         fastest = float(np.abs(v[self._robot.groups[command.group]]).max())
-        what = f"a trajectory starts at rest, and a joint moves at {fastest:.2f} rad/s; bound {START_RAD_PER_S} rad/s"
-        return None if fastest <= START_RAD_PER_S else ("not_still", what)
+        if fastest <= START_RAD_PER_S:
+            return None
+        moves = f"a trajectory starts at rest, and a joint moves at {fastest:.2f} rad/s"
+        return "not_still", f"{moves}; bound {START_RAD_PER_S} rad/s"
 
     def _far_start(
         self,

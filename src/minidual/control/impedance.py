@@ -173,21 +173,23 @@ class ObjectImpedance:
             *(hands.views, self._posture, q, v, self._qdd, self.push, self._work),
         )
         if not sound and np.isfinite(q + v).all():  # of joints, the supervisor says what is wrong
-            seen = {
-                "pose": measured.T_world_object,
-                "twist": measured.twist,
-                "internal force": felt_n + wanted_n,
-            }
-            if lost := [name for name, values in seen.items() if not np.isfinite(values).all()]:
-                raise DataError(
-                    f"the object's {' and '.join(lost)} is not finite",
-                    remedy="look at what measures it",
-                )
-            raise SingularPostureError(
-                "a hand has lost a direction of motion: J J^T is singular",
-                remedy=_BENT,
-            )
+            raise self._unsound(measured, felt_n)
         return motor_torque(self._kinematics, q, v, self._qdd, self.push)
+
+    @staticmethod
+    def _unsound(measured: ObjectState, felt_n: float) -> MinidualError:
+        """Return why the law gave no torque."""
+        values = {
+            "pose": measured.T_world_object,
+            "twist": measured.twist,
+            "internal force": np.array(felt_n),
+        }
+        missing = [name for name, value in values.items() if not np.isfinite(value).all()]
+        if missing:
+            text = f"the object's {' and '.join(missing)} is not finite"
+            return DataError(text, remedy="look at what measures it")
+        text = "a hand has lost a direction of motion: J J^T is singular"
+        return SingularPostureError(text, remedy=_BENT)
 
 
 STIFFNESS_N_PER_M = 2000.0
@@ -446,5 +448,6 @@ class HeldEstimate:
 
 def towards(T: Array, sample: Array, gain: float) -> tuple[Array, tuple[float, float]]:
     """Return T moved towards the sample, and their innovation."""
-    innovation = approach(T, sample, gain, moved := np.empty((4, 4)))
+    moved = np.empty((4, 4))
+    innovation = approach(T, sample, gain, moved)
     return moved, innovation

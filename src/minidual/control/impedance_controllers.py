@@ -178,7 +178,8 @@ class ObjectImpedanceController(Controller):
                 self._execution = execution
         for arm, T in enumerate(self._kinematics.tcp_poses(self.reference)):
             held = ObjectState(T @ self._T_tcp_objects[arm])
-            if far := self._away(held, _IN_HAND, f"where the {SIDES[arm]} hand holds it"):
+            far = self._away(held, _IN_HAND, f"where the {SIDES[arm]} hand holds it")
+            if far:
                 raise DataError(
                     f"the object is {far}",
                     remedy="look at what measures its pose, and at the grasp",
@@ -189,7 +190,8 @@ class ObjectImpedanceController(Controller):
             self._compare_motion(steps)
         if self._execution is not None:
             self._give_room(self._execution, max(1, steps))
-            if far := self._away(self._execution.desired, OFF_PATH):
+            far = self._away(self._execution.desired, OFF_PATH)
+            if far:
                 self._execution.stop(("off_path", f"the path is {far}"))
                 self._back = True
 

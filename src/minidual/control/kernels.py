@@ -56,7 +56,11 @@ cross, plus, minus, times, inner, larger, solve_gram, rotation_vector = _algebra
 @njit
 def within(x: float, low: float, high: float) -> float:
     """Return x clipped; NaN stays NaN."""
-    return high if x > high else low if x < low else x
+    if x > high:
+        return high
+    if x < low:
+        return low
+    return x
 
 
 @njit
@@ -93,8 +97,9 @@ def turn(wanted: Array, actual: Array) -> tuple[Vector, float]:
 def apart(T: Array, T_other: Array, way: Array) -> tuple[float, float]:
     """Fill `way` (6,) with the motion from T_other to T, world axes; return its distance [m] and angle [rad]."""
     moved = minus(three(T[:, 3], 0), three(T_other[:, 3], 0))
-    (turned, angle) = turn(T, T_other)
-    way[:3], way[3:] = moved, turned
+    turned, angle = turn(T, T_other)
+    way[:3] = moved
+    way[3:] = turned
     return math.sqrt(inner(moved, moved)), angle
 
 
@@ -102,14 +107,16 @@ def apart(T: Array, T_other: Array, way: Array) -> tuple[float, float]:
 def approach(T: Array, goal: Array, share: float, moved: Array) -> tuple[float, float]:
     """Fill `moved` (4, 4) with T moved by a share of the way to a goal; return that way's distance [m] and angle [rad]."""
     p = three(T[:, 3], 0)
-    (turned, angle) = turn(goal, T)
+    turned, angle = turn(goal, T)
     way = minus(three(goal[:, 3], 0), p)
     axis = times(share, turned)
     square = inner(axis, axis)
     size = math.sqrt(square)
-    sine, cosine = (
-        (math.sin(size) / size, (1.0 - math.cos(size)) / square) if size > 1e-6 else (1.0, 0.5)
-    )
+    sine = 1.0
+    cosine = 0.5
+    if size > 1e-6:
+        sine = math.sin(size) / size
+        cosine = (1.0 - math.cos(size)) / square
     for k in range(3):  # Rodrigues
         across = cross(axis, three(T[:, k], 0))
         moved[:3, k] = plus(
@@ -117,7 +124,8 @@ def approach(T: Array, goal: Array, share: float, moved: Array) -> tuple[float, 
             plus(times(sine, across), times(cosine, cross(axis, across))),
         )
         moved[3, k] = T[3, k]
-    moved[:3, 3], moved[3, 3] = plus(p, times(share, way)), T[3, 3]
+    moved[:3, 3] = plus(p, times(share, way))
+    moved[3, 3] = T[3, 3]
     return math.sqrt(inner(way, way)), angle
 
 
@@ -153,7 +161,8 @@ def hand_motion(J: Array, p: Elements, v: Array, J_hand: Array) -> tuple[Vector,
         omega = plus(omega, times(v[j], angular))
         a = plus(a, times(v[j], plus(cross(omega, linear), cross(V, angular))))
         alpha = plus(alpha, times(v[j], cross(omega, angular)))
-        J_hand[:3, j], J_hand[3:, j] = plus(linear, cross(angular, p)), angular
+        J_hand[:3, j] = plus(linear, cross(angular, p))
+        J_hand[3:, j] = angular
     return plus(plus(a, cross(alpha, p)), cross(omega, plus(V, cross(omega, p)))), alpha
 
 
@@ -184,7 +193,8 @@ def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array
         add_product(y, 1.0, J_hand, torque[own])
         solve_gram(J_hand, y, 1e-3, np.empty((6, 6)))
         add_product(velocity, 1.0, J_hand[:3], v[own])
-        out[i, 0], out[i, 1] = math.sqrt(inner(y, y)), math.sqrt(inner(velocity, velocity))
+        out[i, 0] = math.sqrt(inner(y, y))
+        out[i, 1] = math.sqrt(inner(velocity, velocity))
         out[i, 2:] = plus(p, times(ahead_s, velocity))
 
 
@@ -250,8 +260,9 @@ def impedance(
         for k in range(3):
             R[k] = apply(s.R_tcps_object[i].T, R_hand[k])
         error, _ = turn(T_d, R)
-        wrench[:3], wrench[3:] = f[i]
-        slow[0], slow[1], slow[2] = omega
+        wrench[:3] = f[i][0]
+        wrench[3:] = f[i][1]
+        slow[:] = omega
         add_product(slow, -1.0, J_hand[3:], v[own])
         for k in range(3):
             wrench[3 + k] += 0.5 * (K[3 + k] * error[k] + D[3 + k] * slow[k])
@@ -259,7 +270,8 @@ def impedance(
         add_product(push[own], 1.0, J_hand.T, wrench)
         # qdd_posture + J^+ (a_hand - J qdd_posture - Jdot v): only the null space keeps the posture.
         a_hand = plus(a, plus(cross(alpha, r[i]), cross(omega, cross(omega, r[i]))))
-        lacking[:3], lacking[3:] = minus(a_hand, drift[0]), minus(alpha, drift[1])
+        lacking[:3] = minus(a_hand, drift[0])
+        lacking[3:] = minus(alpha, drift[1])
         for j in range(n * i, n * i + n):
             qdd[j] = s.posture_stiffness * (posture[j] - q[j]) - s.posture_damping * v[j]
         add_product(lacking, -1.0, J_hand, qdd[own])
@@ -295,7 +307,8 @@ def hand_impedance(
     s = law[0]
     J = hands[0]
     n = len(v) // 2
-    R_tcp, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
+    R_tcp = hands[4] if arm else hands[3]
+    p_tcp = hands[2] if arm else hands[1]
     own = slice(n * arm, n * arm + n)
     R = np.empty((3, 3))
     J_hand = np.empty((6, n))
@@ -313,13 +326,15 @@ def hand_impedance(
     late_along = np.empty(6)
     pull[:3] = apply(axes, minus(plus(three(T_ref[:, 3], 0), apply(T_ref, s.centre)), p))
     pull[3:] = apply(axes, turn(T_ref, R)[0])
-    late_along[:3], late_along[3:] = apply(axes, late[:3]), apply(axes, late[3:])
+    late_along[:3] = apply(axes, late[:3])
+    late_along[3:] = apply(axes, late[3:])
     for k in range(6):
         pull[k] *= s.K[k]
         learnt[k] = within(learnt[k] + s.learning * pull[k], -s.most[k], s.most[k])
         pull[k] = within(pull[k] + learnt[k], -s.most[k], s.most[k])
     add_product(pull, 1.0, s.D, late_along)
-    wrench[:3], wrench[3:] = apply(T_ref, pull[:3]), apply(T_ref, pull[3:])
+    wrench[:3] = apply(T_ref, pull[:3])
+    wrench[3:] = apply(T_ref, pull[3:])
     add_product(push[own], 1.0, J_hand.T, wrench)
     posture = np.empty(n)
     lacking = np.zeros(6)
@@ -334,7 +349,8 @@ def hand_impedance(
 @kernel(types.void(_HANDS, types.intp, _POSE, _POSE, types.boolean, ROWS))
 def from_hand(hands: Placed, arm: int, X: Array, T: Array, back: bool, out: Array) -> None:
     """Fill `out` (4, 4) with H T, or H^-1 T if `back`, of the frame H at X in a hand."""
-    R, p_tcp = (hands[4], hands[2]) if arm else (hands[3], hands[1])
+    R = hands[4] if arm else hands[3]
+    p_tcp = hands[2] if arm else hands[1]
     p = three(p_tcp, 0)
     p_X = three(X[:, 3], 0)
     for k in range(4):
@@ -376,21 +392,26 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
     z = cross(x, y)
     p = times(0.5, plus(left, right))
     for i in range(3):
-        T_hands[i, 0], T_hands[i, 1], T_hands[i, 2], T_hands[i, 3] = x[i], y[i], z[i], p[i]
+        T_hands[i, 0] = x[i]
+        T_hands[i, 1] = y[i]
+        T_hands[i, 2] = z[i]
+        T_hands[i, 3] = p[i]
         for k in range(4):
             T[i, k] = x[i] * X[0, k] + y[i] * X[1, k] + z[i] * X[2, k]
         T[i, 3] += p[i]
     T_hands[3, :] = 0.0
     T[3, :] = 0.0
-    T_hands[3, 3] = T[3, 3] = 1.0
-    (v_left, w_left) = hand_twist(J[:, :n], left, v[:n])
-    (v_right, w_right) = hand_twist(J[:, n:], right, v[n:])
+    T_hands[3, 3] = 1.0
+    T[3, 3] = 1.0
+    v_left, w_left = hand_twist(J[:, :n], left, v[:n])
+    v_right, w_right = hand_twist(J[:, n:], right, v[n:])
     # Rotation about x and z follows from the two points, about y only from the hands' angular velocities.
     about_y = 0.5 * inner(plus(w_left, w_right), y)
     omega = plus(times(1.0 / distance, cross(y, minus(v_left, v_right))), times(about_y, y))
     middle = times(0.5, plus(v_left, v_right))
     lever = minus(three(T[:, 3], 0), p)
-    twist[:3], twist[3:] = plus(middle, cross(omega, lever)), omega
+    twist[:3] = plus(middle, cross(omega, lever))
+    twist[3:] = omega
     return distance
 
 
@@ -432,11 +453,14 @@ def smooth(
     """
     odd = 0
     for i in range(8):
-        raw[i] = forces[i // 3, i % 3] if i < 6 else pinch[i - 6]
+        raw[i] = pinch[i - 6] if i >= 6 else forces[i // 3, i % 3]
         change = raw[i] - felt[i]
         near = abs(change) <= glitch_n
         finite = math.isfinite(raw[i])
-        odd = max(odd, 0 if near else 1 if finite else 2)
+        kind = 0
+        if not near:
+            kind = 1 if finite else 2
+        odd = max(odd, kind)
         if near or (finite and not patient):
             felt[i] += share * change
     return odd, pressed(felt, T)
@@ -472,13 +496,15 @@ def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion:
     for k in range(4):
         T[0, k] = cosine * X[0, k] - sine * X[1, k]
         T[1, k] = sine * X[0, k] + cosine * X[1, k]
-        T[2, k], T[3, k] = X[2, k], X[3, k]
+        T[2, k] = X[2, k]
+        T[3, k] = X[3, k]
     for i in range(4):
         way = end[i] - start[i]
         if i < 3:
             T[i, 3] += start[i] + s * way
         axis = i if i < 3 else 5
-        motion[0, axis], motion[1, axis] = ds / span * way, dds / span**2 * way
+        motion[0, axis] = ds / span * way
+        motion[1, axis] = dds / span**2 * way
 
 
 @kernel(types.boolean(_POSE, VIEW, VIEW, VIEW, ROWS, VECTOR, VECTOR))
@@ -497,7 +523,8 @@ def adopt(
     """
     for i in range(3):
         for k in range(4):
-            if not abs(T[i, k] - T_own[i, k]) <= (most[1] if k == 3 else most[0]):
+            largest = most[1] if k == 3 else most[0]
+            if not abs(T[i, k] - T_own[i, k]) <= largest:
                 return False
     for i in range(4):
         x = three(twist if i < 2 else acceleration, 3 * (i % 2))
@@ -521,15 +548,16 @@ def farthest(a: Array, b: Array) -> float:
 
 
 @kernel(types.void(VECTOR, VECTOR, _REAL, VECTOR, VECTOR))
-def strain(tau: Array, tau_max: Array, saturated: float, ticks: Array, most: Array) -> None:
-    """Count in `ticks` (n,) for how many calls |tau| / tau_max was saturated; update the largest ratio and count in `most`.
+def strain(tau: Array, tau_max: Array, saturated: float, ticks: Array, worst: Array) -> None:
+    """Count in `ticks` (n,) for how many calls |tau| / tau_max was saturated; update the largest ratio and count in `worst`.
 
     NaN stays.
     """
     for j in range(len(tau)):
         ratio = abs(tau[j]) / tau_max[j]
         ticks[j] = ticks[j] + 1.0 if ratio >= saturated else 0.0
-        most[0], most[1] = larger(ratio, most[0]), max(most[1], ticks[j])
+        worst[0] = larger(ratio, worst[0])
+        worst[1] = max(worst[1], ticks[j])
 
 
 @kernel(types.void(*[VIEW] * 5, _REAL, VECTOR))

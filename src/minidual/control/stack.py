@@ -11,13 +11,12 @@ from minidual import emergency
 from minidual.config.control import SPEED_OVERRIDE_MIN, ArbiterConfig
 from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
-from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
-from minidual.control.execution import START_RAD_PER_S
+from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.gripper import JOINT_PINCH_N, Grippers
 from minidual.control.impedance_controllers import ObjectSensor
 from minidual.control.loop import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlLoop
 from minidual.control.measurement import Measurement
-from minidual.control.reflexes import ReflexError
+from minidual.control.stack_state import StackState
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
@@ -29,7 +28,7 @@ _STOP_MAX_S = 2.0
 _REFUSALS_KEPT = 1000
 
 
-class ControlStack[P: Plant]:
+class ControlStack[P: Plant](StackState):
     """Drives one plant.
 
     Args:
@@ -40,7 +39,6 @@ class ControlStack[P: Plant]:
     Attributes:
         every: Control steps from one regular arbiter tick to the next.
         output: Last output of the arbiter.
-        refusals: The last of the `refused_n` refusals since the reset.
     """
 
     def __init__(
@@ -244,68 +242,6 @@ class ControlStack[P: Plant]:
         self._loop.recover()
         self._stand()
         self.request(HOLD)
-
-    # State ---------------------------------------------------------------------------------------------------
-
-    @property
-    def measurement(self) -> Measurement:
-        """Of this tick, validated; every part of the loop uses this one."""
-        return self._loop.measurement
-
-    @property
-    def manager(self) -> ControllerManager:
-        """The controllers."""
-        return self._loop.manager
-
-    @property
-    def applied(self) -> Array:
-        """Last torques (n,) [Nm] that the plant has taken."""
-        return self._loop.applied
-
-    @property
-    def reflex(self) -> ReflexError | None:
-        """Error of the latched reflex, or None."""
-        return self._loop.reflex
-
-    def holds(self, hand: int) -> bool:
-        """Return whether a hand has closed on something and feels it."""
-        return self._loop.holds(hand)
-
-    def refused_since(self, n: int) -> list[Refusal]:
-        """Return what was refused after the first n refusals since the reset."""
-        return self.refusals[max(0, n - self.refused_n + len(self.refusals)) :]
-
-    @property
-    def source(self) -> str | None:
-        """Source that may drive, or None."""
-        return self.arbiter.source
-
-    @property
-    def state(self) -> ArbiterState:
-        """State of the arbiter."""
-        return self.arbiter.state
-
-    @property
-    def stopping(self) -> bool:
-        """Whether a reflex or a halt is bringing the arms to rest, for 2 s at most."""
-        still = self._config.still_speed_rad_s
-        return self._stop_ticks > 0 and not np.abs(self.measurement.v).max() < still
-
-    @property
-    def calm(self) -> bool:
-        """Whether no joint moves too fast for a trajectory to start, with a margin."""
-        return bool(np.abs(self.measurement.v).max() < 0.8 * START_RAD_PER_S)
-
-    @property
-    def executing(self) -> bool:
-        """Whether a timed command runs or waits."""
-        running = [one for one in self.arbiter.underway.executions if not one.finished]
-        return self._pending or bool(running)
-
-    @property
-    def tick_next(self) -> bool:
-        """Whether the next `step` has a regular arbiter tick."""
-        return self._countdown == 0
 
     # Control loop --------------------------------------------------------------------------------------------
 

@@ -1,0 +1,91 @@
+"""What one may ask of a control stack at any time."""
+
+import numpy as np
+
+from minidual.config.control import ArbiterConfig
+from minidual.control.arbiter import CommandArbiter
+from minidual.control.commands import ArbiterState, Refusal
+from minidual.control.controller_manager import ControllerManager
+from minidual.control.execution import START_RAD_PER_S
+from minidual.control.loop import ControlLoop
+from minidual.control.measurement import Measurement
+from minidual.control.reflexes import ReflexError
+from minidual.robot.pair import Array
+
+
+class StackState:
+    """State of a stack that consists of a loop and an arbiter.
+
+    Attributes:
+        arbiter: Decides who drives.
+        refusals: The last of the `refused_n` refusals since the reset.
+    """
+
+    _loop: ControlLoop
+    _config: ArbiterConfig
+    _stop_ticks: int
+    _pending: bool
+    _countdown: int
+    arbiter: CommandArbiter
+    refusals: list[Refusal]
+    refused_n: int
+
+    @property
+    def measurement(self) -> Measurement:
+        """Of this tick, validated; every part of the loop uses this one."""
+        return self._loop.measurement
+
+    @property
+    def manager(self) -> ControllerManager:
+        """The controllers."""
+        return self._loop.manager
+
+    @property
+    def applied(self) -> Array:
+        """Last torques (n,) [Nm] that the plant has taken."""
+        return self._loop.applied
+
+    @property
+    def reflex(self) -> ReflexError | None:
+        """Error of the latched reflex, or None."""
+        return self._loop.reflex
+
+    def holds(self, hand: int) -> bool:
+        """Return whether a hand has closed on something and feels it."""
+        return self._loop.holds(hand)
+
+    def refused_since(self, n: int) -> list[Refusal]:
+        """Return what was refused after the first n refusals since the reset."""
+        return self.refusals[max(0, n - self.refused_n + len(self.refusals)) :]
+
+    @property
+    def source(self) -> str | None:
+        """Source that may drive, or None."""
+        return self.arbiter.source
+
+    @property
+    def state(self) -> ArbiterState:
+        """State of the arbiter."""
+        return self.arbiter.state
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a reflex or a halt is bringing the arms to rest, for 2 s at most."""
+        still = self._config.still_speed_rad_s
+        return self._stop_ticks > 0 and not np.abs(self.measurement.v).max() < still
+
+    @property
+    def calm(self) -> bool:
+        """Whether no joint moves too fast for a trajectory to start, with a margin."""
+        return bool(np.abs(self.measurement.v).max() < 0.8 * START_RAD_PER_S)
+
+    @property
+    def executing(self) -> bool:
+        """Whether a timed command runs or waits."""
+        running = [one for one in self.arbiter.underway.executions if not one.finished]
+        return self._pending or bool(running)
+
+    @property
+    def tick_next(self) -> bool:
+        """Whether the next `step` has a regular arbiter tick."""
+        return self._countdown == 0
