@@ -9,11 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from minidual.control.observer import ContactObserver, Expected
 
 from minidual.config.control import CarryConfig, SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand
+from minidual.control.observer import Expected
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

@@ -15,9 +15,9 @@ from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.payload import Payload
 from minidual.control.execution import ObjectExecution
 from minidual.control.impedance import ObjectPath, Waypoint
+from minidual.control.payload import Payload
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor

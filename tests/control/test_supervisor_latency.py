@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from minidual.control.observer import EVERY_S, Expected
 
 from minidual.config.control import SupervisorConfig
+from minidual.control.observer import Expected
 from minidual.control.reflexes import REFLEXES, ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from minidual.control.observer import Expected
 
 from minidual.config.control import SupervisorConfig
-from minidual.control.joint_control import JointLoop
 from minidual.control.bounds import Reach
+from minidual.control.joint_control import JointLoop
+from minidual.control.observer import Expected
 from minidual.control.reflexes import REFLEXES, Reflex, ReflexError
 from minidual.control.soft_stop import SupervisedStop
 from minidual.control.supervisor import Supervisor
