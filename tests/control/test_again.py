@@ -82,35 +82,6 @@ def test_an_emergency_stop_brakes_while_a_joint_is_measured_now_and_then(
 
 
 @pytest.mark.parametrize(
-    ("how", "most_rad"),
-    [("stop", 0.12), ("halt", 0.14), ("unguarded halt", 0.14)],
-)
-@pytest.mark.parametrize("period", [5, 10, 40])
-def test_a_stop_brakes_one_arm_while_power_of_the_other_flickers(
-    scene: SceneConfig,
-    period: int,
-    how: str,
-    most_rad: float,
-) -> None:
-    """Before, 0.22 to 0.67 rad in an emergency stop, 0.29 to 0.81 rad in a halt."""
-    plant = Arms(scene)
-    stack = in_motion(plant)
-    assert stack.supervisor is not None
-    if how == "stop":
-        stack.supervisor.estop()
-    else:
-        stack.halt("teleop")
-        stack.supervisor = stack.supervisor if how == "halt" else None
-    run(stack, 1)
-
-    def flicker(k: int) -> None:
-        if k < 100 * period and k % period < 2:
-            stack.switch_off((1,) if k % period == 0 else ())
-
-    assert way(plant, stack, flicker, slice(7)) < most_rad
-
-
-@pytest.mark.parametrize(
     ("how", "beyond_rad"),
     [("halt", 0.03), ("guarded halt", 0.02), ("stop", 0.003)],
 )

@@ -277,25 +277,6 @@ def test_arms_that_move_may_not_recover_after_their_clock_began_anew(scene: Scen
         stack.recover()
 
 
-def test_an_arm_whose_power_returned_before_the_clock_began_anew_is_watched(
-    scene: SceneConfig,
-) -> None:
-    """Before, for as long as the old clock was ahead: 60 Nm were `joint_velocity` after 34 ms."""
-    plant = Arms(scene)
-    plant.steps = 3_600_000
-    stack = supervised(plant)
-    run(stack, 50)
-    for off in ((1,), ()):
-        stack.switch_off(off)
-        run(stack, 20)
-    plant.steps = 0
-    run(stack, 600)
-    stack.recover()
-    assert run(stack, 100) == []
-    plant.pushed = 60.0 * np.eye(14)[10]
-    assert run(stack, 10) == ["contact.joint"]
-
-
 def course(times: list[float], q: list[float], v: list[float], joint: int) -> Trajectory:
     """A coarse trajectory of one joint."""
     row = np.eye(14)[joint]

@@ -27,7 +27,6 @@ from tests.support.stacks import (
     run,
     stack_on,
     supervised,
-    under_way,
 )
 
 V_MAX = Kinematics().robot.v_max
@@ -183,30 +182,6 @@ def test_an_error_of_what_tells_the_supervisor_is_a_reflex_too(scene: SceneConfi
     assert len(plant.torques) == sent + 100
 
 
-@pytest.mark.parametrize("off_ms", [150, 250])
-def test_power_that_returns_brakes_an_arm_where_it_is_also_without_a_supervisor(
-    scene: SceneConfig,
-    off_ms: int,
-) -> None:
-    """Before, the reference stayed where the arm had been: it went back at 6.3 and 11.1 rad/s."""
-    plant = Arms(scene)
-    stack = stack_on(plant)
-    hand_over(stack, "moveit")
-    stack.switch_off((1,))
-    run(stack, off_ms)
-    fell = np.abs(plant.q - HOME)[7:].max()
-    assert fell > 0.2
-    falling = np.sign(plant.v[7:])
-    back = 0.0
-    stack.switch_off(())
-    for _ in range(2500):
-        run(stack, 1)
-        back = max(back, float((-falling * plant.v[7:]).max()))
-    assert back < 2.3
-    assert np.abs(plant.q - HOME)[7:].max() > 0.9 * fell
-    assert np.abs(np.diff(plant.torques, axis=0)[-2500:]).max() <= 1.0 + 1e-9
-
-
 @pytest.mark.parametrize(
     ("share", "dip_ms", "fastest"),
     [(0.8, 6, 0.3), (0.8, 30, 0.8), (0.0, 6, 0.3)],
@@ -248,11 +223,3 @@ def test_motors_that_dip_are_braked_and_not_switched_off_for_good(
     assert moved < fastest
     assert np.abs(world.v).max() < 0.05
     assert np.abs(told[0]).max() > 5.0, "the motors hold the arms"
-
-
-def test_motors_that_stay_dead_stay_switched_off() -> None:
-    plant = Arms(SceneConfig())
-    stack = under_way(plant)
-    stack.switch_off((0,))
-    run(stack, 200)
-    assert np.all(stack.applied[:7] == 0.0)

@@ -24,7 +24,7 @@ from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import DUAL_PANDA, Array
+from minidual.robot.pair import Array
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import A_MAX, HOME
 from tests.support.stacks import PAIR, hand_over, move, stack_on, trajectory
@@ -232,97 +232,6 @@ def test_a_hold_that_names_its_set_gets_it(plant: ArmsPlant) -> None:
         stack.step()
     assert stack.state is ArbiterState.HOLDING
     assert stack.manager.active == PAIR
-
-
-def test_arms_that_are_switched_off_are_told_nothing_and_the_others_go_on(plant: ArmsPlant) -> None:
-    stack = under_way(plant, supervisor=Supervisor(dt_s=1e-3))
-    stack.halt("moveit")
-    stack.switch_off((0,))
-    before = plant.torques[-1]
-    for _ in range(60):  # not so long that what falls is a reflex
-        stack.step()
-    told = np.array([before, *plant.torques[-60:]])
-    assert np.abs(np.diff(told[:, :7], axis=0)).max() <= 1.0 + 1e-9
-    assert np.all(told[-1, :7] == 0.0)
-    assert np.abs(told[-1, 7:]).max() > 1.0
-    stack.switch_off((0, 1))  # the other one goes too
-    for _ in range(60):
-        stack.step()
-    assert np.all(plant.torques[-1] == 0.0)
-    plant.reset()
-    stack.reset()
-    stack.step()
-    assert np.abs(plant.torques[-1]).max() > 1.0, "a reset switches them on again"
-
-
-def test_the_supervisor_cannot_tell_a_dead_arm_anything(plant: ArmsPlant) -> None:
-    """Its soft stop carries both arms; what is switched off stays off in that very tick."""
-    supervisor = Supervisor(dt_s=1e-3)
-    stack = under_way(plant, supervisor=supervisor)
-    stack.switch_off((1,))
-    for _ in range(100):
-        stack.step()
-    supervisor.estop("pressed")
-    with pytest.raises(ReflexError, match="emergency_stop"):
-        stack.step()
-    stack.step()
-    assert np.all(plant.torques[-1][7:] == 0.0)
-    assert np.all(plant.torques[-2][7:] == 0.0)
-    assert np.abs(plant.torques[-1][:7]).max() > 1.0
-
-
-def test_what_is_off_falls_at_the_rate_of_the_drives() -> None:
-    off = SwitchedOff((1,), np.full(14, 2.5), 1e-3, DUAL_PANDA)
-    seen = np.array([off.limit(np.full(14, 4.0)) for _ in range(4)])
-    assert np.allclose(seen[:, :7], np.array([[3.5], [4.0], [4.0], [4.0]]))
-    assert np.allclose(seen[:, 7:], np.array([[1.5], [0.5], [0.0], [0.0]]))
-
-
-@pytest.mark.parametrize("supervised", [True, False])
-def test_arms_that_take_turns_at_being_off_make_no_step_of_torque(
-    plant: ArmsPlant,
-    supervised: bool,
-) -> None:
-    """A second call gave the first arm its whole torque back in one tick: 17 Nm here, 82 Nm at worst; now 1 Nm."""
-    stack = under_way(plant, supervisor=Supervisor(dt_s=1e-3) if supervised else None)
-    stack.halt("moveit")
-    began = len(plant.torques) - 1
-    for arms in ((0,), (1,), (), (0, 1)):
-        stack.switch_off(arms)
-        for _ in range(15):
-            stack.step()
-    assert np.abs(np.diff(plant.torques[began:], axis=0)).max() <= 1.0 + 1e-9
-
-
-@pytest.mark.parametrize("anew", [True, False])
-def test_an_arm_that_fell_is_braked_where_its_power_returns(
-    plant: ArmsPlant,
-    monkeypatch: pytest.MonkeyPatch,
-    anew: bool,
-) -> None:
-    """After 150 ms without power the latched stop pulled it back to where it had stood, at 1.96 rad/s; now 0.36, or 1.72 where the stop is not told."""
-    supervisor = Supervisor(dt_s=1e-3)
-    stack = under_way(plant, supervisor=supervisor)
-    if not anew:  # negative control
-        monkeypatch.setattr(supervisor, "brake_anew", lambda tau: None)
-    supervisor.estop()
-    with pytest.raises(ReflexError, match="emergency_stop"):
-        stack.step()
-    for _ in range(600):
-        stack.step()
-    stack.switch_off((1,))
-    for _ in range(150):
-        stack.step()
-    falling = np.sign(plant.v[7:])
-    back = []
-    stack.switch_off(())
-    for _ in range(1000):
-        stack.step()
-        back.append(float((-falling * plant.v[7:]).max()))
-    assert (max(back) < 0.5) == anew
-    assert max(back) == pytest.approx(0.36 if anew else 1.72, abs=0.01)
-    assert np.abs(plant.v).max() < 0.01
-    assert np.abs(np.diff(plant.torques[-1150:], axis=0)).max() <= 1.0 + 1e-9
 
 
 # Recovery ---------------------------------------------------------------------------------------------------

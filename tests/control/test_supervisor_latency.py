@@ -46,7 +46,7 @@ class Timed(GuardedArms):
         self.guard = supervisor.guard  # type: ignore[method-assign]
         supervisor.guard = self._guard
         supervisor._next_slow = supervisor._next_ahead = self.phase
-        supervisor._next_feel += self.phase % EVERY
+        supervisor._next_feel += self.phase % 4
 
     def _guard(self, time_s: float, q: Array, v: Array, *rest: Any) -> Array:
         if np.isnan(self.onset_s) and self.begins(self.world.time, q, v):

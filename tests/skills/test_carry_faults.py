@@ -19,7 +19,7 @@ from minidual.skills.faults import CLOSED, OPENING, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from tests.support.branches import Branches
 from tests.support.carry_trials import rod_trial, sample_trial
-from tests.support.panda import A_MAX, DOF, HOME, TAU_MAX, TAU_RATE_MAX
+from tests.support.panda import A_MAX, DOF, TAU_MAX, TAU_RATE_MAX
 
 DETECTED_S = 0.05
 
@@ -578,30 +578,6 @@ def test_a_single_bad_reading_is_not_a_fault(monitor: FaultMonitor) -> None:
         assert monitor.resting((0.0, 0.0)) is None
         assert monitor.squeezing(40.0, 0.0) is None
         assert monitor.squeezing(40.0, 39.0) is None
-
-
-def test_a_soft_stop_integrates_its_own_speed_and_keeps_to_its_bound() -> None:
-    rng = np.random.default_rng(1)
-    v = rng.uniform(-2.0, 2.0, DOF)
-    stop = SoftStop(HOME, v, 0.5 * A_MAX)
-    t = np.linspace(0.0, stop.duration_s, 2001)
-    q, speed, a = (np.array(x) for x in zip(*(stop.at(float(k)) for k in t), strict=True))
-    assert np.array_equal(q[0], HOME)
-    assert np.allclose(speed[0], v)
-    assert np.allclose(stop.at(stop.duration_s + 1.0)[1], 0.0)
-    assert np.allclose(np.gradient(q, t, axis=0)[1:-1], speed[1:-1], atol=1e-5)
-    assert np.allclose(np.gradient(speed, t, axis=0)[1:-1], a[1:-1], atol=1e-4)
-    assert np.max(np.abs(a) / A_MAX) <= 0.5 + 1e-9
-    assert np.max(np.abs(a) / A_MAX) > 0.49  # as fast as allowed, no slower
-
-
-def test_the_torque_rate_is_bounded_and_reaches_what_is_asked() -> None:
-    rate = TorqueRate(np.zeros(DOF), 0.001, 1000.0)
-    wanted = np.full(DOF, 10.0)
-    steps = [rate.limit(wanted).copy() for _ in range(12)]
-    assert np.allclose(np.diff(steps, axis=0).max(), 1.0)
-    assert np.allclose(steps[-1], wanted)
-    assert np.allclose(rate.limit(wanted + 0.3), wanted + 0.3)
 
 
 def test_an_unreachable_goal_is_told_before_the_object_is_lifted(scene: SceneConfig) -> None:
