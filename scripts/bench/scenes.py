@@ -15,8 +15,9 @@ import numpy as np
 from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.gripper import Grippers
-from minidual.control.impedance import ObjectImpedance, ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance import ObjectImpedance, ObjectState
 from minidual.control.joint_control import JointLoop
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

@@ -11,15 +11,10 @@ from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.impedance import (
-    HeldObject,
-    ObjectPath,
-    ObjectState,
-    SingularPostureError,
-    Waypoint,
-)
+from minidual.control.impedance import HeldObject, ObjectState, SingularPostureError
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor

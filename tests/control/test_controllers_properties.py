@@ -29,8 +29,8 @@ from minidual.control.commands import (
 )
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.execution import Underway
-from minidual.control.impedance import ObjectPath, Waypoint
 from minidual.control.mailbox import Mailbox
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.errors import DataError
 from minidual.robot.kinematics import Kinematics

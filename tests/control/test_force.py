@@ -10,14 +10,9 @@ from hypothesis import strategies as st
 from minidual.config.control import CarryConfig, ImpedanceConfig
 from minidual.config.scene import SceneConfig
 from minidual.control import impedance
-from minidual.control.impedance import (
-    HeldObject,
-    ObjectImpedance,
-    ObjectPath,
-    ObjectState,
-    Waypoint,
-)
+from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState
 from minidual.control.kernels import minimum_jerk
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z

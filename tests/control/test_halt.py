@@ -16,7 +16,7 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.execution import ObjectExecution
-from minidual.control.impedance import ObjectPath, Waypoint
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.payload import Payload
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack

@@ -7,15 +7,15 @@ import pinocchio as pin
 import pytest
 
 from minidual.config.scene import SceneConfig
-from minidual.control.impedance import (
+from minidual.control.hand_impedance import (
     FORCE_MAX_N,
     MOMENT_MAX_NM,
     STIFFNESS_N_PER_M,
     STIFFNESS_NM_PER_RAD,
     HandImpedance,
     InHand,
-    SingularPostureError,
 )
+from minidual.control.impedance import SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

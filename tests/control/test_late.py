@@ -11,7 +11,7 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
-from minidual.control.impedance import ObjectPath, Waypoint
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

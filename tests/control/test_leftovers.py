@@ -10,7 +10,8 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
-from minidual.control.impedance import ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance import ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError

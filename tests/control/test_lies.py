@@ -9,7 +9,9 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
-from minidual.control.impedance import InHand, ObjectPath, ObjectState, Waypoint
+from minidual.control.hand_impedance import InHand
+from minidual.control.impedance import ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.errors import UsageError
 from minidual.plant.world import World

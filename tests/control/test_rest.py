@@ -7,7 +7,7 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
-from minidual.control.impedance import ObjectPath, Waypoint
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World

@@ -9,7 +9,7 @@ from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.execution import ObjectExecution, TrajectoryExecution
-from minidual.control.impedance import ObjectPath, Waypoint
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError

@@ -13,7 +13,7 @@ import pytest
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
-from minidual.control.impedance import HeldEstimate, RestingEstimate
+from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

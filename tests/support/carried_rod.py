@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 
 from minidual.control.commands import JointCommand, ObjectCommand
-from minidual.control.impedance import HeldObject, ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance import HeldObject, ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor

@@ -26,7 +26,9 @@ from minidual.control.commands import (
 )
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.execution import ObjectExecution
-from minidual.control.impedance import InHand, ObjectPath, ObjectState, Waypoint
+from minidual.control.hand_impedance import InHand
+from minidual.control.impedance import ObjectState
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor

@@ -10,9 +10,9 @@ from minidual.control.commands import Command, ObjectCommand, Reason
 from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.execution import ObjectExecution
 from minidual.control.gripper import GRAVITY_M_PER_S2
+from minidual.control.hand_impedance import HandImpedance
 from minidual.control.impedance import (
     SQUEEZE_MAX_N,
-    HandImpedance,
     HeldObject,
     ObjectImpedance,
     ObjectState,

@@ -16,7 +16,7 @@ from minidual.control.controller_manager import ControllerManager
 from minidual.control.controllers import Controller, JointTrajectoryController
 from minidual.control.execution import Execution
 from minidual.control.gripper import Grippers
-from minidual.control.impedance import InHand
+from minidual.control.hand_impedance import InHand
 from minidual.control.impedance_controllers import (
     HandImpedanceController,
     ObjectImpedanceController,

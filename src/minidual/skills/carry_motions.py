@@ -16,9 +16,10 @@ import numpy as np
 
 from minidual.config.control import PaceConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.impedance import SQUEEZE_MAX_N, HeldObject, ObjectPath, ObjectState, Waypoint
+from minidual.control.impedance import SQUEEZE_MAX_N, HeldObject, ObjectState
 from minidual.control.impedance_controllers import SLOW_AT, SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
+from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.motion.ik import PoseUnreachableError, posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, inverse

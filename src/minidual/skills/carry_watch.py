@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from minidual.config.control import CarryConfig
-from minidual.control.impedance import HeldEstimate, ObjectState, RestingEstimate
+from minidual.control.impedance import ObjectState
 from minidual.control.kernels import pressed, smooth
+from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics

@@ -17,7 +17,8 @@ from minidual.control.commands import (
     ObjectCommand,
     TrajectoryCommand,
 )
-from minidual.control.impedance import ObjectPath, SingularPostureError
+from minidual.control.impedance import SingularPostureError
+from minidual.control.object_path import ObjectPath
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import halt_duration_s
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack

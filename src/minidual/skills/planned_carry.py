@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from minidual.control.impedance import InHand
+from minidual.control.hand_impedance import InHand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.errors import MinidualError
