@@ -107,9 +107,9 @@ def test_control_page_reaches_its_goal(tmp_path: Path) -> None:
 
 def test_supervisor_page_stops_and_dumps(tmp_path: Path) -> None:
     names = run_blocks("supervisor.md", tmp_path)
-    assert names["supervisor"].reflex.name == "torque_range"
+    assert names["supervisor"].reflex.label == "torque.range"
     assert np.all(np.abs(names["tau"]) < 90.0)
-    assert len(list((tmp_path / "dumps").glob("torque_range-*.npz"))) == 1
+    assert len(list((tmp_path / "dumps").glob("torque.range-*.npz"))) == 1
 
 
 def test_data_page_writes_and_reads_an_episode(tmp_path: Path) -> None:
