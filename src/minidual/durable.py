@@ -172,7 +172,7 @@ def unwritten(error: Exception, path: Path, remedy: str) -> MinidualError:
 
 
 def disk_error(error: BaseException, path: Path) -> EnvironmentMissingError | None:
-    """Return the error of a full disk or missing permission at `path`; None if `error` is another."""
+    """Return the error of a full disk or missing permission at `path`; None for another error."""
     code = _system_code(error)
     written = getattr(error, "filename", None) or path
     if code in _FULL:

@@ -1,7 +1,7 @@
 """The emergency stop of this process and its workers.
 
-Once pressed, supervised arms stop and the command ends. SIGUSR1 (`minidual stop`), the button of the
-view and a key of the keyboard leader press it.
+Once pressed, supervised arms stop and the command ends. SIGUSR1 (`minidual stop`), the button of
+the view and a key of the keyboard leader press it.
 """
 
 import functools
@@ -51,8 +51,8 @@ def listen() -> None:
     """Press at SIGUSR1 from now on; call before other threads and processes start."""
     global _listening
     _listening = True
-    # Blocked here, and so in the threads and processes that start later, which it would end. A thread
-    # of its own takes it: no long call delays that.
+    # Blocked here, and so in the threads and processes that start later, which it would end. A
+    # thread of its own takes it: no long call delays that.
     signal.pthread_sigmask(signal.SIG_BLOCK, {SIGNAL})
     threading.Thread(target=_wait, daemon=True, name="emergency-stop").start()
 

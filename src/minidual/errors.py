@@ -41,7 +41,8 @@ class MinidualError(Exception):
         return self.message if self.remedy is None else f"{self.message}\n  remedy: {self.remedy}"
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Worker pools pickle errors; pickle would call the class with `args`, which subclasses extend.
+        # Worker pools pickle errors. Pickle would call the class with `args`, which subclasses
+        # extend.
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
@@ -83,7 +84,10 @@ def shortened(items: Sequence[str], shown: int = 6, sep: str = ", ") -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return `text` with what a terminal would obey or hide written as \uXXXX, which JSON reads back."""
+    r"""Return `text` with what a terminal would obey or hide written as \uXXXX.
+
+    JSON reads that back.
+    """
     return _UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 

@@ -1,7 +1,7 @@
 """Tables of named things.
 
-A value is the thing or its target "module:attribute", imported at first use. Entry points are read at
-the first lookup.
+A value is the thing or its target "module:attribute", imported at first use. Entry points are read
+at the first lookup.
 """
 
 import importlib

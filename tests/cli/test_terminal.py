@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from minidual.cli.app import run_command_line
-from minidual.cli.console import SafeConsole, console
+from minidual.cli.terminal import SafeConsole, console
 from minidual.errors import DataError, ExitCode, printable
 from minidual.gate.stage import StageResult
 from minidual.gate.table import StageEntry, StageTable

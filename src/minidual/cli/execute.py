@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from minidual import emergency
-from minidual.cli.console import ConsoleProgress, print_outcome
+from minidual.cli.console import print_outcome
 from minidual.cli.documents import outcome_document
 from minidual.cli.options import GateOptions, ViewOptions
 from minidual.cli.own_run import spare_finished
 from minidual.cli.session import Session
+from minidual.cli.terminal import ConsoleProgress
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.lock import run_lock

@@ -1,7 +1,7 @@
 """Options that several commands share.
 
-A command function takes one of these classes as a parameter; on the command line its fields are options
-(`minidual.cli.signature`).
+A command function takes one of these classes as a parameter; on the command line its fields are
+options (`minidual.cli.signature`).
 """
 
 import shlex

@@ -1,6 +1,6 @@
-"""Commands of stages and tools that are only rows: those of other distributions, see docs/howto-stage.md.
+"""Commands of stages and tools that are only rows: those of other distributions.
 
-The commands of this package are functions in `minidual.cli.commands`.
+See docs/howto-stage.md. The commands of this package are functions in `minidual.cli.commands`.
 """
 
 import inspect
@@ -18,7 +18,7 @@ from minidual.gate.table import Option, StageEntry, ToolEntry
 
 
 def stage_command(entry: StageEntry) -> Command:
-    """Return the command of a stage, with the options that its row and the rows of its asides list."""
+    """Return the command of a stage, with the options that its row and its asides' rows list."""
     rows = (*entry.asides, entry)
 
     def command(

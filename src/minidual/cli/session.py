@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from minidual.cli.console import ConsoleProgress, console
 from minidual.cli.options import CommonOptions, ViewOptions
 from minidual.cli.process import interrupt
+from minidual.cli.terminal import ConsoleProgress, console
 from minidual.config.loader import LoadedConfig, Override, load_config
 from minidual.durable import expanded
 from minidual.errors import EnvironmentMissingError, UsageError, printable, unknown_name

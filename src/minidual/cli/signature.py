@@ -1,7 +1,7 @@
 """Turn command functions into functions that Typer reads.
 
-A command is a plain function with typed keyword parameters. Its parameters of the types below stand for groups of
-options: Typer gets their fields instead, and the function gets the filled group.
+A command is a plain function with typed keyword parameters. A parameter of one of the types below
+stands for a group of options: Typer gets its fields instead, and the function the filled group.
 """
 
 import inspect

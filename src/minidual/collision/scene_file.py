@@ -24,7 +24,7 @@ from minidual.collision.shapes import (
 )
 from minidual.config.base import Coordinate, StrictModel
 from minidual.config.document import Document, read_document
-from minidual.config.loader import validate_document
+from minidual.config.validation import validate_document
 from minidual.durable import regular_file
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.robot.pair import DUAL_PANDA, Robot

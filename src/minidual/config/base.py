@@ -29,7 +29,10 @@ class StrictModel(BaseModel):
     )
 
     def demands(self) -> dict[str, Any]:
-        """Return what several fields together ask for; less than in the shipped profile is no acceptance."""
+        """Return {name: value} of what several fields together ask for.
+
+        Less than in the shipped profile is no acceptance.
+        """
         return {}
 
 
@@ -37,7 +40,7 @@ def limits(
     model: StrictModel,
     prefix: str = "",
 ) -> Iterator[tuple[str, Literal["at least", "at most"], Any]]:
-    """Yield (dotted path, mark, value) of each marked field."""
+    """Yield (dotted path, mark, value) of each marked field and of what `demands` returns."""
     for name, field in type(model).model_fields.items():
         value = getattr(model, name)
         for mark in ("at least", "at most"):

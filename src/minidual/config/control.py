@@ -62,7 +62,8 @@ class CarryLimits(StrictModel):
 class SensingConfig(StrictModel):
     """Noise, delay and rate of sensing; zero disables each.
 
-    Noise is white and Gaussian for each sample and axis, a bias for each trial. Encoders are exact. See docs/carry.md.
+    Noise is white and Gaussian for each sample and axis, a bias is drawn for each trial. Encoders
+    are exact. See docs/carry.md.
     """
 
     pose_noise_m: AtLeast[float] = Field(default=0.0005, ge=0.0, le=0.02)
@@ -99,7 +100,10 @@ class CarryFaultConfig(StrictModel):
     """Bounds on sensed quantities beyond which a carry has a fault; see skills/faults.py."""
 
     displaced_m: float = Field(default=0.004, gt=0.0, le=0.1)
-    """Displacement of a resting object (more if its pose scatters more), or of hands along a held one."""
+    """Displacement of a resting object, or of hands along a held one.
+
+    More for a resting object whose pose scatters more.
+    """
     displaced_rad: float = Field(default=0.045, gt=0.0, le=1.0)
     creep_m: float = Field(default=0.001, gt=0.0, le=0.1)
     """Motion of the hands along the object that reduces the squeeze and makes the pinch firmer."""
@@ -107,7 +111,7 @@ class CarryFaultConfig(StrictModel):
     """A hand closed further than this below the object's width holds nothing."""
     grasp_timeout_s: float = Field(default=1.5, gt=0.1, le=10.0)
     gripper_answer_s: float = Field(default=0.08, ge=0.05, le=1.0)
-    """Longest time without motion or change of pinch of a hand that is told to close; twice as long to open."""
+    """Longest time without motion or change of pinch of a closing hand; twice as long to open."""
     lost_pinch_share: float = Field(default=0.25, gt=0.0, lt=1.0)
     squeeze_share: float = Field(default=0.4, gt=0.0, lt=1.0)
     """Share of the wanted internal force below which the grasp slips."""
@@ -148,7 +152,10 @@ class ArbiterConfig(StrictModel):
     settle_timeout_s: float = Field(default=0.5, ge=0.001, le=10.0)
     """A switch is refused if the arms do not settle within this time."""
     switch_step_max_rad: float = Field(default=0.1, ge=0.001, le=0.2)
-    """A larger step of a joint target is ramped at `align_speed_rad_s`; no trajectory may start farther away."""
+    """A larger step of a joint target is ramped at `align_speed_rad_s`.
+
+    No trajectory may start farther away.
+    """
     align_speed_rad_s: float = Field(default=1.0, ge=0.01, le=2.0)
     speed_override: float = Field(default=1.0, ge=SPEED_OVERRIDE_MIN, le=1.0)
     """Share of full speed of all motion."""
@@ -165,7 +172,7 @@ class SupervisorConfig(StrictModel):
     torque_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     torque_rate_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     """Share of the arm's torque rate limit."""
-    # targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps every tick
+    # Targets streamed at 50 Hz jump once in 20 ticks and reach 1.3 between; chatter jumps each tick.
     torque_rate_excess: float = Field(default=3.0, ge=1.0, le=5.0)
     """Multiple of the torque rate bound beyond which a requested torque jumps."""
     torque_rate_patience_s: float = Field(default=0.05, ge=0.001, le=1.0)
@@ -173,7 +180,10 @@ class SupervisorConfig(StrictModel):
     saturation_s: float = Field(default=0.02, ge=0.001, le=1.0)
     acceleration_scale: float = Field(default=1.0, ge=0.01, le=1.0)
     jerk_reflex: bool = False
-    """Reflex on the jerk of the commanded reference, as in the real arm; the reference filter does not bound it."""
+    """Reflex on the jerk of the commanded reference, as in the real arm.
+
+    The reference filter does not bound the jerk.
+    """
     tcp_speed_max_m_per_s: float = Field(default=1.7, ge=0.01, le=1.7)
     contact_scale: float = Field(default=1.0, ge=0.1, le=1.0)
     """Share of each mode's bounds (control/observer.py)."""

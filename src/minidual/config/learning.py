@@ -43,7 +43,7 @@ class TeleopConfig(StrictModel):
     conditions: tuple[str, ...] = Field(default=("clean",), min_length=1)
     """Conditions that the episodes take in turn; only those that change what is there."""
     room_change_s: float = Field(default=0.0, ge=0.0, le=60.0)
-    """Time after which an episode goes on under the next of the conditions, drawn anew; 0: never."""
+    """Time after which an episode goes on under the next condition, drawn anew; 0: never."""
     widen: float = Field(default=1.3, ge=1.0, le=2.0)
     """Start range as a multiple of the tests'."""
     attempts_max_ratio: float = Field(default=1.5, ge=1.0, le=10.0)
@@ -67,7 +67,10 @@ class TeleopConfig(StrictModel):
 
 
 class AugmentConfig(StrictModel):
-    """Random changes of training pictures; half-widths of uniform distributions unless named otherwise."""
+    """Random changes of training pictures.
+
+    Values are half-widths of uniform distributions unless named otherwise.
+    """
 
     photometric: bool = True
     geometric: bool = True
@@ -182,7 +185,11 @@ class DeployConfig(StrictModel):
 
     @model_validator(mode="after")
     def _limits_are_measured(self) -> Self:
-        if missing := [name for name in self.condition_rate_min if name not in self.conditions]:
-            missed = f"condition_rate_min limits {missing[0]}, not one of conditions ({', '.join(self.conditions)})"
-            raise ValueError(f"{missed}: name it there too, or set condition_rate_min to {{}}")
+        for name in self.condition_rate_min:
+            if name not in self.conditions:
+                names = ", ".join(self.conditions)
+                raise ValueError(
+                    f"condition_rate_min limits {name}, not one of conditions ({names}): "
+                    "name it there too, or set condition_rate_min to {}",
+                )
         return self

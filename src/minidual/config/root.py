@@ -46,7 +46,10 @@ class ViewConfig(StrictModel):
     """Network interface; the default serves this machine only."""
     port: int = Field(default=8080, ge=1, le=65535)
     remote_drives: bool = False
-    """Whether pages on other machines may move sliders; those that come through ssh count as on this machine."""
+    """Whether pages on other machines may move sliders.
+
+    Those that come through ssh count as on this machine.
+    """
     rate_hz: float = Field(default=30.0, ge=1.0, le=120.0)
     speed_max: float = Field(default=0.0, ge=0.0, le=100.0)
     """Most simulated seconds per wall second; 0: no limit."""
@@ -80,25 +83,38 @@ class Config(StrictModel):
     view: ViewConfig = ViewConfig()
 
     def demands(self) -> dict[str, Any]:
-        """Return the undisturbed trials of each named or further task, and whether the benchmark has the run's own."""
-        asked = (
-            self.benchmark
-        )  # `tasks` replaces `further_tasks`: neither says alone what is asked for
-        tasks = dict.fromkeys(asked.tasks, asked.trials_n) or asked.further_tasks
+        """Return what the benchmark's tasks ask for together.
+
+        `benchmark.tasks` replaces `further_tasks`: neither says alone what is asked for.
+
+        Returns:
+            The undisturbed trials of each named or further task, and whether the benchmark has the
+            run's own task.
+        """
+        benchmark = self.benchmark
+        if benchmark.tasks:
+            trials = dict.fromkeys(benchmark.tasks, benchmark.trials_n)
+        else:
+            trials = benchmark.further_tasks
         return {
-            "benchmark.tasks": tasks,
-            "benchmark.own_task": not asked.tasks or self.task in asked.tasks,
+            "benchmark.tasks": trials,
+            "benchmark.own_task": not benchmark.tasks or self.task in benchmark.tasks,
         }
 
 
 def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: bool = False) -> M:
-    """Return a section with {dotted path: value} applied; with `unset_only` where the user set nothing.
+    """Return a section with {dotted path: value} applied.
+
+    Args:
+        section: Part of a configuration.
+        values: New values.
+        unset_only: Apply them only where the user set nothing.
 
     Raises:
         UsageError: There is no such path.
         pydantic.ValidationError: The values are invalid together.
     """
-    wanted: dict[str, Any] = {}
+    own: dict[str, Any] = {}
     inner: dict[str, dict[str, Any]] = {}
     for path, value in values.items():
         name, _, rest = path.partition(".")
@@ -107,22 +123,25 @@ def changed[M: BaseModel](section: M, values: Mapping[str, Any], *, unset_only: 
         if rest:
             inner.setdefault(name, {})[rest] = value
         elif not unset_only or name not in section.model_fields_set:
-            wanted[name] = value
+            own[name] = value
         elif isinstance(getattr(section, name), BaseModel) and isinstance(value, BaseModel):
-            inner.setdefault(name, {}).update(
-                {k: getattr(value, k) for k in value.model_fields_set},
-            )
+            fields = {field: getattr(value, field) for field in value.model_fields_set}
+            inner.setdefault(name, {}).update(fields)
     for name, part in inner.items():
-        wanted[name] = changed(getattr(section, name), part, unset_only=unset_only)
-    return replaced(section, **wanted)
+        own[name] = changed(getattr(section, name), part, unset_only=unset_only)
+    return replaced(section, **own)
 
 
 def preset[M: BaseModel](section: M, values: Mapping[str, Any]) -> M:
-    """Return a section with {dotted path: value} applied where the user set nothing; errors as `changed`."""
+    """Return a section with {dotted path: value} applied where the user set nothing.
+
+    Raises:
+        UsageError, pydantic.ValidationError: See `changed`.
+    """
     return changed(section, values, unset_only=True)
 
 
 def replaced[M: BaseModel](section: M, **values: Any) -> M:
     """Return a validated copy with `values`; other unset fields stay unset."""
-    known = {name: getattr(section, name) for name in section.model_fields_set}
-    return type(section).model_validate({**known, **values})
+    set_values = {name: getattr(section, name) for name in section.model_fields_set}
+    return type(section).model_validate({**set_values, **values})

@@ -42,7 +42,10 @@ class PartConfig(StrictModel):
 
 
 class ObjectConfig(StrictModel):
-    """An object; its long axis is y, or z if upright. A cylinder has a radius, a box width and height."""
+    """An object; its long axis is y, or z if upright.
+
+    A cylinder has a radius, a box width and height.
+    """
 
     name: str = Field(default="rod", pattern=r"^[a-z][a-z0-9_]*$")
     shape: Literal["cylinder", "box"] = "cylinder"
@@ -73,23 +76,43 @@ class ObjectConfig(StrictModel):
     @property
     def solids(self) -> tuple[PartConfig, ...]:
         """The part with mass, then `parts`."""
-        x = z = 2.0 * self.radius_m
+        return (self._main_part, *self.parts)
+
+    @property
+    def _main_part(self) -> PartConfig:
         if self.shape == "box":
             x = self.width_m
             z = self.height_m
-        size, axis = ((x, z, self.length_m), "z") if self.upright else ((x, self.length_m, z), "y")
-        return PartConfig(shape=self.shape, size_m=size, axis=axis, colour=self.colour), *self.parts
+        else:
+            x = 2.0 * self.radius_m
+            z = x
+        if self.upright:
+            return PartConfig(
+                shape=self.shape,
+                size_m=(x, z, self.length_m),
+                axis="z",
+                colour=self.colour,
+            )
+        return PartConfig(
+            shape=self.shape,
+            size_m=(x, self.length_m, z),
+            axis="y",
+            colour=self.colour,
+        )
 
     @property
     def grasped(self) -> PartConfig:
         """The part between the fingers."""
-        return next(filter(self._holds, self.parts), self.solids[0])
+        for part in self.parts:
+            if self._holds(part):
+                return part
+        return self._main_part
 
     def _holds(self, part: PartConfig) -> bool:
+        """Return whether the grasp point lies in a part."""
         grasp = (0.0, self.grasp_offset_m, self.grasp_height_m)
-        return all(
-            abs(g - c) <= h for g, c, h in zip(grasp, part.position_m, part.half_m, strict=True)
-        )
+        axes = zip(grasp, part.position_m, part.half_m, strict=True)
+        return all(abs(point - centre) <= half for point, centre, half in axes)
 
     @property
     def half_width_m(self) -> float:
@@ -105,12 +128,14 @@ class ObjectConfig(StrictModel):
     def inertia_kg_m2(self) -> tuple[float, float, float]:
         """Principal moments about x, y, z; uniform density."""
         m = self.mass_kg
-        (x, y, z) = self.solids[0].size_m
+        x, y, z = self.solids[0].size_m
         if self.shape == "cylinder":
             across = m * (3 * self.radius_m**2 + self.length_m**2) / 12.0
             along = 0.5 * m * self.radius_m**2
-            return (across, across, along) if self.upright else (across, along, across)
-        return m * (y**2 + z**2) / 12.0, m * (x**2 + z**2) / 12.0, m * (x**2 + y**2) / 12.0
+            if self.upright:
+                return (across, across, along)
+            return (across, along, across)
+        return (m * (y**2 + z**2) / 12.0, m * (x**2 + z**2) / 12.0, m * (x**2 + y**2) / 12.0)
 
     @model_validator(mode="after")
     def _hands_on_it(self) -> Self:
@@ -212,9 +237,8 @@ class SceneConfig(StrictModel):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         if len(self.objects) < 1 + len(self.more):
-            raise ValueError(
-                f"two objects have one name: {', '.join(o.name for o in (self.object, *self.more))}",
-            )
+            names = ", ".join(item.name for item in (self.object, *self.more))
+            raise ValueError(f"two objects have one name: {names}")
         return self
 
 

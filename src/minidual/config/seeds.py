@@ -1,4 +1,7 @@
-"""Random streams named by purpose, derived from the run's seed. Only this module makes generators."""
+"""Random streams named by purpose, derived from the run's seed.
+
+Only this module makes generators.
+"""
 
 import zlib
 
@@ -6,7 +9,10 @@ import numpy as np
 
 
 def stream(seed: int, name: str, index: int = 0, *more: int) -> np.random.Generator:
-    """Return the generator of draw `index` for the purpose `name`; draws are independent of each other."""
+    """Return the generator of draw `index` for the purpose `name`.
+
+    Draws are independent of each other.
+    """
     key = (zlib.crc32(name.encode()), index, *more)
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy=seed, spawn_key=key)))
 

@@ -1,7 +1,7 @@
 """Code that a stage reaches: a digest per module, blind to comments and docstrings.
 
-It follows imports outside TYPE_CHECKING and "module:attribute" texts, within minidual and the target's
-package. A YAML table called like a module belongs to it. Nothing is imported to find out.
+It follows imports outside TYPE_CHECKING and "module:attribute" texts, within minidual and the
+target's package. A YAML table called like a module belongs to it. Nothing is imported to find out.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One writer at a time in a run folder.
 
-The kernel releases the lock when the process dies. Workers start with exec, which closes the file; a
-fork would keep it.
+The kernel releases the lock when the process dies. Workers start with exec, which closes the file;
+a fork would keep it.
 """
 
 import fcntl

@@ -1,8 +1,8 @@
 """What a stage or tool gets and returns.
 
-A stage is a function from `StageContext` to `StageResult`: it writes only in `context.folder`, derives
-randomness from `context.seed` and returns at least one check with a limit. A tool is a function from
-`ToolContext` to `ToolResult`, without a gate.
+A stage is a function from `StageContext` to `StageResult`: it writes only in `context.folder`,
+derives randomness from `context.seed` and returns at least one check with a limit. A tool is a
+function from `ToolContext` to `ToolResult`, without a gate.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

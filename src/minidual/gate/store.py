@@ -121,7 +121,7 @@ class RunStore:
             return StageAttempt(stage, "interrupted", 0, "", "killed as it began")
         if attempt.state != "running":
             return attempt
-        # Another command may hold the lock since. A holder with the id 0 is just writing its id down.
+        # Another command may hold the lock since. A holder with id 0 is just writing its id down.
         holder = held_by(self.folder / LOCK_FILE)
         if holder is None or holder.pid not in (0, attempt.pid):
             return replace(attempt, state="interrupted", message="the process was killed")

@@ -19,9 +19,9 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import Finite3, PlaceFields
 from minidual.config.base import StrictModel
 from minidual.config.document import read_document
-from minidual.config.loader import validate_document
 from minidual.config.scene import SemanticsConfig
 from minidual.config.seeds import stream
+from minidual.config.validation import validate_document
 from minidual.durable import kind_of, read_json
 from minidual.errors import ConfigError, DataError, UsageError, check_name, unknown_name
 from minidual.motion.api import PLAN_PHASES, Planner, PlanResult, QueryOptions
