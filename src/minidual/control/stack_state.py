@@ -36,6 +36,11 @@ class StackState:
         return self._loop.measurement
 
     @property
+    def overruns_n(self) -> int:
+        """Ticks since the reset that came more than half a control period late."""
+        return self._loop.reader.overruns_n
+
+    @property
     def manager(self) -> ControllerManager:
         """The controllers."""
         return self._loop.manager
