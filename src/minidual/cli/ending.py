@@ -4,6 +4,7 @@ import sys
 import traceback
 from collections.abc import Callable
 
+from minidual import emergency
 from minidual.cli.process import interrupt
 from minidual.cli.session import Session
 from minidual.errors import ExitCode, MinidualError, printable
@@ -18,6 +19,9 @@ def end(session: Session, body: Callable[[Session], int]) -> int:
     except Exception as error:
         if interrupt.raised:  # a library turned the KeyboardInterrupt into an error of its own
             return _interrupted(session, error)
+        pressed = emergency.pressed()
+        if pressed:  # whatever error came of the arms that were stopped for it
+            return _interrupted(session, error, f"emergency stop ({pressed})")
         if isinstance(error, MinidualError):
             return _fail(session, error, error.message, error.remedy, error.exit_code)
         return _crashed(session, error)
