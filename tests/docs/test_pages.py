@@ -121,6 +121,22 @@ def test_every_page_that_code_names_exists() -> None:
     assert missing == {}
 
 
+def missing_files(text: str) -> list[str]:
+    """Return the Python files of the repository that a page names and that do not exist."""
+    named = re.findall(r"\b(?:src|tests|scripts)/[\w/]+\.py\b", text)
+    return [name for name in named if not (ROOT / name).is_file()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_every_python_file_that_a_page_names_exists(page: Path) -> None:
+    assert missing_files(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_python_file_that_does_not_exist_is_found() -> None:
+    text = "see `tests/docs/test_pages.py`, `scripts/none.py`"
+    assert missing_files(text) == ["scripts/none.py"]
+
+
 def test_a_page_that_code_names_is_found(tmp_path: Path) -> None:
     (tmp_path / "src").mkdir()
     (tmp_path / "src" / "module.py").write_text('"""See docs/none.md#part, docs/other.md."""\n')
