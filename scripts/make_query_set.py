@@ -17,8 +17,8 @@ import numpy as np
 
 from minidual.collision.shapes import ENGINES
 from minidual.config.seeds import stream, subseed
-from minidual.motion.blend import shortcut
 from minidual.motion.search import EdgeChecker, search
+from minidual.motion.shortcut import shortcut
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import Array
 from minidual.trials.planning import queries

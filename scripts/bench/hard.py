@@ -15,7 +15,8 @@ import pinocchio as pin
 from minidual.errors import EnvironmentMissingError
 from minidual.motion.api import Planner, PlanResult
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
-from minidual.motion.held.planner import HeldPlanner, HeldQuery
+from minidual.motion.held.planner import HeldPlanner
+from minidual.motion.held.query import HeldQuery
 from minidual.proof.scene_engines import collision_samples
 from minidual.robot.pair import SIDES, Array, Robot, inverse
 from minidual.robot.trajectory import Trajectory

@@ -26,8 +26,8 @@ from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner
-from minidual.motion.held.planner import placed, scene_holding
-from minidual.motion.ik import pose_goals
+from minidual.motion.held.query import placed, scene_holding
+from minidual.motion.pose_goals import pose_goals
 from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics

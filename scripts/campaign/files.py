@@ -553,7 +553,7 @@ def _cached(place: Place) -> tuple[Path, set[tuple[str, str]]]:
 
 
 def _allowed(place: Place, result: Result | None = None) -> set[tuple[str, str]]:
-    from minidual.collision.scene import acm_report
+    from minidual.collision.acm import acm_report
 
     acm_report.cache_clear()
     ran = command(place, "plan", "--acm", "--json", "--runs-dir", str(place.folder / "none"))

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from minidual.collision import scene
-from minidual.collision.scene import QUIET_DOUBLINGS, acm_report, build_acm
+from minidual.collision import acm
+from minidual.collision.acm import QUIET_DOUBLINGS, acm_report, build_acm
 from minidual.robot.description import links_of
 from minidual.robot.models import PANDA
 from minidual.robot.pair import DUAL_PANDA, Robot
@@ -57,7 +57,7 @@ def test_reasons_say_how_many_samples(built):
 
 def test_history_survives_the_cache(built, tmp_path, monkeypatch):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
-    monkeypatch.setattr(scene, "build_acm", lambda _: built)
+    monkeypatch.setattr(acm, "build_acm", lambda _: built)
     fresh = acm_report.__wrapped__
     assert fresh(DUAL_PANDA) == built
     (file,) = tmp_path.glob("acm-*.json")
@@ -81,15 +81,15 @@ def _rows_edited(file: Path) -> None:
 
 def _of_another_robot(file: Path) -> None:
     content = file.read_text().split("\n")[1].replace("panda_link", "panda_lonk")
-    digest = scene._digest("another model", content)
+    digest = acm._digest("another model", content)
     file.write_text(f"{digest}\n{content}")
 
 
 def _without_fields(file: Path) -> None:
     (name,) = {file.name}
-    model = scene.model_hash(DUAL_PANDA)
+    model = acm.model_hash(DUAL_PANDA)
     assert name == f"acm-{model[:20]}.json"
-    file.write_text(f"{scene._digest(model, '[]')}\n[]")
+    file.write_text(f"{acm._digest(model, '[]')}\n[]")
 
 
 def _replaced_by(make):
@@ -132,7 +132,7 @@ def _replaced_by(make):
 def test_a_damaged_cache_is_built_again(built, tmp_path, monkeypatch, damage):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
     builds: list[Robot] = []
-    monkeypatch.setattr(scene, "build_acm", lambda robot: builds.append(robot) or built)
+    monkeypatch.setattr(acm, "build_acm", lambda robot: builds.append(robot) or built)
     fresh = acm_report.__wrapped__
     fresh(DUAL_PANDA)
     (file,) = tmp_path.glob("acm-*.json")
@@ -149,7 +149,7 @@ def test_a_damaged_cache_is_built_again(built, tmp_path, monkeypatch, damage):
 def test_a_cache_that_cannot_be_written_costs_only_time(built, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path / "file"))
-    monkeypatch.setattr(scene, "build_acm", lambda _: built)
+    monkeypatch.setattr(acm, "build_acm", lambda _: built)
     assert acm_report.__wrapped__(DUAL_PANDA) == built
 
 

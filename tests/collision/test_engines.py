@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from minidual.collision.engines import CoalEngine, MujocoEngine
-from minidual.collision.scene import Attached, PlanningScene
-from minidual.collision.shapes import Box, Capsule, Cylinder, Sphere
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Attached, Box, Capsule, Cylinder, Sphere
 from minidual.motion.search import EdgeChecker, bisection_order
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
@@ -164,8 +164,8 @@ def test_no_part_reaches_farther_than_its_reach(scene, engines):
     def points(q, k):
         work = solids.workspace()
         planes._place(solids.geometry, q, 0, work)
-        R = work[1]
-        p = work[2]
+        R = work.R
+        p = work.p
         own = clusters[shapes[parts[k]["first"]]["first"] : shapes[parts[k]["end"] - 1]["end"]]
         return own["vertices"].reshape(-1, 3) @ R[0, parts[k]["frame"]].T + p[0, parts[k]["frame"]]
 
@@ -186,7 +186,7 @@ def test_no_part_reaches_farther_than_its_reach(scene, engines):
 
 
 def test_only_joints_between_two_links_move_them_against_each_other(scene, engines):
-    pairs = SceneEngines(scene).solids.geometry[4]
+    pairs = SceneEngines(scene).solids.geometry.pairs
     where = {
         frozenset(names): {int(p["moves_a"]), int(p["moves_b"])}
         for names, p in zip(scene.checked_pairs, pairs, strict=True)

@@ -7,10 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from minidual.collision import scene as scene_module
+from minidual.collision import acm
+from minidual.collision.acm import acm_report, build_acm
 from minidual.collision.engines import MujocoEngine
-from minidual.collision.scene import TABLE, Attached, PlanningScene, acm_report, build_acm
-from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Pairs, Sphere
+from minidual.collision.scene import TABLE, PlanningScene
+from minidual.collision.shapes import Attached, Box, Capsule, Cylinder, Mesh, Pairs, Sphere
 from minidual.errors import UsageError
 from minidual.robot.description import collision_links, links_of, never_touching
 from minidual.robot.models import PANDA
@@ -149,7 +150,7 @@ def test_cache_is_used_refreshed_and_never_needed(tmp_path, monkeypatch):
     monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path))
     built = []
     matrix = acm_report(DUAL_PANDA)
-    monkeypatch.setattr(scene_module, "build_acm", lambda _: built.append(1) or matrix)
+    monkeypatch.setattr(acm, "build_acm", lambda _: built.append(1) or matrix)
     fresh = acm_report.__wrapped__
     assert fresh(DUAL_PANDA) == matrix
     (file,) = tmp_path.glob("acm-*.json")

@@ -15,7 +15,8 @@ from minidual.collision.scene_file import load_mesh, load_scene
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere, grown
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal_plan import Goal, GoalPlanner, load_goal
+from minidual.motion.goal import Goal, load_goal
+from minidual.motion.goal_plan import GoalPlanner
 from minidual.robot.kinematics import Kinematics
 from tests.support.panda import HOME, Q_LOWER, Q_UPPER
 

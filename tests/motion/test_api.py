@@ -16,7 +16,7 @@ from minidual.config.planning import PlannerConfig
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.motion.api import Effort, Planner
-from minidual.motion.ik import check_joints, goal_joints
+from minidual.motion.checks import check_joints, goal_joints
 from minidual.motion.search import PLANNERS
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import pose, rot_x, rot_z

@@ -11,7 +11,8 @@ from minidual.collision.shapes import Box, Capsule
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.motion.held.path import HeldPath
-from minidual.motion.held.planner import HeldPlanner, scene_holding
+from minidual.motion.held.planner import HeldPlanner
+from minidual.motion.held.query import scene_holding
 from minidual.motion.timing import PathLimits
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z

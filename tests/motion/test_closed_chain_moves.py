@@ -25,9 +25,11 @@ from minidual.errors import UsageError
 from minidual.motion.held.constraint import GraspConstraint
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import HeldPath, ObjectChart
-from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, _Effort, scene_holding
-from minidual.motion.held.search import HeldSpace, Q, X, search_object, shorten
-from minidual.motion.ik import pose_goals
+from minidual.motion.held.planner import Effort, HeldPlanner, HeldWork
+from minidual.motion.held.query import HeldQuery, scene_holding
+from minidual.motion.held.search import search_object, shorten
+from minidual.motion.held.space import HeldSpace, Q, X
+from minidual.motion.pose_goals import pose_goals
 from minidual.motion.search import EdgeChecker
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -116,7 +118,7 @@ def test_goal_postures_are_searched_longer_before_a_goal_is_refused(planner, q_s
             raise GoalInCollisionError("all postures found collide")
         return pose_goals(*args)
 
-    monkeypatch.setattr("minidual.motion.held.planner.pose_goals", rare)
+    monkeypatch.setattr("minidual.motion.held.goals.pose_goals", rare)
     monkeypatch.setattr(HeldWork, "_straight", lambda work: work.notes.append("blocked"))
     most = 1
     assert planner.plan(query(q_start)).verification.ok
@@ -400,7 +402,7 @@ def test_the_manifold_search_keeps_the_grasps(planner, q_start, method):
     asked = query(q_start)
     end = planner.plan(asked).q[-1]
     work = HeldWork(planner.planner, asked, 60.0)  # its state checks end it, not a busy machine
-    effort = _Effort(0.0, checks_n=1500)
+    effort = Effort(0.0, checks_n=1500)
     assert work.search(method, [end + 0.3], effort._replace(checks_n=50), 1) is None
     points = work.search(method, [end + 0.3, end], effort, 1)
     assert np.abs(points[-1, Q] - end).max() < 1e-3
@@ -424,7 +426,7 @@ def test_a_search_that_fails_keeps_the_known_goals(planner, q_start, monkeypatch
         time.sleep(0.01)
         raise ClosedChainError("the goal cannot keep the relative pose")
 
-    monkeypatch.setattr(work, "goal_postures", postures)
+    monkeypatch.setattr(work.goals, "postures", postures)
     monkeypatch.setattr(work, "search", off)
     with pytest.raises(NoPathInTimeError, match=r"the last one: .*cannot keep the relative pose"):
         work.run()

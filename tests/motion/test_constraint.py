@@ -14,7 +14,7 @@ from minidual.errors import UsageError
 from minidual.motion.held.constraint import SPACES, GraspConstraint, search_manifold
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import HeldPath
-from minidual.motion.held.planner import scene_holding
+from minidual.motion.held.query import scene_holding
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.kinematics import Kinematics

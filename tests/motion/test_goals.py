@@ -20,19 +20,11 @@ from minidual.config.planning import MotionLimits, PlannerConfig
 from minidual.config.scene import NamedStateConfig, SemanticsConfig
 from minidual.errors import ConfigError, DataError, MinidualError, UsageError
 from minidual.motion.api import Planner
-from minidual.motion.goal_plan import (
-    Goal,
-    GoalPlanner,
-    Move,
-    NamedStates,
-    Poses,
-    TipOffset,
-    TipPose,
-    goal_of,
-    load_goal,
-)
-from minidual.motion.ik import pose_goals
+from minidual.motion.goal import Goal, Move, Poses, TipOffset, TipPose, goal_of, load_goal
+from minidual.motion.goal_plan import GoalPlanner
 from minidual.motion.linear import Line, LinearPlanner
+from minidual.motion.pose_goals import pose_goals
+from minidual.motion.states import NamedStates
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.models import ARM_MODELS
 from minidual.robot.pair import DUAL_PANDA, Robot, pose, rot_x

@@ -7,7 +7,9 @@ import pytest
 from minidual.collision.errors import IKUnreachableError
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.motion.ik import ArmIK, check_pose, pose_goals
+from minidual.motion.checks import check_pose
+from minidual.motion.ik import ArmIK
+from minidual.motion.pose_goals import pose_goals
 from minidual.robot.kinematics import Kinematics, hinges
 from minidual.robot.models import ARM_MODELS
 from minidual.robot.pair import DUAL_PANDA, Robot, pose

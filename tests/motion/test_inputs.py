@@ -14,7 +14,8 @@ import pytest
 from minidual.cli.app import run_command_line
 from minidual.collision.scene_file import load_scene
 from minidual.errors import MinidualError
-from minidual.motion.goal_plan import GoalPlanner, goal_of
+from minidual.motion.goal import goal_of
+from minidual.motion.goal_plan import GoalPlanner
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support.panda import HOME

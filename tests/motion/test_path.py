@@ -13,11 +13,13 @@ from minidual.collision.scene import PlanningScene
 from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits
 from minidual.errors import DataError, UsageError
-from minidual.motion.blend import blended_path, path_length, rounded, shortcut
+from minidual.motion.blend import blended_path, rounded
 from minidual.motion.search import EdgeChecker, search
-from minidual.motion.timing import sample_parameters, time_path
+from minidual.motion.shortcut import shortcut
+from minidual.motion.speed_profile import sample_parameters
+from minidual.motion.timing import time_path
 from minidual.proof.scene_engines import SceneEngines
-from minidual.robot.kinematics import Kinematics
+from minidual.robot.kinematics import Kinematics, path_length
 from minidual.robot.pair import DUAL_PANDA
 from minidual.robot.trajectory import Trajectory
 from tests.support.panda import A_MAX, HOME, JERK_MAX, TAU_MAX, V_MAX

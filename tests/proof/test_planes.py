@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from minidual.collision.scene import Attached, PlanningScene
-from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from minidual.collision.scene import PlanningScene
+from minidual.collision.shapes import Attached, Box, Capsule, Cylinder, Mesh, Sphere
 from minidual.proof import planes
-from minidual.proof.scene_engines import SceneEngines, first_stretches
+from minidual.proof.certificate import first_stretches
+from minidual.proof.layout import Geometry, Motion, Padding
+from minidual.proof.scene_engines import SceneEngines
 from minidual.proof.solids import _clusters
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.models import ARM_MODELS
@@ -82,15 +84,16 @@ def placed(solids, q):
     """Return the poses (15, 3, 3), (15, 3) of all frames."""
     work = solids.workspace()
     planes._place(solids.geometry, np.asarray(q, dtype=float), 0, work)
-    return work[1][0], work[2][0]
+    return work.R[0], work.p[0]
 
 
 NOWHERE = np.zeros((0, DOF))
 
 
 def survey(solids, Q, padding_m, tight=NOWHERE, clearances=NOWHERE[:, 0], relax=0.1):
-    keep = (padding_m, tight, clearances, relax)
-    return planes.survey(solids.geometry, Q, np.arange(len(solids.pairs)), keep, solids.workspace())
+    padding = Padding(padding_m, tight, clearances, relax)
+    pairs = np.arange(len(solids.pairs))
+    return planes.survey(solids.geometry, Q, pairs, padding, solids.workspace())
 
 
 def free(solids, q, *args):
@@ -99,14 +102,12 @@ def free(solids, q, *args):
 
 def prove(solids, trajectory, reach=None, length=0.5, chosen=None):
     chosen = np.arange(len(solids.pairs)) if chosen is None else chosen
-    geometry = solids.geometry if reach is None else (*solids.geometry[:5], reach)
+    geometry = solids.geometry if reach is None else solids.geometry._replace(reach=reach)
     stretches = first_stretches(trajectory.q, length)
     work = solids.workspace(len(trajectory.q))
     return planes.prove(
         geometry,
-        trajectory.q,
-        trajectory.v,
-        trajectory.dt_s,
+        Motion(trajectory.q, trajectory.v, trajectory.dt_s),
         stretches,
         chosen,
         2e-5,
@@ -277,7 +278,7 @@ def test_the_motion_leaves_the_straight_line_by_no_more_than_is_said():
     off = np.empty(DOF)
     bend = planes.bends(trajectory.q, trajectory.v, trajectory.dt_s)
     for i, j in [(0, n - 1), (3, 60), (100, 101), (150, 152)]:
-        planes._off_chord(trajectory.q, bend, i, j, step, off)
+        planes._off_chord(trajectory.q, bend, planes._Stretch(i, j), step, off)
         assert np.array_equal(step, trajectory.q[j] - trajectory.q[i])
         times = np.linspace(trajectory.times[i], trajectory.times[j], 40 * (j - i) + 1)
         fine = trajectory.sample_many(times)[0] - trajectory.q[i]
@@ -296,7 +297,7 @@ def test_a_number_that_is_none_makes_the_bound_infinite():
     step = np.empty(DOF)
     off = np.empty(DOF)
     bend[5, 3] = np.nan
-    planes._off_chord(trajectory.q, bend, 0, n - 1, step, off)
+    planes._off_chord(trajectory.q, bend, planes._Stretch(0, n - 1), step, off)
     assert np.isinf(off).all()
 
 
@@ -349,7 +350,7 @@ def test_with_a_reach_too_short_a_ball_beside_the_chord_would_be_missed():
     asked, failed, _ = prove(
         solids,
         trajectory,
-        reach=0.01 * solids.geometry[5],
+        reach=0.01 * solids.geometry.reach,
         length=100.0,
         chosen=only,
     )
@@ -387,10 +388,12 @@ def test_nothing_is_proven_from_numbers_that_are_none(engines, spoil):
         else:
             balls["radius"][np.setdiff1d(np.arange(len(balls)), shapes["first"])] = np.nan
     every = np.arange(len(pairs))
-    spoiled = (joints, balls, shapes, parts, pairs, reach)
+    spoiled = Geometry(joints, balls, shapes, parts, pairs, reach)
     stretches = first_stretches(trajectory.q, 0.5)
     work = solids.workspace(len(q))
-    _, failed, _ = planes.prove(spoiled, q, v, trajectory.dt_s, stretches, every, 2e-5, work)
+    _, failed, _ = planes.prove(
+        spoiled, Motion(q, v, trajectory.dt_s), stretches, every, 2e-5, work
+    )
     assert failed >= 0
     if "cluster" in spoil:
         said = planes.clearance(spoiled, q[:1], every, 0.04, solids.workspace())
@@ -402,7 +405,8 @@ def test_no_vertex_lies_outside_the_ball_of_its_cluster(scene, arm):
     """So a solid's extent, found by skipping clusters, is that of all its vertices."""
     robot = Robot(ARM_MODELS[arm])
     solids = SceneEngines(PlanningScene(scene.obstacles, robot=robot)).solids
-    clusters, shapes = solids.geometry[1:3]
+    clusters = solids.geometry.clusters
+    shapes = solids.geometry.solids
     away = np.linalg.norm(clusters["vertices"] - clusters["centre"][:, None], axis=2)
     assert (away <= clusters["radius"][:, None] + 1e-15).all()
     rng = np.random.default_rng(2)
@@ -476,7 +480,7 @@ def test_two_links_of_one_arm_are_looked_at_from_the_inner_one(balls_settle):
     engines = SceneEngines(scene)
     solids = engines.solids
     if not balls_settle:
-        solids.geometry[3]["radius"] = 1.0  # then planes must
+        solids.geometry.parts["radius"] = 1.0  # then planes must
     only = np.array(
         [k for k, names in enumerate(solids.pairs) if set(names) == {"hand_ball", "forearm_ball"}],
     )
@@ -514,7 +518,7 @@ def test_an_obstacle_may_have_the_name_of_a_piece_of_a_link():
     )
     scene = PlanningScene(obstacles=boxes)
     engines = SceneEngines(scene)
-    parts = engines.solids.geometry[3]
+    parts = engines.solids.geometry.parts
     for name in names:
         part = parts[scene.names.index(name)]
         assert part["frame"] == 0

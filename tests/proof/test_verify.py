@@ -13,7 +13,8 @@ from minidual.config.planning import PlannerConfig
 from minidual.errors import UsageError
 from minidual.motion import timing
 from minidual.motion.api import Planner
-from minidual.proof import scene_engines
+from minidual.proof import certificate, limits
+from minidual.proof.certificate import certify
 from minidual.proof.scene_engines import STEP_RAD, SceneEngines, collision_samples
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.models import ARM_MODELS
@@ -201,7 +202,7 @@ def test_what_hides_between_two_samples_is_found(monkeypatch):
     trajectory, scene = swing_past(0.0)
     engines = Planner(scene).engines()
     assert not engines.engine("mujoco").collisions(trajectory.q[[0, -1]]).any()
-    monkeypatch.setattr(scene_engines, "_FIRST_RAD", 100.0)  # the first look is at both ends only
+    monkeypatch.setattr(certificate, "_FIRST_RAD", 100.0)  # the first look is at both ends only
     report = engines.verify(trajectory)
     assert "ball and left_panda" in report.reason or "left_panda" in report.reason.split(" and ")[0]
     assert re.match(
@@ -294,7 +295,7 @@ def test_honest_trajectories_are_far_from_contradicting_themselves(smoothing_s, 
     for group in ("left_arm", "both_arms"):
         trajectory = plan_query(planner, generator.query(group, 0)).result.trajectory
         with monkeypatch.context() as patch:
-            patch.setattr(scene_engines, "_MISFIT", 0.5 * scene_engines._MISFIT)
+            patch.setattr(limits, "_MISFIT", 0.5 * limits._MISFIT)
             assert planner.engines().verify(trajectory).ok
 
 
@@ -402,7 +403,7 @@ def test_a_trajectory_of_another_robot_is_refused():
     """Before, `certify` called a motion of two Pandas proven for two UR5, and a kernel wrote beyond its array."""
     engines = SceneEngines(PlanningScene(robot=Robot(ARM_MODELS["ur5"])))
     motion = timing.resting(HOME, 0.01, "both_arms")
-    for check in (engines.verify, lambda m: scene_engines.certify(engines.solids, m)):
+    for check in (engines.verify, lambda m: certify(engines.solids, m)):
         with pytest.raises(UsageError, match="the trajectory has 14 joints, two ur5 have 12"):
             check(motion)
 

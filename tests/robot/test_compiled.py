@@ -106,5 +106,5 @@ def test_no_caller_makes_the_planes_compile_again():
         assert engines.solids.clearance(Q, 0.04) > 0.0
     assert checker.free(HOME)
     assert EdgeChecker(engines, 0.008, (), 0.05).free(HOME)
-    assert len(planes.survey.signatures) == 1
-    assert len(planes.clearance.signatures) == 1
+    assert len(planes._survey.signatures) == 1
+    assert len(planes._clearance.signatures) == 1

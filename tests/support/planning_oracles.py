@@ -8,6 +8,7 @@ import pinocchio as pin
 
 from minidual.collision.engines import CoalEngine, MujocoEngine
 from minidual.collision.scene import PlanningScene
+from minidual.motion.blend import SmoothPath, rounded
 from minidual.robot.pair import Array
 from tests.support.panda import HOME, Q_LOWER, Q_UPPER
 
@@ -82,3 +83,43 @@ def farthest_in_mujoco(engine: MujocoEngine, part: str, direction: Array) -> flo
                 raise AssertionError(f"no oracle for a {kind}")
         far = max(far, float(direction @ p) + float(reach))
     return far
+
+
+def rounded_polyline(seed: int = 4, n: int = 5, d: int = 14) -> SmoothPath:
+    """Return the curve through the origin and n - 1 random points of d coordinates."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.5, 0.5, (n - 1, d))
+    return rounded(np.vstack([np.zeros(d), points]), 0.2)
+
+
+def toppra_profile(path: SmoothPath, grid: Array, v_max: Array, a_max: Array) -> Array:
+    """Return toppra's fastest path speed on a grid (n,) within limits (d,) of all coordinates."""
+    import toppra  # slow to import
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import (
+        DiscretizationType,
+        JointAccelerationConstraint,
+        JointVelocityConstraint,
+    )
+    from toppra.interpolator import AbstractGeometricPath
+
+    class Path(AbstractGeometricPath):
+        dof = len(v_max)
+        waypoints = None
+        path_interval = np.array([0.0, path.length])
+
+        def __call__(self, s, order=0):
+            values = path.at(np.atleast_1d(s), order)
+            return values if np.ndim(s) else values[0]
+
+    toppra.setup_logging("ERROR")
+    limits = [
+        JointVelocityConstraint(np.column_stack([-v_max, v_max])),
+        JointAccelerationConstraint(
+            np.column_stack([-a_max, a_max]),
+            DiscretizationType.Interpolation,
+        ),
+    ]
+    solver = TOPPRA(limits, Path(), gridpoints=grid, solver_wrapper="seidel")
+    _, speeds, _ = solver.compute_parameterization(0, 0)
+    return speeds

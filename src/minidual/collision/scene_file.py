@@ -1,4 +1,7 @@
-"""Planning scenes in YAML (docs/planning-scenes.md): places, shapes, and mesh files covered with convex hulls."""
+"""Planning scenes in YAML (docs/planning-scenes.md).
+
+Places, shapes, and mesh files covered with convex hulls.
+"""
 
 import math
 from collections.abc import Iterator
@@ -10,9 +13,10 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, model_validator
 
-from minidual.collision.scene import MIN_DISTANCE_MAX_M, TABLE, Attached, PlanningScene
+from minidual.collision.scene import MIN_DISTANCE_MAX_M, TABLE, PlanningScene
 from minidual.collision.shapes import (
     IDENTITY,
+    Attached,
     Box,
     Capsule,
     Cylinder,
@@ -52,7 +56,8 @@ class PlaceFields(StrictModel):
             length = math.hypot(*self.quat_wxyz)
             if abs(length - 1.0) > _LENGTH_TOLERANCE:
                 raise ValueError(
-                    f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y, z)",
+                    f"quat_wxyz has length {length:.4f}; a rotation has 1 (scalar first: w, x, y,"
+                    " z)",
                 )
         return self
 
@@ -72,6 +77,8 @@ _BYTES_MAX = 2**26
 _PIECES_MAX = 64
 _EXTENT_MAX_M = 10.0
 _EXTENT_MIN_M = 1e-4
+_FLAT = 1e-9
+"""Volume per cubed longest side below which a hull counts as flat."""
 
 
 def load_mesh(
@@ -83,9 +90,20 @@ def load_mesh(
     scale: float = 1.0,
     separate: bool = False,
 ) -> tuple[Mesh, str]:
-    """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF); return its cover and a note on its volume.
+    """Read a mesh file (STL, OBJ, PLY, OFF, Collada, glTF).
 
-    The cover is one hull, or one per connected piece if `separate`. `scale` is metres per unit of the file.
+    Its cover is one hull, or one per connected piece if `separate`.
+
+    Args:
+        path: The file.
+        name: Of the obstacle.
+        position_m: Its position [m].
+        quat_wxyz: Its orientation.
+        scale: Metres per unit of the file.
+        separate: One hull for each connected piece.
+
+    Returns:
+        The cover, and a note on its volume.
 
     Raises:
         UsageError, DataError: The file, its scale, size or number of pieces is unfit.
@@ -94,27 +112,29 @@ def load_mesh(
     mesh.apply_scale(scale)
     if not _EXTENT_MIN_M <= float(np.max(mesh.extents)) <= _EXTENT_MAX_M:
         size = " x ".join(f"{v:.4g}" for v in mesh.extents)
-        least = _EXTENT_MIN_M
-        most = _EXTENT_MAX_M
-        big = f"measures {size} m at scale {scale:g}; its longest side must be from {least} to {most} m"
         raise UsageError(
-            f"mesh '{name}' ({path.name}) {big}",
+            f"mesh '{name}' ({path.name}) measures {size} m at scale {scale:g}; its longest side"
+            f" must be from {_EXTENT_MIN_M} to {_EXTENT_MAX_M} m",
             remedy="a file in millimetres needs scale: 0.001",
         )
     pieces = list(mesh.split(only_watertight=False)) if separate else [mesh]
     if len(pieces) > _PIECES_MAX:
         raise UsageError(
-            f"mesh '{name}' ({path.name}) has {len(pieces)} pieces; at most {_PIECES_MAX} are allowed",
+            f"mesh '{name}' ({path.name}) has {len(pieces)} pieces; at most {_PIECES_MAX} are"
+            " allowed",
         )
     hulls = [_hull(piece) for piece in pieces]
     if None in hulls:
         raise DataError(
             f"mesh '{name}' ({path.name}) is flat or has a flat piece, which encloses no volume",
         )
-    held = sum(hull.volume for hull in hulls)
-    fit = f"{held / mesh.volume:.2f} times its volume" if mesh.is_watertight else "an open surface"
-    blobs = tuple(np.ascontiguousarray(hull.points[hull.vertices]).tobytes() for hull in hulls)
+    fit = "an open surface"
+    if mesh.is_watertight:
+        volume = sum(hull.volume for hull in hulls)
+        fit = f"{volume / mesh.volume:.2f} times its volume"
     note = f"mesh '{name}': {len(mesh.faces)} faces in {len(hulls)} convex pieces ({fit})"
+    corners = [np.ascontiguousarray(hull.points[hull.vertices]) for hull in hulls]
+    blobs = tuple(vertices.tobytes() for vertices in corners)
     return Mesh(name, position_m, quat_wxyz, blobs, str(path)), note
 
 
@@ -123,7 +143,8 @@ def _read(path: Path, name: str) -> Any:
 
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(
-            f"mesh '{name}': {path.name} has extension '{path.suffix}'; known are {', '.join(SUFFIXES)}",
+            f"mesh '{name}': {path.name} has extension '{path.suffix}'; known are"
+            f" {', '.join(SUFFIXES)}",
         )
     try:
         regular_file(path, _BYTES_MAX)
@@ -132,8 +153,10 @@ def _read(path: Path, name: str) -> Any:
     try:
         mesh = trimesh.load(path, force="mesh")
     except Exception as error:  # trimesh's readers raise errors of many types
-        unread = f"mesh '{name}': {path.name} does not load: {type(error).__name__}: {error}"
-        raise DataError(unread, remedy="open it in a mesh viewer and export it again") from error
+        raise DataError(
+            f"mesh '{name}': {path.name} does not load: {type(error).__name__}: {error}",
+            remedy="open it in a mesh viewer and export it again",
+        ) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise DataError(f"mesh '{name}': {path.name} holds no triangles")
     if not np.isfinite(mesh.vertices).all():
@@ -142,13 +165,15 @@ def _read(path: Path, name: str) -> Any:
 
 
 def _hull(mesh: Any) -> Any:
+    """Return the convex hull of a mesh, or None if it is flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(np.unique(mesh.triangles.reshape(-1, 3), axis=0))
     except QhullError:
         return None
-    return hull if hull.volume >= 1e-9 * float(np.max(mesh.extents)) ** 3 else None
+    volume_min = _FLAT * float(np.max(mesh.extents)) ** 3
+    return hull if hull.volume >= volume_min else None
 
 
 Length = Annotated[float, Field(ge=1e-4, le=10.0)]
@@ -204,7 +229,6 @@ class MeshEntry(_Entry):
     """One hull for each connected piece, not one for all."""
 
 
-_SHAPES = {"box": Box, "cylinder": Cylinder, "capsule": Capsule, "sphere": Sphere}
 _Entries = Annotated[BoxEntry | RoundEntry | SphereEntry | MeshEntry, Field(discriminator="shape")]
 
 
@@ -235,11 +259,11 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
         ConfigError: Empty or invalid file.
         UsageError, DataError: Unknown name, or unreadable mesh.
     """
-    if not (document := read_document(path)).tree:
-        remedy = "leave --scene out for the bare table, or write at least 'table: true'"
+    document = read_document(path)
+    if not document.tree:
         raise ConfigError(
             f"{path.name}: the scene file is empty; it would mean the bare table",
-            remedy=remedy,
+            remedy="leave --scene out for the bare table, or write at least 'table: true'",
         )
     content = validate_document(document, SceneFile)
     notes: list[str] = []
@@ -249,7 +273,7 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
         robot=robot,
     )
     for index, entry in enumerate(content.obstacles):
-        with _told(document, f"obstacles.{index}"):
+        with _located(document, f"obstacles.{index}"):
             shape = _shape(entry, path.parent, notes)
             held = entry.held
             if held is None:
@@ -257,16 +281,17 @@ def load_scene(path: Path, robot: Robot = DUAL_PANDA) -> tuple[PlanningScene, li
             else:
                 scene = scene.with_attached(Attached(shape, held.link, held.touch_links))
     for index, rule in enumerate(content.allowed):
-        with _told(document, f"allowed.{index}"):
+        with _located(document, f"allowed.{index}"):
             scene = scene.allowing(*rule.pair, rule.reason)
     for index, pair in enumerate(content.checked):
-        with _told(document, f"checked.{index}"):
+        with _located(document, f"checked.{index}"):
             scene = scene.forbidding(*pair)
     return scene, notes
 
 
 @contextmanager
-def _told(document: Document, path: str) -> Iterator[None]:
+def _located(document: Document, path: str) -> Iterator[None]:
+    """Add file, line and dotted path to an error."""
     try:
         yield
     except MinidualError as error:
@@ -275,12 +300,30 @@ def _told(document: Document, path: str) -> Iterator[None]:
 
 
 def _shape(entry: _Entries, folder: Path, notes: list[str]) -> Shape:
-    place = (entry.name, entry.position_m, entry.quaternion() or IDENTITY)
-    if not isinstance(entry, MeshEntry):
-        return _SHAPES[entry.shape](
-            *place,
-            **entry.model_dump(include={"size_m", "radius_m", "length_m"}),
+    """Return an entry's shape; add a note on a mesh."""
+    name = entry.name
+    position_m = entry.position_m
+    quat_wxyz = entry.quaternion() or IDENTITY
+    if isinstance(entry, BoxEntry):
+        return Box(name, position_m, quat_wxyz, size_m=entry.size_m)
+    if isinstance(entry, SphereEntry):
+        return Sphere(name, position_m, quat_wxyz, radius_m=entry.radius_m)
+    if isinstance(entry, RoundEntry):
+        shape = Cylinder if entry.shape == "cylinder" else Capsule
+        return shape(
+            name,
+            position_m,
+            quat_wxyz,
+            radius_m=entry.radius_m,
+            length_m=entry.length_m,
         )
-    mesh, note = load_mesh(folder / entry.file, *place, scale=entry.scale, separate=entry.separate)
+    mesh, note = load_mesh(
+        folder / entry.file,
+        name,
+        position_m,
+        quat_wxyz,
+        scale=entry.scale,
+        separate=entry.separate,
+    )
     notes.append(note)
     return mesh

@@ -21,6 +21,7 @@ Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 LENGTH_MIN_M = 1e-4  # MuJoCo compiles no smaller obstacle
+_FLAT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,20 +40,23 @@ class _Shape:
             raise UsageError(
                 f"obstacle '{self.name}': quaternion {self.quat_wxyz} is not of length 1",
             )
-        if (least := min(self.lengths())) < LENGTH_MIN_M:
-            short = f"obstacle '{self.name}' has length {least} m; every length must be {LENGTH_MIN_M} or more"
-            raise UsageError(short)
+        shortest = min(self.lengths())
+        if shortest < LENGTH_MIN_M:
+            raise UsageError(
+                f"obstacle '{self.name}' has length {shortest} m; every length must be"
+                f" {LENGTH_MIN_M} or more",
+            )
 
     def lengths(self) -> list[float]:
         """Return all lengths [m]."""
-        return np.hstack(
-            [getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m")],
-        ).tolist()
+        fields = [getattr(self, name, ()) for name in ("size_m", "radius_m", "length_m")]
+        return np.hstack(fields).tolist()
 
     @property
     def T_parent_shape(self) -> Array:
         """Pose (4, 4) in the world, or the link that holds it."""
-        return pose(pin.Quaternion(*self.quat_wxyz).normalized().matrix(), self.position_m)
+        rotation = pin.Quaternion(*self.quat_wxyz).normalized().matrix()
+        return pose(rotation, self.position_m)
 
 
 @dataclass(frozen=True)
@@ -98,11 +102,10 @@ class Mesh(_Shape):
     def __post_init__(self) -> None:
         if not self.pieces:
             raise UsageError(f"obstacle '{self.name}': a mesh needs at least one convex piece")
-        for vertices in self.vertices():
-            if len(vertices) < 4 or not np.isfinite(vertices).all() or _flat(vertices):
-                raise UsageError(
-                    f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices",
-                )
+        if not all(_solid(vertices) for vertices in self.vertices()):
+            raise UsageError(
+                f"obstacle '{self.name}': a piece of its mesh is no solid of finite vertices",
+            )
         super().__post_init__()
 
     def lengths(self) -> list[float]:
@@ -114,11 +117,12 @@ class Mesh(_Shape):
         return tuple(np.frombuffer(piece, dtype=float).reshape(-1, 3) for piece in self.pieces)
 
 
-def _flat(vertices: Array) -> bool:  # libraries of hulls end the process
-    return (
-        np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[2]
-        < 1e-6 * np.ptp(vertices, axis=0).max()
-    )
+def _solid(vertices: Array) -> bool:
+    """Return whether vertices (n, 3) span a volume; without one, hull libraries end the process."""
+    if len(vertices) < 4 or not np.isfinite(vertices).all():
+        return False
+    thickness = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[2]
+    return bool(thickness >= _FLAT * np.ptp(vertices, axis=0).max())
 
 
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
@@ -157,8 +161,10 @@ def grown(shape: Shape, by_m: float) -> Shape:
         case Capsule() | Sphere():
             return replace(shape, radius_m=shape.radius_m + by_m)
         case Mesh():
-            # Minkowski sum with a cube that contains the ball: every vertex moves to the cube's eight corners.
-            corners = by_m * np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+            # Minkowski sum with a cube that contains the ball: every vertex moves to the cube's
+            # eight corners.
+            side = [-1.0, 1.0]
+            corners = by_m * np.array(np.meshgrid(side, side, side)).reshape(3, -1).T
             pieces = [(vertices[:, None] + corners).reshape(-1, 3) for vertices in shape.vertices()]
             return replace(shape, pieces=tuple(piece.tobytes() for piece in pieces))
 

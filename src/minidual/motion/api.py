@@ -18,11 +18,15 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
-from minidual.motion.blend import blended_path, shortcut
-from minidual.motion.ik import check_joints, goal_joints, pose_goals, require_free
+from minidual.motion.blend import blended_path
+from minidual.motion.checks import check_joints, goal_joints, require_free
+from minidual.motion.pose_goals import pose_goals
 from minidual.motion.search import EdgeChecker, search
-from minidual.motion.timing import DT_S, resting, time_path
-from minidual.proof.scene_engines import SceneEngines, Verification, certify
+from minidual.motion.shortcut import shortcut
+from minidual.motion.speed_profile import DT_S
+from minidual.motion.timing import resting, time_path
+from minidual.proof.certificate import certify
+from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, Array, Robot
 from minidual.robot.trajectory import Trajectory
@@ -36,6 +40,7 @@ class PlanResult(NamedTuple):
     Attributes:
         path: Polyline (n, dof) after shortcutting.
         q_goal: Goal reached (dof,).
+        times_s: Wall time of each of `PLAN_PHASES`, summed over attempts.
         notes: Why earlier attempts failed, or a straight move ends early.
     """
 
@@ -59,8 +64,11 @@ _SAME_RAD = 1e-9
 _TRIES_OF_FIRST = 4
 _CHECKS_MAX = 10_000_000
 _PADDING_MAX_M = 0.02
-# more state checks per failed search: times are heavy-tailed, so several short searches beat a long one
+_STEP_MIN_RAD = 0.004
+# More state checks per failed search: times are heavy-tailed, so several short searches beat a long
+# one.
 _PATIENCE = 1.5
+_MORE_RESTARTS = 8
 
 
 class Effort(NamedTuple):
@@ -84,13 +92,15 @@ class Effort(NamedTuple):
         """Return `more_padding` and finer steps."""
         return self._replace(
             padding_m=more_padding(self.padding_m),
-            step_rad=max(0.5 * self.step_rad, 0.004),
+            step_rad=max(0.5 * self.step_rad, _STEP_MIN_RAD),
         )
 
     def planner(self, first: str, fallbacks: Sequence[str]) -> str:
         """Return the first planner for four failed searches, then the fallbacks in turn."""
         turn = self.fruitless_n - _TRIES_OF_FIRST
-        return fallbacks[turn % len(fallbacks)] if turn >= 0 and fallbacks else first
+        if turn < 0 or not fallbacks:
+            return first
+        return fallbacks[turn % len(fallbacks)]
 
 
 def more_padding(padding_m: float) -> float:
@@ -139,7 +149,8 @@ class Planner:
         scene = scene or self.scene
         if scene.robot != self.robot:
             raise UsageError(
-                f"the planner is for two {self.robot.arm.name}, the scene for two {scene.robot.arm.name}",
+                f"the planner is for two {self.robot.arm.name}, the scene for two"
+                f" {scene.robot.arm.name}",
             )
         return self._engines(scene)
 
@@ -152,6 +163,11 @@ class Planner:
             certify(engines.solids, resting(home, DT_S, "both_arms"))
             Planner._kernels_loaded = True
         return engines
+
+    def load_kernels(self, scene: PlanningScene | None = None) -> None:
+        """Load machine code if no planner of this process has."""
+        if not Planner._kernels_loaded:
+            self.engines(scene)
 
     def budget(self, budget_s: float | None) -> float:
         """Return a time budget [s], by default the configuration's.
@@ -174,7 +190,8 @@ class Planner:
         """Plan to all joints or the group's [rad]; the other arm stands still.
 
         Raises:
-            PlanningError: Bad start or goal, or nothing proven within `budget_s` (NoPathInTimeError).
+            PlanningError: Bad start or goal, or nothing proven within `budget_s`
+                (NoPathInTimeError).
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
         work = _Work(self, group, q_start, **options)
@@ -196,19 +213,12 @@ class Planner:
             And what `plan_to_joints` raises.
         """
         work = _Work(self, group, q_start, **options)
-        config = self.config
-        with work.phase("ik"):
-            asked = group, work.q_start, targets, work.engines, stream(work.seed, "motion/goals")
-            try:
-                goals = pose_goals(*asked, config.ik_restarts_n, config.goal_candidates_n)
-            except (
-                GoalInCollisionError
-            ):  # at the few postures found: two hands may be in each other's way
-                goals = pose_goals(*asked, 8 * config.ik_restarts_n, config.goal_candidates_n)
-        return work.run(goals)
+        return work.run(work.goals_at(targets))
 
 
 class _Work:
+    """One query in progress."""
+
     def __init__(
         self,
         planner: Planner,
@@ -218,10 +228,7 @@ class _Work:
     ) -> None:
         scene = options.get("scene")
         self.seed = options.get("seed", 0)
-        if not Planner._kernels_loaded:
-            planner.engines(
-                scene,
-            )  # before the clock starts: no budget pays for loading machine code
+        planner.load_kernels(scene)  # before the clock starts: no budget pays for it
         self.arms = GROUP_ARMS[group]
         self.started = perf_counter()
         self.seconds = dict.fromkeys(PLAN_PHASES, 0.0)
@@ -236,91 +243,134 @@ class _Work:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Add the block's wall time to a phase [s], summed over attempts."""
+        """Add the block's wall time to a phase [s]."""
         begin = perf_counter()
         try:
             yield
         finally:
             self.seconds[name] += perf_counter() - begin
 
+    def goals_at(self, targets: Mapping[str, Array]) -> list[Array]:
+        """Return goals (n,) at tcp poses {arm: T_world_tcp}."""
+        restarts_n = self.config.ik_restarts_n
+        rng = stream(self.seed, "motion/goals")
+        with self.phase("ik"):
+            try:
+                return self._pose_goals(targets, rng, restarts_n)
+            except GoalInCollisionError:
+                # Two hands may be in each other's way at the few postures tried: try more.
+                return self._pose_goals(targets, rng, _MORE_RESTARTS * restarts_n)
+
+    def _pose_goals(
+        self,
+        targets: Mapping[str, Array],
+        rng: np.random.Generator,
+        restarts_n: int,
+    ) -> list[Array]:
+        return pose_goals(
+            self.group,
+            self.q_start,
+            targets,
+            self.engines,
+            rng,
+            restarts_n,
+            self.config.goal_candidates_n,
+        )
+
     def run(self, goals: Sequence[Array]) -> PlanResult:
         """Return the first proven plan to a goal (n,), or raise NoPathInTimeError."""
         config = self.config
-        joints = self.planner.robot.groups[self.group]
         effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         notes: list[str] = []
         attempt = 0
         while perf_counter() - self.started < self.budget_s:
             goal = goals[attempt % len(goals)]
             attempt += 1
-            # All pairs were checked at start and goal; only pairs with a moving part can change.
             name = effort.planner(config.planner, config.fallback_planners)
-            with self.phase("search"):
-                checker = EdgeChecker(
-                    self.engines,
-                    effort.padding_m,
-                    (self.q_start, goal),
-                    effort.step_rad,
-                    self.arms,
-                )
-                path = ends = np.array([self.q_start, goal])
-                if not checker.edge_free(*ends):
-                    checker.allow(effort.checks_n, self.started + self.budget_s)
-                    seed = subseed(self.seed, "motion/search", attempt)
-                    path = search(
-                        checker,
-                        ends,
-                        joints,
-                        seed=seed,
-                        planner=name,
-                        range_rad=config.range_rad,
-                    )
+            checker = self._checker(goal, effort)
+            path = self._search(checker, goal, effort, name, attempt)
             if path is None:
                 notes.append(f"{name} found no path in {checker.checks_n} state checks")
                 effort = effort.after_no_path()
                 continue
             try:
                 trajectory, path = self._timed(path, checker, attempt)
-                with self.phase("verify"):
-                    proof = self.engines.verify(trajectory)
-                if not proof.ok:
-                    raise PlanningError(f"proof failed: {proof.reason}")
+                proof = self._proven(trajectory)
             except PlanningError as error:
                 notes.append(error.message)
                 effort = effort.after_no_proof()
-            else:
-                took_s = perf_counter() - self.started
-                return PlanResult(
-                    trajectory,
-                    path,
-                    goal,
-                    proof,
-                    self.seconds,
-                    took_s,
-                    attempt,
-                    tuple(notes),
-                )
+                continue
+            return PlanResult(
+                trajectory=trajectory,
+                path=path,
+                q_goal=goal,
+                verification=proof,
+                times_s=self.seconds,
+                total_s=perf_counter() - self.started,
+                attempts_n=attempt,
+                notes=tuple(notes),
+            )
         last = notes[-1] if notes else "the budget ended before the first attempt"
-        none = f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the last one: {last}"
         raise NoPathInTimeError(
-            none,
+            f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the"
+            f" last one: {last}",
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
 
+    def _checker(self, goal: Array, effort: Effort) -> EdgeChecker:
+        # All pairs were checked at start and goal; only pairs with a moving part can change.
+        with self.phase("search"):
+            return EdgeChecker(
+                self.engines,
+                effort.padding_m,
+                (self.q_start, goal),
+                effort.step_rad,
+                self.arms,
+            )
+
+    def _search(
+        self,
+        checker: EdgeChecker,
+        goal: Array,
+        effort: Effort,
+        planner: str,
+        attempt: int,
+    ) -> Array | None:
+        """Return a free polyline (n, dof), the straight one if possible, or None."""
+        ends = np.array([self.q_start, goal])
+        with self.phase("search"):
+            if checker.edge_free(self.q_start, goal):
+                return ends
+            checker.allow(effort.checks_n, self.started + self.budget_s)
+            return search(
+                checker,
+                ends,
+                self.planner.robot.groups[self.group],
+                seed=subseed(self.seed, "motion/search", attempt),
+                planner=planner,
+                range_rad=self.config.range_rad,
+            )
+
     def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
+        """Return the trajectory along the shortened path, and that path."""
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
             return resting(path[0], DT_S, self.group), path
         config = self.config
         with self.phase("shortcut"):
-            path = shortcut(
-                path,
-                checker,
-                stream(self.seed, "motion/shortcut", attempt),
-                config.shortcut_rounds_n,
-            )
+            rng = stream(self.seed, "motion/shortcut", attempt)
+            path = shortcut(path, checker, rng, config.shortcut_rounds_n)
         with self.phase("blend"):
-            curve = blended_path(path, checker, config.blend_radius_rad, checker.step_rad / 3.0)
+            step_rad = checker.step_rad / 3.0
+            curve = blended_path(path, checker, config.blend_radius_rad, step_rad)
         if curve is None:
             raise TimingError("a corner of the path stays blocked however small it is rounded")
         with self.phase("timing"):
-            return time_path(curve, self.group, config, self.planner.kinematics)[0], path
+            timed = time_path(curve, self.group, config, self.planner.kinematics)
+        return timed.trajectory, path
+
+    def _proven(self, trajectory: Trajectory) -> Verification:
+        with self.phase("verify"):
+            proof = self.engines.verify(trajectory)
+        if not proof.ok:
+            raise PlanningError(f"proof failed: {proof.reason}")
+        return proof

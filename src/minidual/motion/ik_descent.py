@@ -1,10 +1,11 @@
 """Compiled inverse kinematics of one arm (Sola, "A micro Lie theory", 2018).
 
-Error e = log6(T_tcp_target), derivative -Jlog6(T_target_tcp) J, J in the tcp frame.
+Error e = log6(T_tcp_target), derivative -Jlog6(T_target_tcp) J, J in the tcp frame. `frames`
+(n + 1, 4, 4) place each joint in the one before it, the last the tcp; joints turn about z.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -21,16 +22,41 @@ _DAMPING_MOST = 1e4
 _DAMPING_DOWN = 0.2
 _DAMPING_UP = 5.0
 _DAMPING_PROJECT = 1e-9
-_REST_ITERATIONS = 60  # step, pose and posture [m, rad]
-_REST_STEP_MAX = 0.2
-_REST_TOLERANCES = (1e-7, 1e-5)
+_PROJECT_ITERATIONS = 8
+_PROJECT_LAST = 1e-4
+"""Error norm from which the next projection step is the last: convergence is quadratic."""
+_PROJECT_STEP_MAX_RAD = 1.0
+_REST_ITERATIONS = 60
+_REST_STEP_MAX_RAD = 0.2
+_REST_POSE_TOLERANCE = 1e-7  # m and rad combined
+_REST_POSTURE_TOLERANCE_RAD = 1e-5
 
 Vector = tuple[float, float, float]
-_algebra: Any = map(
-    njit,
-    (vectors.cross, vectors.inner, vectors.solve_gram, vectors.rotation_vector),
-)
-_cross, _dot, _solve_gram, _rotation_vector = _algebra
+
+_cross: Any = njit(vectors.cross)
+_dot: Any = njit(vectors.inner)
+_solve_gram: Any = njit(vectors.solve_gram)
+_rotation_vector: Any = njit(vectors.rotation_vector)
+
+
+class _TipError(NamedTuple):
+    """How far the tcp is from its target.
+
+    Attributes:
+        T: Tcp pose (3, 4) in the world.
+        axes: Joint axes and centres (n, 6) in the world.
+        R: Orientation (3, 3) of T_tcp_target.
+        p: Its position.
+        e: Its logarithm (6,), [linear; angular].
+        angle: Its angle [rad].
+    """
+
+    T: Array
+    axes: Array
+    R: Array
+    p: Vector
+    e: Array
+    angle: float
 
 
 @njit
@@ -39,10 +65,12 @@ def _quotients(t: float) -> tuple[float, float]:
     tt = t * t
     if t < _SMALL:
         beta = 1.0 / 12.0 + tt * (1.0 / 720.0 + tt * (1.0 / 30240.0 + tt / 1209600.0))
-        return beta, 1.0 / 360.0 + tt * (1.0 / 7560.0 + tt * (1.0 / 201600.0 + tt / 5987520.0))
+        slope = 1.0 / 360.0 + tt * (1.0 / 7560.0 + tt * (1.0 / 201600.0 + tt / 5987520.0))
+        return beta, slope
     sine = math.sin(0.5 * t)
     beta = (1.0 - 0.5 * t * math.cos(0.5 * t) / sine) / tt
-    return beta, ((1.0 + math.sin(t) / t) / (4.0 * sine * sine) - 2.0 / tt) / tt
+    slope = ((1.0 + math.sin(t) / t) / (4.0 * sine * sine) - 2.0 / tt) / tt
+    return beta, slope
 
 
 @njit
@@ -79,15 +107,18 @@ def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
             if i < len(q):
                 cosine = math.cos(q[i])
                 sine = math.sin(q[i])
-                T[r, 0], T[r, 1] = cosine * a + sine * b, cosine * b - sine * a
-                axes[i, r], axes[i, 3 + r] = T[r, 2], T[r, 3]
+                T[r, 0] = cosine * a + sine * b
+                T[r, 1] = cosine * b - sine * a
+                axes[i, r] = T[r, 2]
+                axes[i, 3 + r] = T[r, 3]
             else:
-                T[r, 0], T[r, 1] = a, b
+                T[r, 0] = a
+                T[r, 1] = b
 
 
 @njit
-def _measured(frames: Array, target: Array, q: Array) -> Any:
-    """Return tcp pose (3, 4), joint axes and centres (n, 6), R, p and logarithm (6,) of T_tcp_target, and its angle."""
+def _tip_error(frames: Array, target: Array, q: Array) -> Any:
+    """Return the `_TipError` at q (n,) from a target pose (4, 4)."""
     T = np.empty((3, 4))
     axes = np.empty((len(q), 6))
     R = np.empty((3, 3))
@@ -95,23 +126,27 @@ def _measured(frames: Array, target: Array, q: Array) -> Any:
     _reach(frames, q, T, axes)
     for c in range(3):
         R[0, c], R[1, c], R[2, c] = _turned_back(T, target[:, c])
-    p = _turned_back(T, (target[0, 3] - T[0, 3], target[1, 3] - T[1, 3], target[2, 3] - T[2, 3]))
+    shift = (target[0, 3] - T[0, 3], target[1, 3] - T[1, 3], target[2, 3] - T[2, 3])
+    p = _turned_back(T, shift)
     w, t = _rotation_vector(R[0], R[1], R[2])
     beta, _ = _quotients(t)
     alpha = 1.0 - beta * t * t
     along = beta * _dot(w, p)
     across = _cross(w, p)
     for k in range(3):
-        e[k], e[3 + k] = alpha * p[k] - 0.5 * across[k] + along * w[k], w[k]
-    return T, axes, R, p, e, t
+        e[k] = alpha * p[k] - 0.5 * across[k] + along * w[k]
+        e[3 + k] = w[k]
+    return _TipError(T, axes, R, p, e, t)
 
 
 @njit
-def _jacobian(measured: Any, J: Array) -> None:
+def _jacobian(tip: Any, J: Array) -> None:
     """Fill J (6, n) = -[A, C A; 0, A] J_tcp, A and C of the inverse pose."""
-    T, axes, R, p, e, t = measured
-    w = (-e[3], -e[4], -e[5])
-    (x, y, z) = _turned_back(R, p)
+    T = tip.T
+    axes = tip.axes
+    t = tip.angle
+    w = (-tip.e[3], -tip.e[4], -tip.e[5])
+    (x, y, z) = _turned_back(tip.R, tip.p)
     shift = -x, -y, -z
     beta, slope = _quotients(t)
     diagonal = 1.0 - beta * t * t
@@ -133,6 +168,7 @@ def _jacobian(measured: Any, J: Array) -> None:
 
 @njit
 def _inner(J: Array, i: int, e: Array) -> float:
+    """Return column i of J (6, n) times e (6,)."""
     s = 0.0
     for k in range(6):
         s += J[k, i] * e[k]
@@ -150,70 +186,75 @@ def tcp_pose(frames: Array, q: Array, T: Array) -> None:
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, ROWS), heap=True)
 def measure(frames: Array, target: Array, q: Array, e: Array, J: Array) -> None:
     """Fill e (6,) and de/dq (6, n)."""
-    measured = _measured(frames, target, q)
-    _jacobian(measured, J)
-    e[:] = measured[4]
+    tip = _tip_error(frames, target, q)
+    _jacobian(tip, J)
+    e[:] = tip.e
 
 
-@kernel(
-    types.UniTuple(types.float64, 3)(
-        BLOCKS,
-        ROWS,
-        VECTOR,
-        VECTOR,
-        VECTOR,
-        types.int64,
-        types.float64,
-    ),
-    heap=True,
+_DESCENT = types.UniTuple(types.float64, 3)(
+    BLOCKS,
+    ROWS,
+    VECTOR,
+    ROWS,
+    types.int64,
+    types.float64,
 )
+
+
+@kernel(_DESCENT, heap=True)
 def descend(
     frames: Array,
     target: Array,
     q: Array,
-    lower: Array,
-    upper: Array,
+    limits: Array,
     iterations: int,
     tolerance: float,
 ) -> tuple[float, float, float]:
-    """Move q (n,) towards the pose (4, 4); return the error norm, distance [m] and angle [rad].
+    """Move q (n,) towards the pose (4, 4) within the limits (2, n), lower first [rad].
 
     Levenberg-Marquardt; joints pushed against a limit stay.
+
+    Returns:
+        The error norm, its distance [m] and angle [rad].
     """
     n = len(q)
+    lower = limits[0]
+    upper = limits[1]
     damping = _DAMPING_FIRST
     J = np.empty((6, n))
     y = np.empty(6)
     q_new = np.empty(n)
-    now = _measured(frames, target, q)
-    cost = np.sum(now[4] ** 2)
+    tip = _tip_error(frames, target, q)
+    cost = np.sum(tip.e**2)
     for _ in range(iterations):
         if cost < tolerance * tolerance or damping > _DAMPING_MOST:
             break
-        _jacobian(now, J)
+        _jacobian(tip, J)
         for i in range(n):
-            gradient = _inner(J, i, now[4])
-            if (q[i] <= lower[i] and gradient > 0.0) or (q[i] >= upper[i] and gradient < 0.0):
+            gradient = _inner(J, i, tip.e)
+            at_lower = q[i] <= lower[i] and gradient > 0.0
+            at_upper = q[i] >= upper[i] and gradient < 0.0
+            if at_lower or at_upper:
                 J[:, i] = 0.0
         if not J.any():
             break
-        y[:] = now[4]
+        y[:] = tip.e
         if not _solve_gram(J, y, damping, np.empty((6, 6))):
             damping *= _DAMPING_UP
             continue
         for i in range(n):
             q_new[i] = min(max(q[i] - _inner(J, i, y), lower[i]), upper[i])
-        new = _measured(frames, target, q_new)
-        cost_new = np.sum(new[4] ** 2)
+        new = _tip_error(frames, target, q_new)
+        cost_new = np.sum(new.e**2)
         if cost_new < cost:
-            now = new
+            tip = new
             cost = cost_new
             q[:] = q_new
             damping = max(damping * _DAMPING_DOWN, _DAMPING_LEAST)
         else:
             damping *= _DAMPING_UP
-    p = now[3]
-    return math.sqrt(cost), math.sqrt(_dot(p, p)), now[5]
+    p = tip.p
+    return math.sqrt(cost), math.sqrt(_dot(p, p)), tip.angle
 
 
 @kernel(types.void(BLOCKS, ROWS, VECTOR, VECTOR, VECTOR, ROWS), heap=True)
@@ -227,64 +268,54 @@ def rest(
 ) -> None:
     """Move q (n,) to the least sum_i (q_i - posture_i)^2 / mobility_i at the pose (4, 4).
 
-    Gauss-Newton with null-space steps in the cost metric (Nakamura, "Advanced Robotics", 1991, ch. 4).
+    `limits` (2, n), lower first [rad]. Gauss-Newton with null-space steps in the cost metric
+    (Nakamura, "Advanced Robotics", 1991, ch. 4).
     """
     n = len(q)
-    least = np.sqrt(mobility)
+    lower = limits[0]
+    upper = limits[1]
+    weight = np.sqrt(mobility)
     J = np.empty((6, n))
     y = np.empty(6)
     wish = np.empty(n)
     for _ in range(_REST_ITERATIONS):
-        measured = _measured(frames, target, q)
-        reached = np.abs(measured[4]).max() < _REST_TOLERANCES[0]
+        tip = _tip_error(frames, target, q)
+        reached = np.abs(tip.e).max() < _REST_POSE_TOLERANCE
         furthest = 0.0
-        _jacobian(measured, J)
-        y[:] = measured[4]
+        _jacobian(tip, J)
+        y[:] = tip.e
         for i in range(n):
             wish[i] = posture[i] - q[i]
             for k in range(6):
                 y[k] += J[k, i] * wish[i]
-                J[k, i] *= least[i]
+                J[k, i] *= weight[i]
         if not _solve_gram(J, y, _DAMPING_PROJECT, np.empty((6, 6))):
             return
         for i in range(n):
-            step = wish[i] - least[i] * _inner(J, i, y)
+            step = wish[i] - weight[i] * _inner(J, i, y)
             furthest = max(furthest, abs(step))
-            q[i] = min(
-                max(q[i] + min(max(step, -_REST_STEP_MAX), _REST_STEP_MAX), limits[0, i]),
-                limits[1, i],
-            )
-        if reached and furthest < _REST_TOLERANCES[1]:
+            bounded = min(max(step, -_REST_STEP_MAX_RAD), _REST_STEP_MAX_RAD)
+            q[i] = min(max(q[i] + bounded, lower[i]), upper[i])
+        if reached and furthest < _REST_POSTURE_TOLERANCE_RAD:
             return
 
 
-@kernel(
-    types.boolean(BLOCKS, ROWS, VECTOR, VECTOR, types.int64, types.float64, types.float64),
-    heap=True,
-)
-def project(
-    frames: Array,
-    target: Array,
-    q: Array,
-    wish: Array,
-    rounds: int,
-    small: float,
-    step_max: float,
-) -> bool:
-    """Move q (n,) to the pose (4, 4) by least-norm Newton steps, the first along `wish` (n,) where possible.
+@kernel(types.boolean(BLOCKS, ROWS, VECTOR, VECTOR), heap=True)
+def project(frames: Array, target: Array, q: Array, wish: Array) -> bool:
+    """Move q (n,) to the pose (4, 4) by least-norm Newton steps.
 
-    Ignores limits. The step from an error below `small` is the last, as convergence is quadratic. Steps over `step_max`
+    The first step is along `wish` (n,) [rad] where possible. Limits are ignored. Steps over 1 rad
     fail.
     """
     n = len(q)
     wished = (wish != 0.0).any()
     J = np.empty((6, n))
     step = np.empty(n)
-    for _ in range(rounds):
-        measured = _measured(frames, target, q)
-        e = measured[4]
-        _jacobian(measured, J)
-        last = not wished and np.sum(e**2) < small * small
+    for _ in range(_PROJECT_ITERATIONS):
+        tip = _tip_error(frames, target, q)
+        e = tip.e
+        _jacobian(tip, J)
+        last = not wished and np.sum(e**2) < _PROJECT_LAST * _PROJECT_LAST
         if wished:
             for k in range(6):
                 for i in range(n):
@@ -296,7 +327,8 @@ def project(
             for k in range(6):
                 step[i] -= J[k, i] * e[k]
             q[i] += step[i]
-        if not np.sum(step**2) < step_max * step_max:  # also true for NaN
+        # Also true for NaN.
+        if not np.sum(step**2) < _PROJECT_STEP_MAX_RAD * _PROJECT_STEP_MAX_RAD:
             return False
         if last:
             return True

@@ -9,9 +9,11 @@ from scipy.interpolate import CubicSpline
 
 from minidual.collision.errors import LinearMoveError
 from minidual.config.planning import MotionLimits
+from minidual.motion.checks import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
-from minidual.motion.ik import check_joints, check_targets, require_free, solvers
-from minidual.motion.timing import DT_S, PathLimits, resting, time_path
+from minidual.motion.ik import ArmIK, solvers
+from minidual.motion.speed_profile import DT_S
+from minidual.motion.timing import PathLimits, TimedPath, resting, time_path
 from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, pose
@@ -24,7 +26,10 @@ _STEP_M = 0.005
 _JUMP_MAX_RAD = 0.15
 _REFINEMENTS = 3
 _BACK_OFFS = 6
+_POINTS_MIN = 4
 _STILL_M = 1e-9
+_NEAR_M = 0.001
+_CHECKED_EVERY = 5
 
 
 class LinearMove(NamedTuple):
@@ -48,29 +53,39 @@ class Line:
         self._start = T_start
         self._shift = T_end[:3, 3] - T_start[:3, 3]
         self._turn = pin.log3(T_start[:3, :3].T @ T_end[:3, :3])
-        self.length_m = float(
-            np.hypot(np.linalg.norm(self._shift), ROTATION_WEIGHT_M * np.linalg.norm(self._turn)),
-        )
+        way = np.linalg.norm(self._shift)
+        angle = np.linalg.norm(self._turn)
+        self.length_m = float(np.hypot(way, ROTATION_WEIGHT_M * angle))
         """Includes rotation, weighted."""
 
     def at(self, x: float) -> Array:
         """Return T_world_tcp (4, 4) at x in 0..1."""
-        return pose(
-            self._start[:3, :3] @ pin.exp3(x * self._turn),
-            self._start[:3, 3] + x * self._shift,
-        )
+        R = self._start[:3, :3] @ pin.exp3(x * self._turn)
+        return pose(R, self._start[:3, 3] + x * self._shift)
 
     def off(self, T: Array, x: float) -> tuple[float, float]:
         """Return the distance from the line [m] and from the orientation at x [rad]."""
         moved = T[:3, 3] - self._start[:3, 3]
         length = float(np.linalg.norm(self._shift))
-        along = (
-            self._shift * float(moved @ self._shift) / length**2
-            if length > _STILL_M
-            else np.zeros(3)
-        )
+        along = np.zeros(3)
+        if length > _STILL_M:
+            along = self._shift * float(moved @ self._shift) / length**2
         angle = float(np.linalg.norm(pin.log3(self.at(x)[:3, :3].T @ T[:3, :3])))
         return float(np.linalg.norm(moved - along)), angle
+
+
+class _Followed(NamedTuple):
+    """Points that the hands reach along their lines.
+
+    Attributes:
+        marks: Path parameter of all points (n,) [m].
+        Q: Joints at the first of them (m <= n, dof).
+        reason: Why the hands cannot follow farther, or "".
+    """
+
+    marks: Array
+    Q: Array
+    reason: str
 
 
 class _Curve:
@@ -82,9 +97,13 @@ class _Curve:
         self.knots = marks[[0, -1]]
 
     def at(self, s: Array, order: int = 0) -> Array:
-        return np.column_stack(
-            [self._spline(s, order), (s, np.ones_like(s), np.zeros_like(s))[order]],
-        )
+        if order == 0:
+            way = s
+        elif order == 1:
+            way = np.ones_like(s)
+        else:
+            way = np.zeros_like(s)
+        return np.column_stack([self._spline(s, order), way])
 
 
 class LinearPlanner:
@@ -110,10 +129,19 @@ class LinearPlanner:
         limits: PathLimits | None = None,
         fraction_min: float = 1.0,
     ) -> LinearMove:
-        """Return the straight move from q_start (n,) to {arm: T_world_tcp (4, 4)}; tcps end together.
+        """Return the straight move from q_start (n,) to tcp poses; the tcps end together.
+
+        Args:
+            group: Planning group.
+            q_start: All joints (n,).
+            targets: {arm: T_world_tcp (4, 4)} of exactly the group's arms.
+            engines: The scene.
+            limits: Of the tcps.
+            fraction_min: Part of the lines that suffices.
 
         Raises:
-            LinearMoveError, TimingError: It covers less than `fraction_min`, deviates, or is not proven.
+            LinearMoveError, TimingError: It covers less than `fraction_min`, deviates, or is not
+                proven.
             UsageError, OutOfLimitsError, StartInCollisionError: Bad query.
         """
         checked = check_targets(group, targets)
@@ -123,100 +151,119 @@ class LinearPlanner:
         lines = {arm: Line(tips[arm], T) for arm, T in checked.items()}
         length = max(line.length_m for line in lines.values())
         if length < _STILL_M:
-            still = resting(q_start, DT_S, group)
-            if not (proof := engines.verify(still)).ok:
-                raise _cut_short(group, 1.0, f"staying there is not proven: {proof.reason}")
-            return LinearMove(still, proof)
+            return _staying(group, q_start, engines)
+        off_m = off_rad = np.inf
         for refinement in range(_REFINEMENTS):
             count = max(8, int(np.ceil(length / (_STEP_M * 0.5**refinement))))
             marks = np.linspace(0.0, length, count + 1, dtype=np.float64)
-            Q, reason = self._follow(q_start, lines, engines, marks)
-            move, way = self._timed(group, marks, Q, reason, engines, limits or TIP_LIMITS)
-            off_m, off_rad = self._deviation(move.trajectory, way / length, lines)
+            followed = self._follow(q_start, lines, engines, marks)
+            move, s = self._timed(group, followed, engines, limits or TIP_LIMITS)
+            off_m, off_rad = self._deviation(move.trajectory, s / length, lines)
             if off_m < DEVIATION_MAX_M and off_rad < DEVIATION_MAX_RAD:
                 if move.fraction < fraction_min:
                     raise _cut_short(group, move.fraction, move.reason)
                 return move
-        strays = f"between its points the straight move strays {off_m * 1e3:.3f} mm and {off_rad:.5f} rad"
-        allowed = f"allowed are {DEVIATION_MAX_M * 1e3} mm and {DEVIATION_MAX_RAD} rad"
         raise LinearMoveError(
-            f"{strays}; {allowed}",
+            f"between its points the straight move strays {off_m * 1e3:.3f} mm and"
+            f" {off_rad:.5f} rad; allowed are {DEVIATION_MAX_M * 1e3} mm and"
+            f" {DEVIATION_MAX_RAD} rad",
             remedy="start from a posture farther from a singularity",
         )
 
     def _follow(
         self,
-        q0: Array,
+        q_start: Array,
         lines: Mapping[str, Line],
         engines: SceneEngines,
         marks: Array,
-    ) -> tuple[Array, str]:
-        Q = [q0]
+    ) -> _Followed:
+        """Solve the points of the lines one after the other, as far as they go."""
+        Q = [q_start]
         for mark in marks[1:]:
             q = Q[-1].copy()
             for arm, line in lines.items():
                 ik = self._ik[arm]
-                solution = ik.solve(line.at(float(mark / marks[-1])), q[ik.joints])
-                jump = float(np.abs(solution.q - q[ik.joints]).max())
-                if not solution.reached:
-                    return np.array(Q), f"the {arm} hand cannot go on: it stays {solution.off} away"
-                if jump > _JUMP_MAX_RAD:
-                    why = f"would jump by {jump:.2f} rad within {marks[1] * 1e3:.1f} mm"
-                    return np.array(Q), f"the {arm} arm {why} (a joint limit or a singular posture)"
-                q[ik.joints] = solution.q
-            near = engines.closest(q, 0.001)
+                T = line.at(float(mark / marks[-1]))
+                reason = _follow_point(ik, T, q, float(marks[1]))
+                if reason:
+                    return _Followed(marks, np.array(Q), reason)
+            near = engines.closest(q, _NEAR_M)
             if near and near[0].distance_m <= 0.0:
-                return np.array(Q), f"collision: {near[0]}"
+                return _Followed(marks, np.array(Q), f"collision: {near[0]}")
             Q.append(q)
-        return np.array(Q), ""
+        return _Followed(marks, np.array(Q), "")
 
     def _timed(
         self,
         group: str,
-        marks: Array,
-        Q: Array,
-        reason: str,
+        followed: _Followed,
         engines: SceneEngines,
         limits: PathLimits,
     ) -> tuple[LinearMove, Array]:
+        """Return the longest move that is proven, and s at its samples (m,) [m]."""
+        marks = followed.marks
+        reason = followed.reason
         for back_off in range(_BACK_OFFS):
-            keep = len(Q) - 2**back_off + 1
-            if keep < 4:
+            keep = len(followed.Q) - 2**back_off + 1
+            if keep < _POINTS_MIN:
                 break
-            trajectory, way = time_path(
-                _Curve(marks[:keep], Q[:keep]),
-                group,
-                self._limits,
-                self._kinematics,
-                limits,
-            )
-            if (proof := engines.verify(trajectory)).ok:
-                return LinearMove(
-                    trajectory,
-                    proof,
-                    float(marks[keep - 1] / marks[-1]),
-                    reason,
-                ), way
+            timed = self._time(group, marks[:keep], followed.Q[:keep], limits)
+            proof = engines.verify(timed.trajectory)
+            if proof.ok:
+                fraction = float(marks[keep - 1] / marks[-1])
+                return LinearMove(timed.trajectory, proof, fraction, reason), timed.s
             reason = reason or f"the proof refuses the rest: {proof.reason}"
         raise _cut_short(group, 0.0, reason or "there is no room to begin")
+
+    def _time(self, group: str, marks: Array, Q: Array, limits: PathLimits) -> TimedPath:
+        return time_path(_Curve(marks, Q), group, self._limits, self._kinematics, limits)
 
     def _deviation(
         self,
         trajectory: Trajectory,
-        way: Array,
+        fractions: Array,
         lines: Mapping[str, Line],
     ) -> tuple[float, float]:
-        rows = np.unique(np.append(np.arange(0, len(way), 5), len(way) - 1))
-        hands = [(line, self._ik[arm]) for arm, line in lines.items()]
-        off = [
-            line.off(ik.tcp_pose(trajectory.q[k, ik.joints]), float(way[k]))
-            for k in rows
-            for line, ik in hands
-        ]
-        return tuple(np.max(off, axis=0).tolist())
+        """Return the largest distance [m] and angle [rad] of the tcps from their lines."""
+        last = len(fractions) - 1
+        rows = np.unique(np.append(np.arange(0, len(fractions), _CHECKED_EVERY), last))
+        off: list[tuple[float, float]] = []
+        for k in rows:
+            for arm, line in lines.items():
+                ik = self._ik[arm]
+                T = ik.tcp_pose(trajectory.q[k, ik.joints])
+                off.append(line.off(T, float(fractions[k])))
+        off_m, off_rad = np.max(off, axis=0).tolist()
+        return off_m, off_rad
+
+
+def _follow_point(ik: ArmIK, T_world_tcp: Array, q: Array, step_m: float) -> str:
+    """Move the arm in q (n,) to the pose (4, 4); return why it cannot, or "". `step_m`: of the tcp."""
+    solution = ik.solve(T_world_tcp, q[ik.joints])
+    if not solution.reached:
+        return f"the {ik.arm} hand cannot go on: it stays {solution.off} away"
+    jump = float(np.abs(solution.q - q[ik.joints]).max())
+    if jump > _JUMP_MAX_RAD:
+        return (
+            f"the {ik.arm} arm would jump by {jump:.2f} rad within {step_m * 1e3:.1f} mm"
+            " (a joint limit or a singular posture)"
+        )
+    q[ik.joints] = solution.q
+    return ""
+
+
+def _staying(group: str, q: Array, engines: SceneEngines) -> LinearMove:
+    """Return the move that stays at q (n,)."""
+    still = resting(q, DT_S, group)
+    proof = engines.verify(still)
+    if not proof.ok:
+        raise _cut_short(group, 1.0, f"staying there is not proven: {proof.reason}")
+    return LinearMove(still, proof)
 
 
 def _cut_short(group: str, fraction: float, reason: str) -> LinearMoveError:
-    what = f"the straight move of {group} ends at {fraction:.1%} of the way: {reason}"
-    remedy = "ask for a shorter move or a smaller fraction_min, start from another posture, or plan without `linear`"
-    return LinearMoveError(what, remedy=remedy)
+    return LinearMoveError(
+        f"the straight move of {group} ends at {fraction:.1%} of the way: {reason}",
+        remedy="ask for a shorter move or a smaller fraction_min, start from another posture, or"
+        " plan without `linear`",
+    )

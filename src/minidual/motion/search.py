@@ -1,8 +1,8 @@
 """Collision checks of configurations and straight edges, and sampling search with OMPL.
 
-Checks keep `padding_m`, as paths may touch between samples. Near an endpoint with less clearance it is 0.9 of that
-clearance and grows back within `RELAX_RAD` of joint motion. Limits count state checks, so results do not depend on the
-machine.
+Checks keep `padding_m`, as paths may touch between samples. Near an endpoint with less clearance it
+is 0.9 of that clearance and grows back within `RELAX_RAD` of joint motion. Limits count state
+checks, so results do not depend on the machine.
 """
 
 import math
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from minidual.config.seeds import subseed
 from minidual.proof import planes
+from minidual.proof.layout import Padding
 from minidual.proof.scene_engines import SceneEngines
 from minidual.registry import Registry
 from minidual.robot.compiled import floats
@@ -31,14 +32,11 @@ _KEEP_FRACTION = 0.9
 @cache
 def bisection_order(count: int) -> Array:
     """Return k/count, k = 1..count, in bisection order, end first. Cached: read only."""
-    steps = (count >> halvings for halvings in range(count.bit_length()))
-    return (
-        np.array(
-            [*dict.fromkeys(k for step in steps for k in range(step, count + 1, step))],
-            dtype=float,
-        )
-        / count
-    )
+    order: dict[int, None] = {}  # a set that keeps its order
+    for halvings in range(count.bit_length()):
+        step = count >> halvings
+        order.update(dict.fromkeys(range(step, count + 1, step)))
+    return np.array(list(order), dtype=float) / count
 
 
 class EdgeChecker:
@@ -60,19 +58,20 @@ class EdgeChecker:
         self.padding_m = padding_m
         self.step_rad = step_rad
         self.checks_n = 0
-        self.checks_end = self.deadline = math.inf
-        rows = solids.of_arms(arms)
-        tight = np.array(ends).reshape(-1, self.robot.dof)
-        clearances = np.array([solids.clearance(q[None], padding_m, rows) for q in tight])
-        near = clearances < padding_m
-        keep = (
-            float(padding_m),
-            tight[near],
-            _KEEP_FRACTION * np.maximum(0.0, clearances[near]),
-            RELAX_RAD,
-        )
+        self.checks_end = math.inf
+        self.deadline = math.inf
         self._geometry = solids.geometry
-        self._rest = (rows, keep, solids.workspace())
+        self._rows = solids.of_arms(arms)
+        ends = np.array(ends).reshape(-1, self.robot.dof)
+        clearances = np.array([solids.clearance(q[None], padding_m, self._rows) for q in ends])
+        tight = clearances < padding_m
+        self._padding = Padding(
+            padding_m=float(padding_m),
+            tight=ends[tight],
+            clearances_m=_KEEP_FRACTION * np.maximum(0.0, clearances[tight]),
+            relax_rad=RELAX_RAD,
+        )
+        self._work = solids.workspace()
 
     def allow(self, checks_n: int, deadline: float) -> None:
         """Bound what follows: state checks, and `deadline` by time.perf_counter()."""
@@ -90,15 +89,14 @@ class EdgeChecker:
 
     def all_free(self, Q: Array) -> bool:
         """Return whether all rows of Q (n, dof) keep it."""
-        free_n = planes.survey(self._geometry, floats(Q), *self._rest)
+        free_n = planes.survey(self._geometry, floats(Q), self._rows, self._padding, self._work)
         self.checks_n += min(free_n + 1, len(Q))
         return free_n == len(Q)
 
     def edge_free(self, a: Array, b: Array) -> bool:
-        """Return whether the edge (dof,) is free, checked every `step_rad` of the checker; a itself is not."""
-        return self.all_free(
-            a + bisection_order(math.ceil(np.abs(b - a).max() / self.step_rad))[:, None] * (b - a),
-        )
+        """Return whether the edge (dof,) is free, checked every `step_rad`; a itself is not."""
+        count = math.ceil(np.abs(b - a).max() / self.step_rad)
+        return self.all_free(a + bisection_order(count)[:, None] * (b - a))
 
 
 PLANNERS = Registry[Any](
@@ -106,7 +104,10 @@ PLANNERS = Registry[Any](
     {"rrtconnect": og.RRTConnect, "kpiece": og.KPIECE1},
     group="minidual.planners",
 )
-"""OMPL planners with a range. PRM hangs: it evaluates the termination condition in its own threads."""
+"""OMPL planners with a range.
+
+PRM hangs: it evaluates the termination condition in its own threads.
+"""
 
 
 class _Motion(ob.MotionValidator):
@@ -148,11 +149,9 @@ def exact_path(
     worker.setup()
     ended = ob.PlannerTerminationCondition(lambda: definition.hasExactSolution() or enough())
     status = worker.solve(ended)  # also true for approximate solutions
-    return (
-        definition.getSolutionPath()
-        if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION
-        else None
-    )
+    if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
+        return None
+    return definition.getSolutionPath()
 
 
 def search(
@@ -187,8 +186,6 @@ def search(
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
     path = exact_path(PLANNERS[planner](si), range_rad, states, lambda: checker.spent)
-    return (
-        None
-        if path is None
-        else np.array([full(path.getState(i)) for i in range(path.getStateCount())])
-    )
+    if path is None:
+        return None
+    return np.array([full(path.getState(i)) for i in range(path.getStateCount())])

@@ -1,58 +1,55 @@
 """Compiled search for planes that separate two parts, at a state or throughout a stretch.
 
-A part is a union of convex solids: vertex hulls, thickened by a ball or (cylinders) a disc. Two solids are d apart if
-along some direction all of one lies d beyond the other. Checking a direction does not depend on its search (Gilbert,
-Johnson, Keerthi).
+A part is a union of convex solids: vertex hulls, thickened by a ball or (cylinders) a disc. Two
+solids are d apart if along some direction all of one lies d beyond the other. Checking a direction
+does not depend on its search (Gilbert, Johnson, Keerthi).
 
-A plane clearing both ends of a stretch by more than both parts deviate separates them throughout. Bounds on the
-deviations: docs/proof.md. Links of one arm are seen from the inner one.
+A plane clearing both ends of a stretch by more than both parts deviate separates them throughout.
+Bounds on the deviations: docs/proof.md. Links of one arm are seen from the inner one.
 
 NaN counts as not proven: sums propagate it, comparisons drop it.
+
+The helpers are in one file with the kernels, because numba's cache watches the kernel's file alone.
+The kernels take plain tuples: numba identifies their types in half the time that named ones take.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from minidual.proof.layout import Geometry, Motion, MotionProof, Padding, Rows, Workspace
 from minidual.robot import vectors
 from minidual.robot.compiled import inlined, kernel
 from minidual.robot.pair import Array
 
-JOINT = np.dtype([("parent", "i8"), ("R", "f8", (3, 3)), ("p", "f8", 3)])
-"""Parent frame (0: world, k + 1: joint k) and placement; the joint turns about z."""
-CLUSTER = np.dtype([("centre", "f8", 3), ("radius", "f8"), ("vertices", "f8", (8, 3))])
-"""Neighbouring vertices of a solid (the last may repeat) in its frame, and their ball [m]."""
-SOLID = np.dtype(
-    [("first", "i8"), ("end", "i8"), ("ball", "f8"), ("disc", "f8"), ("axis", "f8", 3)],
-)
-"""Cluster rows, radii of ball and disc [m], disc axis."""
-PART = np.dtype(
-    [("first", "i8"), ("end", "i8"), ("frame", "i8"), ("centre", "f8", 3), ("radius", "f8")],
-)
-"""Solid rows, frame, bounding ball [m]."""
-PAIR = np.dtype([(name, "i8") for name in ("a", "b", "frame", "row", "moves_a", "moves_b")])
-"""Two parts, their planes' frame, first direction row, both indices in `_deviate`'s flattened table."""
-
-Rows = Any
-"""Records or integers, (n,)."""
-Geometry = tuple[Rows, Rows, Rows, Rows, Rows, Array]
-"""Joints (dof,), clusters, solids, parts, pairs, reach (parts, dof / 2) [m]."""
-Work = tuple[Array, Array, Array, Array, Array, Array, Array]
-"""Plane directions; frame poses R, p and part centres C of n states; a pair's poses R, p at two ends; a simplex."""
-Keep = tuple[float, Array, Array, float]
-"""Padding [m], tight states (t, dof), their clearances (t,) [m], joint distance [rad] over which clearance grows to
-padding."""
 Vector = tuple[float, float, float]
 
-_algebra: Any = map(
-    inlined,
-    (vectors.cross, vectors.inner, vectors.plus, vectors.minus, vectors.times),
-)
-_cross, _dot, _plus, _minus, _times = _algebra
+_cross: Any = inlined(vectors.cross)
+_dot: Any = inlined(vectors.inner)
+_plus: Any = inlined(vectors.plus)
+_minus: Any = inlined(vectors.minus)
+_times: Any = inlined(vectors.times)
+
 _TRIES = 40
 """Most directions per plane."""
 _EXACT_M = 1e-4
+
+
+class _Stretch(NamedTuple):
+    """First and last state; equal for a single state."""
+
+    first: int
+    last: int
+
+
+class _Facing(NamedTuple):
+    """Two solids, the row of their plane's direction, and how many states it must separate."""
+
+    a: int
+    b: int
+    row: int
+    ends: int
 
 
 @inlined
@@ -76,67 +73,66 @@ def _turned_back(R: Array, a: Any) -> Vector:
 
 
 @inlined
-def _place(geometry: Geometry, q: Array, n: int, work: Work) -> None:
-    """Write poses and centres into row n."""
-    joints = geometry[0]
-    parts = geometry[3]
-    R = work[1][n]
-    p = work[2][n]
-    C = work[3][n]
+def _place(geometry: Geometry, q: Array, n: int, work: Workspace) -> None:
+    """Write the poses and centres at q (dof,) into row n."""
+    joints = geometry.joints
+    parts = geometry.parts
+    R = work.R[n]
+    p = work.p[n]
+    centres = work.centres[n]
     p[0] = 0.0
     R[0] = 0.0
     R[0, 0, 0] = R[0, 1, 1] = R[0, 2, 2] = 1.0
     for j in range(len(joints)):
         f = joints[j].parent
         shift = joints[j].p
-        c = math.cos(q[j])
-        s = math.sin(q[j])
+        cosine = math.cos(q[j])
+        sine = math.sin(q[j])
         for r in range(3):
             row = _vector(R[f, r])
             x, y, z = _turned_back(joints[j].R, row)
-            _store(R[j + 1, r], (c * x + s * y, c * y - s * x, z))
+            _store(R[j + 1, r], (cosine * x + sine * y, cosine * y - sine * x, z))
             p[j + 1, r] = p[f, r] + row[0] * shift[0] + row[1] * shift[1] + row[2] * shift[2]
     for k in range(len(parts)):
         f = parts[k].frame
-        _store(C[k], _plus(_turned(R[f], parts[k].centre), p[f]))
+        _store(centres[k], _plus(_turned(R[f], parts[k].centre), p[f]))
 
 
 @inlined
-def _seen_from(work: Work, n: int, f: int, a: int, to: int) -> None:
-    """Write frame a's pose, seen from f, into row `to`."""
-    R = work[1][n]
-    p = work[2][n]
-    seen_R = work[4]
-    seen_p = work[5]
+def _see(work: Workspace, n: int, viewer: int, frame: int, to: int) -> None:
+    """Write a frame's pose at state n, seen from the viewer's frame, into row `to`."""
+    R = work.R[n]
+    p = work.p[n]
     for r in range(3):
-        _store(seen_R[to, r], _turned_back(R[a], (R[f, 0, r], R[f, 1, r], R[f, 2, r])))
-    _store(seen_p[to], _turned_back(R[f], _minus(p[a], p[f])))
+        viewer_axis = (R[viewer, 0, r], R[viewer, 1, r], R[viewer, 2, r])
+        _store(work.seen_R[to, r], _turned_back(R[frame], viewer_axis))
+    _store(work.seen_p[to], _turned_back(R[viewer], _minus(p[frame], p[viewer])))
 
 
 @inlined
 def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tuple[float, Vector]:
     """Return solid k's extent along `way`, without ball, and its extreme point."""
-    clusters = geometry[1]
-    solids = geometry[2]
+    clusters = geometry.clusters
+    solids = geometry.solids
     own = _turned_back(R, way)
-    at = solids[k].first
-    of = 0
+    best_cluster = solids[k].first
+    best_vertex = 0
     far = -np.inf
     total = 0.0
-    for i in range(at, solids[k].end):
+    for i in range(best_cluster, solids[k].end):
         most = _dot(clusters[i].centre, own) + clusters[i].radius
         total += most
         if most <= far:
-            continue  # most clusters; a state's check takes 3.3 us, 4.5 with every vertex asked
+            continue  # most clusters; a state's check takes 3.3 us, 4.5 with every vertex compared
         for j in range(8):
             d = _dot(clusters[i].vertices[j], own)
             if d > far:
                 far = d
-                at = i
-                of = j
+                best_cluster = i
+                best_vertex = j
     if not abs(total) < np.inf:
         far = np.nan  # the comparison drops NaN, the sum does not
-    point = _vector(clusters[at].vertices[of])
+    point = _vector(clusters[best_cluster].vertices[best_vertex])
     disc = solids[k].disc
     axis = solids[k].axis
     if disc > 0.0:
@@ -151,23 +147,23 @@ def _farthest(geometry: Geometry, k: int, R: Array, p: Array, way: Vector) -> tu
 @inlined
 def _difference(
     geometry: Geometry,
-    a: int,
-    b: int,
-    ends: int,
+    facing: _Facing,
     way: Vector,
-    work: Work,
+    work: Workspace,
 ) -> tuple[float, Vector]:
-    """Return solid a's smallest distance beyond b along `way` over the ends, and the difference vector.
+    """Return solid a's smallest distance beyond b along `way` over the ends, and the difference.
 
     Even pose rows hold a, odd rows b.
     """
-    R = work[4]
-    p = work[5]
+    R = work.seen_R
+    p = work.seen_p
     gap = np.inf
     apart = (0.0, 0.0, 0.0)
-    for end in range(ends):
-        back, on_a = _farthest(geometry, a, R[2 * end], p[2 * end], _times(-1.0, way))
-        front, on_b = _farthest(geometry, b, R[2 * end + 1], p[2 * end + 1], way)
+    for end in range(facing.ends):
+        of_a = 2 * end
+        of_b = 2 * end + 1
+        back, on_a = _farthest(geometry, facing.a, R[of_a], p[of_a], _times(-1.0, way))
+        front, on_b = _farthest(geometry, facing.b, R[of_b], p[of_b], way)
         here = -back - front
         if here != here:
             return np.nan, apart
@@ -179,7 +175,10 @@ def _difference(
 
 @inlined
 def _on_triangle(a: Vector, b: Vector, c: Vector) -> Vector:
-    """Return weights of the triangle's nearest point to the origin (Ericson, Real-Time Collision Detection, 5.1.5)."""
+    """Return weights of the triangle's nearest point to the origin.
+
+    Source: Ericson, "Real-Time Collision Detection", 5.1.5.
+    """
     ab = _minus(b, a)
     ac = _minus(c, a)
     d1 = -_dot(ab, a)
@@ -261,23 +260,20 @@ def _nearest(S: Array, count: int) -> tuple[int, Vector]:
 @inlined
 def _separate(
     geometry: Geometry,
-    a: int,
-    b: int,
-    ends: int,
+    facing: _Facing,
     need: float,
     exact: bool,
-    row: int,
-    work: Work,
+    work: Workspace,
 ) -> float:
     """Return a lower bound on the solids' distance at all ends.
 
     Stops when it exceeds `need` or cannot; if `exact`, within `_EXACT_M` of convergence.
     """
-    solids = geometry[2]
-    directions = work[0]
-    S = work[6]
-    thick = solids[a].ball + solids[b].ball
-    way = _vector(directions[row])
+    solids = geometry.solids
+    directions = work.directions
+    simplex = work.simplex
+    thick = solids[facing.a].ball + solids[facing.b].ball
+    way = _vector(directions[facing.row])
     if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:
         way = (0.0, 0.0, 1.0)  # arbitrary first direction
     size = np.inf
@@ -285,14 +281,14 @@ def _separate(
     best = -np.inf
     best_way = way
     for _ in range(_TRIES):
-        gap, apart = _difference(geometry, a, b, ends, way, work)
+        gap, apart = _difference(geometry, facing, way, work)
         if gap - thick > best:
             best = gap - thick
             best_way = way
         if best > need:
             break
-        _store(S[count], apart)
-        count, nearest = _nearest(S, count + 1)
+        _store(simplex[count], apart)
+        count, nearest = _nearest(simplex, count + 1)
         length = math.sqrt(_dot(nearest, nearest))
         if not length < size:
             break  # converged
@@ -301,22 +297,24 @@ def _separate(
         if count == 4 or not size - thick > (best + _EXACT_M if exact else need) or size == 0.0:
             break
         way = (nearest[0] / size, nearest[1] / size, nearest[2] / size)
-    _store(directions[row], best_way)
+    _store(directions[facing.row], best_way)
     return best
 
 
 @inlined
-def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return the bounding balls' smallest distance at states i and j."""
-    parts = geometry[3]
-    R = work[1]
-    C = work[3]
+def _between_balls(geometry: Geometry, pair: Any, stretch: _Stretch, work: Workspace) -> float:
+    """Return the bounding balls' smallest distance on the straight way between the two states."""
+    parts = geometry.parts
+    R = work.R
+    centres = work.centres
+    i = stretch.first
+    j = stretch.last
     a = pair.a
     b = pair.b
     f = pair.frame
-    x = _minus(C[i, a], C[i, b])
+    x = _minus(centres[i, a], centres[i, b])
     if i != j:
-        y = _minus(C[j, a], C[j, b])
+        y = _minus(centres[j, a], centres[j, b])
         if f != 0:
             x = _turned_back(R[i, f], x)
             y = _turned_back(R[j, f], y)
@@ -328,21 +326,24 @@ def _between_balls(geometry: Geometry, pair: Any, i: int, j: int, work: Work) ->
 
 
 @inlined
-def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
-    """Return how far a's ball lies beyond b along their last direction; -inf unless b is one fixed solid."""
-    solids = geometry[2]
-    parts = geometry[3]
-    R = work[1]
-    p = work[2]
-    C = work[3]
+def _beside(geometry: Geometry, pair: Any, stretch: _Stretch, work: Workspace) -> float:
+    """Return how far a's ball lies beyond b along their last direction.
+
+    -inf unless b is one fixed solid.
+    """
+    solids = geometry.solids
+    parts = geometry.parts
+    centres = work.centres
+    i = stretch.first
+    j = stretch.last
     a = pair.a
     b = pair.b
-    way = _vector(work[0][pair.row])
+    way = _vector(work.directions[pair.row])
     if parts[b].frame != 0 or parts[b].end - parts[b].first != 1 or _dot(way, way) == 0.0:
         return -np.inf
-    front, _ = _farthest(geometry, parts[b].first, R[i, 0], p[i, 0], way)
+    front, _ = _farthest(geometry, parts[b].first, work.R[i, 0], work.p[i, 0], way)
     return (
-        min(_dot(C[i, a], way), _dot(C[j, a], way))
+        min(_dot(centres[i, a], way), _dot(centres[j, a], way))
         - parts[a].radius
         - front
         - solids[parts[b].first].ball
@@ -353,29 +354,29 @@ def _beside(geometry: Geometry, pair: Any, i: int, j: int, work: Work) -> float:
 def _apart(
     geometry: Geometry,
     pair: Any,
-    i: int,
-    j: int,
+    stretch: _Stretch,
     need: float,
     exact: bool,
-    work: Work,
+    work: Workspace,
 ) -> float:
-    """Return a lower bound on the parts' distance at states i and j.
+    """Return a lower bound on the parts' distance at both ends of the stretch.
 
     Stops at the first solids within `need`, unless `exact`.
     """
-    parts = geometry[3]
+    parts = geometry.parts
     a = pair.a
     b = pair.b
-    ends = 1 if i == j else 2
+    ends = 1 if stretch.first == stretch.last else 2
     for end in range(ends):
-        n = i if end == 0 else j
-        _seen_from(work, n, pair.frame, parts[a].frame, 2 * end)
-        _seen_from(work, n, pair.frame, parts[b].frame, 2 * end + 1)
+        n = stretch.first if end == 0 else stretch.last
+        _see(work, n, pair.frame, parts[a].frame, 2 * end)
+        _see(work, n, pair.frame, parts[b].frame, 2 * end + 1)
     least = np.inf
     row = pair.row
-    for s in range(parts[a].first, parts[a].end):
-        for o in range(parts[b].first, parts[b].end):
-            gap = _separate(geometry, s, o, ends, need, exact, row, work)
+    for solid_a in range(parts[a].first, parts[a].end):
+        for solid_b in range(parts[b].first, parts[b].end):
+            facing = _Facing(solid_a, solid_b, row, ends)
+            gap = _separate(geometry, facing, need, exact, work)
             row += 1
             if not gap > need:
                 if not exact or gap == -np.inf or gap != gap:
@@ -387,12 +388,13 @@ def _apart(
 
 @inlined
 def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
-    """Tabulate each part's largest deviation from its chords [m], seen from the link that joint i moves.
+    """Tabulate each part's largest deviation from its chords [m].
 
-    Last row: fixed parts. `off` [rad]: departure from the straight line.
+    Column i: seen from the link that joint i moves. Last row: fixed parts. `off` [rad] is the
+    joints' departure from the straight line.
     """
-    parts = geometry[3]
-    reach = geometry[5]
+    parts = geometry.parts
+    reach = geometry.reach
     n = reach.shape[1]
     table[:] = 0.0
     for m in range(len(parts)):
@@ -410,11 +412,13 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
 
 
 @inlined
-def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -> None:
-    """Write the step from sample i to j and the largest departure from the straight line.
+def _off_chord(q: Array, bend: Array, stretch: _Stretch, step: Array, off: Array) -> None:
+    """Write the step of a stretch and the largest departure from its straight line, both (dof,).
 
     `bend`: see `bends`.
     """
+    i = stretch.first
+    j = stretch.last
     square = 0.0
     total = 0.0
     for c in range(q.shape[1]):
@@ -428,7 +432,7 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
                 x += (q[k, c] - q[i, c]) * step[c]
             x = min(1.0, max(0.0, x / square))
         for c in range(q.shape[1]):
-            # Between two samples the departure is at most the larger of theirs plus the cubic's own bend.
+            # Between two samples: at most the larger of theirs plus the cubic's own bend.
             away = abs(q[k, c] - q[i, c] - x * step[c]) + max(bend[k, c], bend[max(k - 1, i), c])
             total += away
             off[c] = max(off[c], away)
@@ -440,22 +444,24 @@ def _off_chord(q: Array, bend: Array, i: int, j: int, step: Array, off: Array) -
 def _blocked(
     geometry: Geometry,
     chosen: Rows,
-    i: int,
-    j: int,
+    stretch: _Stretch,
     need: float,
     moved: Array,
-    work: Work,
+    work: Workspace,
 ) -> bool:
-    """Return whether a pair is not proven apart at states i and j, whose parts deviate by `moved` (see `_deviate`); put it first in `chosen`."""
+    """Return whether a chosen pair is not proven apart throughout a stretch.
+
+    `moved` is the flattened table of `_deviate`. The blocking pair goes first in `chosen`.
+    """
     for at in range(len(chosen)):
         row = chosen[at]
-        pair = geometry[4][row]
+        pair = geometry.pairs[row]
         deviation = moved[pair.moves_a] + moved[pair.moves_b]
-        if _between_balls(geometry, pair, i, j, work) - deviation > need:
+        if _between_balls(geometry, pair, stretch, work) - deviation > need:
             continue
-        if _beside(geometry, pair, i, j, work) - deviation > need:
+        if _beside(geometry, pair, stretch, work) - deviation > need:
             continue
-        if not _apart(geometry, pair, i, j, need + deviation, False, work) - deviation > need:
+        if not _apart(geometry, pair, stretch, need + deviation, False, work) - deviation > need:
             for k in range(at, 0, -1):
                 chosen[k] = chosen[k - 1]
             chosen[0] = row  # likely to fail next, too
@@ -479,38 +485,54 @@ def bends(q: Array, v: Array, dt: float) -> Array:
     return out
 
 
-@kernel()
 def prove(
     geometry: Geometry,
-    q: Array,
-    v: Array,
-    dt: float,
+    motion: Motion,
     stretches: Rows,
     chosen: Rows,
-    need: float,
-    work: Work,
-) -> tuple[np.ndarray, int, int]:
-    """Prove that pairs stay farther apart than `need` throughout a motion.
+    need_m: float,
+    work: Workspace,
+) -> MotionProof:
+    """Prove that pairs stay farther apart than a distance throughout a motion.
 
     Args:
         geometry: From `Solids`.
-        q: Samples (n, dof) [rad], n >= 2, joined by cubics.
-        v: [rad/s].
-        dt: Step [s].
+        motion: The samples.
         stretches: First and last samples (s, 2), covering the motion.
-        chosen: (c,) rows of `pairs`.
-        need: [m], including rounding.
+        chosen: Rows of `geometry.pairs` (c,).
+        need_m: The distance [m], including rounding.
         work: For n states.
-
-    Returns:
-        Ends of stretches (n,) bool; the unproven step's first sample and pair, or -1, -1.
     """
+    return MotionProof(
+        *_prove(
+            tuple(geometry),
+            tuple(motion),
+            stretches,
+            chosen,
+            need_m,
+            tuple(work),
+        ),
+    )
+
+
+@kernel()
+def _prove(
+    geometry_arrays: Any,
+    motion_arrays: Any,
+    stretches: Rows,
+    chosen: Rows,
+    need: float,
+    work_arrays: Any,
+) -> tuple[np.ndarray, int, int]:
+    geometry = Geometry(*geometry_arrays)
+    work = Workspace(*work_arrays)
+    q, v, dt = motion_arrays
     n, dof = q.shape
-    asked = np.zeros(n, dtype=np.bool_)
+    placed = np.zeros(n, dtype=np.bool_)
     step = np.empty(dof)
     off = np.empty(dof)
     bend = bends(q, v, dt)
-    table = np.empty((len(geometry[3]) + 1, geometry[5].shape[1] + 1))
+    table = np.empty((len(geometry.parts) + 1, geometry.reach.shape[1] + 1))
     moved = table.reshape(-1)
     order = chosen.copy()
     top = len(stretches)
@@ -521,31 +543,46 @@ def prove(
         i = stack[top, 0]
         j = stack[top, 1]
         for k in (i, j):
-            if not asked[k]:
+            if not placed[k]:
                 _place(geometry, q[k], k, work)
-                asked[k] = True
-        _off_chord(q, bend, i, j, step, off)
+                placed[k] = True
+        stretch = _Stretch(i, j)
+        _off_chord(q, bend, stretch, step, off)
         _deviate(geometry, step, off, table)
-        if not _blocked(geometry, order, i, j, need, moved, work):
+        if not _blocked(geometry, order, stretch, need, moved, work):
             continue
         if j - i < 2:
-            return asked, i, order[0]
+            return placed, i, order[0]
         middle = (i + j) // 2
-        stack[top, 0], stack[top, 1] = middle, j
-        stack[top + 1, 0], stack[top + 1, 1] = i, middle
+        stack[top, 0] = middle
+        stack[top, 1] = j
+        stack[top + 1, 0] = i
+        stack[top + 1, 1] = middle
         top += 2
-    return asked, -1, -1
+    return placed, -1, -1
+
+
+def survey(geometry: Geometry, Q: Array, chosen: Rows, padding: Padding, work: Workspace) -> int:
+    """Return the first row of Q (n, dof) that is not free, or n.
+
+    Free: all chosen pairs are proven farther apart than the padding; near a tight state its
+    clearance suffices. `chosen` is reordered, blocking pairs first.
+    """
+    return _survey(tuple(geometry), Q, chosen, tuple(padding), tuple(work))
 
 
 @kernel()
-def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -> int:
-    """Return the first row of Q (n, dof) that is not free, or n.
-
-    Free: all pairs are proven farther apart than the padding; near a tight state its clearance suffices (see `Keep`).
-    `chosen` is reordered, blocking pairs first.
-    """
-    padding, tight, clearances, relax = keep
-    still = np.zeros((len(geometry[3]) + 1) * (geometry[5].shape[1] + 1))
+def _survey(
+    geometry_arrays: Any,
+    Q: Array,
+    chosen: Rows,
+    padding_arrays: Any,
+    work_arrays: Any,
+) -> int:
+    geometry = Geometry(*geometry_arrays)
+    work = Workspace(*work_arrays)
+    padding, tight, clearances, relax = padding_arrays
+    still = np.zeros((len(geometry.parts) + 1) * (geometry.reach.shape[1] + 1))
     for k in range(len(Q)):
         need = padding
         for t in range(len(tight)):
@@ -554,26 +591,44 @@ def survey(geometry: Geometry, Q: Array, chosen: Rows, keep: Keep, work: Work) -
                 away = max(away, abs(Q[k, c] - tight[t, c]))
             need = min(need, clearances[t] + (padding - clearances[t]) * min(1.0, away / relax))
         _place(geometry, Q[k], 0, work)
-        if _blocked(geometry, chosen, 0, 0, need, still, work):
+        if _blocked(geometry, chosen, _Stretch(0, 0), need, still, work):
             return k
     return len(Q)
 
 
-@kernel()
-def clearance(geometry: Geometry, Q: Array, chosen: Rows, most: float, work: Work) -> float:
-    """Return a lower bound [m] on the smallest distance over Q (n, dof), at most `most`.
+def clearance(
+    geometry: Geometry,
+    Q: Array,
+    chosen: Rows,
+    most_m: float,
+    work: Workspace,
+) -> float:
+    """Return a lower bound [m] on the chosen pairs' distance over Q (n, dof), at most `most_m`.
 
     Negative in contact; -inf if nothing is proven.
     """
-    pairs = geometry[4]
+    return _clearance(tuple(geometry), Q, chosen, most_m, tuple(work))
+
+
+@kernel()
+def _clearance(
+    geometry_arrays: Any,
+    Q: Array,
+    chosen: Rows,
+    most: float,
+    work_arrays: Any,
+) -> float:
+    geometry = Geometry(*geometry_arrays)
+    work = Workspace(*work_arrays)
+    state = _Stretch(0, 0)
     least = most
     for k in range(len(Q)):
         _place(geometry, Q[k], 0, work)
         for at in range(len(chosen)):
-            pair = pairs[chosen[at]]
-            if _between_balls(geometry, pair, 0, 0, work) > least:
+            pair = geometry.pairs[chosen[at]]
+            if _between_balls(geometry, pair, state, work) > least:
                 continue
-            gap = _apart(geometry, pair, 0, 0, least, True, work)
+            gap = _apart(geometry, pair, state, least, True, work)
             if not gap > least:
                 least = gap
                 if not least > -np.inf:

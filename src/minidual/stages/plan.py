@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from minidual.collision.scene import acm_report
+from minidual.collision.acm import acm_report
 from minidual.config.planning import PlanConfig
 from minidual.config.seeds import subseed
 from minidual.durable import write_csv

@@ -8,19 +8,21 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from minidual.collision.acm import acm_report
 from minidual.collision.errors import (
     ClosedChainError,
     LinearMoveError,
     NoPathInTimeError,
     TimingError,
 )
-from minidual.collision.scene import PlanningScene, acm_report
+from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
 from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner, PlanResult
-from minidual.motion.goal_plan import GoalPlanner, goal_of
+from minidual.motion.goal import goal_of
+from minidual.motion.goal_plan import GoalPlanner
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.registry import rows_beside
 from minidual.robot.pair import GROUP_ARMS, Array, Robot, robot_from

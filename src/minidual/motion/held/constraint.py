@@ -1,7 +1,7 @@
 """Closed-chain constraint and OMPL search on its manifold, the last resort.
 
-F(q) = log6(E), E = T_world_left^-1 T_world_right T_left_right^-1, [linear; angular] in the left tcp frame. With body
-Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
+F(q) = log6(E), E = T_world_left^-1 T_world_right T_left_right^-1, [linear; angular] in the left tcp
+frame. With body Jacobians (Sola, "A micro Lie theory for state estimation in robotics", 2018):
 
     dF/dq = Jlog6(E) [ -Ad(E^-1) J_left,  Ad(T_left_right) J_right ]
 """
@@ -13,7 +13,7 @@ import ompl.base as ob
 import ompl.geometric as og
 import pinocchio as pin
 
-from minidual.motion.ik import check_pose
+from minidual.motion.checks import check_pose
 from minidual.motion.search import EdgeChecker, bounded_space, exact_path, seeded
 from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
@@ -25,6 +25,7 @@ SPACES: Registry[Any] = Registry(
 )
 _DELTA_RAD = 0.15
 _BOX_RAD = 0.7
+_RANGE = 1.0
 _OMPL_TOLERANCE = 1e-4  # not finer: its states need another projection
 _CALLS_A_CHECK = 20
 """Constraint evaluations allowed per state check."""
@@ -46,17 +47,15 @@ class GraspConstraint(ob.Constraint):
         """Return F (6,) [m, rad] and dF/dq (6, n)."""
         model = self._kinematics.model
         data = self._kinematics.data
+        left_tcp, right_tcp = self._kinematics.tcp_ids
         pin.computeJointJacobians(model, data, q)
-        left, right = (
-            pin.updateFramePlacement(model, data, tcp) for tcp in self._kinematics.tcp_ids
-        )
+        left = pin.updateFramePlacement(model, data, left_tcp)
+        right = pin.updateFramePlacement(model, data, right_tcp)
         E = left.actInv(right) * self._inverse
-        J_left, J_right = (
-            pin.getFrameJacobian(model, data, tcp, pin.LOCAL) for tcp in self._kinematics.tcp_ids
-        )
-        return pin.log6(E).vector, pin.Jlog6(E) @ (
-            self._adjoint @ J_right - E.actionInverse @ J_left
-        )
+        J_left = pin.getFrameJacobian(model, data, left_tcp, pin.LOCAL)
+        J_right = pin.getFrameJacobian(model, data, right_tcp, pin.LOCAL)
+        J_error = self._adjoint @ J_right - E.actionInverse @ J_left
+        return pin.log6(E).vector, pin.Jlog6(E) @ J_error
 
     def function(self, x: Any, out: Any) -> None:
         """Write F (6,), for OMPL."""
@@ -77,9 +76,9 @@ def search_manifold(
     space: str,
     seed: int,
 ) -> Array | None:
-    """Return configurations (m, n) on the manifold from start to goal, F below 1e-4 between them, or None.
+    """Return configurations (m, n) on the manifold from start to goal, or None.
 
-    Joints stay within 0.7 rad of the ends.
+    F is below 1e-4 between them. Joints stay within 0.7 rad of the ends.
 
     Raises:
         UsageError: Unknown `space`.
@@ -103,13 +102,13 @@ def search_manifold(
         if space == "atlas":
             states.anchorChart(state)
     # Most states may fail before the collision check, so constraint calls are limited too.
-    calls_end = constraint.calls_n + _CALLS_A_CHECK * (checker.checks_end - checker.checks_n)
-    path = exact_path(
-        og.RRTConnect(si),
-        1.0,
-        ends,
-        lambda: checker.spent or constraint.calls_n >= calls_end,
-    )
+    checks_left = checker.checks_end - checker.checks_n
+    calls_end = constraint.calls_n + _CALLS_A_CHECK * checks_left
+
+    def enough() -> bool:
+        return checker.spent or constraint.calls_n >= calls_end
+
+    path = exact_path(og.RRTConnect(si), _RANGE, ends, enough)
     if path is None:
         return None
     path.interpolate()

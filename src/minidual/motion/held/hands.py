@@ -1,10 +1,13 @@
 """IK of both hands on one object."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 
 from minidual.collision.errors import ClosedChainError
-from minidual.motion.ik import check_pose, place_text, solvers
+from minidual.motion.checks import check_pose, place_text
+from minidual.motion.ik import solvers
 from minidual.robot.pair import Array, Robot, inverse
 
 _LIMIT_BAND_RAD = 0.35
@@ -17,6 +20,18 @@ JUMP_MAX_RAD = 0.15
 """Larger joint steps between path points are jumps."""
 RESIDUAL_MAX_M = 1e-4
 RESIDUAL_MAX_RAD = float(np.deg2rad(0.05))
+
+
+class Followed(NamedTuple):
+    """Joints along object poses.
+
+    Attributes:
+        Q: (m, n) [rad].
+        error: Why the hands cannot follow farther, or None.
+    """
+
+    Q: Array
+    error: ClosedChainError | None
 
 
 class HandsIK:
@@ -38,11 +53,10 @@ class HandsIK:
         """Return q (n,) at the grasps; failed arms are NaN."""
         q = np.full(len(q_near), np.nan)
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
-            part = None if wish is None else wish[arm.joints]
-            if (
-                solved := arm.nearest(T_world_object @ grasp, q_near[arm.joints], part)
-            ) is not None:
-                q[arm.joints] = solved
+            arm_wish = None if wish is None else wish[arm.joints]
+            solution = arm.nearest(T_world_object @ grasp, q_near[arm.joints], arm_wish)
+            if solution is not None:
+                q[arm.joints] = solution
         return q
 
     def solve(
@@ -51,12 +65,13 @@ class HandsIK:
         q_near: Array,
         wish: Array | None = None,
     ) -> Array | None:
-        """Return q (n,) at the grasps, projected from q_near (n,); None if unsolved or outside limits.
+        """Return q (n,) at the grasps, projected from q_near (n,).
 
-        `wish` (n,) is a preferred step from q_near.
+        None if unsolved or outside limits. `wish` (n,) is a preferred step from q_near.
         """
         q = self._nearest(T_world_object, q_near, wish)
         inside = np.clip(q, self.robot.q_lower, self.robot.q_upper)
+        # Also false for NaN.
         return inside if np.abs(inside - q).max() <= _ROUNDING_RAD else None
 
     def elbow_swing(self, q: Array, swings_rad: Array) -> Array:
@@ -64,8 +79,12 @@ class HandsIK:
         step = np.zeros_like(q)
         for arm, swing in zip(self.arms, swings_rad, strict=True):
             _, J = arm.error_and_jacobian(q[arm.joints], arm.tcp_pose(q[arm.joints]))
-            for free in np.linalg.svd(J)[2][6:7]:
-                step[arm.joints] = swing * (free if free[np.argmax(np.abs(free))] > 0.0 else -free)
+            right_vectors = np.linalg.svd(J)[2]
+            if len(right_vectors) <= 6:
+                continue
+            free = right_vectors[6]
+            largest = free[np.argmax(np.abs(free))]
+            step[arm.joints] = swing * (free if largest > 0.0 else -free)
         return step
 
     def off_limits(self, q: Array) -> Array:
@@ -81,34 +100,28 @@ class HandsIK:
         """Return a posture (n,) at the same pose, farther from joint limits where possible."""
         for _ in range(_RELAX_STEPS_N):
             wish = _RELAX_STEP_M * self.off_limits(q)
-            moved = self.solve(T_world_object, q, wish) if wish.any() else None
+            if not wish.any():
+                break
+            moved = self.solve(T_world_object, q, wish)
             if moved is None:
                 break
             q = moved
         return q
 
-    def follow(
-        self,
-        Ts_world_object: Array,
-        q_start: Array,
-    ) -> tuple[Array, ClosedChainError | None]:
-        """Follow object poses (n, 4, 4) from q_start at the first, away from joint limits.
-
-        Returns:
-            Joints (m, n), and the error that ended it or None.
-        """
+    def follow(self, Ts_world_object: Array, q_start: Array) -> Followed:
+        """Follow object poses (n, 4, 4) from q_start at the first, away from joint limits."""
+        robot = self.robot
         Q = np.empty((len(Ts_world_object), len(q_start)))
         Q[0] = q_start
         for k in range(1, len(Q)):
-            before = Ts_world_object[k - 1]
             T = Ts_world_object[k]
-            turn = float(np.linalg.norm(pin.log3(before[:3, :3].T @ T[:3, :3])))
-            way = float(np.hypot(np.linalg.norm(T[:3, 3] - before[:3, 3]), _ARM_M * turn))
+            way = _way(Ts_world_object[k - 1], T)
             Q[k] = self._nearest(T, Q[k - 1], way * self.off_limits(Q[k - 1]))
-            inside = (Q[k] >= self.robot.q_lower) & (Q[k] <= self.robot.q_upper)
-            if not (np.abs(Q[k] - Q[k - 1]).max() <= JUMP_MAX_RAD and inside.all()):
-                return Q[:k], self._ended(T, Q[k - 1], Q[k])
-        return Q, None
+            inside = (Q[k] >= robot.q_lower) & (Q[k] <= robot.q_upper)
+            step = np.abs(Q[k] - Q[k - 1]).max()
+            if not (step <= JUMP_MAX_RAD and inside.all()):
+                return Followed(Q[:k], self._ended(T, Q[k - 1], Q[k]))
+        return Followed(Q, None)
 
     def _ended(self, T_world_object: Array, before: Array, q: Array) -> ClosedChainError:
         """Return why the hands cannot follow from `before` to q (n,); arms that failed are NaN."""
@@ -119,26 +132,32 @@ class HandsIK:
         )
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
             if not np.isfinite(q[arm.joints]).all():
-                away = arm.solve(T_world_object @ grasp, before[arm.joints])
-                if not away.reached:
-                    why = f"the {arm.arm} hand cannot follow the object to {where}: it stays {away.off} away"
-                    return ClosedChainError(why, remedy=remedy)
-                q[arm.joints] = away.q
+                solution = arm.solve(T_world_object @ grasp, before[arm.joints])
+                if not solution.reached:
+                    return ClosedChainError(
+                        f"the {arm.arm} hand cannot follow the object to {where}: it stays"
+                        f" {solution.off} away",
+                        remedy=remedy,
+                    )
+                q[arm.joints] = solution.q
         steps = np.abs(q - before)
-        outside = np.maximum(robot.q_lower - q, q - robot.q_upper)
-        jumps = float(steps.max()) > JUMP_MAX_RAD
-        joint = int(np.argmax(steps if jumps else outside))
-        if jumps:
-            why = f"would jump by {steps[joint]:.2f} rad within a step (a joint limit or a singular posture)"
+        if float(steps.max()) > JUMP_MAX_RAD:
+            joint = int(np.argmax(steps))
+            reason = (
+                f"would jump by {steps[joint]:.2f} rad within a step (a joint limit or a singular"
+                " posture)"
+            )
         else:
+            joint = int(np.argmax(np.maximum(robot.q_lower - q, q - robot.q_upper)))
             low = robot.q_lower[joint]
             high = robot.q_upper[joint]
-            why = f"would go to {q[joint]:.3f} rad, its limits are {low:.3f} to {high:.3f} rad"
+            reason = f"would go to {q[joint]:.3f} rad, its limits are {low:.3f} to {high:.3f} rad"
         side = robot.sides[joint // robot.dof_per_arm]
-        what = (
-            f"the {side} hand cannot follow the object to {where}: {robot.joint_names[joint]} {why}"
+        return ClosedChainError(
+            f"the {side} hand cannot follow the object to {where}:"
+            f" {robot.joint_names[joint]} {reason}",
+            remedy=remedy,
         )
-        return ClosedChainError(what, remedy=remedy)
 
     def require_held(self, q: Array, T_world_object: Array) -> None:
         """Check the grasps at q (n,) for an object pose (4, 4), to 0.1 mm and 0.05 degrees.
@@ -147,30 +166,42 @@ class HandsIK:
             ClosedChainError: A hand is off its grasp.
         """
         for arm, grasp in zip(self.arms, self.grasps, strict=True):
-            distance, angle = _apart(
-                arm.tcp_pose(q[arm.joints])[None],
-                (T_world_object @ grasp)[None],
-            )
+            tcp = arm.tcp_pose(q[arm.joints])
+            distance, angle = _apart(tcp[None], (T_world_object @ grasp)[None])
             if not (distance <= RESIDUAL_MAX_M and angle <= RESIDUAL_MAX_RAD):
-                off = f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and {angle:.4f} rad off its grasp"
-                remedy = "take the grasps from the hands as they are, or solve the start first"
-                raise ClosedChainError(off, remedy=remedy)
+                raise ClosedChainError(
+                    f"at the start the {arm.arm} hand is {distance * 1e3:.2f} mm and"
+                    f" {angle:.4f} rad off its grasp",
+                    remedy="take the grasps from the hands as they are, or solve the start first",
+                )
 
     def strays(self, Q: Array, Ts_world_object: Array) -> tuple[float, float]:
         """Return the largest error of grasps or between hands ([m], [rad]) at Q (m, n)."""
         left, right = (np.array([arm.tcp_pose(q) for q in Q[:, arm.joints]]) for arm in self.arms)
-        grasped_left, grasped_right = (Ts_world_object @ grasp for grasp in self.grasps)
-        T_left_right = inverse(self.grasps[0]) @ self.grasps[1]
-        pairs = (left, grasped_left), (right, grasped_right), (right, left @ T_left_right)
-        return tuple(np.max([_apart(a, b) for a, b in pairs], axis=0).tolist())
+        left_grasp, right_grasp = self.grasps
+        T_left_right = inverse(left_grasp) @ right_grasp
+        errors = [
+            _apart(left, Ts_world_object @ left_grasp),
+            _apart(right, Ts_world_object @ right_grasp),
+            _apart(right, left @ T_left_right),
+        ]
+        off_m, off_rad = np.max(errors, axis=0).tolist()
+        return off_m, off_rad
+
+
+def _way(T_from: Array, T_to: Array) -> float:
+    """Return the way between two poses (4, 4) [m], with rotation at a lever of 0.2 m."""
+    turn = float(np.linalg.norm(pin.log3(T_from[:3, :3].T @ T_to[:3, :3])))
+    shift = np.linalg.norm(T_to[:3, 3] - T_from[:3, 3])
+    return float(np.hypot(shift, _ARM_M * turn))
 
 
 def _apart(A: Array, B: Array) -> tuple[float, float]:
     """Return the largest distance [m] and angle [rad] of poses (m, 4, 4)."""
     R = np.swapaxes(A[:, :3, :3], 1, 2) @ B[:, :3, :3]
     vee = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]])
-    angles = np.arctan2(
-        0.5 * np.linalg.norm(vee, axis=0),
-        0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0),
-    )
-    return float(np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1).max()), float(angles.max())
+    sines = 0.5 * np.linalg.norm(vee, axis=0)
+    cosines = 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0)
+    angles = np.arctan2(sines, cosines)
+    distances = np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1)
+    return float(distances.max()), float(angles.max())

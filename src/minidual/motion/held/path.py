@@ -13,8 +13,8 @@ from minidual.collision.errors import ClosedChainError
 from minidual.config.planning import MotionLimits
 from minidual.errors import UsageError
 from minidual.motion.blend import SmoothPath, rounded
+from minidual.motion.checks import check_pose
 from minidual.motion.held.hands import RESIDUAL_MAX_M, RESIDUAL_MAX_RAD, HandsIK
-from minidual.motion.ik import check_pose
 from minidual.motion.timing import PathLimits, time_path
 from minidual.proof.scene_engines import Verification
 from minidual.robot.kinematics import Kinematics
@@ -34,7 +34,10 @@ _HOPELESS = 0.7
 
 
 class ObjectChart:
-    """Object poses as position and weighted rotation vector [m] from a reference orientation (3, 3)."""
+    """Object poses as position and weighted rotation vector [m].
+
+    The rotation is from a reference orientation (3, 3).
+    """
 
     def __init__(self, R_world_reference: Array) -> None:
         self._R0 = np.array(R_world_reference)
@@ -46,9 +49,12 @@ class ObjectChart:
             UsageError: Rotation over 3 rad.
         """
         turn = pin.log3(self._R0.T @ T[:3, :3])
-        if np.linalg.norm(turn) > _ANGLE_MAX_RAD:
-            far = f"a waypoint turns the object by {np.linalg.norm(turn):.2f} rad from the first"
-            raise UsageError(f"{far}; at most {_ANGLE_MAX_RAD} rad are supported")
+        angle = np.linalg.norm(turn)
+        if angle > _ANGLE_MAX_RAD:
+            raise UsageError(
+                f"a waypoint turns the object by {angle:.2f} rad from the first; at most"
+                f" {_ANGLE_MAX_RAD} rad are supported",
+            )
         return np.concatenate([T[:3, 3], ROTATION_WEIGHT_M * turn])
 
     def pose(self, x: Array) -> Array:
@@ -57,15 +63,19 @@ class ObjectChart:
 
     def poses(self, X: Array) -> Array:
         """Return poses (m, 4, 4) of (m, 6)."""
+        turns = np.array([pin.exp3(w) for w in X[:, 3:] / ROTATION_WEIGHT_M])
         Ts = np.zeros((len(X), 4, 4))
         Ts[:, 3, 3] = 1.0
         Ts[:, :3, 3] = X[:, :3]
-        Ts[:, :3, :3] = self._R0 @ np.array([pin.exp3(x) for x in X[:, 3:] / ROTATION_WEIGHT_M])
+        Ts[:, :3, :3] = self._R0 @ turns
         return Ts
 
 
 class HeldPath:
-    """T_world_object(s), s in [0, length] [m]; the first six columns of `curve` are chart coordinates."""
+    """T_world_object(s), s in [0, length] [m].
+
+    The first six columns of `curve` are chart coordinates.
+    """
 
     def __init__(self, chart: ObjectChart, curve: SmoothPath) -> None:
         self.chart = chart
@@ -85,15 +95,15 @@ class HeldPath:
         if len(poses) < 2:
             raise UsageError(f"an object path needs two or more waypoints; there are {len(poses)}")
         chart = ObjectChart(poses[0][:3, :3])
-        kept: list[Array] = []
+        distinct: list[Array] = []
         for point in map(chart.coordinates, poses):
-            if not kept or np.abs(point - kept[-1]).max() > _SAME:
-                kept.append(point)
-        if len(kept) < 2:
+            if not distinct or np.abs(point - distinct[-1]).max() > _SAME:
+                distinct.append(point)
+        if len(distinct) < 2:
             raise UsageError(
                 "all waypoints of the object are the same pose; there is nothing to carry",
             )
-        return cls(chart, rounded(np.array(kept), corner_m))
+        return cls(chart, rounded(np.array(distinct), corner_m))
 
     def coordinates(self, s: Array, order: int = 0) -> Array:
         """Return coordinates (m, 6) [m] or a derivative."""
@@ -139,32 +149,50 @@ class HeldCurve:
     def at(self, s: Array, order: int = 0) -> Array:
         """Return the columns or a derivative, (m, n + 7)."""
         s = np.asarray(s, dtype=float)
-        return np.column_stack(
-            [self.spline(s, order), self.path.coordinates(s, order), self._way(s, order)],
-        )
+        joints = self.spline(s, order)
+        coordinates = self.path.coordinates(s, order)
+        return np.column_stack([joints, coordinates, self._way(s, order)])
 
     def _way(self, s: Array, order: int) -> Array:
+        """Return the path length of the object (m,) or a derivative."""
         if order == 0:
             return s  # unused: only derivatives are limited
         first = self.path.coordinates(s, 1)
         speed = np.sqrt(np.sum(first**2, axis=1) + _STILL)
-        return speed if order == 1 else np.sum(first * self.path.coordinates(s, 2), axis=1) / speed
+        if order == 1:
+            return speed
+        return np.sum(first * self.path.coordinates(s, 2), axis=1) / speed
 
     def timed(
         self,
         along: PathLimits,
         limits: MotionLimits,
         kinematics: Kinematics,
-        how: str,
+        found_by: str,
     ) -> CarriedTrajectory:
-        """Return the fastest trajectory within the limits, unproven, or raise TimingError."""
-        motion, s = time_path(self, "both_arms", limits, kinematics, along)
-        samples = motion.times, motion.q, motion.v, motion.a, motion.group
-        return CarriedTrajectory(*samples, self.path.poses(s), *self.residual, found_by=how)
+        """Return the fastest trajectory within the limits, unproven.
+
+        Raises:
+            TimingError: The limits cannot be kept.
+        """
+        timed = time_path(self, "both_arms", limits, kinematics, along)
+        motion = timed.trajectory
+        residual_m, residual_rad = self.residual
+        return CarriedTrajectory(
+            times=motion.times,
+            q=motion.q,
+            v=motion.v,
+            a=motion.a,
+            group=motion.group,
+            Ts_world_object=self.path.poses(timed.s),
+            residual_m=residual_m,
+            residual_rad=residual_rad,
+            found_by=found_by,
+        )
 
 
 def fine_curve(hands: HandsIK, path: HeldPath, solve: Callable[[Array, Array], Array]) -> HeldCurve:
-    """Return a spline through solved points, refined until errors between them are below half the limits.
+    """Return a spline through solved points, refined until errors between them are half the limits.
 
     `solve` maps marks (k,) and object poses to joints (k, n).
 
@@ -172,21 +200,26 @@ def fine_curve(hands: HandsIK, path: HeldPath, solve: Callable[[Array, Array], A
         ClosedChainError: It fails.
     """
     count = max(_POINTS_MIN, int(np.ceil(path.length / _STEP_M)))
-    strays = before = (np.inf, np.inf)
     step = path.length
+    off_m = off_rad = np.inf
+    previous_off_m = np.inf
     for _ in range(_REFINEMENTS):
         marks = np.linspace(0.0, path.length, count + 1, dtype=np.float64)
         curve = HeldCurve(path, marks, solve(marks, path.poses(marks)))
         step = float(marks[1])
         between = np.concatenate([marks[:-1] + share * step for share in _BETWEEN])
-        strays = curve.residual = hands.strays(curve.spline(between), path.poses(between))
-        if strays[0] < 0.5 * RESIDUAL_MAX_M and strays[1] < 0.5 * RESIDUAL_MAX_RAD:
+        off_m, off_rad = hands.strays(curve.spline(between), path.poses(between))
+        curve.residual = (off_m, off_rad)
+        if off_m < 0.5 * RESIDUAL_MAX_M and off_rad < 0.5 * RESIDUAL_MAX_RAD:
             return curve
-        if strays[0] > _HOPELESS * before[0]:
-            break  # a smooth motion gains a factor of eight per refinement; this one is discontinuous
-        before = strays
+        if off_m > _HOPELESS * previous_off_m:
+            # A smooth motion gains a factor of eight per refinement; this one is discontinuous.
+            break
+        previous_off_m = off_m
         count *= 2
-    far = f"{strays[0] * 1e3:.3f} mm and {strays[1]:.5f} rad from their grasps between points {step * 1e3:.2f} mm apart"
-    allowed = f"allowed are {RESIDUAL_MAX_M * 1e3} mm and {RESIDUAL_MAX_RAD:.5f} rad"
-    remedy = "the arms pass near a singular posture; choose another path or posture"
-    raise ClosedChainError(f"the hands stray {far}; {allowed}", remedy=remedy)
+    raise ClosedChainError(
+        f"the hands stray {off_m * 1e3:.3f} mm and {off_rad:.5f} rad from their grasps between"
+        f" points {step * 1e3:.2f} mm apart; allowed are {RESIDUAL_MAX_M * 1e3} mm and"
+        f" {RESIDUAL_MAX_RAD:.5f} rad",
+        remedy="the arms pass near a singular posture; choose another path or posture",
+    )

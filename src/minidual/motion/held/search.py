@@ -1,10 +1,7 @@
 """Search over object poses; both hands follow by IK.
 
-A point z (6 + n,) holds `ObjectChart` coordinates and joints. Edges interpolate both and project the joints onto the
-grasps: they depend only on their ends.
-
-Sources: RRT-Connect (Kuffner and LaValle, ICRA 2000); leader-follower after Han and Amato, "A kinematics-based
-probabilistic roadmap method for closed chain systems", 2000.
+Sources: RRT-Connect (Kuffner and LaValle, ICRA 2000); leader-follower after Han and Amato, "A
+kinematics-based probabilistic roadmap method for closed chain systems", 2000.
 """
 
 import itertools
@@ -12,21 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.motion.blend import kept_vertices, random_stretch
-from minidual.motion.held.hands import HandsIK
-from minidual.motion.held.path import ObjectChart
-from minidual.motion.search import EdgeChecker, bisection_order
+from minidual.motion.held.space import HeldSpace, Q, X
+from minidual.motion.shortcut import kept_vertices, random_stretch
 from minidual.robot.pair import Array
 
-X = slice(0, 6)
-Q = slice(6, None)
-JOINT_WEIGHT_M = 0.1
-"""Distance per radian of joint motion [m/rad]."""
-_STEP_M = 0.03
-_STEP_RAD = 0.06
-_JUMP_RAD = 0.4
-_SURE_RAD = 0.12
-_HALVED = 0.75
 _EXTEND_M = 0.15
 _CONNECT_M = 0.25
 _ELBOW_SHARE = 0.5
@@ -38,121 +24,37 @@ _ROOM_START_M = 0.08
 _ROOM_GROWTH_M = 0.02
 _ROOM_MAX_M = 0.35
 _TURN_M = 0.12
-
-
-class HeldSpace:
-    """Points and edges; `step_scale` scales the check steps."""
-
-    def __init__(
-        self,
-        hands: HandsIK,
-        chart: ObjectChart,
-        checker: EdgeChecker,
-        step_scale: float = 1.0,
-    ) -> None:
-        self._step_m = step_scale * _STEP_M
-        self._step_rad = step_scale * _STEP_RAD
-        self._jump_rad = step_scale * _JUMP_RAD
-        self.hands = hands
-        self.chart = chart
-        self.checker = checker
-
-    def point(self, T_world_object: Array, q: Array) -> Array:
-        """Return (6 + n,)."""
-        return np.concatenate([self.chart.coordinates(T_world_object), q])
-
-    def solved_free(self, z: Array) -> Array | None:
-        """Return z with projected joints, None unless free."""
-        q = self.hands.solve(self.chart.pose(z[X]), z[Q])
-        return np.concatenate([z[X], q]) if q is not None and self.checker.free(q) else None
-
-    @staticmethod
-    def distance(z: Array, Z: Array) -> Array:
-        """Return distances [m] to Z (m, 6 + n)."""
-        d = Z - z
-        return np.linalg.norm(d[:, X], axis=1) + JOINT_WEIGHT_M * np.linalg.norm(d[:, Q], axis=1)
-
-    def edge_free(self, a: Array, b: Array) -> bool:
-        """Return whether an edge is continuous, and free between its ends."""
-        step = b - a
-        steps = np.linalg.norm(step[X]) / self._step_m, np.abs(step[Q]).max() / self._step_rad
-        count = max(1, int(np.ceil(max(steps))))
-        joints = np.empty((count + 1, len(step) - 6))
-        joints[0], joints[-1] = a[Q], b[Q]
-        for share in bisection_order(count)[1:]:  # the first is b
-            if (z := self.solved_free(a + share * step)) is None:
-                return False
-            joints[round(share * count)] = z[Q]
-        jumps = np.abs(np.diff(joints, axis=0)).max(axis=1)
-        if jumps.max() > self._jump_rad:
-            return False
-        # A large joint step is fast motion (halving the interval halves it) or a change of IK branch.
-        return all(
-            self._continuous(a, step, k / count, (k + 1) / count, joints[k], joints[k + 1])
-            for k in np.flatnonzero(jumps > _SURE_RAD)
-        )
-
-    def _continuous(
-        self,
-        a: Array,
-        step: Array,
-        u: float,
-        v: float,
-        q_u: Array,
-        q_v: Array,
-    ) -> bool:
-        """Halve a joint step between shares u and v until it is small; False if it stays large."""
-        jump = float(np.abs(q_v - q_u).max())
-        if jump <= _SURE_RAD:
-            return True
-        middle = 0.5 * (u + v)
-        z = self.solved_free(a + middle * step)
-        if z is None or max(np.abs(z[Q] - q_u).max(), np.abs(q_v - z[Q]).max()) > _HALVED * jump:
-            return False
-        return self._continuous(a, step, u, middle, q_u, z[Q]) and self._continuous(
-            a,
-            step,
-            middle,
-            v,
-            z[Q],
-            q_v,
-        )
-
-    @staticmethod
-    def sample(rng: np.random.Generator, ends: Array, room_m: float, turn_m: float) -> Array:
-        """Return random coordinates (6,) around both ends (2, 6)."""
-        low = ends[:, :3].min(axis=0) - room_m
-        high = ends[:, :3].max(axis=0) + room_m
-        low[2] = max(low[2], 0.0)
-        between = ends[0, 3:] + rng.uniform() * (ends[1, 3:] - ends[0, 3:])
-        return np.concatenate([rng.uniform(low, high), between + rng.uniform(-turn_m, turn_m, 3)])
+_SHORTER = 0.99
 
 
 class _Tree:
+    """Points (k, 6 + n) and the row of each one's parent; -1 for roots."""
+
     def __init__(self, roots: Sequence[Array]) -> None:
         self.points = np.array(roots, dtype=float)
         self.parents = [-1] * len(roots)
 
     def near_object(self, x: Array, rng: np.random.Generator, among: int) -> int:
-        """Return one of the `among` nearest points."""
+        """Return one of the `among` points nearest to x (6,)."""
         away = np.linalg.norm(self.points[:, X] - x, axis=1)
-        return (
-            int(np.argmin(away))
-            if among == 1
-            else int(rng.choice(np.argsort(away, kind="stable")[:among]))
-        )
+        if among == 1:
+            return int(np.argmin(away))
+        return int(rng.choice(np.argsort(away, kind="stable")[:among]))
 
     def add(self, z: Array, parent: int) -> int:
+        """Add a point (6 + n,); return its row."""
         self.points = np.vstack([self.points, z])
         self.parents.append(parent)
         return len(self.parents) - 1
 
     def branch(self, index: int) -> list[Array]:
-        points = []
+        """Return the points from a root to a row."""
+        points: list[Array] = []
         while index >= 0:
             points.append(self.points[index])
             index = self.parents[index]
-        return points[::-1]
+        points.reverse()
+        return points
 
 
 def search_object(
@@ -184,19 +86,33 @@ def search_object(
             if arrived is not None:
                 return np.array(here.branch(arrived))
         x = space.sample(rng, ends, room, _TURN_M)
-        swing = rng.random() < _ELBOW_SHARE
-        # Growing only the nearest point would not spread the elbows.
-        parent = here.near_object(x, rng, _NEXT_N if swing else 1)
-        if (
-            new := _step_towards(space, here.points[parent], x, rng if swing else None)
-        ) is not None:
-            met = _connect(space, there, new)
-            grown = here.add(new, parent)
+        grown = _grow(space, here, x, rng)
+        if grown is not None:
+            met = _connect(space, there, here.points[grown])
             if met is not None:
-                path = here.branch(grown) + there.branch(met)[::-1][1:]
-                return np.array(path if forward else path[::-1])
-        here, there, forward = there, here, not forward
+                return _joined(here.branch(grown), there.branch(met), forward)
+        here, there = there, here
+        forward = not forward
     return None
+
+
+def _grow(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
+    """Add a point towards x (6,); return its row, or None if it is blocked."""
+    swing = rng.random() < _ELBOW_SHARE
+    # Growing only the nearest point would not spread the elbows.
+    parent = tree.near_object(x, rng, _NEXT_N if swing else 1)
+    new = _step_towards(space, tree.points[parent], x, rng if swing else None)
+    if new is None:
+        return None
+    return tree.add(new, parent)
+
+
+def _joined(branch: list[Array], other: list[Array], forward: bool) -> Array:
+    """Return the path (m, 6 + n) over two branches that end at the same point."""
+    path = branch + list(reversed(other[:-1]))
+    if not forward:
+        path.reverse()
+    return np.array(path)
 
 
 def _step_towards(
@@ -205,6 +121,7 @@ def _step_towards(
     x: Array,
     elbows: np.random.Generator | None,
 ) -> Array | None:
+    """Return a point (6 + n,) from z towards x (6,), or None; `elbows` draws elbow swings."""
     way = x - z[X]
     share = min(1.0, _EXTEND_M / max(float(np.linalg.norm(way)), _SAME_M))
     aim = z.copy()
@@ -213,13 +130,17 @@ def _step_towards(
     if elbows is not None:
         aim[Q] += space.hands.elbow_swing(z[Q], elbows.uniform(-_ELBOW_RAD, _ELBOW_RAD, 2))
     new = space.solved_free(aim)
-    return new if new is not None and space.edge_free(z, new) else None
+    if new is None or not space.edge_free(z, new):
+        return None
+    return new
 
 
 def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator) -> int | None:
+    """Grow a branch to x (6,); return the row there, or None if it is blocked."""
     current = tree.near_object(x, rng, _NEXT_N)
     while True:
-        if (new := _step_towards(space, tree.points[current], x, None)) is None:
+        new = _step_towards(space, tree.points[current], x, None)
+        if new is None:
             return None
         current = tree.add(new, current)
         if np.array_equal(new[X], x):
@@ -227,11 +148,11 @@ def _carry_to(space: HeldSpace, tree: _Tree, x: Array, rng: np.random.Generator)
 
 
 def _connect(space: HeldSpace, tree: _Tree, z: Array) -> int | None:
+    """Grow a branch to z (6 + n,); return the row there, or None if it is blocked."""
     current = int(np.argmin(space.distance(z, tree.points)))
     while True:
-        away = float(space.distance(z, tree.points[current][None])[0])
-        share = min(1.0, _CONNECT_M / max(away, _SAME_M))
         point = tree.points[current]
+        share = min(1.0, _CONNECT_M / max(space.length(z, point), _SAME_M))
         step = z if share == 1.0 else space.solved_free(point + share * (z - point))
         if step is None or not space.edge_free(point, step):
             return None
@@ -246,20 +167,28 @@ def shorten(space: HeldSpace, path: Array, rng: np.random.Generator, rounds_n: i
     for _ in range(rounds_n):
         if len(points) < 3:
             break
-        lengths = np.array(
-            [float(space.distance(a, b[None])[0]) for a, b in itertools.pairwise(points)],
-        )
-        _, _, (i, j), ends = random_stretch(points, lengths, rng)
-        if i == j:
-            continue
-        a, b = map(space.solved_free, ends)
-        if a is None or b is None:
-            continue
-        before = float(lengths[i : j + 1].sum())
-        pieces = (points[i], a, b, points[j + 1])
-        after = sum(float(space.distance(p, r[None])[0]) for p, r in itertools.pairwise(pieces))
-        if after <= 0.99 * before and all(
-            space.edge_free(p, r) for p, r in ((a, b), (points[i], a), (b, points[j + 1]))
-        ):
-            points = np.vstack([points[: i + 1], a, b, points[j + 1 :]])
+        points = _cut_stretch(space, points, rng)
+    return points
+
+
+def _cut_stretch(space: HeldSpace, points: Array, rng: np.random.Generator) -> Array:
+    """Return the points with a random stretch made straight, if that is free and shorter."""
+    lengths = np.array([space.length(a, b) for a, b in itertools.pairwise(points)])
+    stretch = random_stretch(points, lengths, rng)
+    first = stretch.first_segment
+    last = stretch.last_segment
+    if first == last:
+        return points
+    a = space.solved_free(stretch.ends[0])
+    b = space.solved_free(stretch.ends[1])
+    if a is None or b is None:
+        return points
+    entry = points[first]
+    leave = points[last + 1]
+    before = float(lengths[first : last + 1].sum())
+    after = sum(space.length(p, r) for p, r in itertools.pairwise((entry, a, b, leave)))
+    if after > _SHORTER * before:
+        return points
+    if all(space.edge_free(p, r) for p, r in ((a, b), (entry, a), (b, leave))):
+        return np.vstack([points[: first + 1], a, b, points[last + 1 :]])
     return points

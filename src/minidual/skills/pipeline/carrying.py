@@ -7,8 +7,9 @@ import numpy as np
 
 from minidual.collision.errors import PlanningError
 from minidual.config.seeds import stream
-from minidual.motion.held.planner import HeldPlanner, HeldQuery
-from minidual.motion.ik import pose_goals
+from minidual.motion.held.planner import HeldPlanner
+from minidual.motion.held.query import HeldQuery
+from minidual.motion.pose_goals import pose_goals
 from minidual.robot.pair import SIDES, Array, group_of, inverse
 from minidual.skills.phases import PHASES, Segment, State, raised
 from minidual.skills.pipeline.hands import free, straight

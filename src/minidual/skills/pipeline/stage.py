@@ -8,7 +8,7 @@ import numpy as np
 from minidual.collision.errors import PlanningError
 from minidual.collision.scene import TABLE, PlanningScene
 from minidual.motion.api import Planner
-from minidual.motion.held.planner import placed, scene_holding
+from minidual.motion.held.query import placed, scene_holding
 from minidual.robot.pair import Array
 from minidual.skills.phases import Segment, State, Thing
 

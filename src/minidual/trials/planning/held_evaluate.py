@@ -12,7 +12,8 @@ from minidual.config.seeds import subseed
 from minidual.control.kernels import apart
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import CarriedTrajectory
-from minidual.motion.held.planner import HeldPlanner, HeldQuery
+from minidual.motion.held.planner import HeldPlanner
+from minidual.motion.held.query import HeldQuery
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse
 from minidual.trials.planning.evaluate import PlanAttempt, attempted, planner_of

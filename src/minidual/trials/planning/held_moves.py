@@ -20,8 +20,10 @@ from minidual.config.seeds import stream
 from minidual.motion.api import Planner
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import HeldPath, ObjectChart
-from minidual.motion.held.planner import HeldPlanner, HeldQuery, HeldWork, scene_holding
-from minidual.motion.held.search import HeldSpace, search_object
+from minidual.motion.held.planner import HeldPlanner, HeldWork
+from minidual.motion.held.query import HeldQuery, scene_holding
+from minidual.motion.held.search import search_object
+from minidual.motion.held.space import HeldSpace
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z

@@ -1,0 +1,68 @@
+"""Named postures."""
+
+import numpy as np
+
+from minidual.collision.errors import OutOfLimitsError
+from minidual.config.scene import SemanticsConfig
+from minidual.errors import ConfigError, UsageError, check_name
+from minidual.motion.checks import goal_joints
+from minidual.robot.pair import DUAL_PANDA, GROUP_ARMS, SIDES, Array, Robot
+
+ArmJoints = tuple[float, ...]
+
+
+class NamedStates(dict[str, dict[str, Array]]):
+    """Postures {arm: joints [rad]} of arm model and configuration, by name.
+
+    Raises:
+        ConfigError: A state does not fit the robot.
+    """
+
+    def __init__(self, config: SemanticsConfig | None = None, robot: Robot = DUAL_PANDA) -> None:
+        super().__init__()
+        self.robot = robot
+        self._add("home", robot.arm.home, robot.arm.home)
+        for name, (left, right) in robot.arm.postures.items():
+            self._add(name, left, right)
+        for name, state in (config or SemanticsConfig()).states.items():
+            self._add(name, state.left_rad, state.right_rad)
+
+    def _add(self, name: str, left: ArmJoints | None, right: ArmJoints | None) -> None:
+        state: dict[str, Array] = {}
+        for side, joints in zip(SIDES, (left, right), strict=True):
+            if joints is not None:
+                state[side] = self._arm_joints(f"semantics.states.{name}.{side}_rad", side, joints)
+        if not state:
+            raise ConfigError(f"semantics.states.{name}: it gives neither left_rad nor right_rad")
+        self[name] = state
+
+    def _arm_joints(self, where: str, side: str, joints: ArmJoints) -> Array:
+        """Return the checked joints of an arm (n,)."""
+        robot = self.robot
+        group = f"{side}_arm"
+        if len(joints) != robot.dof_per_arm:
+            raise ConfigError(
+                f"{where}: {len(joints)} values; an arm has {robot.dof_per_arm} joints",
+            )
+        try:
+            q = goal_joints(group, robot.home, np.array(joints), robot, where)
+        except OutOfLimitsError as error:
+            raise ConfigError(error.message) from error
+        return q[robot.groups[group]]
+
+    def joints(self, name: str, group: str, q_others: Array) -> Array:
+        """Return a state as q (n,); arms outside the group from `q_others` (n,).
+
+        Raises:
+            UsageError: Unknown state, or it lacks an arm of the group.
+        """
+        check_name("named state", name, self)
+        q = np.array(q_others, dtype=float)
+        for arm in GROUP_ARMS[group]:
+            if arm not in self[name]:
+                raise UsageError(
+                    f"the state '{name}' says nothing about the {arm} arm, which {group} moves",
+                    remedy=f"give semantics.states.{name}.{arm}_rad, or plan for another group",
+                )
+            q[self.robot.groups[f"{arm}_arm"]] = self[name][arm]
+        return q
