@@ -23,7 +23,6 @@ SHAPING = {
     "resize",
 }
 EXCUSED = {
-    "motion/held/hands.py": 1,  # the row of V beyond the six of a Jacobian
     "plant/bodies.py": 1,  # position and quaternion of an object
     "show/view/scene.py": 1,  # position and quaternion of a body
 }

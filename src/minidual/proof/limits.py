@@ -184,7 +184,7 @@ def _fill_extremes(q: Array, v: Array, a: Array, h: float, table: Array) -> None
     acceleration_step = table[4]
     position_step = table[5]
     velocity_misfit = table[6]
-    acceleration_misfit = table[7]
+    acceleration_misfit = table[-1]
     table[:] = -np.inf
     for i in range(len(q)):
         for j in range(q.shape[1]):
