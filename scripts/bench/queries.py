@@ -32,8 +32,9 @@ from minidual.registry import Registry, rows_beside
 from minidual.robot.description import links_of
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, inverse, pose, rot_x, rot_z
-from minidual.skills.cycle import around, shape_of, thing_of
-from minidual.skills.phases import PHASES, raised
+from minidual.skills.phases import PHASES
+from minidual.skills.states import raised
+from minidual.skills.things import around, shape_of, thing_of
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial, grasp_offsets, pose_of
 

@@ -18,8 +18,8 @@ from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.skills.phases import still
 from minidual.skills.pipeline.drive import Drive
+from minidual.skills.states import still
 from tests.control.test_gaps import Gap
 from tests.control.test_gaps import Slow as At50Hz
 from tests.control.test_glitch import off_by

@@ -18,9 +18,9 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
 from minidual.robot.trajectory import Trajectory
-from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor
+from minidual.skills.things import thing_of
 from tests.control.test_again import APART
 from tests.control.test_late import Slow
 from tests.support.carry_trials import sample_trial

@@ -20,8 +20,8 @@ from minidual.plant.protocol import PlantEndedError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
-from minidual.skills.phases import Segment
 from minidual.skills.pipeline.drive import Drive
+from minidual.skills.states import Segment
 from tests.control.test_again import APART, WIDE, in_motion
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.panda import A_MAX, HOME, Q_LOWER, Q_UPPER, V_MAX

@@ -17,7 +17,8 @@ from minidual.demos.rig import Job, Rig
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES
 from minidual.skills.operator import Demonstration, ScriptedOperator
-from minidual.skills.pipeline.search import Record, TaskFailedError
+from minidual.skills.pipeline.record import Record
+from minidual.skills.pipeline.search import TaskFailedError
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Step, Task, Trial

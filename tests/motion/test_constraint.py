@@ -19,7 +19,7 @@ from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, inverse, rot_z
-from minidual.skills.cycle import thing_of
+from minidual.skills.things import thing_of
 from minidual.tasks.task import grasp_offsets
 from tests.support.panda import Q_LOWER, Q_UPPER
 

@@ -15,8 +15,8 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES
 from minidual.skills import planned_carry
-from minidual.skills.phases import moved
 from minidual.skills.planned_carry import PlannedCarry
+from minidual.skills.states import moved
 from minidual.skills.supervised import trial_supervisor
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import begin

@@ -19,10 +19,10 @@ from minidual.plant.protocol import Reading
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills.cycle import thing_of
 from minidual.skills.faults import CLOSED, OPENING
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.supervised import trial_supervisor
+from minidual.skills.things import thing_of
 from tests.support.carry_trials import sample_trial
 from tests.support.panda import TAU_MAX, TAU_RATE_MAX
 

@@ -14,7 +14,7 @@ from minidual.control.impedance import ObjectImpedance, SingularPostureError
 from minidual.motion.ik import PoseUnreachableError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills import impedance_carry
+from minidual.skills import carry_phases
 from minidual.skills.faults import CLOSED, OPENING, Fault, FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from tests.support.branches import Branches
@@ -619,7 +619,7 @@ def grasp_lost(found: Run) -> None:
     def none(*_args: object, **_options: object) -> None:
         raise PoseUnreachableError("the left hand misses its grasp")
 
-    impedance_carry.grasp_posture = none
+    carry_phases.grasp_posture = none
     found.finish()
     fault = found.carry.fault
     assert fault is not None
@@ -652,7 +652,7 @@ def test_a_halt_on_the_way_down_stops_above_the_table(carry: Carry) -> None:
 
 
 def blind_on_the_way_down(found: Run) -> None:
-    sensors = found.carry.watch._sensors
+    sensors = found.carry.watch.sensing._sensors
     kinematics = Kinematics()
     lowest_m = np.inf
     sense = sensors.sense

@@ -12,7 +12,7 @@ from minidual.control.stack import ControlStack
 from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.skills import impedance_carry
+from minidual.skills import carry_phases
 from minidual.skills.faults import FaultMonitor
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.planned_carry import PlannedCarry
@@ -143,9 +143,9 @@ def test_what_lies_on_the_table_is_grasped_at_its_known_height(monkeypatch):
     rest_m = config.scene.object.rest_height_m
     sensed_m = []
     used_m = []
-    reach = impedance_carry.grasp_posture
+    reach = carry_phases.grasp_posture
     monkeypatch.setattr(
-        impedance_carry,
+        carry_phases,
         "grasp_posture",
         lambda *a, **k: (used_m.append(a[2][2, 3]), reach(*a, **k))[1],
     )
@@ -238,7 +238,7 @@ def test_slip_on_the_table_does_not_count_in_the_air():
 
     def watch(_, driven):
         if driven.phase in ("squeeze", "carry"):
-            hands = driven._kinematics.tcp_poses(driven.world.q)
+            hands = driven.stack.kinematics.tcp_poses(driven.world.q)
             spread_m.append(float(np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3])))
 
     result, _ = bench.run(sample_trial(bench.task.scene, 20260, "benchmark", 92), on_step=watch)

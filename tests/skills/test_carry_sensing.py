@@ -289,10 +289,10 @@ def test_a_first_force_that_is_no_number_is_forgotten(world: World) -> None:
     watch = CarryWatch(world, Kinematics(), CarryConfig(), senses)
     for _ in range(20):
         world.step()
-        watch.sense()
-    watch.take_hold()
-    watch.sense()
-    assert np.isfinite(watch.read()[1])
+        watch.sensing.sense()
+    watch.sensing.take_hold()
+    watch.sensing.sense()
+    assert np.isfinite(watch.sensing.felt_n)
 
 
 def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_reading(

@@ -19,24 +19,16 @@ from minidual.motion.api import Planner
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, inverse, pose, rot_x, rot_z
-from minidual.skills.cycle import thing_of
-from minidual.skills.phases import CLOSED, OPEN, PHASES, State
+from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.pipeline.hands import (
-    Grip,
-    close,
-    descend,
-    home,
-    off,
-    open_hands,
-    reach,
-    retreat,
-    straight,
-)
+from minidual.skills.pipeline.hands import Grip, close, descend, home, open_hands, reach, retreat
+from minidual.skills.pipeline.motions import off, straight
 from minidual.skills.pipeline.search import Pipeline, TaskFailedError
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Gap, Stage, Tools
+from minidual.skills.states import CLOSED, OPEN, State
 from minidual.skills.supervised import arm_distance
+from minidual.skills.things import thing_of
 from minidual.tasks.task import grasp_offsets
 
 RADIUS = 0.00887
@@ -256,7 +248,7 @@ def test_the_scene_holds_an_object_in_each_hand_and_the_others_as_obstacles(plan
         np.array(HOME),
         poses,
         {"left": np.eye(4), "right": np.eye(4)},
-        about={"left": "b", "right": "c"},
+        handled={"left": "b", "right": "c"},
     )
     assert not held.closed_chain
     scene = Tools(PlanningScene(), cubes, planner).scene(held, resting=True)
@@ -274,7 +266,7 @@ def test_the_scene_holds_an_object_in_each_hand_and_the_others_as_obstacles(plan
     )
     assert near.why_unchecked("b", "left_panda_leftfinger")
     assert near.why_unchecked("a", "left_panda_leftfinger") is None
-    one = replace(held, about={"left": "b", "right": "b"})
+    one = replace(held, handled={"left": "b", "right": "b"})
     assert one.closed_chain
     assert (
         Tools(PlanningScene(), cubes, planner)

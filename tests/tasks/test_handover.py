@@ -18,12 +18,13 @@ from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
-from minidual.skills.cycle import pipeline_of, solve, thing_of
-from minidual.skills.phases import Segment, State
+from minidual.skills.cycle import pipeline_of, solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.states import Segment, State
 from minidual.skills.supervised import trial_supervisor
+from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Outcome, begin
 from minidual.tasks.task import Step, Task, Trial, pose_of

@@ -18,11 +18,12 @@ from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_x, rot_z
-from minidual.skills.cycle import solve, thing_of
-from minidual.skills.phases import State
+from minidual.skills.cycle import solve
 from minidual.skills.pipeline import hands
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.states import State
 from minidual.skills.supervised import SceneClearance
+from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.insertion import CLEARANCE_M, DEPTH_M, HAND_OF, PEG, SOCKET
 from minidual.tasks.judge import Judge, Outcome, begin

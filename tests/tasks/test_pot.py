@@ -19,8 +19,9 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.carry_motions import grasp_posture, posture_over
-from minidual.skills.cycle import solve, thing_of
-from minidual.skills.phases import State
+from minidual.skills.cycle import solve
+from minidual.skills.states import State
+from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import begin
 from minidual.tasks.task import level_pose, placement, pose_of, tilt_rad

@@ -20,9 +20,9 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
 from minidual.skills.cycle import solve
-from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.states import State
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.sort import bin_of, side_of

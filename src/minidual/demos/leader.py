@@ -10,7 +10,8 @@ from minidual.motion.api import Planner
 from minidual.registry import Registry
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.skills.operator import Demonstration, ScriptedOperator, demonstrate_plan
+from minidual.skills.demonstrated_plan import demonstrate_plan
+from minidual.skills.operator import Demonstration, ScriptedOperator
 from minidual.tasks.task import Task, Trial
 
 

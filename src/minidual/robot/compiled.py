@@ -47,13 +47,15 @@ def kernel(signature: Any = None, *, heap: bool = False) -> Callable[[Callable[.
     counts_references = heap or signature is None
     options: dict[str, bool] = {} if counts_references else UNCOUNTED
 
+    compiler = cast(Any, njit)  # its types do not know the private flag
+
     def compiled(function: Callable[..., Any]) -> Any:
         try:
-            return njit(signature, cache=True, error_model="numpy", **options)(function)
+            return compiler(signature, cache=True, error_model="numpy", **options)(function)
         except RuntimeError as failure:  # numba has no specific class for it
             if "cannot cache" not in str(failure):
                 raise
-            return njit(signature, error_model="numpy", **options)(function)
+            return compiler(signature, error_model="numpy", **options)(function)
 
     return compiled
 
@@ -71,7 +73,8 @@ def bound[T](function: Callable[..., T], *arguments: Any) -> Callable[[], T]:
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Return a function to inline into kernels; it must not allocate."""
-    return njit(error_model="numpy", forceinline=True, **UNCOUNTED)(function)
+    compiler = cast(Any, njit)
+    return compiler(error_model="numpy", forceinline=True, **UNCOUNTED)(function)
 
 
 def floats(x: Array) -> Array:

@@ -1,48 +1,49 @@
-"""Convert a task to the planner's object, scene and stages."""
+"""Plan a whole task: its steps as stages of a pipeline."""
 
 import itertools
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from minidual.collision.scene import PlanningScene
-from minidual.collision.shapes import IDENTITY, Box, Cylinder, Mesh
-from minidual.config.scene import OBSTACLE, ObjectConfig, PartConfig, SceneConfig
 from minidual.control.bounds import Reach
 from minidual.errors import UsageError, check_name
 from minidual.motion.api import Planner
-from minidual.robot.pair import SIDES, Array, Robot
-from minidual.skills.phases import PHASES, State, Thing
+from minidual.robot.pair import SIDES
+from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.carrying import Carry, Place
 from minidual.skills.pipeline.hands import (
     Grip,
     close,
     descend,
     home,
-    insert,
     open_hands,
     reach,
     retreat,
 )
+from minidual.skills.pipeline.inserting import insert
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Gap, Stage, Tools
+from minidual.skills.states import State
 from minidual.skills.supervised import arm_distance
+from minidual.skills.things import around, thing_of
 from minidual.tasks.task import Step, Task, Trial, pose_of
 
-_ALONG_Y = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)
-_PRISM = 16  # sides of the prism round a cylinder
-_KEENNESS = 0.5  # where grasps can be chosen, the cheapest of all plans would take too long to find
+_KEENNESS = 0.5
+"""Where grasps can be chosen, finding the cheapest of all plans would take too long."""
 _BY_FORCE = ("squeeze", "settle", "unload")
 _CARRYING = ("lift", "carry", "lower")
-_CLEAR_M = 0.005  # over the height that the task asks for, and the distance of the arms
+_PLACE_COST = 0.5
+"""Of each place after the first."""
+_CLEAR_M = 0.005
+"""Above the height that the task asks for."""
 _GAP_MARGIN_M = 0.005
-_PLANNED_TILT = (
-    0.9  # share of the task's limit; driven, the object tilts a little more than planned
-)
+"""Above the distance that the arms must keep."""
+_PLANNED_TILT = 0.9
+"""Share of the task's limit; driven, the object tilts a little more than planned."""
 _OF_HANDS = {
     "descend": descend,
     "close": close,
@@ -52,113 +53,113 @@ _OF_HANDS = {
 }
 
 
-def thing_of(body: ObjectConfig) -> Thing:
-    """Return the planner's object."""
-    part, *others = body.solids
-    if others:
-        pieces = tuple(_corners(part).tobytes() for part in body.solids)
-        return Thing(Mesh(body.name, (0.0, 0.0, 0.0), pieces=pieces), upright=body.upright)
-    return Thing(shape_of(body.name, part), upright=body.upright)
+class _Run(NamedTuple):
+    """What successive steps have in common."""
+
+    carrying: bool
+    hands: tuple[str, ...]
+    objects: tuple[str, ...]
 
 
-def shape_of(name: str, part: PartConfig) -> Box | Cylinder:
-    """Return a part as the planner's shape."""
-    if part.shape == "box":
-        return Box(name, part.position_m, size_m=part.size_m)
-    x, y, z = part.size_m
-    quat, length_m = (IDENTITY, z) if part.axis == "z" else (_ALONG_Y, y)
-    return Cylinder(name, part.position_m, quat, x / 2, length_m)
+class _Labels:
+    """Unique names of stages: phase, hands if not both, objects, and a number if repeated."""
 
+    def __init__(self) -> None:
+        self._taken = Counter[str]()
 
-def _corners(part: PartConfig) -> Array:
-    if part.shape == "box":
-        ring = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
-    else:
-        angles = np.arange(_PRISM) * math.tau / _PRISM
-        ring = np.c_[np.cos(angles), np.sin(angles)] / math.cos(math.pi / _PRISM)
-    ends = [np.insert(ring, "xyz".index(part.axis), end, axis=1) for end in (-1.0, 1.0)]
-    return np.vstack(ends) * part.half_m + part.position_m
-
-
-def around(scene: SceneConfig, robot: Robot) -> PlanningScene:
-    """Return a task's obstacles."""
-    room = PlanningScene(robot=robot)
-    block = scene.task.obstacle
-    if block is None:
-        return room
-    return room.with_obstacles(
-        Box(OBSTACLE, (*block.xy_m, block.size_m[2] / 2), size_m=block.size_m),
-    )
+    def label(self, phase: str, run: _Run) -> str:
+        hands = run.hands if len(run.hands) < len(SIDES) else ()
+        text = " ".join([phase, *hands, *run.objects])
+        self._taken[text] += 1
+        count = self._taken[text]
+        return text if count == 1 else f"{text} ({count})"
 
 
 def pipeline_of(task: Task, trial: Trial, steps: Sequence[Step] | None = None) -> Pipeline:
-    """Return the stages of position-driven steps, by default the task's; force-driven steps are omitted.
+    """Return the stages of position-driven steps, by default the task's.
+
+    Force-driven steps are omitted. Successive lift, carry and lower are one stage.
 
     Raises:
         UsageError: Unknown phase or object, or missing grasp.
     """
-    asked = task.scene.task
-    stages = list[Stage]()
-    taken = Counter[str]()
-    steps = [
-        step for step in (task.steps if steps is None else steps) if step.phase not in _BY_FORCE
-    ]
-    for step in steps:
+    all_steps = task.steps if steps is None else steps
+    planned = [step for step in all_steps if step.phase not in _BY_FORCE]
+    for step in planned:
         check_name("phase", step.phase, PHASES)
         for name in step.objects:
             check_name("object", name, task.objects)
+    labels = _Labels()
+    stages: list[Stage] = []
+    for run, group in itertools.groupby(planned, _run_of):
+        if run.carrying:
+            carry = _carry_of(task, trial, run, list(group))
+            stages.append(Stage(labels.label("carry", run), carry.offers))
+        else:
+            for step in group:
+                stages.append(_stage_of(task, run, step, labels.label(step.phase, run)))
+    chooses_grasps = any(step.grasps for step in planned)
+    return Pipeline(task.name, stages, _KEENNESS if chooses_grasps else 0.0)
 
-    def label(phase: str, hands: Sequence[str], names: Sequence[str]) -> str:
-        text = " ".join([phase, *(hands if len(hands) < len(SIDES) else ()), *names])
-        taken[text] += 1
-        return text if taken[text] == 1 else f"{text} ({taken[text]})"
 
-    def of_run(step: Step) -> tuple[bool, tuple[str, ...], tuple[str, ...]]:
-        return step.phase in _CARRYING, step.hands, step.objects
+def _run_of(step: Step) -> _Run:
+    return _Run(step.phase in _CARRYING, step.hands, step.objects)
 
-    for (carrying, hands, names), run in itertools.groupby(steps, of_run):
-        handled = names or (task.carried,)
-        about = dict(zip(hands, handled * len(hands), strict=False))
-        if carrying:  # one stage for lift, carry and lower
-            moves = list(run)
-            rests = any(step.phase == "lower" for step in moves)
-            asked_for = [
-                T if isinstance(T, Mapping) else {handled[0]: T}
-                for step in moves
-                for T in step.places
-            ]
-            if not (
-                places := [
-                    Place(f"place {k + 1}", Ts, 0.5 * k, rests) for k, Ts in enumerate(asked_for)
-                ]
-            ):
-                goals = {
-                    name: pose_of(task.objects[name].body, trial.goal[name]) for name in handled
-                }
-                places = [Place("the goal", goals)]
-            least_m = asked.clear_height_m + _CLEAR_M
-            carry = Carry(places, asked.lift_height_m, _PLANNED_TILT * asked.tilt_max_rad, least_m)
-            stages.append(Stage(label("carry", hands, names), carry.offers))
-            continue
-        for step in run:
-            if step.phase == "insert":
-                offers = partial(insert, hands, [np.asarray(T) for T in step.places], *handled)
-            elif step.phase == "approach":
-                ways = [{hands[0]: T} for T in step.grasps]
-                for hand, name in about.items() if not ways else ():
-                    if hand not in (grasps := task.objects[name].grasps):
-                        raise UsageError(
-                            f"the {hand} hand has no grasp of '{name}'; there are {', '.join(grasps)}",
-                        )
-                ways = ways or [
-                    {hand: task.objects[name].grasps[hand] for hand, name in about.items()},
-                ]
-                grips = [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
-                offers = partial(reach, hands, grips, about)
-            else:
-                offers = partial(_OF_HANDS[step.phase], hands)
-            stages.append(Stage(label(step.phase, hands, names), offers))
-    return Pipeline(task.name, stages, _KEENNESS if any(step.grasps for step in steps) else 0.0)
+
+def _carry_of(task: Task, trial: Trial, run: _Run, steps: Sequence[Step]) -> Carry:
+    """Return the stage of lift, carry and lower."""
+    names = run.objects or (task.carried,)
+    rests = any(step.phase == "lower" for step in steps)
+    places: list[Place] = []
+    for step in steps:
+        for T in step.places:
+            poses = T if isinstance(T, Mapping) else {names[0]: T}
+            rank = len(places)
+            places.append(Place(f"place {rank + 1}", poses, _PLACE_COST * rank, rests))
+    if not places:
+        goals = {name: pose_of(task.objects[name].body, trial.goal[name]) for name in names}
+        places = [Place("the goal", goals)]
+    limits = task.scene.task
+    return Carry(
+        places,
+        limits.lift_height_m,
+        _PLANNED_TILT * limits.tilt_max_rad,
+        limits.clear_height_m + _CLEAR_M,
+    )
+
+
+def _stage_of(task: Task, run: _Run, step: Step, label: str) -> Stage:
+    """Return the stage of a step that carries nothing."""
+    names = run.objects or (task.carried,)
+    if step.phase == "insert":
+        way = [np.asarray(T) for T in step.places]
+        return Stage(label, partial(insert, run.hands, way, *names))
+    if step.phase == "approach":
+        handled = dict(zip(run.hands, names * len(run.hands), strict=False))
+        grips = _grips_of(task, run, step, handled)
+        return Stage(label, partial(reach, run.hands, grips, handled))
+    return Stage(label, partial(_OF_HANDS[step.phase], run.hands))
+
+
+def _grips_of(
+    task: Task,
+    run: _Run,
+    step: Step,
+    handled: Mapping[str, str],
+) -> list[Grip]:
+    """Return the grasps of a step, or those of the objects."""
+    if step.grasps:
+        ways = [{run.hands[0]: T} for T in step.grasps]
+    else:
+        own = {}
+        for hand, name in handled.items():
+            grasps = task.objects[name].grasps
+            if hand not in grasps:
+                existing = ", ".join(grasps)
+                raise UsageError(f"the {hand} hand has no grasp of '{name}'; there are {existing}")
+            own[hand] = grasps[hand]
+        ways = [own]
+    return [Grip(f"grasp {k + 1}", way, float(k)) for k, way in enumerate(ways)]
 
 
 def solve(
@@ -170,32 +171,55 @@ def solve(
     apart_m: float | None = None,
     by_force: bool = False,
 ) -> Solution:
-    """Return a plan of the whole task from `start`, by the first arrangement of its steps that has one.
+    """Return a plan of the whole task, by the first arrangement of its steps that has one.
 
-    The arms keep `apart_m` and a margin apart.
+    The seven are what, which trial, from where, by what, and three settings with defaults.
+
+    Args:
+        task: Objects and steps.
+        trial: Its goal.
+        start: State before.
+        planner: Plans free motions.
+        seed: Of the search.
+        apart_m: Distance that the arms keep, to which a margin is added; None keeps the planner's.
+        by_force: Whether held objects may touch something under impedance.
 
     Raises:
         TaskFailedError: Of the last arrangement.
     """
-    things = {item.body.name: thing_of(item.body) for item in task.objects.values()}
-    far = arm_distance(planner.robot), Reach(planner.kinematics).m
-    gap = None if apart_m is None else Gap(*far, apart_m + _GAP_MARGIN_M)
-    room_m = planner.robot.hand.travel_m - min(
-        item.body.half_width_m for item in task.objects.values()
-    )
-    fingers_s = room_m / task.config.arbiter.finger_speed_m_per_s
-    tools = Tools(
-        around(task.scene, planner.robot),
-        things,
-        planner,
-        seed,
-        gap,
-        by_force,
-        fingers_s,
-    )
-    ways = [task.steps] if task.arrange is None else task.arrange(task, trial, start.objects)
-    *others, last = (pipeline_of(task, trial, steps) for steps in ways)
+    tools = _tools(task, planner, seed, apart_m, by_force=by_force)
+    if task.arrange is None:
+        arrangements = [task.steps]
+    else:
+        arrangements = task.arrange(task, trial, start.objects)
+    *others, last = (pipeline_of(task, trial, steps) for steps in arrangements)
     for pipeline in others:
         with suppress(TaskFailedError):
             return pipeline.solve(start, tools)
     return last.solve(start, tools)
+
+
+def _tools(
+    task: Task,
+    planner: Planner,
+    seed: int,
+    apart_m: float | None,
+    *,
+    by_force: bool,
+) -> Tools:
+    bodies = [item.body for item in task.objects.values()]
+    gap = None
+    if apart_m is not None:
+        reach_m = Reach(planner.kinematics).m
+        gap = Gap(arm_distance(planner.robot), reach_m, apart_m + _GAP_MARGIN_M)
+    narrowest_m = min(body.half_width_m for body in bodies)
+    room_m = planner.robot.hand.travel_m - narrowest_m
+    return Tools(
+        around=around(task.scene, planner.robot),
+        things={body.name: thing_of(body) for body in bodies},
+        planner=planner,
+        seed=seed,
+        gap=gap,
+        by_force=by_force,
+        fingers_s=room_m / task.config.arbiter.finger_speed_m_per_s,
+    )

@@ -1,16 +1,16 @@
 """Faults of a carry: detection, and what the hands do. Latencies: docs/carry-faults.md."""
 
 import math
-from collections import deque
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from minidual.config.control import CarryFaultConfig
 from minidual.control.kernels import farthest
 from minidual.robot.pair import SIDES, Array
+from minidual.skills.signals import TURNS, TURNS_S, Scatter, Turns
 
 OPENING = (
     "missed_grasp",
@@ -20,7 +20,6 @@ OPENING = (
     "gripper_stuck",
 )
 """Faults after which the hands open."""
-_OF_PATHS = "singular", "joint_limit", "off_path"
 CLOSED = (
     "lost_arm",
     "slip",
@@ -29,9 +28,19 @@ CLOSED = (
     "reflex",
     "interrupted",
     "gripper_jitter",
-    *_OF_PATHS,
+    "singular",
+    "joint_limit",
+    "off_path",
 )
-"""Faults after which the hands keep their command."""
+"""Faults after which the hands keep their command. The last three are refusals of paths."""
+
+_FINGER_STEP_M = 0.001
+_PINCH_STEP_N = 10.0
+_PINCH_STEP = 0.2
+"""Smallest steps that are no noise; of the pinch also as a share of the requested one."""
+_POSES_N = 2
+_GAPS_N = 3
+"""Bad samples in a row that make a fault."""
 
 
 class Fault(NamedTuple):
@@ -47,79 +56,46 @@ class Fault(NamedTuple):
         return f"{self.name} at {self.at_s:.2f} s: {self.detail}"
 
 
-_SCATTERS = 2.9
-"""Threshold in RMS scatters, five standard deviations per coordinate: white noise exceeds it twice in a row once in a
-billion samples."""
-_FINGER_STEP_M = 0.001
-_PINCH_STEP_N = 10.0
-_PINCH_STEP = 0.2
-"""Smallest steps that are no noise; of the pinch also as share of the wanted one."""
-_TURNS = 4
-_TURNS_S = 0.2
-"""A hand whose opening or pinch turns back this often in this time jitters."""
-_LEARNT = 10
-"""Samples before the learnt scatter is used."""
+class Order(StrEnum):
+    """What the hands are commanded to do."""
+
+    NONE = ""
+    OPEN = "open"
+    CLOSE = "close"
 
 
-class _Scatter:
-    """RMS scatter (distance [m], angle [rad]) of a resting object's readings, at least `least` (2,)."""
+class _Hand:
+    """Signals of one hand since its last order: the gap of its fingers, and its pinch."""
 
-    def __init__(self, least: Sequence[float]) -> None:
-        self._parts = [
-            (least_of, 0.0, 0) for least_of in least
-        ]  # with the sum of squares, and of how many
+    def __init__(self, pinch_step_n: float) -> None:
+        self._gap = Turns(_FINGER_STEP_M)
+        self._pinch = Turns(pinch_step_n)
 
-    def exceeded(self, away: Sequence[float]) -> list[bool]:
-        """Return which of away (2,) noise does not explain, such as NaN."""
-        return [
-            not x
-            <= (4.0 * least if n < _LEARNT else max(least, _SCATTERS * math.sqrt(squares / n)))
-            for x, (least, squares, n) in zip(away, self._parts, strict=True)
-        ]
+    @property
+    def moved_s(self) -> float:
+        """Time at which the gap or the pinch changed last."""
+        return max(self._gap.moved_s, self._pinch.moved_s)
 
-    def learn(self, away: Sequence[float]) -> None:
-        """Add a reading of an unmoved object, without outliers."""
-        for k, odd in enumerate(self.exceeded(away)):
-            least, squares, n = self._parts[k]
-            self._parts[k] = (
-                (least, squares, n) if odd else (least, squares + away[k] * away[k], n + 1)
-            )
-
-
-class _Turns:
-    """Last step of a signal that is no noise [s], and its turns."""
-
-    def __init__(self, step: float) -> None:
-        self._step = step
-        self._at = math.inf
-        self._way = 0
-        self._high = -math.inf  # since the last turn
-        self._low = math.inf
-        self.moved_s = -math.inf
-        self._turns_s: deque[float] = deque(maxlen=_TURNS)
-
-    def update(self, value: float, now_s: float) -> bool:
-        """Take a value; return whether it turns often."""
-        step = self._step
-        if abs(value - self._at) >= step:
-            self._at = value
-            self.moved_s = now_s
-        if value > self._high:
-            self._high = value
-        if value < self._low:
-            self._low = value
-        falls = self._way >= 0 and self._high - value >= step
-        if falls or (self._way <= 0 and value - self._low >= step):
-            if self._way:
-                self._turns_s.append(now_s)
-            self._way = -1 if falls else 1
-            self._high = value
-            self._low = value
-        return len(self._turns_s) == _TURNS and now_s - self._turns_s[0] < _TURNS_S
+    def update(self, gap_m: float, pinch_n: float, now_s: float) -> bool:
+        """Take measurements; return whether the hand jitters."""
+        gap_jitters = self._gap.update(gap_m, now_s)
+        pinch_jitters = self._pinch.update(pinch_n, now_s)
+        return gap_jitters or pinch_jitters
 
 
 class FaultMonitor:
-    """Detects faults; call each method once a control step in its phases. NaN counts as a fault."""
+    """Detects faults; call each method once a control step in its phases. NaN counts as a fault.
+
+    Args:
+        config: Bounds and times.
+        dt_s: Control period.
+        width_m: Width of the object between the fingers.
+        pinch_n: Requested pinch of each hand.
+
+    Attributes:
+        spread_m: Distance between the hands from which slip counts; None takes that of the next
+            check.
+    """
 
     def __init__(
         self,
@@ -130,82 +106,70 @@ class FaultMonitor:
         pinch_n: float,
     ) -> None:
         self._config = config
-        self._width = width_m
-        self._pinch = pinch_n
-        self._least_n = config.lost_pinch_share * pinch_n
-        self._least_m = width_m - config.gap_margin_m
-        self._torque_max = config.motor_torque_n_m
-        self._squeeze_share = config.squeeze_share
+        self._width_m = width_m
+        self._pinch_n = pinch_n
+        self._pinch_min_n = config.lost_pinch_share * pinch_n
+        self._gap_min_m = width_m - config.gap_margin_m
         self._crept_max_m = config.displaced_m
         self._tilt_max_rad = config.tilt_rad
+        self._torque_max_nm = config.motor_torque_n_m
         self._motors_missing = False
         self._needed = max(1, round(config.persistence_s / dt_s))
         self._counts: dict[str, int] = {}
+        self._scatter = Scatter((config.displaced_m, config.displaced_rad))
+        self._pinch_step_n = max(_PINCH_STEP_N, _PINCH_STEP * pinch_n)
+        self._begin_order(Order.NONE, 0.0)
         self.spread_m: float | None = None
-        """Distance between the hands from which slip counts; None for that of the next check."""
-        self.lost: npt.NDArray[np.bool_] = np.zeros(len(SIDES), dtype=bool)
-        """(2,) arms with lost motors."""
-        self._scatter = _Scatter((config.displaced_m, config.displaced_rad))
-        self._told = ("", 0.0)
-        self._step_n = max(_PINCH_STEP_N, _PINCH_STEP * pinch_n)
-        self._watch_hands()
 
-    def _watch_hands(self) -> None:
-        self._hands = [(_Turns(_FINGER_STEP_M), _Turns(self._step_n)) for _ in SIDES]
-
-    def _lasts(self, key: str, now: bool, needed: int | None = None) -> bool:
-        if not now:
+    def _lasts(self, key: str, bad: bool, needed: int | None = None) -> bool:
+        """Count bad samples in a row; return whether they are `needed`, or persist."""
+        if not bad:
             self._counts.pop(key, None)
             return False
-        count = self._counts[key] = self._counts.get(key, 0) + 1
+        count = self._counts.get(key, 0) + 1
+        self._counts[key] = count
         return count >= (self._needed if needed is None else needed)
 
-    def motors(self, commanded: Array, applied: Array) -> Fault | None:
-        """Compare commanded and applied torques (n,); updates `lost`."""
-        if farthest(commanded, applied) <= self._torque_max and not self._motors_missing:
-            return None
-        missing, told = (
-            np.abs(x).reshape(2, -1).max(axis=1) for x in (commanded - applied, commanded)
-        )
-        self._motors_missing = not bool((missing <= self._torque_max).all()) or bool(
-            self.lost.any(),
-        )
-        found: list[str] = []
-        for arm, name in enumerate(SIDES):  # check both: drives can share a supply
-            if self._lasts(f"motor {name}", not missing[arm] <= self._torque_max):
-                self.lost[arm] = True
-                found.append(
-                    f"{name} arm: a motor gives {missing[arm]:.1f} Nm less than it was told",
-                )
-            if self._lasts(
-                f"back {name}",
-                bool(missing[arm] <= self._torque_max < 0.5 * told[arm]),
-            ):
-                self.lost[arm] = (
-                    False  # a dip: its torque has not yet been ramped to nothing, and the motors give it
-                )
-        return Fault("lost_arm", "; ".join(found)) if found else None
+    # Motors and sensors ------------------------------------------------------------------------
 
-    def silent(self, what: str, age_s: float, bound_s: float) -> Fault | None:
+    def motors(self, commanded: Array, applied: Array) -> Fault | None:
+        """Compare commanded and applied torques (n,) [Nm]."""
+        torque_max_nm = self._torque_max_nm
+        if farthest(commanded, applied) <= torque_max_nm and not self._motors_missing:
+            return None
+        missing_nm = np.abs(commanded - applied).reshape(2, -1).max(axis=1)
+        self._motors_missing = not bool((missing_nm <= torque_max_nm).all())  # true for NaN
+        details: list[str] = []
+        for name, arm_missing_nm in zip(SIDES, missing_nm, strict=True):
+            # Check both: drives can share a supply.
+            if self._lasts(f"motor {name}", not arm_missing_nm <= torque_max_nm):
+                details.append(
+                    f"{name} arm: a motor gives {arm_missing_nm:.1f} Nm less than commanded",
+                )
+        return Fault("lost_arm", "; ".join(details)) if details else None
+
+    def silent(self, sensor: str, age_s: float, age_max_s: float) -> Fault | None:
         """Check the age of a sensor's last usable reading."""
-        if age_s <= bound_s:
+        if age_s <= age_max_s:
             return None
         return Fault(
             "sensor_lost",
-            f"no {what} for {1e3 * age_s:.0f} ms; bound {1e3 * bound_s:.0f} ms",
+            f"no {sensor} for {1e3 * age_s:.0f} ms; bound {1e3 * age_max_s:.0f} ms",
         )
 
-    def frozen(self, what: str, same: bool, needed: int) -> Fault | None:
-        """Check a sensor whose readings must change; `same` to the bit as the last."""
-        if not self._lasts(what, same, needed):
+    def frozen(self, sensor: str, same: bool, needed: int) -> Fault | None:
+        """Check a sensor whose readings must change; `same`: to the bit as the last."""
+        if not self._lasts(sensor, same, needed):
             return None
-        return Fault("sensor_lost", f"{what} stays the same to the bit while the object moves")
+        return Fault("sensor_lost", f"{sensor} stays the same to the bit while the object moves")
+
+    # An object that no hand holds --------------------------------------------------------------
 
     def resting(self, innovation: tuple[float, float]) -> Fault | None:
-        """Check a pose sample of an untouched object."""
-        away = any(self._scatter.exceeded(innovation))
+        """Check a pose sample of an untouched object by its distance [m] and angle [rad]."""
+        is_away = any(self._scatter.exceeded(innovation))
         self._scatter.learn(innovation)
-        if not self._lasts("resting", away, 2):
+        if not self._lasts("resting", is_away, _POSES_N):
             return None
         return Fault(
             "knocked_away",
@@ -215,51 +179,66 @@ class FaultMonitor:
     def closing(self, gap_m: Sequence[float], pinch_n: Array, t_s: float) -> Fault | None:
         """Check closing hands by gaps (2,), pinch (2,) and time."""
         for arm, name in enumerate(SIDES):
-            if self._lasts(f"gap {name}", not gap_m[arm] >= self._least_m, 3):
-                closed = f"the {name} hand has closed to {1e3 * gap_m[arm]:.0f} mm"
+            is_past = not gap_m[arm] >= self._gap_min_m
+            if self._lasts(f"gap {name}", is_past, _GAPS_N):
                 return Fault(
                     "missed_grasp",
-                    f"{closed}, the object is {1e3 * self._width:.0f} mm wide",
+                    f"the {name} hand has closed to {1e3 * gap_m[arm]:.0f} mm, "
+                    f"the object is {1e3 * self._width_m:.0f} mm wide",
                 )
-        if t_s > self._config.grasp_timeout_s:
-            felt = ", ".join(f"{f:.1f}" for f in pinch_n)
-            return Fault("missed_grasp", f"pinch {felt} N after {self._config.grasp_timeout_s} s")
-        return None
+        if t_s <= self._config.grasp_timeout_s:
+            return None
+        pinches = ", ".join(f"{force:.1f}" for force in pinch_n)
+        return Fault("missed_grasp", f"pinch {pinches} N after {self._config.grasp_timeout_s} s")
+
+    # Hands -------------------------------------------------------------------------------------
+
+    def _begin_order(self, order: Order, now_s: float) -> None:
+        """Count steps of the hands from here."""
+        self._order = order
+        self._ordered_s = now_s
+        self._hands = [_Hand(self._pinch_step_n) for _ in SIDES]
 
     def grippers(
         self,
         now_s: float,
-        told: str,
+        order: Order,
         gap_m: Sequence[float],
         pinch_n: Sequence[float],
         target_m: float,
     ) -> Fault | None:
-        """Check that hands told to "close" or "open" move until their gaps (2,) reach the target, others hold still."""
-        if told != self._told[0]:  # a step counts from here
-            self._told = told, now_s
-            self._watch_hands()
-        bound_s = self._config.gripper_answer_s * (
-            2.0 if told == "open" else 1.0
-        )  # its force must fall first
-        for name, (gap, pinch), gap_now_m, pinch_now_n in zip(
-            SIDES,
-            self._hands,
-            gap_m,
-            pinch_n,
-            strict=True,
-        ):
-            jitters = gap.update(gap_now_m, now_s) | pinch.update(pinch_now_n, now_s)
-            still_s = now_s - max(gap.moved_s, pinch.moved_s, self._told[1])
-            done = gap_now_m > target_m if told == "open" else gap_now_m < target_m
-            if told and not done and still_s > bound_s:
-                where = f"stays at {1e3 * gap_now_m:.0f} mm for {still_s:.2f} s"
-                return Fault("gripper_stuck", f"the {name} hand, told to {told}, {where}")
-            if jitters and not told:
+        """Check that hands with an order move until they have followed it, and others do not move.
+
+        Args:
+            now_s: Time.
+            order: To the hands.
+            gap_m: (2,), of each hand's fingers.
+            pinch_n: (2,).
+            target_m: Gap at which the order is followed.
+        """
+        if order != self._order:
+            self._begin_order(order, now_s)
+        opens = order == Order.OPEN
+        # The force of a hand that opens must fall first.
+        answer_max_s = self._config.gripper_answer_s * (2.0 if opens else 1.0)
+        for name, hand, gap, pinch in zip(SIDES, self._hands, gap_m, pinch_n, strict=True):
+            jitters = hand.update(gap, pinch, now_s)
+            still_s = now_s - max(hand.moved_s, self._ordered_s)
+            followed = gap > target_m if opens else gap < target_m
+            if order and not followed and still_s > answer_max_s:
+                return Fault(
+                    "gripper_stuck",
+                    f"the {name} hand, commanded to {order}, "
+                    f"stays at {1e3 * gap:.0f} mm for {still_s:.2f} s",
+                )
+            if jitters and not order:
                 return Fault(
                     "gripper_jitter",
-                    f"the {name} hand turned back {_TURNS} times within {_TURNS_S} s",
+                    f"the {name} hand turned back {TURNS} times within {TURNS_S} s",
                 )
         return None
+
+    # A held object -----------------------------------------------------------------------------
 
     def holding(
         self,
@@ -269,36 +248,34 @@ class FaultMonitor:
         tilt_rad: float,
     ) -> Fault | None:
         """Check a held object by pinch (2,), gaps (2,), hand distance and tilt."""
-        least_n = self._least_n
-        least_m = self._least_m
-        tilt_max_rad = self._tilt_max_rad
         if self.spread_m is None:
             self.spread_m = spread_m
-        crept = abs(spread_m - self.spread_m)
-        firm = pinch_n[0] >= least_n <= pinch_n[1] and gap_m[0] >= least_m <= gap_m[1]
-        if firm and crept <= self._crept_max_m and tilt_rad <= tilt_max_rad and not self._counts:
+        crept_m = abs(spread_m - self.spread_m)
+        left_pinch_n, right_pinch_n = pinch_n
+        left_gap_m, right_gap_m = gap_m
+        pinched = left_pinch_n >= self._pinch_min_n and right_pinch_n >= self._pinch_min_n
+        between = left_gap_m >= self._gap_min_m and right_gap_m >= self._gap_min_m
+        in_place = crept_m <= self._crept_max_m and tilt_rad <= self._tilt_max_rad
+        if pinched and between and in_place and not self._counts:
             return None
         for name, pinch, gap in zip(SIDES, pinch_n, gap_m, strict=True):
-            if self._lasts(f"pinch {name}", not pinch >= least_n):
+            if self._lasts(f"pinch {name}", not pinch >= self._pinch_min_n):
                 return Fault(
                     "object_lost",
-                    f"the {name} hand pinches {pinch:.1f} of {self._pinch:.0f} N",
+                    f"the {name} hand pinches {pinch:.1f} of {self._pinch_n:.0f} N",
                 )
-            if self._lasts(f"held gap {name}", not gap >= least_m, 3):
+            if self._lasts(f"held gap {name}", not gap >= self._gap_min_m, _GAPS_N):
                 return Fault("object_lost", f"the {name} hand has closed to {1e3 * gap:.0f} mm")
-        if self._lasts(
-            "spread",
-            not crept <= self._crept_max_m,
-            1,
-        ):  # encoders: one reading suffices
-            return Fault("slip", f"the hands have moved {1e3 * crept:.1f} mm along the object")
-        if self._lasts("tilt", not tilt_rad <= tilt_max_rad):
+        if not crept_m <= self._crept_max_m:  # by encoders: one reading suffices
+            return Fault("slip", f"the hands have moved {1e3 * crept_m:.1f} mm along the object")
+        if self._lasts("tilt", not tilt_rad <= self._tilt_max_rad):
             return Fault("tilted", f"the object is tilted by {np.degrees(tilt_rad):.0f} deg")
         return None
 
     def held_pose(self, innovation: tuple[float, float]) -> Fault | None:
-        """Check a pose sample against the hands."""
-        if not self._lasts("held", any(self._scatter.exceeded(innovation)), 2):
+        """Check a pose sample against the hands by its distance [m] and angle [rad]."""
+        is_away = any(self._scatter.exceeded(innovation))
+        if not self._lasts("held", is_away, _POSES_N):
             return None
         away_m, away_rad = innovation
         return Fault(
@@ -306,8 +283,9 @@ class FaultMonitor:
             f"the object is {1e3 * away_m:.1f} mm, {np.degrees(away_rad):.1f} deg off in the hands",
         )
 
-    def squeezing(self, wanted_n: float, felt_n: float) -> Fault | None:
+    def squeezing(self, requested_n: float, felt_n: float) -> Fault | None:
         """Compare requested and felt internal force."""
-        weak = not felt_n >= self._squeeze_share * wanted_n
-        lasts = (weak or self._counts) and self._lasts("squeeze", weak)
-        return Fault("slip", f"internal force {felt_n:.1f} of {wanted_n:.0f} N") if lasts else None
+        is_weak = not felt_n >= self._config.squeeze_share * requested_n
+        if not self._lasts("squeeze", is_weak):
+            return None
+        return Fault("slip", f"internal force {felt_n:.1f} of {requested_n:.0f} N")

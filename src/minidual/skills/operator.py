@@ -1,25 +1,26 @@
-"""Scripted operator: joint targets of a trial, whose start and goal it knows.
+"""Scripted operator of the rod task: joint targets of a trial, whose start and goal it knows.
 
 By default, fixed timing makes its motion a smooth, learnable function of them.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from minidual.config.learning import OperatorConfig
 from minidual.config.scene import SceneConfig
-from minidual.config.seeds import stream, subseed
+from minidual.config.seeds import stream
 from minidual.control.kernels import minimum_jerk
-from minidual.motion.api import Planner
-from minidual.motion.ik import ArmIK, posture_at, solvers
+from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import GROUP_ARMS, SIDES, Array, pose, rot_x, rot_z
-from minidual.skills.cycle import solve
-from minidual.skills.phases import OPEN, PHASES, State
-from minidual.tasks.task import Task, Trial, grasp_offsets, level_pose, placement, pose_of
+from minidual.robot.pair import Array, pose, rot_x, rot_z
+from minidual.skills.phases import PHASES
+from minidual.tasks.task import Trial, grasp_offsets, level_pose, placement
 
+REST_S = 0.1
+"""Standstill at the end of a demonstration."""
 _LASTS_S = {
     "approach": 1.8,
     "correct": 0.6,
@@ -27,16 +28,19 @@ _LASTS_S = {
     "close": 0.7,
     "lift": 0.8,
     "carry": 2.0,
+    "lower": 0.8,
+    "open": PHASES["open"].hold_s,
+    "retreat": 0.5,
+    "rest": REST_S,
 }
-_LASTS_S |= {"lower": 0.8, "open": PHASES["open"].hold_s, "retreat": 0.5, "rest": 0.1}
 _OVERLAPPING = ("correct", "descend")
 _PAUSED = ("lift", "lower")
-# The last joint only turns the hand. With equal costs the elbow swings, and near the table joint 5 moves three times
-# as fast.
-_CONFIG = OperatorConfig()
 _WRIST_COST = 0.1
+"""Of the last joint, which only turns the hand.
 
-_SPEED_SHARE = 0.6  # of the joints' limits, where a plan is demonstrated
+With equal costs the elbow swings, and near the table joint 5 moves three times as fast.
+"""
+_DEFAULTS = OperatorConfig()
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ class Demonstration:
     """Operator commands of one trial.
 
     Attributes:
+        rate_hz: Of the commands.
         q: Joint targets (T, n) [rad]; q[0] is home.
         gripper: (T, 2), 0 closed or 1 open.
     """
@@ -78,25 +83,39 @@ class Style:
     shifts_m: tuple[float, float] = (0.0, 0.0)
 
 
+class Span(NamedTuple):
+    """Start and end of a phase [s]."""
+
+    start_s: float
+    end_s: float
+
+
 _PLAIN = Style()
 
 
 class ScriptedOperator:
-    """Plans demonstrations of the rod task."""
+    """Plans demonstrations of the rod task.
+
+    Args:
+        scene: With the rod.
+        config: Errors and spreads of the operator.
+        kinematics: Of the arms; two Pandas by default.
+    """
 
     def __init__(
         self,
         scene: SceneConfig,
-        config: OperatorConfig = _CONFIG,
+        config: OperatorConfig = _DEFAULTS,
         *,
         kinematics: Kinematics | None = None,
     ) -> None:
         self.scene = scene
         self.config = config
-        kinematics = kinematics or Kinematics()
-        self._robot = robot = kinematics.robot
-        self._costs = np.r_[np.ones(robot.dof_per_arm - 1), _WRIST_COST]
-        self._home_poses = kinematics.tcp_poses(robot.home)
+        if kinematics is None:
+            kinematics = Kinematics()
+        self._robot = kinematics.robot
+        self._costs = np.r_[np.ones(self._robot.dof_per_arm - 1), _WRIST_COST]
+        self._home_poses = kinematics.tcp_poses(self._robot.home)
         self._grasps = grasp_offsets(scene)
 
     def style(self, seed: int, trial: Trial) -> Style:
@@ -104,30 +123,31 @@ class ScriptedOperator:
         rng = stream(seed, f"operator-style/{trial.purpose}", trial.index)
         config = self.config
         pace = 1.0 + config.speed_spread * rng.uniform(-1.0, 1.0, len(_LASTS_S))
-        pauses = config.pause_s * rng.uniform(0.0, 1.0, len(_PAUSED))
-        left, right = config.grasp_spread_m * rng.uniform(-1.0, 1.0, 2)
+        pauses_s = config.pause_s * rng.uniform(0.0, 1.0, len(_PAUSED))
+        left_m, right_m = config.grasp_spread_m * rng.uniform(-1.0, 1.0, 2)
         return Style(
-            dict(zip(_LASTS_S, pace, strict=True)),
-            dict(zip(_PAUSED, pauses, strict=True)),
-            (left, right),
+            pace=dict(zip(_LASTS_S, pace, strict=True)),
+            pauses_s=dict(zip(_PAUSED, pauses_s, strict=True)),
+            shifts_m=(left_m, right_m),
         )
 
-    def phases(self, style: Style = _PLAIN) -> dict[str, tuple[float, float]]:
-        """Return {name: (start, end) [s]}."""
-        # they overlap over the rod, where a policy without speed or time could learn to wait for ever
-        phases = {}
-        end = 0.0
+    def phases(self, style: Style = _PLAIN) -> dict[str, Span]:
+        """Return the spans of the phases.
+
+        They overlap above the rod, where a policy without speed or time could learn to wait for
+        ever.
+        """
+        phases: dict[str, Span] = {}
+        end_s = 0.0
         for name, lasts_s in _LASTS_S.items():
-            start = (
-                end
-                - (self.config.overlap_s if name in _OVERLAPPING else 0.0)
-                + style.pauses_s.get(name, 0.0)
-            )
-            phases[name] = start, (end := start + lasts_s * style.pace.get(name, 1.0))
+            overlap_s = self.config.overlap_s if name in _OVERLAPPING else 0.0
+            start_s = end_s - overlap_s + style.pauses_s.get(name, 0.0)
+            end_s = start_s + lasts_s * style.pace.get(name, 1.0)
+            phases[name] = Span(start_s, end_s)
         return phases
 
     def approach_error(self, seed: int, trial: Trial) -> Array:
-        """Return the random error across [m] and along [m] the object and in yaw [rad]."""
+        """Return the random error (3,): across and along the object [m], and in yaw [rad]."""
         config = self.config
         scale = np.array([config.approach_noise_m, config.along_noise_m, config.approach_noise_rad])
         rng = stream(seed, f"operator/{trial.purpose}", trial.index)
@@ -141,22 +161,23 @@ class ScriptedOperator:
         """
         style = self.style(seed, trial)
         phases = self.phases(style)
-        shifts = zip(style.shifts_m, self._grasps, strict=True)
-        grasps = [pose(np.eye(3), (0.0, shift, 0.0)) @ T for shift, T in shifts]
-        ticks = round(phases["rest"][1] * rate_hz)
+        grasps: list[Array] = []
+        for shift_m, T_rod_tcp in zip(style.shifts_m, self._grasps, strict=True):
+            grasps.append(pose(np.eye(3), (0.0, shift_m, 0.0)) @ T_rod_tcp)
+        ticks = round(phases["rest"].end_s * rate_hz)
         times = np.arange(ticks) / rate_hz
         error = self.approach_error(seed, trial)
         q = np.empty((ticks, self._robot.dof))
-        current = self._robot.home.copy()
-        for k, t in enumerate(times.tolist()):
-            progress = {
-                name: minimum_jerk((t - start) / (end - start))[0]
-                for name, (start, end) in phases.items()
-            }
+        posture = self._robot.home.copy()
+        for tick, t_s in enumerate(times.tolist()):
+            progress = _progress(phases, t_s)
             hands = self._hand_poses(trial, error, grasps, progress)
-            q[k] = current = posture_at(self._robot, hands, current, self._robot.home, self._costs)
-        closed = (times >= phases["close"][0] - 1e-9) & (times < phases["open"][0] - 1e-9)
-        return Demonstration(rate_hz, q, np.where(closed[:, None], 0.0, 1.0) * np.ones(2))
+            posture = posture_at(self._robot, hands, posture, self._robot.home, self._costs)
+            q[tick] = posture
+        closes = times >= phases["close"].start_s - 1e-9
+        is_closed = closes & (times < phases["open"].start_s - 1e-9)
+        gripper = np.where(is_closed[:, None], 0.0, 1.0) * np.ones(2)
+        return Demonstration(rate_hz, q, gripper)
 
     def _hand_poses(
         self,
@@ -165,89 +186,50 @@ class ScriptedOperator:
         grasps: Sequence[Array],
         progress: Mapping[str, float],
     ) -> tuple[Array, Array]:
-        begin, goal = (
-            np.array(placement(where[self.scene.object.name]))
-            for where in (trial.start, trial.goal)
-        )
-        # Along the object on the way down: corrected any earlier, the hands would tell a policy where the grasp is, and
-        # its own error would feed itself (docs/learning.md).
-        left = 1.0 - np.array([progress[phase] for phase in ("correct", "descend", "correct")])
-        start = begin + rot_z(begin[2]) @ (error * left)
+        """Return the left and right T_world_tcp (4, 4).
+
+        Args:
+            trial: Start and goal of the rod.
+            error: (3,), of the approach.
+            grasps: Left and right T_rod_tcp (4, 4).
+            progress: Of each phase, 0 to 1.
+        """
+        name = self.scene.object.name
+        begin = np.array(placement(trial.start[name]))
+        goal = np.array(placement(trial.goal[name]))
+        # Along the object, the error is corrected on the way down: corrected any earlier, the hands
+        # would tell a policy where the grasp is, and its own error would feed itself
+        # (docs/learning.md).
+        corrected = np.array([progress["correct"], progress["descend"], progress["correct"]])
+        start = begin + rot_z(begin[2]) @ (error * (1.0 - corrected))
         x, y, yaw = start + (goal - start) * progress["carry"]
-        above = PHASES["approach"].rise_m * (1.0 - progress["descend"] + progress["retreat"])
-        raised = self.scene.task.lift_height_m * (progress["lift"] - progress["lower"])
-        T_world_rod = level_pose(x, y, self.scene.object.rest_height_m + above + raised, yaw)
-        hands = [T_world_rod @ T_rod_tcp for T_rod_tcp in grasps]
-        s = progress["approach"]
-        if s < 1.0:
-            hands = [
-                _between(T_home, T_goal, s)
-                for T_home, T_goal in zip(self._home_poses, hands, strict=True)
-            ]
-        return hands[0], hands[1]
+        away = 1.0 - progress["descend"] + progress["retreat"]
+        above_m = PHASES["approach"].rise_m * away
+        lifted_m = self.scene.task.lift_height_m * (progress["lift"] - progress["lower"])
+        height_m = self.scene.object.rest_height_m + above_m + lifted_m
+        T_world_rod = level_pose(x, y, height_m, yaw)
+        left, right = (T_world_rod @ T_rod_tcp for T_rod_tcp in grasps)
+        arrived = progress["approach"]
+        if arrived < 1.0:
+            left_home, right_home = self._home_poses
+            left = _between(left_home, left, arrived)
+            right = _between(right_home, right, arrived)
+        return left, right
+
+
+def _progress(phases: Mapping[str, Span], t_s: float) -> dict[str, float]:
+    """Return how far each phase is at a time, 0 to 1."""
+    progress: dict[str, float] = {}
+    for name, span in phases.items():
+        share, _, _ = minimum_jerk((t_s - span.start_s) / (span.end_s - span.start_s))
+        progress[name] = share
+    return progress
 
 
 def _between(T_from: Array, T_to: Array, s: float) -> Array:
+    """Return the pose (4, 4) of a hand that points down, a share s of the way."""
     position = T_from[:3, 3] + s * (T_to[:3, 3] - T_from[:3, 3])
-    turn_from, turn_to = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_from, T_to))
-    turn = np.arctan2(np.sin(turn_to - turn_from), np.cos(turn_to - turn_from))
-    return pose(rot_z(turn_from + s * turn) @ rot_x(np.pi), position)
-
-
-def demonstrate_plan(
-    task: Task,
-    trial: Trial,
-    planner: Planner,
-    *,
-    seed: int,
-    rate_hz: float,
-) -> Demonstration:
-    """Return the task's plan as a demonstration; while both are open, hands err along what they grasp until they are down.
-
-    Raises:
-        TaskFailedError: There is no plan.
-    """
-    robot = planner.robot
-    start = State(
-        robot.home,
-        {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()},
-    )
-    own = subseed(seed, f"operator/{trial.purpose}", trial.index)
-    segments = solve(
-        task,
-        trial,
-        start,
-        planner,
-        own,
-        task.config.supervisor.self_collision_min_m,
-    ).segments
-    rng = stream(seed, f"operator/{trial.purpose}", trial.index)
-    noise_m = task.config.teleop.operator.along_noise_m
-    errors_m = noise_m * np.clip(rng.standard_normal(len(SIDES)), -2.0, 2.0)
-    q = list[Array]()
-    gripper = list[Array]()
-    for segment in segments:
-        # Faster, the arms would lag by up to 0.3 rad behind what is streamed and leave the proven path.
-        motion = segment.trajectory
-        slower = max(1.0, float(np.abs(motion.v / robot.v_max).max()) / _SPEED_SHARE)
-        times: Array = np.arange(0.0, motion.duration_s, 1.0 / (slower * rate_hz), dtype=float)
-        planned = motion.sample_many(times)[0]
-        # a hand that takes something from the other one needs its room
-        if segment.phase in ("approach", "descend") and min(segment.openings) == OPEN:
-            arrived = np.array([minimum_jerk(t / motion.duration_s)[0] for t in times.tolist()])
-            shares = arrived if segment.phase == "approach" else 1.0 - arrived
-            for side in GROUP_ARMS[motion.group]:
-                _shift_along(solvers(robot)[side], planned, shares * errors_m[SIDES.index(side)])
-        q.append(planned)
-        gripper.append(np.tile(segment.openings, (len(times), 1)))
-    rest = round(rate_hz * _LASTS_S["rest"])
-    q.append(np.tile(segments[-1].trajectory.q[-1], (rest, 1)))
-    gripper.append(np.tile(segments[-1].openings, (rest, 1)))
-    return Demonstration(rate_hz, np.vstack(q), np.vstack(gripper))
-
-
-def _shift_along(arm: ArmIK, q: Array, offsets_m: Array) -> None:
-    """Shift a hand by offsets (T,) along what lies between its fingers; q is (T, n) [rad]."""
-    for row, offset_m in zip(q[:, arm.joints], offsets_m.tolist(), strict=True):
-        shifted = arm.nearest(arm.tcp_pose(row) @ pose(np.eye(3), (offset_m, 0.0, 0.0)), row)
-        row[:] = row if shifted is None else shifted
+    yaw_from = np.arctan2(T_from[1, 0], T_from[0, 0])
+    yaw_to = np.arctan2(T_to[1, 0], T_to[0, 0])
+    turn = np.arctan2(np.sin(yaw_to - yaw_from), np.cos(yaw_to - yaw_from))
+    return pose(rot_z(yaw_from + s * turn) @ rot_x(np.pi), position)

@@ -1,9 +1,10 @@
-"""Plan the whole task, then execute it: by position, or by impedance where what a hand holds may touch something."""
+"""Plan the whole task, then execute it by position, or by impedance where objects may touch."""
 
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -16,26 +17,51 @@ from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array, inverse, pose
 from minidual.skills.cycle import solve
-from minidual.skills.phases import OPEN, Segment, State, moved
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.hands import retreat
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Stage
+from minidual.skills.states import OPEN, Segment, State, moved
 from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
-_TRIES = 3  # of a trial; open fingers leave 15 mm on either side of a bottle
+_TRIES = 3
+"""New grasps of a trial; open fingers leave 15 mm on either side of a bottle."""
 _ASIDE_M = 0.020
-_PRESSED_N = (
-    10.0  # least force that a touch explains, and its least distance from the hand's middle
-)
+"""Distance to the side of a new grasp."""
+_PRESSED_N = 10.0
+"""Least force that a touch explains."""
 _BESIDE_M = 0.010
+"""Least distance of a touch from the hand's middle."""
+
+
+class _Touch(NamedTuple):
+    """A finger that came down on something: the plan, its segment, external torques (n,) [Nm]."""
+
+    solution: Solution
+    segment: Segment
+    torque: Array
 
 
 class PlannedCarry(Drive):
-    """One planned trial by position: stiff joints give the internal force. Call `step` until `done`.
+    """One planned trial by position: stiff joints give the internal force.
 
-    `poses` are the objects' sensed poses, by default the true ones; what starts on the table has a known height. The
-    plan keeps the supervisor's minimum arm distance plus a margin.
+    Call `step` until `done`. What starts on the table has a known height. The plan keeps the
+    supervisor's minimum arm distance plus a margin.
+
+    Args:
+        stack: Drives the arms.
+        planner: Plans free motions.
+        task: What is to be done.
+        trial: Its goal.
+        seed: Of the search.
+        poses: The objects' sensed poses (4, 4), by default the true ones.
+
+    Attributes:
+        task: What is done.
+        world: The plant.
+        poses: The objects' sensed poses (4, 4).
+        solution: The plan; None if there is none.
+        record: Of the search.
     """
 
     by_force = False
@@ -51,91 +77,119 @@ class PlannedCarry(Drive):
         poses: Mapping[str, Array] | None = None,
     ) -> None:
         self.task = task
-        self.world = (world := stack.plant)
-        self.poses = (
-            {name: world.object_pose(name) for name in task.objects} if poses is None else poses
-        )
-        lying = {name for name, where in trial.start.items() if isinstance(where, tuple)}
-        level = {
-            name: placement(T) if name in lying else level_part(T) for name, T in self.poses.items()
-        }
-        known = self._poses = {
-            name: pose_of(task.objects[name].body, where) for name, where in level.items()
-        }
-        start = State(world.q, dict(known))
+        self.world = stack.plant
+        if poses is None:
+            poses = {name: self.world.object_pose(name) for name in task.objects}
+        self.poses = poses
+        self._poses = _at_known_height(task, trial, poses)
         self._tries_left = _TRIES
-        self._touch: tuple[Solution, Segment, Array] | None = None
-        apart_m = stack.supervisor.config.self_collision_min_m
+        self._touch: _Touch | None = None
         self.solution: Solution | None = None
+        start = State(self.world.q, dict(self._poses))
+        apart_m = stack.supervisor.config.self_collision_min_m
         try:
             self.solution = solve(task, trial, start, planner, seed, apart_m, self.by_force)
-            self.record = self.solution.record
-            super().__init__(stack, self.solution.segments)
         except TaskFailedError as error:
             super().__init__(stack, ())
             self.aborted = error.summary
             self.record = error.record
+        else:
+            self.record = self.solution.record
+            super().__init__(stack, self.solution.segments)
 
     def step(self) -> None:
-        """Run one control step; simulated time stands still while it plans anew."""
+        """Run one control step; simulated time stands still during a new plan."""
         super().step()
         if self.stack.output.halted:  # by somebody: the arms stay
             self._touch = None
         if self._touch is not None and not self.stack.stopping:
             touch = self._touch
             self._touch = None
-            with suppress(
-                MinidualError,
-                np.linalg.LinAlgError,
-            ):  # moving, unmeasured or unplanned: it stays aborted
+            # Arms that move, are not measured or have no plan stay aborted.
+            with suppress(MinidualError, np.linalg.LinAlgError):
                 self._grasp_again(*touch)
 
     def _tell_held(self, segment: Segment) -> None:
         super()._tell_held(segment)
-        if segment.scene is not None and not self.task.together:
-            held = {
-                held.link: self.task.objects[held.name].body.mass_kg
-                for held in segment.scene.attached
-            }
-            for arm, link in enumerate(self.world.robot.tcp_names):
-                self.stack.payload.bear(arm, held.get(link, 0.0))
+        if segment.scene is None or self.task.together:
+            return
+        payloads_kg: dict[str, float] = {}
+        for attached in segment.scene.attached:
+            payloads_kg[attached.link] = self.task.objects[attached.name].body.mass_kg
+        for arm, link in enumerate(self.world.robot.tcp_names):
+            self.stack.payload.bear(arm, payloads_kg.get(link, 0.0))
 
     def _stopped(self, error: ReflexError) -> None:
         solution = self.solution
-        supervisor = self.stack.supervisor
-        touched = error.reflex.label in ("contact.joint", "contact.hand")
-        if solution and touched and self.phase == "descend" and self._tries_left:
-            self._touch = solution, self._left[0], supervisor.touch
+        is_touch = error.reflex.label in ("contact.joint", "contact.hand")
+        may_grasp_again = is_touch and self.phase == "descend" and self._tries_left > 0
+        if solution is not None and may_grasp_again:
+            self._touch = _Touch(solution, self._left[0], self.stack.supervisor.touch)
         super()._stopped(error)
 
     def _grasp_again(self, solution: Solution, segment: Segment, torque: Array) -> None:
-        """Back off from what a finger came down on, and grasp it further towards that finger."""
+        """Back off from what a finger came down on, and grasp it further towards that finger.
+
+        Args:
+            solution: The plan that was driven.
+            segment: The descent that was stopped.
+            torque: (n,) [Nm], external torques of the touch.
+        """
         stack = self.stack
         q = self.world.q
         arm = int(np.argmax(np.abs(torque))) // (len(torque) // 2)
-        k, state = next(
-            (k, solution.states[k]) for k, part in enumerate(solution.parts) if segment in part
-        )
+        shift_m = self._shift_to_finger(q, arm, torque)
+        stage = _stage_of(solution, segment)
+        state = solution.states[stage]
         name = state.object_of(SIDES[arm])
-        own = self.world.robot.joints_of(arm)
-        wrench = np.linalg.lstsq(stack.kinematics.tcp_jacobians(q)[arm][:, own].T, torque[own])[0]
-        x, y, z = stack.kinematics.tcp_poses(q)[arm][:3, :3].T
-        pressed_n = -z @ wrench[:3]
-        aside_nm = -x @ wrench[3:]
-        on_a_finger = pressed_n > _PRESSED_N and abs(aside_nm) > _BESIDE_M * pressed_n
-        if not on_a_finger or name in map(state.object_of, state.held_by):
+        is_held = name in (state.object_of(holder) for holder in state.held_by)
+        if shift_m is None or is_held:
             return
         self._tries_left -= 1
-        self._poses[name] = moved(state.objects[name], np.sign(aside_nm) * _ASIDE_M * y)
+        self._poses[name] = moved(state.objects[name], shift_m)
         start = replace(state, q=q, objects={**state.objects, name: self._poses[name]})
-        was = solution.pipeline
-        back = Stage("back off", partial(retreat, tuple(state.reached)))
-        self.solution = Pipeline(was.name, (back, *was.stages[k - 1 :]), was.keenness).solve(
-            start,
-            solution.tools,
-        )
-        stack.recover()  # not before: without a plan the reflex stays latched
-        super().__init__(stack, self.solution.segments)
+        old = solution.pipeline
+        back_off = Stage("back off", partial(retreat, tuple(state.reached)))
+        pipeline = Pipeline(old.name, (back_off, *old.stages[stage - 1 :]), old.keenness)
+        self.solution = pipeline.solve(start, solution.tools)
+        stack.recover()  # after the plan: without one the reflex stays latched
+        self._begin(self.solution.segments)
+
+    def _shift_to_finger(self, q: Array, arm: int, torque: Array) -> Array | None:
+        """Return the shift (3,) [m] of a grasp towards the finger that was touched.
+
+        None if the torques (n,) [Nm] are not those of a force on a finger along the hand.
+        """
+        kinematics = self.stack.kinematics
+        own = self.world.robot.joints_of(arm)
+        J = kinematics.tcp_jacobians(q)[arm][:, own]
+        wrench = np.linalg.lstsq(J.T, torque[own])[0]
+        x, y, z = kinematics.tcp_poses(q)[arm][:3, :3].T
+        pressed_n = -z @ wrench[:3]
+        aside_nm = -x @ wrench[3:]
+        is_on_finger = pressed_n > _PRESSED_N and abs(aside_nm) > _BESIDE_M * pressed_n
+        if not is_on_finger:
+            return None
+        return np.sign(aside_nm) * _ASIDE_M * y
+
+
+def _at_known_height(
+    task: Task,
+    trial: Trial,
+    poses: Mapping[str, Array],
+) -> dict[str, Array]:
+    """Return level poses (4, 4); what starts on the table has its known height."""
+    known: dict[str, Array] = {}
+    for name, T in poses.items():
+        starts_on_table = isinstance(trial.start.get(name), tuple)
+        where = placement(T) if starts_on_table else level_part(T)
+        known[name] = pose_of(task.objects[name].body, where)
+    return known
+
+
+def _stage_of(solution: Solution, segment: Segment) -> int:
+    """Return the index of the stage of a segment."""
+    return next(k for k, part in enumerate(solution.parts) if segment in part)
 
 
 class CompliantCarry(PlannedCarry):
@@ -145,36 +199,46 @@ class CompliantCarry(PlannedCarry):
 
     def _take_control(self, segment: Segment) -> None:
         stack = self.stack
-        laws = [hand.law for hand in self.stack.hands]
         self._note_grasps(segment)
-        names = tuple(f"{side}_{'hand' if side in segment.soft else 'arm'}" for side in SIDES)
-        names = names if segment.soft else DEFAULT_CONTROLLERS
-        if names != stack.manager.active:
-            for law, other in zip(laws, reversed(laws), strict=True):
-                law.other = other.held if segment.phase == "insert" else None
-            stack.switch_controllers(names)
+        names = DEFAULT_CONTROLLERS
+        if segment.soft:
+            names = tuple(f"{side}_{'hand' if side in segment.soft else 'arm'}" for side in SIDES)
+        if names == stack.manager.active:
+            return
+        left, right = (hand.law for hand in stack.hands)
+        inserts = segment.phase == "insert"
+        left.other = right.held if inserts else None
+        right.other = left.held if inserts else None
+        stack.switch_controllers(names)
 
     def _note_grasps(self, segment: Segment) -> None:
         """Note where in closed hands objects are, from where they lay."""
         tips = self.stack.kinematics.tcp_poses(self.world.q)
         laws = [hand.law for hand in self.stack.hands]
-        poses = self._poses
-        for T_tcp, law, opening in zip(tips, laws, segment.openings, strict=True):
+        for T_world_tcp, law, opening in zip(tips, laws, segment.openings, strict=True):
             if law.held.name:
-                poses[law.held.name] = T_tcp @ law.held.T_tcp_object
+                self._poses[law.held.name] = T_world_tcp @ law.held.T_tcp_object
             if opening == OPEN:
                 law.held = InHand()
-        for held in () if segment.scene is None else segment.scene.attached:
-            arm = self.world.robot.tcp_names.index(held.link)
-            item = self.task.objects[held.name]
-            if laws[arm].held.name != held.name:
-                planned = held.shape.T_parent_shape
-                T = _centred(inverse(tips[arm]) @ poses[held.name], planned)
-                laws[arm].held = InHand(held.name, T, planned, item.touches_m)
+        if segment.scene is None:
+            return
+        for attached in segment.scene.attached:
+            arm = self.world.robot.tcp_names.index(attached.link)
+            law = laws[arm]
+            if law.held.name != attached.name:
+                planned = attached.shape.T_parent_shape
+                sensed = inverse(tips[arm]) @ self._poses[attached.name]
+                touches_m = self.task.objects[attached.name].touches_m
+                law.held = InHand(attached.name, _centred(sensed, planned), planned, touches_m)
 
 
 def _centred(T_tcp_object: Array, planned: Array) -> Array:
-    """Return the pose after fingers, closing along y, have centred the object and turned it along them."""
-    turned = pin.log3(T_tcp_object[:3, :3] @ planned[:3, :3].T) * [0.0, 1.0, 0.0]
+    """Return the pose after fingers, closing along y, have centred and turned the object.
+
+    Args:
+        T_tcp_object: (4, 4), sensed.
+        planned: (4, 4), in the plan.
+    """
+    turn = pin.log3(T_tcp_object[:3, :3] @ planned[:3, :3].T) * [0.0, 1.0, 0.0]
     x, _, z = T_tcp_object[:3, 3]
-    return pose(pin.exp3(turned) @ planned[:3, :3], (x, planned[1, 3], z))
+    return pose(pin.exp3(turn) @ planned[:3, :3], (x, planned[1, 3], z))

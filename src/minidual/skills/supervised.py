@@ -17,71 +17,96 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, pose
 
 _WITHIN_M = 0.15
+"""Distances of the arms beyond this are not computed."""
 _NEAR_M = 0.02
+"""Clearances beyond this are not computed."""
 _APART_M = 0.005
 _FINGERS_TO_TABLE_M = -0.006
 _HELD_TO_TABLE_M = -0.008
 """Least distances where a stop ends: fingers grasp 1 mm above the table."""
+_AWAY_M = 100.0
+"""Height of a shape that no hand holds."""
 
 
 @cache
 def arm_distance(robot: Robot) -> Callable[[Array], tuple[str, float]]:
-    """Return posture (n,) -> nearest parts of different arms ("left part with right part", [m]), cheap at 100 Hz.
+    """Return a function from a posture (n,) to the nearest parts of different arms.
 
-    It says ("none", 0.15) beyond 150 mm.
+    It returns ("left part with right part", distance [m]), or ("none", 0.15) beyond 150 mm, and is
+    cheap at 100 Hz.
     """
     left, right = (f"{side}_" for side in robot.sides)
-    ordered = (sorted(pair) for pair in PlanningScene(robot=robot).checked_pairs)
-    across = tuple((a, b) for a, b in ordered if a.startswith(left) and b.startswith(right))
-    engine = MujocoEngine(Pairs(robot, across))
+    across: list[tuple[str, str]] = []
+    for pair in PlanningScene(robot=robot).checked_pairs:
+        first, second = sorted(pair)
+        if first.startswith(left) and second.startswith(right):
+            across.append((first, second))
+    engine = MujocoEngine(Pairs(robot, tuple(across)))
     anywhere = np.zeros([engine.model.nbody] * 2)
-    return lambda q: engine.nearest(q, _WITHIN_M, anywhere)[:2]
+
+    def distance(q: Array) -> tuple[str, float]:
+        pair, distance_m, *_ = engine.nearest(q, _WITHIN_M, anywhere)
+        return pair, distance_m
+
+    return distance
+
+
+def _in_hand(shape: Shape, side: str) -> str:
+    """Return the name of a hand's copy of a shape."""
+    return f"{shape.name} in the {side} hand"
 
 
 @cache
 def _engine(robot: Robot, shapes: tuple[Shape, ...]) -> MujocoEngine:
+    """Return an engine of the arms, the table and one shape a hand."""
     hands = tuple(link for side in robot.sides for link in robot.hand_links(side))
-    held = [
-        replace(shape, name=_in_hand(shape, side))
-        for shape, side in zip(shapes, robot.sides, strict=False)
-    ]
-    attached = [
-        Attached(copy, tcp, hands) for copy, tcp in zip(held, robot.tcp_names, strict=False)
-    ]
+    attached: list[Attached] = []
+    for shape, side, tcp in zip(shapes, robot.sides, robot.tcp_names, strict=False):
+        held = replace(shape, name=_in_hand(shape, side))
+        attached.append(Attached(held, tcp, hands))
     scene = PlanningScene(robot=robot, attached=tuple(attached))
     if len({shape.name for shape in shapes}) > 1:
-        scene = scene.allowing(held[0].name, held[1].name, "they are put together")
+        first, second = (held.name for held in attached)
+        scene = scene.allowing(first, second, "they are put together")
     return MujocoEngine(scene)
 
 
-def _in_hand(shape: Shape, side: str) -> str:
-    return f"{shape.name} in the {side} hand"
-
-
 class SceneClearance:
-    """See `Clearance`: arms, table, and what the hands hold: one shape for both, or one each."""
+    """See `Clearance`: arms, table, and what the hands hold.
+
+    Args:
+        robot: Arms.
+        shapes: One shape for both hands, or one each.
+    """
 
     def __init__(self, robot: Robot, *shapes: Shape) -> None:
-        shapes = shapes * len(robot.sides) if len(shapes) == 1 else shapes
+        if len(shapes) == 1:
+            shapes = shapes * len(robot.sides)
         self._engine = deepcopy(_engine(robot, shapes))
         self._held = [
             _in_hand(shape, side) for shape, side in zip(shapes, robot.sides, strict=False)
         ]
-        body = self._engine.body_names.index
-        fingers = [body(link) for side in robot.sides for link in robot.hand_links(side)[1:]]
-        held = [body(name) for name in self._held]
-        table = body("table")
-        self._least_m = least_m = np.full([self._engine.model.nbody] * 2, _APART_M)
-        least_m[held, :] = least_m[:, held] = 0.0
-        least_m[fingers, table] = least_m[table, fingers] = _FINGERS_TO_TABLE_M
-        least_m[held, table] = least_m[table, held] = _HELD_TO_TABLE_M
-        lowered_m = least_m.copy()
+        index_of = self._engine.body_names.index
+        fingers = [index_of(link) for side in robot.sides for link in robot.hand_links(side)[1:]]
+        held = [index_of(name) for name in self._held]
+        table = index_of("table")
+        self._usual_m = self._least_distances(fingers, held, table)
+        self._lowered_m = self._usual_m.copy()
         at_table = [*fingers, *held]
-        lowered_m[at_table, table] = -math.inf
-        lowered_m[table, at_table] = -math.inf
-        self._usual_m = least_m
-        self._lowered_m = lowered_m
+        self._lowered_m[at_table, table] = -math.inf
+        self._lowered_m[table, at_table] = -math.inf
         self.hold(None)
+
+    def _least_distances(self, fingers: list[int], held: list[int], table: int) -> Array:
+        """Return the least distance [m] of each pair of bodies where a stop ends."""
+        least_m = np.full([self._engine.model.nbody] * 2, _APART_M)
+        least_m[held, :] = 0.0
+        least_m[:, held] = 0.0
+        least_m[fingers, table] = _FINGERS_TO_TABLE_M
+        least_m[table, fingers] = _FINGERS_TO_TABLE_M
+        least_m[held, table] = _HELD_TO_TABLE_M
+        least_m[table, held] = _HELD_TO_TABLE_M
+        return least_m
 
     def lower(self) -> None:
         """See `Clearance`."""
@@ -91,12 +116,13 @@ class SceneClearance:
         """See `Clearance`."""
         self._least_m = self._usual_m
         for index, name in enumerate(self._held):
-            away = pose(np.eye(3), (0.0, 0.0, 100.0 * (1 + index)))
-            if arm in (None, index):
-                self._engine.place(
-                    name,
-                    away if arm is None or T_tcp_shape is None else T_tcp_shape,
-                )
+            if arm is not None and arm != index:
+                continue
+            if arm is None or T_tcp_shape is None:
+                away_m = (0.0, 0.0, _AWAY_M * (1 + index))
+                self._engine.place(name, pose(np.eye(3), away_m))
+            else:
+                self._engine.place(name, T_tcp_shape)
 
     def __call__(self, q: Array) -> tuple[str, float, float]:
         """See `Clearance`; "none" beyond 20 mm."""
@@ -111,11 +137,11 @@ def trial_supervisor(
     shapes: Sequence[Shape] = (),
 ) -> Supervisor:
     """Return a supervisor that also watches distances, with objects as in `SceneClearance`."""
-    distances = {"self_distance": arm_distance(robot), "clearance": SceneClearance(robot, *shapes)}
     return Supervisor(
         config,
         dt_s=dt_s,
         kinematics=Kinematics(robot),
         on_reflex=on_reflex,
-        **distances,
+        self_distance=arm_distance(robot),
+        clearance=SceneClearance(robot, *shapes),
     )

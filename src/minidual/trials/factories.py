@@ -17,12 +17,12 @@ from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot, load_runtime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, robot_from
-from minidual.skills.cycle import thing_of
 from minidual.skills.impedance_carry import ImpedanceCarry
-from minidual.skills.phases import OPEN, still
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.states import OPEN, still
 from minidual.skills.supervised import trial_supervisor
+from minidual.skills.things import thing_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Task, Trial, pose_of
 from minidual.trials.methods import Factory, MethodInputs

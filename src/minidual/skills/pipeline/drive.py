@@ -4,35 +4,45 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from minidual.control.commands import TrajectoryCommand
+from minidual.control.commands import Refusal, TrajectoryCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.robot.pair import SIDES
 from minidual.skills.faults import Fault
-from minidual.skills.phases import Segment
+from minidual.skills.states import Segment
 
 SOURCE = "moveit"
 """Arbiter source of pre-planned motions."""
-_FEEL_S = 1.0  # longest wait for a grip
+_FEEL_S = 1.0
+"""Longest wait for a grip."""
 
 
 class Drive:
     """Proposes each segment when the last has ended; call `step` until `done`.
 
-    The arms must be at the first start. A hand opens in the air only when the other one feels the object. `aborted` says
-    why it stopped early.
+    The arms must be at the first start. A hand opens in the air only when the other one feels the
+    object.
+
+    Attributes:
+        stack: Drives the arms.
+        aborted: Why it stopped early, or None.
     """
 
     def __init__(self, stack: ControlStack, segments: Sequence[Segment]) -> None:
         self.stack = stack
+        self._begin(segments)
+
+    def _begin(self, segments: Sequence[Segment]) -> None:
+        """Drive these segments from now on."""
         self.aborted: str | None = None
         self._left = list(segments)
         self._proposed = 0
-        self._refused_n = stack.refused_n
-        self._began_s = self._ended_s = 0.0
+        self._refused_n = self.stack.refused_n
+        self._began_s = 0.0
+        self._ended_s = 0.0
         self._under_way = False
         if self._left:
-            stack.request(SOURCE)
+            self.stack.request(SOURCE)
 
     @property
     def phase(self) -> str:
@@ -63,63 +73,73 @@ class Drive:
             stack.step()
         except ReflexError as error:
             self._stopped(error)
-        if (
-            self._left
-            and stack.source != SOURCE
-            and (self._proposed or not stack.arbiter.switching)
-        ):
-            self._abort(
-                "the arms were taken over" if self._proposed else "the arms were not handed over",
-            )
+        self._check_source()
+
+    def _check_source(self) -> None:
+        """Abort if another source drives, or the arms were not handed over."""
+        if not self._left or self.stack.source == SOURCE:
+            return
+        if self._proposed:
+            self._abort("the arms were taken over")
+        elif not self.stack.arbiter.switching:
+            self._abort("the arms were not handed over")
 
     def _propose_next(self) -> None:
-        refused = next(
-            (r for r in self.stack.refused_since(self._refused_n) if r.source == SOURCE),
-            None,
-        )
-        if refused is None:
+        """Propose the next segment, once its hands feel the object."""
+        refusal = self._own_refusal()
+        if refusal is None:
             if self._under_way:
                 self._left.pop(0)
                 self._under_way = False
                 self._ended_s = self.stack.plant.time
-            if not self._left or not self._felt(self._left[0]):
+            if not self._left or not self._is_felt(self._left[0]):
                 return
-            self._under_way = True
-            segment = self._left[0]
-            self._proposed += 1
-            self._began_s = self.stack.plant.time
-            self._tell_held(segment)
-            self._take_control(segment)
-            command = TrajectoryCommand(
-                segment.trajectory,
-                np.array(segment.openings),
-                self._began_s,
-                self._proposed,
-            )
-            refused = self.stack.propose(SOURCE, command)
-        if refused is not None:
-            self._abort(f"{refused.name}: {refused.detail}")
+            refusal = self._propose(self._left[0])
+        if refusal is not None:
+            self._abort(f"{refusal.name}: {refusal.detail}")
 
-    def _felt(self, segment: Segment) -> bool:
-        """Return whether the keeping hands feel the object; too long without is a fault."""
+    def _own_refusal(self) -> Refusal | None:
+        """Return the first refusal of this source."""
+        for refusal in self.stack.refused_since(self._refused_n):
+            if refusal.source == SOURCE:
+                return refusal
+        return None
+
+    def _propose(self, segment: Segment) -> Refusal | None:
+        self._under_way = True
+        self._proposed += 1
+        self._began_s = self.stack.plant.time
+        self._tell_held(segment)
+        self._take_control(segment)
+        command = TrajectoryCommand(
+            segment.trajectory,
+            np.array(segment.openings),
+            self._began_s,
+            self._proposed,
+        )
+        return self.stack.propose(SOURCE, command)
+
+    def _is_felt(self, segment: Segment) -> bool:
+        """Return whether the keeping hands feel the object; if not for too long, abort."""
         unfelt = [hand for hand in segment.kept_by if not self.stack.holds(SIDES.index(hand))]
+        if not unfelt:
+            return True
         now_s = self.stack.plant.time
-        if unfelt and now_s - self._ended_s > _FEEL_S:
+        if now_s - self._ended_s > _FEEL_S:
             detail = f"the {unfelt[0]} hand feels no grip after {_FEEL_S} s"
             self.aborted = Fault("missed_grasp", detail, now_s).text
             self._left = []
-        return not unfelt
+        return False
 
     def _tell_held(self, segment: Segment) -> None:
+        """Tell the supervisor what the hands hold in a segment."""
         supervisor = self.stack.supervisor
         if segment.scene is None:
             return
         supervisor.hold(None)
-        for held in segment.scene.attached:
-            supervisor.hold(
-                segment.scene.robot.tcp_names.index(held.link),
-                held.shape.T_parent_shape,
-            )
+        for attached in segment.scene.attached:
+            arm = segment.scene.robot.tcp_names.index(attached.link)
+            supervisor.hold(arm, attached.shape.T_parent_shape)
 
     def _take_control(self, segment: Segment) -> None:
         """Choose the controllers of a segment."""

@@ -6,98 +6,37 @@ import heapq
 import itertools
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from minidual.collision.errors import PlanningError
 from minidual.errors import UsageError
-from minidual.skills.phases import Segment, State
+from minidual.skills.pipeline.record import Record, StageRecord
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Stage, Tools
-
-_WIDTH = 220
-
-
-@dataclass
-class StageRecord:
-    """Counts of one stage; `failures` holds the messages by reason."""
-
-    name: str
-    solved_n: int = 0
-    failures: dict[str, list[str]] = field(default_factory=dict)
-    chosen: str | None = None
-
-    @property
-    def failed_n(self) -> int:
-        """Number of failed candidates."""
-        return sum(map(len, self.failures.values()))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data; reasons with count and first message, most frequent first."""
-        reasons = [
-            {"reason": reason, "count": len(m), "first": m[0]}
-            for reason, m in self.failures.items()
-        ]
-        reasons.sort(key=lambda entry: -entry["count"])
-        counts = {"tried_n": self.solved_n + self.failed_n, "solved_n": self.solved_n}
-        return {"stage": self.name, **counts, "chosen": self.chosen, "failures": reasons}
-
-
-@dataclass
-class Record:
-    """Record of a search; `ended` says why it found nothing."""
-
-    stages: list[StageRecord]
-    took_s: float = 0.0
-    ended: str = ""
-
-    def deepest(self) -> StageRecord | None:
-        """Return the stage without success that has most failures."""
-        return max(
-            (s for s in self.stages if s.failures and not s.solved_n),
-            key=lambda s: s.failed_n,
-            default=None,
-        )
-
-    def tree(self, title: str) -> str:
-        """Return a text tree."""
-        lines = [f"{title}: {self.ended or 'solved'} ({self.took_s:.2f} s)"]
-        for stage in self.stages:
-            branch, below = ("└─", "   ") if stage is self.stages[-1] else ("├─", "│  ")
-            chosen = f"  -> {stage.chosen}" if stage.chosen else ""
-            row = stage.to_json()
-            counts = f"{stage.solved_n} of {row['tried_n']}" if row["tried_n"] else "not reached"
-            lines.append(f"{branch} {stage.name:14s} {counts}{chosen}")
-            for entry in row["failures"]:
-                text = f"{entry['count']} x {entry['reason']}: {entry['first']}"
-                lines.append(
-                    f"{below}    {text if len(text) <= _WIDTH else text[: _WIDTH - 3] + '...'}",
-                )
-        return "\n".join(lines)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON data."""
-        return {
-            "took_s": self.took_s,
-            "ended": self.ended,
-            "stages": [stage.to_json() for stage in self.stages],
-        }
+from minidual.skills.states import Segment, State
 
 
 class TaskFailedError(PlanningError, reason="task_failed"):
-    """No way through all stages."""
+    """No way through all stages.
+
+    Attributes:
+        record: Of the search.
+        summary: One line: the blocking stage and its messages.
+    """
 
     def __init__(self, name: str, record: Record) -> None:
         blocking = record.deepest()
-        where = "no stage stops it alone" if blocking is None else f"'{blocking.name}' stops it"
-        what = f"the task '{name}' failed; {where}\n{record.tree(name)}"
+        if blocking is None:
+            where = "no stage stops it alone"
+            self.summary = where
+        else:
+            where = f"'{blocking.name}' stops it"
+            first_messages = [messages[0] for messages in blocking.failures.values()]
+            self.summary = f"{where}: {'; '.join(first_messages)}"
         super().__init__(
-            what,
+            f"the task '{name}' failed; {where}\n{record.tree(name)}",
             remedy="offer more grasps or places, make room in the scene, or move start or goal",
         )
         self.record = record
-        messages = [] if blocking is None else ["; ".join(m[0] for m in blocking.failures.values())]
-        self.summary = ": ".join([where, *messages])
-        """One line: the blocking stage and its messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +44,11 @@ class Solution:
     """A plan through all stages.
 
     Attributes:
-        pipeline, tools: Of the search.
+        pipeline: Of the search.
+        tools: Of the search.
         parts: Segments of each stage.
         states: Start, then each stage's end.
+        record: Of the search.
     """
 
     pipeline: Pipeline
@@ -136,6 +77,26 @@ class _Node:
     offers: Iterator[Offer]
 
 
+class _Frontier:
+    """Nodes, cheapest first; a stage further is worth `keenness` of cost."""
+
+    def __init__(self, keenness: float) -> None:
+        self._keenness = keenness
+        self._tickets = itertools.count()
+        self._heap: list[tuple[float, int, int, _Node]] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._heap)
+
+    def push(self, node: _Node) -> None:
+        depth = len(node.done)
+        order = (node.cost - self._keenness * depth, -depth, next(self._tickets))
+        heapq.heappush(self._heap, (*order, node))
+
+    def pop(self) -> _Node:
+        return heapq.heappop(self._heap)[-1]
+
+
 class Pipeline:
     """Stages in time order; a stage further is worth `keenness` of cost.
 
@@ -147,10 +108,12 @@ class Pipeline:
         self.name = name
         self.stages = tuple(stages)
         self.keenness = keenness
-        if not (names := [stage.name for stage in stages]):
+        names = [stage.name for stage in stages]
+        if not names:
             raise UsageError(f"the task '{name}' has no stage")
-        if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise UsageError(f"the task '{name}' has two stages called '{twice[0]}'")
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise UsageError(f"the task '{name}' has two stages called '{repeated[0]}'")
 
     def solve(
         self,
@@ -166,51 +129,60 @@ class Pipeline:
             TaskFailedError: All candidates failed, or a limit was reached.
         """
         record = Record([StageRecord(stage.name) for stage in self.stages])
-        began = time.perf_counter()
-        ticket = itertools.count()
+        began_s = time.perf_counter()
         tries = 0
-        heap: list[tuple[float, int, int, _Node]] = []
-
-        def push(node: _Node) -> None:
-            depth = len(node.done)
-            heapq.heappush(heap, (node.cost - self.keenness * depth, -depth, next(ticket), node))
-
-        push(_Node((), 0.0, self.stages[0].offers(start, tools)))
-        while heap:
-            record.took_s = time.perf_counter() - began
+        frontier = _Frontier(self.keenness)
+        frontier.push(_Node((), 0.0, self.stages[0].offers(start, tools)))
+        while frontier:
+            record.took_s = time.perf_counter() - began_s
             if record.took_s > budget_s or tries >= tries_max:
                 record.ended = f"gave up after {tries} candidates and {record.took_s:.1f} s"
                 break
-            node = heapq.heappop(heap)[-1]
-            stage = record.stages[len(node.done)]
-            try:
-                offer = next(node.offers, None)
-                if isinstance(offer, Candidate) and tools.gap is not None:
-                    tools.gap.check(offer.segments)
-            except PlanningError as error:
-                offer = CandidateError(error.reason, error.message)
+            node = frontier.pop()
+            offer = _next_offer(node, tools)
             if offer is None:
                 continue
             tries += 1
+            stage_record = record.stages[len(node.done)]
             if isinstance(offer, CandidateError):
-                stage.failures.setdefault(offer.reason, []).append(offer.message)
-                push(node)
+                stage_record.add_failure(offer.reason, offer.message)
+                frontier.push(node)
                 continue
-            stage.solved_n += 1
+            stage_record.solved_n += 1
             done = (*node.done, offer)
-            total = sum(candidate.cost for candidate in done)
-            node.cost = max(node.cost, total)  # later offers of a stage are assumed to cost no less
-            push(node)
+            cost = sum(candidate.cost for candidate in done)
+            node.cost = max(node.cost, cost)  # later offers of a stage are assumed to cost no less
+            frontier.push(node)
             if len(done) == len(self.stages):
-                record.took_s = time.perf_counter() - began
-                for found, candidate in zip(record.stages, done, strict=True):
-                    found.chosen = candidate.label
-                parts, states = zip(
-                    *((candidate.segments, candidate.end) for candidate in done),
-                    strict=True,
-                )
-                return Solution(self, tools, parts, (start, *states), record)
-            push(_Node(done, total, self.stages[len(done)].offers(offer.end, tools)))
-        record.took_s = time.perf_counter() - began
-        record.ended = record.ended or "no way through"
+                record.took_s = time.perf_counter() - began_s
+                return self._solution(start, tools, done, record)
+            next_stage = self.stages[len(done)]
+            frontier.push(_Node(done, cost, next_stage.offers(offer.end, tools)))
+        record.took_s = time.perf_counter() - began_s
+        if not record.ended:
+            record.ended = "no way through"
         raise TaskFailedError(self.name, record)
+
+    def _solution(
+        self,
+        start: State,
+        tools: Tools,
+        done: Sequence[Candidate],
+        record: Record,
+    ) -> Solution:
+        for stage_record, candidate in zip(record.stages, done, strict=True):
+            stage_record.chosen = candidate.label
+        parts = tuple(candidate.segments for candidate in done)
+        ends = [candidate.end for candidate in done]
+        return Solution(self, tools, parts, (start, *ends), record)
+
+
+def _next_offer(node: _Node, tools: Tools) -> Offer | None:
+    """Return the next offer of a node, None after the last; a planner's error is a failure."""
+    try:
+        offer = next(node.offers, None)
+        if isinstance(offer, Candidate) and tools.gap is not None:
+            tools.gap.check(offer.segments)
+    except PlanningError as error:
+        return CandidateError(error.reason, error.message)
+    return offer

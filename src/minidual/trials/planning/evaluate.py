@@ -16,8 +16,8 @@ from minidual.proof.scene_engines import Audit
 from minidual.robot.kinematics import path_length
 from minidual.robot.pair import robot_from
 from minidual.skills.cycle import solve
-from minidual.skills.phases import State
 from minidual.skills.pipeline.search import TaskFailedError
+from minidual.skills.states import State
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import pose_of
 from minidual.trials.planning.queries import Query, polyline_states, query_source

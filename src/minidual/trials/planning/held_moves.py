@@ -27,7 +27,7 @@ from minidual.motion.held.space import HeldSpace
 from minidual.motion.search import EdgeChecker
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.pair import DUAL_PANDA, SIDES, Array, Robot, pose, rot_x, rot_z
-from minidual.skills.cycle import thing_of
+from minidual.skills.things import thing_of
 from minidual.tasks.task import grasp_offsets
 from minidual.trials.planning.queries import random_obstacles
 
