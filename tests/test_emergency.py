@@ -1,4 +1,7 @@
-"""The emergency stop is pressed by a command, a signal, a button and a key; nothing moves before a new command."""
+"""The emergency stop: pressed by a command, a signal, a button or a key.
+
+Nothing moves again before a new command.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +42,7 @@ from minidual.show.view import make_view
 from minidual.show.view.web import WebView
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.workers import in_workers
-from tests.show.test_view_guard import CAMERA
-from tests.support.browser import unused_port
+from tests.support.browser import CAMERA, unused_port
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import DOF, HOME
@@ -104,10 +106,8 @@ def test_stop_says_when_nothing_runs(tmp_path: Path, capsys: pytest.CaptureFixtu
     for words in ((), ("ended",), ("never",)):
         assert _stop(tmp_path, *words) == ExitCode.USAGE
         said = capsys.readouterr().err
-        assert (
-            f"nothing to stop: no command is working in {f'run {words[0]!r} of' if words else 'the runs in'}"
-            in said
-        )
+        place = f"run '{words[0]}' of" if words else "the runs in"
+        assert f"nothing to stop: no command is working in {place}" in said
         assert "Traceback" not in said
 
 
@@ -117,8 +117,9 @@ def test_stop_stops_no_other_run_than_the_one_that_is_meant(
     capsys: pytest.CaptureFixture[str],
     words_that_stop: tuple[str, ...],
 ) -> None:
-    """Before, `--profile` was ignored and every run was stopped; a misspelt name did not say what was working."""
-    (folder := tmp_path / "busy").mkdir()
+    """A profile or a run names one run; a misspelt name says which runs are working."""
+    folder = tmp_path / "busy"
+    folder.mkdir()
     (tmp_path / "damaged" / ".lock").mkdir(parents=True)  # it keeps nothing else from being stopped
     with subprocess.Popen(
         [sys.executable, "-c", WORKING, str(folder)],
@@ -138,7 +139,8 @@ def test_stop_stops_no_other_run_than_the_one_that_is_meant(
             assert said in capsys.readouterr().err
         assert process.poll() is None
         assert _stop(tmp_path, *words_that_stop) == ExitCode.PASS
-        assert "emergency stop sent to process" in (out := capsys.readouterr().out)
+        out = capsys.readouterr().out
+        assert "emergency stop sent to process" in out
         assert "--runs-dir" not in out, "what another process was told is not rewritten"
         process.wait(60)
     assert _stop(tmp_path / "nowhere") == ExitCode.USAGE
@@ -188,7 +190,7 @@ def _under_way(scene: SceneConfig) -> tuple[ArmsPlant, ControlStack]:
 
 @pytest.mark.parametrize("how", ["stop", "overwritten", "process"])
 def test_a_press_that_gives_no_reason_is_a_press(scene: SceneConfig, how: str) -> None:
-    """Before, an empty reason counted as none, and took an earlier one back."""
+    """An empty reason takes no earlier one back."""
     plant, stack = _under_way(scene)
     assert stack.supervisor is not None
     if how == "process":
@@ -208,7 +210,6 @@ def test_a_press_that_gives_no_reason_is_a_press(scene: SceneConfig, how: str) -
 
 
 def test_a_second_press_outlives_the_recovery_from_the_first(scene: SceneConfig) -> None:
-    """Before, `recover()` took it back, and a source moved the arms."""
     _, stack = _under_way(scene)
     assert stack.supervisor is not None
     stack.supervisor.estop("first")
@@ -268,21 +269,22 @@ def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(
     keys, screen = pty.openpty()
     leader = KeyboardLeader(Kinematics(), descriptor=screen)
     leader.realtime = False  # type: ignore[misc]
-    os.write(
-        keys,
-        b"\x1b[A\x1bOD\x1b[1;5C\x1b[F\x1b[3~",
-    )  # arrows and the like are neither escape nor the letters they end with
+    # Arrows and the like are neither escape nor the letters they end with.
+    os.write(keys, b"\x1b[A\x1bOD\x1b[1;5C\x1b[F\x1b[3~")
     leader.read(0.0)
     assert emergency.pressed() == ""
     assert not leader._goal.any()
     supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics())
     stack = ControlStack(world, Kinematics(), supervisor=supervisor)
     session = TeleopSession(stack, TeleopConfig())
-    seen = []
+    speeds_rad_s: list[float] = []
 
     def press(tick: object) -> None:
-        seen.append(float(np.abs(world.v).max()))
-        os.write(keys, key.encode() if len(seen) == 41 else b"wwr" if len(seen) <= 40 else b"")
+        speeds_rad_s.append(float(np.abs(world.v).max()))
+        if len(speeds_rad_s) <= 40:
+            os.write(keys, b"wwr")
+        elif len(speeds_rad_s) == 41:
+            os.write(keys, key.encode())
 
     try:
         trial = sample_trial(world.scene, 7, "demonstrations", 0)
@@ -294,8 +296,8 @@ def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(
     assert result.ended_by == "reflex"
     assert "emergency_stop" in result.reason
     assert "key of the keyboard leader" in result.reason
-    assert len(seen) in (41, 42)
-    assert seen[40] > 0.05, "the arms did not move"
+    assert len(speeds_rad_s) in (41, 42)
+    assert speeds_rad_s[40] > 0.05, "the arms did not move"
     assert np.abs(world.v).max() < 0.05
     assert len(world.q) == DOF
 
@@ -304,25 +306,13 @@ def test_a_key_ends_an_episode_of_the_keyboard_leader_with_arms_at_rest(
 def test_a_real_carry_ends_with_its_arms_at_rest_and_is_marked_as_interrupted(
     tmp_path: Path,
 ) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "minidual.cli",
-        "carry",
-        "--profile",
-        "smoke",
-        "--trials",
-        "20",
-        "--workers",
-        "2",
-    ]
-    command += ["--waive-gate", "test", "--runs-dir", str(tmp_path)]
+    words = "carry --profile smoke --trials 20 --workers 2 --waive-gate test --runs-dir"
+    command = [sys.executable, "-m", "minidual.cli", *words.split(), str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         lines = iter(process.stderr.readline, "")
-        assert any(
-            re.match(r"carries: \d+/20, .* left", line) for line in lines
-        )  # one line in ten seconds
+        # There is one line in ten seconds.
+        assert any(re.match(r"carries: \d+/20, .* left", line) for line in lines)
         assert _stop(tmp_path, "smoke") == ExitCode.PASS
         _, said = process.communicate(timeout=60)
     assert process.returncode == ExitCode.INTERRUPTED
@@ -345,9 +335,15 @@ def _until(condition: Any, limit_s: float = 30.0) -> None:
 
 
 def test_a_command_that_is_paused_and_goes_on_is_not_stopped() -> None:
-    """Ctrl-Z and fg: before, CPython's sigtimedwait returned another signal then, and the arms stopped."""
-    script = "import sys, time; from minidual import emergency as e; e.listen(); print('on', flush=True); "
-    script += "time.sleep(1.2); print(repr(e.pressed()))"
+    """Ctrl-Z and fg: CPython's sigtimedwait returns another signal then."""
+    script = (
+        "import sys, time\n"
+        "from minidual import emergency\n"
+        "emergency.listen()\n"
+        "print('on', flush=True)\n"
+        "time.sleep(1.2)\n"
+        "print(repr(emergency.pressed()))\n"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", script],
         stdout=subprocess.PIPE,

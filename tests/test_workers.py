@@ -40,7 +40,7 @@ def _grown(item: int) -> int:
 
 
 def test_a_worker_that_imports_much_is_not_replaced(recwarn: pytest.WarningsRecorder) -> None:
-    """Before, a run with a policy replaced its workers on the way, and printed a warning of joblib."""
+    """joblib replaces a worker that grows by 300 MB, as the first policy does, and warns."""
     pids = set(in_workers(_grown, range(8), 2))
     assert len(pids) == 2
     assert not [w for w in recwarn if "A worker stopped" in str(w.message)]
@@ -145,7 +145,7 @@ list(in_workers(print, [Heavy(), Heavy()], 2))
 
 
 def test_workers_that_still_import_end_with_their_starter_too(tmp_path: Path) -> None:
-    """Before, they looked for their starter from their first item on."""
+    """They look for their starter from their begin on, not from their first item on."""
     with subprocess.Popen([sys.executable, "-c", SLOW_TO_BEGIN, str(tmp_path)]) as starter:
         _until((tmp_path / "begun").exists, 30.0)
         _until(lambda: len(psutil.Process(starter.pid).children(recursive=True)) >= 3, 30.0)

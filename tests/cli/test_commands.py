@@ -1,4 +1,4 @@
-"""The command line: exit codes, what goes to stdout and what to stderr, and the words people get."""
+"""The command line: exit codes, what goes to stdout and stderr, and the messages."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def test_interrupt_exits_130_with_one_line(cli):
     [ValueError("Error building a serializer"), DataError("pot.xml is truncated")],
 )
 def test_interrupt_that_a_stage_turns_into_an_error_of_its_own_exits_130(cli, monkeypatch, made):
-    """Before, exit 70 and "please report it", or exit 2."""
+    """Whatever the stage raises in place of KeyboardInterrupt, it is an interrupt."""
     monkeypatch.setattr(interrupt, "raised", False)
 
     def greedy(context):
@@ -266,7 +266,7 @@ def test_interrupt_that_a_stage_turns_into_an_error_of_its_own_exits_130(cli, mo
     ],
 )
 def test_commands_of_a_remedy_act_on_the_run_that_failed(cli, remedy, said):
-    """Before, they acted on run `standard`."""
+    """Without the typed options a printed command would act on run `standard`."""
     flags = f" --run xarm --runs-dir {shlex.quote(str(cli.bench.root))} --set seed=4"
 
     def fail(context):
@@ -332,7 +332,7 @@ def test_a_waiver_without_a_reason_opens_no_gate(cli, reason):
 
 
 def test_the_next_command_after_an_interruption_has_its_options(cli):
-    """Before, typed as printed, it set the interrupted recording aside and began another."""
+    """Without them it would set the interrupted recording aside and begin another."""
 
     def interrupt(context):
         raise KeyboardInterrupt

@@ -1,4 +1,7 @@
-"""A command never replaces finished work silently: other options go to a run of their own, or need --yes."""
+"""A command never replaces finished work silently.
+
+Other options go to a run of their own, or need --yes.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +32,12 @@ ROOT = Path(__file__).parents[2]
 
 def contents(folder: Path) -> dict[str, str]:
     """Hash every file of a run, but for the configuration of the latest command and the lock."""
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.relative_to(folder).as_posix() not in ("config.yaml", ".lock")
-    }
+    hashes: dict[str, str] = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in ("config.yaml", ".lock"):
+            hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashes
 
 
 class Toys:
@@ -42,7 +46,8 @@ class Toys:
     def __init__(self, root, capsys) -> None:
         self.bench = Bench(root / "runs")
         self._capsys = capsys
-        self.before = self("run")[2] and contents(self.folder("toys"))
+        self("run")
+        self.before = contents(self.folder("toys"))
 
     def __call__(self, *words: str) -> tuple[int, str, str]:
         run = [] if "--run" in words else ["--run", "toys"]
@@ -82,7 +87,6 @@ def refuses(config):
 
 
 def test_a_misspelt_setting_begins_no_run(tmp_path, capsys):
-    """Before, `--methods moveit,foo` left a run folder and two lines that were not true."""
     toys = Toys(tmp_path, capsys)
     first, *others = toys.bench.table.values()
     toys.bench.table = StageTable(
@@ -225,7 +229,7 @@ def test_what_does_not_change_the_result_replaces_nothing_and_stays(toys):
 
 
 def test_changes_on_purpose_run_again_in_place(toys, tmp_path):
-    """A profile file that was edited, an artefact that was lost, --force: nothing else was typed."""
+    """An edited profile file, a lost artefact or --force: no other options were typed."""
     mine = tmp_path / "mine.yaml"
     mine.write_text("extends: standard\nplan: {queries_n: 50}\n")
     assert toys("run", "--run", "mine", "--profile", str(mine))[0] == 0
@@ -294,7 +298,10 @@ def documented() -> list[str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A fabricated finished run of the standard profile: toys under the real names, options and parameters."""
+    """A fabricated finished run of the standard profile.
+
+    Toys stand under the real names, options and parameters.
+    """
     root = tmp_path_factory.mktemp("finished")
     table = StageTable(
         [
@@ -360,7 +367,7 @@ def test_glass_has_its_own_run_with_what_stands_before_it(finished, capsys):
 
 
 def test_one_tool_runs_twice_at_a_time_in_two_runs_alone(tmp_path: Path, capsys) -> None:
-    """Before, two of them in one run mixed their films, and one deleted the other's work."""
+    """Two of them in one run would mix their films."""
     runs = ["--runs-dir", str(tmp_path), "--profile", "smoke", "--run"]
     with run_lock(tmp_path / "busy", "minidual modes", ".modes.lock"):
         assert run_command_line(["modes", *runs, "busy"], STAGES, TOOLS) == 2

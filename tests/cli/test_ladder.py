@@ -1,4 +1,7 @@
-"""The debug ladder: `minidual explain` points at the lowest stage that does not pass, whatever fails above it."""
+"""The debug ladder: `minidual explain` points at the lowest stage that does not pass.
+
+It does so whatever fails above that stage.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ CHECKS = {
     "train-act": ["loss_ratio"],
     "deploy": ["success_low"],
 }
-"""A few real names of each stage; all observed as 1.0 against >= 1.0 until a test says otherwise."""
+"""A few real checks of each stage; all observe 1.0 against >= 1.0 unless a test changes them."""
 
 
 class Pipeline:

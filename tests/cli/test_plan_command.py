@@ -1,4 +1,4 @@
-"""`minidual plan --to` and `--acm`: one motion, ungated; right exit codes, whole files, no verdict."""
+"""`minidual plan --to` and `--acm`: one motion without a gate, whole files, no verdict."""
 
 import csv
 import errno
@@ -115,7 +115,10 @@ def test_what_is_typed_wrongly_ends_with_2(run, words, says):
 
 
 def test_files_that_cannot_be_written_are_refused(run, tmp_path, monkeypatch):
-    """Before anything is planned where that can be seen; a disk that fills up afterwards ends with exit code 4."""
+    """A wrong path is refused before anything is planned.
+
+    A disk that fills up afterwards ends with exit code 4.
+    """
     folder = tmp_path / "folder.json"
     folder.mkdir()
     code, out, err = run("--to", "ready", "--out", folder)
@@ -163,7 +166,8 @@ def test_bad_queries_end_with_2_and_no_way_with_1(run, tmp_path):
     assert "of the way" in document["message"]
     wall = tmp_path / "wall.yaml"
     wall.write_text(
-        "obstacles:\n  - {name: wall, shape: box, position_m: [0.5, 0.25, 0.5], size_m: [0.02, 1.0, 1.0]}\n",
+        "obstacles:\n"
+        "  - {name: wall, shape: box, position_m: [0.5, 0.25, 0.5], size_m: [0.02, 1.0, 1.0]}\n",
     )
     code, _, err = run("--scene", wall, "--group", "left_arm", "--from", "folded", "--to", "ready")
     assert code == 2
@@ -255,7 +259,7 @@ def furnished():
     [(Trajectory.write_csv, "numpy.savetxt"), (Trajectory.write_json, "pathlib.Path.write_text")],
 )
 def test_a_file_cut_off_is_no_shorter_trajectory(swing, tmp_path, monkeypatch, write, broken):
-    """Before, the first rows stood in the file, in place of the earlier one."""
+    """The earlier file stays until the new one is whole."""
     path = tmp_path / "trajectory"
     write(swing, path, JOINT_NAMES)
     whole = path.read_bytes()
@@ -273,7 +277,10 @@ def test_a_file_cut_off_is_no_shorter_trajectory(swing, tmp_path, monkeypatch, w
 
 
 def test_what_is_shown_is_where_the_plan_says(scene, furnished, swing):
-    """Oracle: the shown model's bodies against forward kinematics, its obstacles against the scene."""
+    """The shown model agrees with the forward kinematics and the scene.
+
+    Its bodies lie where the forward kinematics put them, its obstacles where the scene does.
+    """
     poser = Poser(scene, furnished)
     data = poser.place(swing.q[-1])
     shown = data.body("left_panda_hand_tcp").xpos

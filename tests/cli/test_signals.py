@@ -1,4 +1,7 @@
-"""Signals before and during imports, and output that cannot be written: one line, the right exit code, no traceback."""
+"""Signals before and during imports, and output that cannot be written.
+
+Each ends with one line, the right exit code and no traceback.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ cli.main()
 
 
 def heed_signals() -> None:
-    """Take signals as a terminal's child does: a background job ignores SIGINT, a child of nohup SIGHUP."""
+    """Take signals as a terminal's child does.
+
+    A background job ignores SIGINT, a child of nohup SIGHUP.
+    """
     for number in SIGNALS:
         signal.signal(number, signal.SIG_DFL)
 
@@ -60,7 +66,10 @@ def test_an_interrupt_before_the_handlers_stand_ends_the_process_without_a_trace
     code: int,
     tmp_path: Path,
 ) -> None:
-    """Before, Python's own handler raised in the middle of the first imports; a background job goes on."""
+    """Python's own handler would raise in the middle of the first imports.
+
+    A background job, which ignores the signal, goes on.
+    """
     (tmp_path / "sitecustomize.py").write_text(
         "import os, signal, sys\n"
         "class Finder:\n"
@@ -86,8 +95,12 @@ def test_an_import_that_swallows_errors_does_not_swallow_a_signal(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "greedy.py").write_text(
-        f"import os, time\ntry:\n    os.kill(os.getpid(), {int(number)})\n    time.sleep(0.05)\n"
-        "except BaseException as error:\n    raise ImportError('multiarray failed to import') from error\n"
+        "import os, time\n"
+        "try:\n"
+        f"    os.kill(os.getpid(), {int(number)})\n"
+        "    time.sleep(0.05)\n"
+        "except BaseException as error:\n"
+        "    raise ImportError('multiarray failed to import') from error\n"
         "print('imported whole', flush=True)\n",
     )
     process = start(
@@ -100,15 +113,16 @@ def test_an_import_that_swallows_errors_does_not_swallow_a_signal(
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_while_the_interpreter_ends_kills_nothing(number: int) -> None:
-    """Before, the process died of the signal: Python takes its handlers away before the last objects go."""
-    late = f"type('Late', (), {{'__del__': lambda self, kill=os.kill, me=os.getpid(): kill(me, {int(number)})}})()"
+    """Python takes its handlers away before the last objects go: the signals are ignored then."""
+    kill = f"lambda self, kill=os.kill, me=os.getpid(): kill(me, {int(number)})"
+    late = f"type('Late', (), {{'__del__': {kill}}})()"
     process = start(f"setattr(sys, 'kept', {late}) or print('done') or 3")
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err) == (3, "done\n", "")
 
 
 def test_an_interrupt_that_a_library_turns_into_its_own_error_is_an_interrupt() -> None:
-    """Before, exit 70: pydantic had made a SchemaError of it."""
+    """pydantic makes a SchemaError of it."""
     turning = (
         "import os, signal\n"
         "from minidual.cli.ending import end\n"
@@ -147,7 +161,6 @@ def test_an_import_without_end_is_interrupted(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_import_is_a_document_too(tmp_path: Path) -> None:
-    """Before, nothing was printed."""
     (tmp_path / "endless.py").write_text(
         "import sys, time\nprint('importing', file=sys.stderr)\ntime.sleep(60)\n",
     )

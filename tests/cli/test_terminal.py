@@ -43,7 +43,7 @@ def test_tables_off_a_terminal_are_as_wide_as_it_is_said(
     columns: str | None,
     width: int,
 ) -> None:
-    """Before, COLUMNS was ignored: `status | less` was unreadable in a window of 80 columns."""
+    """`status | less` is readable in a window of 80 columns: COLUMNS holds off a terminal."""
     if columns is not None:
         monkeypatch.setenv("COLUMNS", columns)
     assert console(stderr=False).width == width

@@ -145,7 +145,6 @@ def test_an_option_of_the_stage_holds_for_the_asides_that_list_it(run):
 
 
 def test_a_command_in_a_remedy_gets_the_typed_options_once(run):
-    """Before, doctor's "explain STAGE" had them twice."""
     session = Session(CommonOptions(profile="smoke", run="r"), run.table)
     said = "minidual explain first --profile smoke --run r"
     assert session.in_this_run("type minidual explain first") == f"type {said}"
@@ -156,6 +155,6 @@ def test_a_command_in_a_remedy_gets_the_typed_options_once(run):
 
 
 def test_an_empty_folder_of_runs_is_refused(run, capsys):
-    """Before, it was the current folder."""
+    """A path of "" would be the current folder."""
     assert run_command_line(["measure", "--runs-dir", ""], run.table, TOOLS) == ExitCode.USAGE
     assert "--runs-dir is empty" in capsys.readouterr().err

@@ -1,4 +1,7 @@
-"""Mutated configurations: each is read or refused by name, soon; what is read drives no loop without end."""
+"""Mutated configurations: each is read or refused by name, and soon.
+
+The bounds of the numbers keep a value that is read from driving a loop without end.
+"""
 
 from __future__ import annotations
 
@@ -22,60 +25,59 @@ SEED = 20261122
 CASES_N = 2000
 COMMANDS_N = 60
 LIMIT_S = 1.0  # of CPU time: the machine may be busy
-HOSTILE = [
-    *(
-        "-1",
-        "0",
-        "-0.0",
-        "1e-300",
-        "1e-9",
-        "1e300",
-        "1" + "0" * 400,
-        "1" + "0" * 5000,
-        "9223372036854775808",
-        "0.5",
-    ),
-    *(
-        ".nan",
-        "nan",
-        "inf",
-        "-.inf",
-        "1__0",
-        "1_",
-        "1e",
-        "0x10",
-        "1:30",
-        "true",
-        "null",
-        "''",
-        "' '",
-        "text",
-    ),
-    *(
-        "[]",
-        "{}",
-        "[1, 2, 3]",
-        "[[[]]]",
-        "{a: {b: 1}}",
-        "*a",
-        "&a 1",
-        "!!python/name:os.system x",
-        "\x00",
-    ),
-    *(
-        "ü→𝔘",
-        "../../etc/passwd",
-        "a" * 10_000,
-        "[" * 500,
-        "[" * 40 + "]" * 40,
-        "%",
-        "@",
-        "`",
-        "? x",
-        "- - -",
-        "\t",
-    ),
+NUMBERS = [
+    "-1",
+    "0",
+    "-0.0",
+    "1e-300",
+    "1e-9",
+    "1e300",
+    "1" + "0" * 400,
+    "1" + "0" * 5000,
+    "9223372036854775808",
+    "0.5",
 ]
+WORDS = [
+    ".nan",
+    "nan",
+    "inf",
+    "-.inf",
+    "1__0",
+    "1_",
+    "1e",
+    "0x10",
+    "1:30",
+    "true",
+    "null",
+    "''",
+    "' '",
+    "text",
+]
+STRUCTURES = [
+    "[]",
+    "{}",
+    "[1, 2, 3]",
+    "[[[]]]",
+    "{a: {b: 1}}",
+    "*a",
+    "&a 1",
+    "!!python/name:os.system x",
+    "\x00",
+]
+TEXTS = [
+    "ü→𝔘",
+    "../../etc/passwd",
+    "a" * 10_000,
+    "[" * 500,
+    "[" * 40 + "]" * 40,
+    "%",
+    "@",
+    "`",
+    "? x",
+    "- - -",
+    "\t",
+]
+HOSTILE = [*NUMBERS, *WORDS, *STRUCTURES, *TEXTS]
 
 
 def leaves(model: BaseModel, prefix: str = "") -> Iterator[str]:
@@ -120,6 +122,7 @@ def test_mutated_configurations_are_read_or_refused_by_name_in_time() -> None:
 def test_commands_survive_mutated_configurations(command: tuple[str, ...], tmp_path: Path) -> None:
     app = build_app(STAGES, TOOLS)
     runner = CliRunner()
+    runner.invoke(app, [*command, "--set", "plan.queries_n=7"])  # imports what a check needs
     for case in random.Random(SEED).sample(cases(), COMMANDS_N // 3):
         began = time.process_time()
         result = runner.invoke(

@@ -28,7 +28,10 @@ def test_streams_differ_by_seed_purpose_and_every_index_and_repeat() -> None:
 
 
 def bypasses(text: str) -> list[str]:
-    """Return what a source makes of random numbers by itself: generators, the global one, arithmetic with seeds."""
+    """Return the places where a source makes random numbers by itself.
+
+    These are generators, the global one, and arithmetic with seeds.
+    """
     found: list[ast.AST] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import | ast.ImportFrom):

@@ -1,4 +1,8 @@
-"""What code a result rests on: named where it changed, blind to words, and no acceptance in a report."""
+"""The code that a result depends on.
+
+Changed modules are named, comments and docstrings do not count, and a report over results of other
+code is no acceptance.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,10 @@ ROOT = Path(__file__).parents[2]
 
 
 def listen_to_ctrl_c():
-    """Take signals as a terminal's child does: a background job ignores SIGINT, a child of nohup SIGHUP."""
+    """Take signals as a terminal's child does.
+
+    A background job ignores SIGINT, a child of nohup SIGHUP.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 

@@ -1,4 +1,7 @@
-"""`run --sign` and `status --verify`: a changed verdict is named even if its digest was computed anew."""
+"""`run --sign` and `status --verify`.
+
+A changed verdict is named even if its digest was computed anew.
+"""
 
 from __future__ import annotations
 

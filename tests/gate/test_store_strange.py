@@ -1,4 +1,7 @@
-"""Links, pipes, folders and damage where a run keeps its results: named before work starts, nothing deleted."""
+"""Links, pipes, folders and damage where a run keeps its results.
+
+They are named before work starts, and nothing is deleted.
+"""
 
 from __future__ import annotations
 
@@ -250,7 +253,10 @@ def finished(tmp_path, capsys, made):
 
 
 def forbid(monkeypatch, place: Path) -> None:
-    """Make reading `place` fail as `chmod 000` does; the superuser of a test machine reads everything."""
+    """Make reading `place` fail as `chmod 000` does.
+
+    The superuser, as whom tests may run, reads everything.
+    """
 
     def refusing(real):
         def method(path, *arguments, **options):
@@ -388,7 +394,7 @@ WRONG = [
 
 
 def test_wrong_values_in_a_verdict_never_crash(run):
-    """Every field of a verdict with a matching digest, replaced: 80 drawn of about 1,000 (seed 0)."""
+    """Fields of a verdict, replaced under a matching digest: 80 of about 1,000, drawn (seed 0)."""
     run.bench.runner().run("first", {"queries": 3, "mood": "good"})
     path = run.folder / "first" / "verdict.json"
     good = json.loads(path.read_bytes())

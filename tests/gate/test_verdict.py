@@ -103,14 +103,14 @@ def test_acceptance_needs_an_acceptance_profile_and_no_waiver():
 
 
 def _edit(record: dict, **changes) -> str:
-    """Return an edited verdict whose digest was made to fit again: only its content can give it away."""
+    """Return an edited verdict with a matching digest: only its content can give it away."""
     record = {**record, **changes}
     record.pop("digest")
     return dumps({**record, "digest": digest(record)})
 
 
 def _doubled() -> str:
-    """Return a verdict that says "fail" first and its own "pass" last: the digest holds for the last."""
+    """Return a verdict that says "fail" and then "pass": the digest holds for the second."""
     return dumps(make_verdict(Check("x", 1, "<", 2)).to_json()).replace(
         "{",
         '{"status": "fail",',

@@ -1,4 +1,7 @@
-"""A count or limit that asks for less than the shipped profile is no acceptance, here and downstream."""
+"""A count or limit that asks for less than the shipped profile is no acceptance.
+
+Nor are the stages downstream.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +69,10 @@ def test_a_shipped_profile_asks_for_itself(profile):
         (
             "benchmark",
             "benchmark.tasks=[rod_carry]",
-            "benchmark.tasks is {'rod_carry': 50}, the profile asks for {'pot_lift': 20, 'handover': 20, 'insertion': 20",
+            (
+                "benchmark.tasks is {'rod_carry': 50}, "
+                "the profile asks for {'pot_lift': 20, 'handover': 20, 'insertion': 20"
+            ),
         ),
         ("benchmark", f"benchmark.tasks=[{FURTHER}]", "benchmark.own_task is False"),
         (

@@ -1,4 +1,4 @@
-"""What the repository promises about itself: layers, the lock, the reasons for its dependencies, set-up."""
+"""The repository: layers, the lock, the reasons for its dependencies, set-up."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_a_missing_gl_library_is_named_with_its_packages() -> None:
 
 @pytest.mark.parametrize("platform", ["osmesa", "bogus"])
 def test_another_opengl_platform_does_not_break_the_import(platform: str) -> None:
-    """Only EGL is documented; before, a headless machine's MUJOCO_GL=osmesa was an internal error."""
+    """Only EGL is supported: another MUJOCO_GL, as on some headless machines, is overridden."""
     done = subprocess.run(
         [sys.executable, "-c", "import minidual, mujoco; print(mujoco.Renderer)"],
         env={**os.environ, "MUJOCO_GL": platform},
@@ -134,9 +134,8 @@ def test_the_readme_opens_with_a_picture_and_the_commands() -> None:
     head = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")[0]
     assert "docs/carry.webp" in head
     assert re.findall(r"^make (\w+)", head, re.MULTILINE) == ["setup", "all", "all", "test"]
-    assert (
-        len(re.findall(r"^\.venv/bin/minidual (\w+)", head, re.MULTILINE)) == 2
-    )  # four commands to moving arms
+    commands = re.findall(r"^\.venv/bin/minidual (\w+)", head, re.MULTILINE)
+    assert len(commands) == 2
     with Image.open(ROOT / "docs" / "carry.webp") as picture:
         assert picture.n_frames > 20, "it moves"
     assert (ROOT / "docs" / "carry.webp").stat().st_size < 700_000

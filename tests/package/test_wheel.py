@@ -54,7 +54,7 @@ def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_installed(site: Path, cwd: Path, *words: str) -> str:
-    """Run the installed console script in `cwd`; the wheel comes before the checkout on the path."""
+    """Run the installed console script in `cwd`, with the wheel first on the path."""
     environment = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run(
         [sys.executable, str(site / "bin" / "minidual"), *words],

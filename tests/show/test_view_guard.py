@@ -21,22 +21,10 @@ from minidual.errors import EnvironmentMissingError, ExitCode
 from minidual.show.view import guard, make_view, web
 from minidual.show.view.overlay import Slider
 from minidual.show.view.web import WebView
-from tests.support.browser import unused_port
+from tests.support.browser import CAMERA, unused_port
 
 AWAY = "127.0.0.3"
 """Stands in for an address of another machine."""
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1, 0, 0, 0],
-    "position": [0, 0, 1.0],
-    "fov": 0.7,
-    "near": 0.1,
-    "far": 60.0,
-    "image_height": 300,
-    "image_width": 400,
-    "look_at": [0, 0, 0],
-    "up_direction": [0, 0, 1],
-}
 
 
 def _view(**words: object) -> tuple[WebView, list[str]]:

@@ -1,7 +1,7 @@
-"""One long run that many tests branch off from: each disturbs a copy of it at an instant that is reached once.
+"""One long run from which many tests branch off: each disturbs a copy of it at one of its instants.
 
-The copies are forks of a process that has come that far. A test body runs in its own copy, so it may change whatever it
-likes there: nothing is put back.
+The copies are forks of a process that has come that far. A test body runs in its own copy, so it may
+change anything there: nothing is put back.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class Branches[State, Point]:
         """
         pipe = self._ours[point]
         pipe.send((body, args))
-        said = pipe.recv()
-        assert said is None, said
+        failure = pipe.recv()
+        assert failure is None, failure
 
     def __enter__(self) -> Branches[State, Point]:
         return self

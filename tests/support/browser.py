@@ -15,6 +15,19 @@ from PIL import Image
 from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1, 0, 0, 0],
+    "position": [0, 0, 1.0],
+    "fov": 0.7,
+    "near": 0.1,
+    "far": 60.0,
+    "image_height": 300,
+    "image_width": 400,
+    "look_at": [0, 0, 0],
+    "up_direction": [0, 0, 1],
+}
+"""Message with which a viewer tells where it looks from."""
 FLAGS = (
     "--headless=new",
     "--no-sandbox",

@@ -1,7 +1,7 @@
-"""Toy stages for the tests of the gate: fast, obedient, and told what to do from outside.
+"""Toy stages for the tests of the gate: fast, and set from outside.
 
-Run as a program (`python pipeline_toys.py RUNS MARKER`) it runs a stage that says it is ready and then
-sleeps, so that tests can kill, interrupt or lock out a real process.
+Run as a program (`python pipeline_toys.py RUNS MARKER`) it runs a stage that says it is ready and
+then sleeps, so that tests can kill, interrupt or lock out a real process.
 """
 
 from __future__ import annotations
