@@ -17,12 +17,12 @@ from minidual.config.scene import SceneConfig
 from minidual.control.gripper import Grippers
 from minidual.control.impedance import ObjectImpedance, ObjectState
 from minidual.control.joint_control import JointLoop
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.errors import MinidualError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse, pose
 from minidual.skills.carry_motions import grasp_posture, held_object
+from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.stages.env_check.tracking import sine_reference
 from minidual.tasks.task import level_part
 

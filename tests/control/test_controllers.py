@@ -14,7 +14,6 @@ from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.impedance import HeldObject, ObjectState, SingularPostureError
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import Reflex, ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
@@ -23,6 +22,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
 from minidual.robot.trajectory import Trajectory
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.arm_scripts import pinch_rod
 from tests.support.control_plant import ArmsPlant, HandsObject, TrueObject
 from tests.support.panda import A_MAX, HOME, V_MAX

@@ -30,11 +30,11 @@ from minidual.control.commands import (
 from minidual.control.controller_manager import ControllerManager, ControllerSwitchError
 from minidual.control.execution import Underway
 from minidual.control.mailbox import Mailbox
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.errors import DataError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import GROUPS, HOME, V_MAX
 from tests.support.stacks import move

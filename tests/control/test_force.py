@@ -12,11 +12,11 @@ from minidual.config.scene import SceneConfig
 from minidual.control import impedance
 from minidual.control.impedance import HeldObject, ObjectImpedance, ObjectState
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.tasks.task import grasp_offsets
 from tests.support import force_law_oracle as oracle
 from tests.support.carry_trials import PERFECT_SENSING, rod_judge, rod_trial, sample_trial

@@ -16,7 +16,6 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.execution import ObjectExecution
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.payload import Payload
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
@@ -25,6 +24,7 @@ from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import A_MAX, HOME
 from tests.support.stacks import PAIR, hand_over, move, stack_on, trajectory

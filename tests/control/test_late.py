@@ -11,11 +11,11 @@ import pytest
 
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
 from tests.support.stacks import (

@@ -11,12 +11,12 @@ import pytest
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.impedance import ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.carried_rod import Carried
 from tests.support.panda import HOME
 from tests.support.random_driver import Driver

@@ -11,11 +11,11 @@ from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.hand_impedance import InHand
 from minidual.control.impedance import ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.carried_rod import KINEMATICS, Carried
 from tests.support.control_plant import ArmsPlant, HandsObject
 from tests.support.panda import HOME

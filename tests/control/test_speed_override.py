@@ -9,11 +9,11 @@ from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.execution import ObjectExecution, TrajectoryExecution
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
+from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import A_MAX, HOME, V_MAX
 from tests.support.stacks import OPEN, hand_over, move, stack_on, trajectory

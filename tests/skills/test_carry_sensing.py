@@ -13,13 +13,13 @@ import pytest
 from minidual.config.control import CarryConfig, SensingConfig
 from minidual.config.scene import SceneConfig
 from minidual.config.seeds import stream
-from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse, pose, rot_x, rot_z
 from minidual.skills.carry_watch import CarryWatch
 from minidual.skills.impedance_carry import ImpedanceCarry
+from minidual.skills.object_estimate import HeldEstimate, RestingEstimate
 from tests.support.carry_trials import PERFECT_SENSING, sample_trial
 from tests.support.panda import HOME
 

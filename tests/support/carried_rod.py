@@ -9,13 +9,13 @@ import numpy as np
 
 from minidual.control.commands import JointCommand, ObjectCommand
 from minidual.control.impedance import HeldObject, ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import inverse
+from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.tasks.task import level_pose
 from tests.support.arm_scripts import grasp_posture
 from tests.support.control_plant import TrueObject

@@ -28,13 +28,13 @@ from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.execution import ObjectExecution
 from minidual.control.hand_impedance import InHand
 from minidual.control.impedance import ObjectState
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, pose
+from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.skills.supervised import SceneClearance
 from tests.support.control_plant import HandsObject
 from tests.support.panda import (

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from minidual.control.impedance import inertia_at_hand, lost_direction
+from minidual.control.impedance_kernels import HAND_LAW, from_hand, hand_impedance
 from minidual.control.joint_control import ComputedTorque, motor_torque
-from minidual.control.kernels import HAND_LAW, from_hand, hand_impedance
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array
 

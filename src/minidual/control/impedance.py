@@ -9,12 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from minidual.config.control import ImpedanceConfig
+from minidual.control.impedance_kernels import LAW, impedance
 from minidual.control.joint_control import motor_torque
-from minidual.control.kernels import (
-    LAW,
-    approach,
-    impedance,
-)
+from minidual.control.kernels import approach
 from minidual.errors import DataError, MinidualError
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import SIDES, Array

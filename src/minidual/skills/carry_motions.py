@@ -21,11 +21,11 @@ from minidual.config.scene import SceneConfig
 from minidual.control.impedance import SQUEEZE_MAX_N, HeldObject, ObjectState
 from minidual.control.impedance_controllers import SLOW_AT, SQUEEZE_RATE_N_PER_S
 from minidual.control.kernels import minimum_jerk
-from minidual.control.object_path import ObjectPath, Waypoint
 from minidual.motion.ik import PoseUnreachableError, posture_at
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, inverse
 from minidual.robot.trajectory import Trajectory
+from minidual.skills.object_path import ObjectPath, Waypoint
 from minidual.skills.phases import PHASES
 from minidual.skills.states import raised
 from minidual.tasks.task import Placement, grasp_offsets, level_pose, placement

@@ -10,7 +10,6 @@ import numpy as np
 
 from minidual.config.control import CarryConfig
 from minidual.control.commands import Command, JointCommand, ObjectCommand, TrajectoryCommand
-from minidual.control.object_path import ObjectPath
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
@@ -25,6 +24,7 @@ from minidual.skills.carry_motions import (
     posture_over,
 )
 from minidual.skills.carry_watch import CarryWatch
+from minidual.skills.object_path import ObjectPath
 from minidual.skills.phases import PHASES
 from minidual.skills.pipeline.drive import SOURCE
 from minidual.skills.things import thing_of
@@ -40,7 +40,7 @@ _ONWARD_S = 0.8
 """Time of a correction."""
 _ARRIVED_M = 0.003
 """Distance from the goal that needs no correction."""
-_STRETCH_M = 0.018
+_STRETCH_M = 0.036
 """Longest stretch of the law's spring."""
 _CALM_S = 2.0
 """Longest wait for arms at rest before the hands open."""

@@ -6,12 +6,12 @@ import numpy as np
 
 from minidual.config.control import CarryConfig
 from minidual.control.impedance import ObjectState
-from minidual.control.kernels import pressed, smooth
-from minidual.control.object_estimate import HeldEstimate, RestingEstimate
 from minidual.plant.protocol import ObjectSensors, Reading
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
+from minidual.skills.object_estimate import HeldEstimate, RestingEstimate
+from minidual.skills.object_kernels import pressed, smooth
 
 
 class _ForceFilter(NamedTuple):
@@ -112,7 +112,8 @@ class CarrySensing:
         pose = self.reading.pose
         if pose is not None:
             if np.isfinite(pose.T_world_object).all():
-                self.posed_s = self.now_s - pose.age_ticks * world.dt
+                sampled_s = self.now_s - pose.age_ticks * world.dt
+                self.posed_s = max(self.posed_s, sampled_s)  # the first poses may be from before
             else:
                 pose = None
                 self.reading = self.reading._replace(pose=None)

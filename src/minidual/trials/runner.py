@@ -13,7 +13,6 @@ from minidual import emergency
 from minidual.config.seeds import stream
 from minidual.control.bounds import SATURATED
 from minidual.control.impedance import SingularPostureError
-from minidual.control.kernels import strain
 from minidual.errors import MinidualError
 from minidual.plant.model import build_model
 from minidual.plant.recorder import Recorder
@@ -30,6 +29,7 @@ from minidual.trials.conditions import condition as named_condition
 from minidual.trials.measures import LOG_RATE_HZ, Sample, TrialLog, measure
 from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec, check_able
 from minidual.trials.metrics import TrialMetrics, trial_metrics
+from minidual.trials.strain import strain
 from minidual.workers import in_workers
 
 SETTLED_S = 0.5

@@ -12,9 +12,9 @@ from collections import deque
 import numpy as np
 
 from minidual.control.impedance import STILL, ObjectState, towards
-from minidual.control.kernels import follow
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array, inverse
+from minidual.skills.object_kernels import follow
 
 
 class RestingEstimate:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.control.impedance import ObjectState
-from minidual.control.kernels import on_path
 from minidual.robot.pair import Array
+from minidual.skills.object_kernels import on_path
 
 _LEVEL = np.eye(4)
 
