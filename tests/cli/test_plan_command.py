@@ -18,7 +18,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.trajectory import Trajectory
 from minidual.show.planning import Poser, play
 from minidual.show.watch import tcp_preview
-from minidual.stages.plan_tools import _clearance
+from minidual.stages.plan_once import clearance_text
 from minidual.stages.registry import STAGES
 from tests.support.panda import HOME, JOINT_NAMES
 
@@ -141,8 +141,8 @@ def test_files_that_cannot_be_written_are_refused(run, tmp_path, monkeypatch):
 
 
 def test_a_plan_far_from_everything_has_at_least_the_largest_clearance():
-    assert _clearance(CLEARANCE_MAX_M, 0.0) == "at least 40.0 mm"
-    assert _clearance(0.0312, 0.0) == "31.2 mm"
+    assert clearance_text(CLEARANCE_MAX_M, 0.0) == "at least 40.0 mm"
+    assert clearance_text(0.0312, 0.0) == "31.2 mm"
     arms_only = Planner(PlanningScene(obstacles=()))
     goal = HOME.copy()
     goal[6] += 0.01

@@ -36,7 +36,7 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, inverse, pose, rot_x, rot_z
 from minidual.skills.held_execution import execute
 from minidual.skills.things import thing_of
-from minidual.stages.plan import held_checks
+from minidual.stages.plan_checks import held_checks
 from minidual.tasks.task import grasp_offsets
 from minidual.trials.planning.held_evaluate import (
     plan_move,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,19 +11,23 @@ from typing import Any
 import pytest
 
 from minidual import emergency
+from minidual.config.control import CarryLimits
 from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.canonical import digest
+from minidual.gate.check import Check
 from minidual.gate.progress import Progress
 from minidual.plant.world import World
 from minidual.show.figures.film import Postures, film_trial
-from minidual.stages.carry import _record
+from minidual.stages.carry import carry_checks, record_trials
 from minidual.stages.registry import STAGES
 from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
+from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench, Judged, StepHook, run_trials
 from tests.support.carry_trials import same_row, sample_trial
+from tests.support.trial_results import BAD, failing, missed, results
 
 
 @pytest.mark.parametrize("setting", ["carry.object=glas", "carry.motion=overr"])
@@ -80,7 +85,7 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
 
     context: Any = SimpleNamespace(folder=tmp_path, progress=Progress())
     trials: list[Any] = [0, 1, 2]
-    _record(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
+    record_trials(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
     assert written == [
         (1, "trial001.npz"),
         (2, "trial002.npz"),
@@ -88,7 +93,7 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
         (0, "worst.npz"),
     ]
     written.clear()
-    _record(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
+    record_trials(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
     assert written == [(1, "median.npz"), (2, "worst.npz")]
 
 
@@ -127,7 +132,7 @@ class TestEmergencyStop:
         first_result: Any = SimpleNamespace(text="success", success=True)
         shown = {"median": 0, "worst": 0}
         with pytest.raises(emergency.EmergencyStop, match="test"):
-            _record(
+            record_trials(
                 context,
                 PressedBench("impedance", self.INPUTS),
                 [self.TRIAL],
@@ -146,3 +151,47 @@ class TestEmergencyStop:
         monkeypatch.setattr(Postures, "__call__", press)
         with pytest.raises(emergency.EmergencyStop, match="test"):
             film_trial("impedance", self.INPUTS, self.TRIAL, tmp_path / "film.mp4")
+
+
+TASK = Config().scene.task
+
+
+def carry(rows: list[TrialMetrics]) -> list[Check]:
+    return carry_checks(rows, CarryLimits(), TASK)
+
+
+def test_good_carries_pass_every_check() -> None:
+    checks = carry(results())
+    assert failing(checks) == set()
+    assert all(check.op for check in checks)
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"tilt_max_rad": 0.036}, {"tilt_max_rad"}),
+        ({"tilt_max_rad": math.nan}, {"tilt_max_rad"}),
+        ({"internal_force_min_n": 19.0}, {"internal_force_min_n"}),
+        ({"duration_s": 8.1}, {"duration_max_s"}),
+        ({"torque_ratio_max": 1.0}, {"torque_ratio_max"}),
+        (BAD, {"success_rate", "duration_max_s"}),
+    ],
+)
+def test_one_bad_carry_fails_the_check_it_should(change: dict[str, Any], names: set[str]) -> None:
+    assert failing(carry(results(**change))) == names
+
+
+def test_two_lost_rods_of_two_hundred_are_allowed_and_three_are_not() -> None:
+    assert "success_rate" not in failing(carry(missed(2, 200)))
+    assert "success_rate" in failing(carry(missed(3, 200)))
+
+
+@pytest.mark.parametrize(
+    ("saturated_s", "names"),
+    [(0.02, set()), (0.021, {"saturated_max_s"}), (math.nan, {"saturated_max_s"})],
+)
+def test_a_motor_that_stands_at_its_limit_fails_the_stage(
+    saturated_s: float,
+    names: set[str],
+) -> None:
+    assert failing(carry(results(saturated_max_s=saturated_s))) == names

@@ -20,9 +20,9 @@ from minidual.motion.api import Planner
 from minidual.proof.scene_engines import Audit, SceneEngines
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import pose
-from minidual.stages import plan
 from minidual.stages.config_checks import check_plan
-from minidual.stages.plan import common_checks, group_checks, run
+from minidual.stages.plan import failure_notes, run
+from minidual.stages.plan_checks import common_checks, group_checks
 from minidual.stages.registry import STAGES
 from minidual.trials.planning import queries
 from minidual.trials.planning.evaluate import engine_agreement, plan_query, repeats, run_queries
@@ -204,13 +204,12 @@ def test_a_second_set_that_is_the_first_is_refused():
     assert caught.value.exit_code == 2
 
 
-def test_notes_tell_of_both_seeds(outcomes):
+def test_a_note_names_each_failed_query_and_its_set(outcomes):
     failed = dataclasses.replace(outcomes[1], result=None, reason="no_path_in_time", message="none")
-    notes = plan.notes(
-        first={"left_arm": [outcomes[0]]},
-        second={"left_arm": [outcomes[0], failed]},
-    )
-    assert notes == ["left_arm query 1 of the second seed failed: none"]
+    assert failure_notes("first", {"left_arm": [outcomes[0]]}) == []
+    assert failure_notes("second", {"left_arm": [outcomes[0], failed]}) == [
+        "left_arm query 1 of the second seed failed: none",
+    ]
 
 
 def test_a_warm_up_that_is_not_solved_does_not_end_the_set():

@@ -23,7 +23,7 @@ from minidual.policies.kinds import ChunkPolicy, TrainResult
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages import train_act
-from minidual.stages.train_act import train_checks
+from minidual.stages.train_act import train_checks, training_seeds
 from tests.policies.test_demonstrations import tiny
 from tests.policies.test_train import SMALL
 from tests.support import learning_world
@@ -254,3 +254,10 @@ def test_a_finished_training_survives_the_emergency_stop(
         emergency.release()
     monkeypatch.setattr(train_act, "draw_loss", lambda *_: None)
     assert "continued an interrupted training from step 4" in stage.run().notes
+
+
+def test_each_training_has_its_own_seed_and_the_first_is_the_runs() -> None:
+    seeds = training_seeds(20260, 3)
+    assert seeds[0] == 20260
+    assert len(set(seeds)) == 3
+    assert training_seeds(20260, 1) == seeds[:1]

@@ -31,7 +31,8 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.operator import ScriptedOperator
-from minidual.stages.modes import captioned, find_checkpoint, modes
+from minidual.stages.modes import find_checkpoint, modes
+from minidual.stages.modes_film import captioned
 from minidual.tasks.task import Trial
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, Switch, parse_modes

@@ -5,50 +5,98 @@ from typing import Any
 
 from minidual.demos.quality import JERK_FILTER
 from minidual.durable import write_csv
-from minidual.gate.check import Check, Rows
+from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
+from minidual.stages.criterion import Criterion
 from minidual.stages.deploy import recorded_task
-from minidual.stages.words import worded
 from minidual.tasks.catalogue import tasks_of
 from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 
-_REPORTED = (
-    "duration_median_s",
-    "torque_ratio_max",
-    "jerk_rms_median",
-    "tilt_max_rad",
-    "path_length_m",
+_NAMES_SHOWN = 6
+"""Most names of missing cells or numbers in a message."""
+
+SUCCESS_RATE = Criterion(
+    "success_rate",
+    ">",
+    why="{interval}",
+    remedy="benchmark.csv names what failed first in each trial",
+)
+REPORTED = (
+    Criterion(
+        "duration_median_s",
+        unit="s",
+        why="median over successful trials, start to released at rest",
+    ),
+    Criterion("torque_ratio_max", why="largest motor torque over its limit, all trials"),
+    Criterion("jerk_rms_median", unit="rad/s^3", why=JERK_FILTER),
+    Criterion(
+        "tilt_max_rad",
+        unit="rad",
+        why="largest tilt of the object, all trials, failed ones too",
+    ),
+    Criterion(
+        "path_length_m",
+        unit="m",
+        why="median path of a hand, mean of the two, over successful trials",
+    ),
+)
+"""Numbers of a method's summary that have no limit."""
+TRIALS_PER_METHOD = Criterion(
+    "trials_per_method",
+    ">=",
+    why="every method must have run every trial, or the rows cannot be compared",
+    remedy="minidual benchmark --force runs them all",
+)
+CELLS_SETTLED = Criterion(
+    "cells_settled",
+    "==",
+    why="every method has all its trials under every condition, each push and move took place "
+    "in those that succeeded, or there is a reason why it does not apply{holes}",
+    remedy="minidual benchmark --force",
+)
+CELLS_NOT_FINITE = Criterion(
+    "cells_not_finite",
+    "==",
+    why="numbers that the trials should have given, and that do not exist{missing}",
+    remedy="benchmark.csv names what failed first in each trial",
 )
 
 
 def benchmark_checks(
     summaries: Sequence[MethodSummary],
     success_rate_min: Mapping[str, float],
-    asked_n: int,
+    trials_n: int,
     prefix: str = "",
 ) -> list[Check]:
     """Return the checks of the undisturbed trials.
 
-    Limits: trial counts, and success rates where configured.
+    Args:
+        summaries: One of each method.
+        success_rate_min: {method: limit}; rates of other methods are reported.
+        trials_n: Trials that each method was asked for.
+        prefix: Prefix of the checks' names.
     """
     checks: list[Check] = []
-    for s in summaries:
-        rows: Rows = {"success_rate": (s["success_rate"], ">", success_rate_min.get(s.method))}
-        rows = {**rows, **{name: s[name] for name in _REPORTED}}
-        checks += worded(
-            "benchmark",
-            rows,
-            f"{prefix}{s.method}.",
-            interval=s.interval,
-            jerk_filter=JERK_FILTER,
+    for summary in summaries:
+        own_prefix = f"{prefix}{summary.method}."
+        rate_check = SUCCESS_RATE.check(
+            summary["success_rate"],
+            success_rate_min.get(summary.method),
+            prefix=own_prefix,
+            interval=summary.interval,
         )
-    evaluated = min((s.trials_n for s in summaries), default=0)
-    return checks + worded("benchmark", {"trials_per_method": (evaluated, ">=", asked_n)}, prefix)
+        checks.append(rate_check)
+        checks += [
+            criterion.report(summary[criterion.name], prefix=own_prefix) for criterion in REPORTED
+        ]
+    least_n = min((summary.trials_n for summary in summaries), default=0)
+    checks.append(TRIALS_PER_METHOD.check(least_n, trials_n, prefix=prefix))
+    return checks
 
 
 def condition_checks(
@@ -61,94 +109,152 @@ def condition_checks(
 
     It must be complete and finite; disturbed success has no limit.
     """
-    known = {(c.method, c.condition): c for c in cells}
-    asked = [(m, c) for m in methods for c in conditions]
-    holes: list[str] = []
-    for m, c in asked:
-        cell = known.get((m, c))
-        if cell is None or not cell.settled:
-            missed = (
-                f" (trial {cell.undisturbed[0]} succeeded undisturbed)"
-                if cell and cell.undisturbed
-                else ""
-            )
-            holes.append(f"{m} under {c}{missed}")
+    holes = _holes(cells, methods, conditions)
     missing = [
-        f"{c.method} under {c.condition}: {name}"
-        for c in cells
-        if c.summary
-        for name in c.summary.not_finite()
+        f"{cell.method} under {cell.condition}: {name}"
+        for cell in cells
+        if cell.summary
+        for name in cell.summary.not_finite()
     ]
-    n = len(asked)
-    rows: Rows = {
-        "cells_settled": (n - len(holes), "==", n),
-        "cells_not_finite": (len(missing), "==", 0),
-    }
-    checks = worded("benchmark", rows, prefix, holes=_first(holes), missing=_first(missing))
+    cells_n = len(methods) * len(conditions)
+    checks = [
+        CELLS_SETTLED.check(cells_n - len(holes), cells_n, prefix=prefix, holes=_listed(holes)),
+        CELLS_NOT_FINITE.check(len(missing), 0, prefix=prefix, missing=_listed(missing)),
+    ]
     for cell in cells:
         if cell.summary is not None and cell.condition != CLEAN:
-            name = f"{prefix}{cell.method}.{cell.condition.replace(' ', '_')}.success_rate"
+            condition = cell.condition.replace(" ", "_")
+            name = f"{prefix}{cell.method}.{condition}.success_rate"
             checks.append(Check(name, cell.summary["success_rate"], why=cell.summary.interval))
     return checks
 
 
-def _first(names: Sequence[str]) -> str:
-    return f": {', '.join(names[:6])}" if names else ""
+def _holes(
+    cells: Sequence[benchmark.BenchmarkCell],
+    methods: Sequence[str],
+    conditions: Sequence[str],
+) -> list[str]:
+    """Return the cells of the table that are missing or not settled, in words."""
+    table = {(cell.method, cell.condition): cell for cell in cells}
+    holes: list[str] = []
+    for method in methods:
+        for condition in conditions:
+            cell = table.get((method, condition))
+            if cell is not None and cell.settled:
+                continue
+            undisturbed = cell.undisturbed if cell is not None else ()
+            detail = f" (trial {undisturbed[0]} succeeded undisturbed)" if undisturbed else ""
+            holes.append(f"{method} under {condition}{detail}")
+    return holes
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f": {', '.join(names[:_NAMES_SHOWN])}" if names else ""
+
+
+class _Results:
+    """Checks, rows of the tables and records of the tasks so far.
+
+    Attributes:
+        data: {task: record}.
+        captions: {figure: caption}.
+        tables: {name of the .csv: rows}.
+    """
+
+    def __init__(self, context: StageContext) -> None:
+        self._context = context
+        self.checks: list[Check] = []
+        self.data: dict[str, Any] = {}
+        self.captions: dict[str, str] = {}
+        self.tables: dict[str, list[dict[str, Any]]] = {
+            "benchmark": [],
+            "methods": [],
+            "conditions": [],
+        }
+
+    def add(
+        self,
+        inputs: MethodInputs,
+        trials_n: Mapping[str, int],
+        cells: Sequence[benchmark.BenchmarkCell],
+        trials: Sequence[TrialMetrics],
+        prefix: str,
+    ) -> None:
+        """Add the results of a task; `trials_n`: {condition: trials of each method}."""
+        config = self._context.config.benchmark
+        task = inputs.config.task
+        clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
+        methods = METHODS.names(config.methods)
+        self.checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
+        self.checks += condition_checks(cells, methods, tuple(trials_n), prefix)
+        self.data[task] = benchmark.benchmark_data(cells, trials, self._context.seed)
+        self._draw_failures(inputs, trials)
+        self.tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
+        self.tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
+        self.tables["conditions"] += [{"task": task, **c.row()} for c in cells]
+
+    def _draw_failures(self, inputs: MethodInputs, trials: Sequence[TrialMetrics]) -> None:
+        """Draw the first failed trial of each kind, if there are any."""
+        task = inputs.config.task
+        failures = benchmark.first_failures(trials)
+        if not failures:
+            return
+        drawn = [
+            (inputs, benchmark.draw_under(inputs, failed.condition)(failed.index), failed)
+            for failed in failures
+        ]
+        name = f"failures-{task}.png"
+        self.captions[name] = f"{task}: failed trials, the first of each kind"
+        draw_failures(drawn, self._context.folder / name)
 
 
 def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
-    config = context.config.benchmark
-    seed = context.seed
-    folder = context.folder
-    methods = METHODS.names(config.methods)
-    asked = benchmark.trials_asked(context.config)
-    trained = context.upstream.get("train-act")
-    tasks = tasks_of(context.config)
-    checkpoint = trained and trained / "checkpoint"
-    recorded = context.upstream.get("teleop-record")
-    of = recorded_task(recorded) if recorded else ""
-    for name in methods:
-        check_able(name, tasks.values(), of)
-    inputs = {name: MethodInputs(task.config, seed, checkpoint, of) for name, task in tasks.items()}
-    count = sum(
-        benchmark.count_trials(methods, asked[task], given) for task, given in inputs.items()
-    )
-    checks = list[Check]()
-    data = dict[str, Any]()
+    methods = METHODS.names(context.config.benchmark.methods)
+    trials_n = benchmark.trials_asked(context.config)
+    inputs = _method_inputs(context, methods)
     watch = watch_trials(context.view)
-    captions: dict[str, str] = {}
-    tables: dict[str, list[dict[str, Any]]] = {"benchmark": [], "methods": [], "conditions": []}
+    results = _Results(context)
+    count = sum(
+        benchmark.count_trials(methods, trials_n[task], task_inputs)
+        for task, task_inputs in inputs.items()
+    )
     with context.progress.task("benchmark trials", count) as progress:
-        for task, given in inputs.items():
+        for task, task_inputs in inputs.items():
 
-            def tell(result: TrialMetrics, task: str = task) -> None:
+            def advance(result: TrialMetrics, task: str = task) -> None:
                 progress.advance(note=f"{task}, {result.method}, {result.condition}")
 
-            trials_n = asked[task]
             cells, trials = benchmark.run_benchmark(
                 methods,
-                trials_n,
-                given,
+                trials_n[task],
+                task_inputs,
                 workers=context.workers,
-                on_trial=tell,
+                on_trial=advance,
                 watch=watch,
             )
-            clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
-            prefix = f"{task}." if len(tasks) > 1 else ""
-            checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
-            checks += condition_checks(cells, methods, tuple(trials_n), prefix)
-            data[task] = benchmark.benchmark_data(cells, trials, seed)
-            if lost := benchmark.first_failures(trials):
-                name = f"failures-{task}.png"
-                captions[name] = f"{task}: failed trials, the first of each kind"
-                drawn = [
-                    (given, benchmark.draw_under(given, t.condition)(t.index), t) for t in lost
-                ]
-                draw_failures(drawn, folder / name)
-            tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
-            tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
-            tables["conditions"] += [{"task": task, **c.row()} for c in cells]
-    for name, rows in tables.items():
-        write_csv(folder / f"{name}.csv", rows, missing="does not apply")
-    return StageResult(checks=checks, data={"tasks": data, "captions": captions})
+            prefix = f"{task}." if len(inputs) > 1 else ""
+            results.add(task_inputs, trials_n[task], cells, trials, prefix)
+    for name, rows in results.tables.items():
+        write_csv(context.folder / f"{name}.csv", rows, missing="does not apply")
+    data = {"tasks": results.data, "captions": results.captions}
+    return StageResult(checks=results.checks, data=data)
+
+
+def _method_inputs(context: StageContext, methods: Sequence[str]) -> dict[str, MethodInputs]:
+    """Return the inputs of the methods for each task.
+
+    Raises:
+        UsageError: A method cannot do one of the tasks.
+    """
+    tasks = tasks_of(context.config)
+    trained = context.upstream.get("train-act")
+    recorded = context.upstream.get("teleop-record")
+    checkpoint = trained / "checkpoint" if trained is not None else None
+    policy_task = recorded_task(recorded) if recorded is not None else ""
+    for name in methods:
+        check_able(name, tasks.values(), policy_task)
+    return {
+        name: MethodInputs(task.config, context.seed, checkpoint, policy_task)
+        for name, task in tasks.items()
+    }

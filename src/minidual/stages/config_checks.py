@@ -12,21 +12,29 @@ from minidual.trials.methods import METHODS, check_able
 
 
 def check_plan(config: Config) -> None:
-    """Raise UsageError for an unknown arm or planner, or query sets with equal seeds."""
+    """Check the names of arm and planners, and the seeds of the query sets.
+
+    Raises:
+        UsageError: Unknown arm or planner, or query sets with equal seeds.
+    """
     robot_from(config.robot)
-    PLANNERS.names(tuple({config.plan.planner.planner, *config.plan.planner.fallback_planners}))
+    settings = config.plan.planner
+    PLANNERS.names(tuple({settings.planner, *settings.fallback_planners}))
     if config.plan.second_queries_n and config.seed == config.plan.second_seed:
-        equal = f"seed and plan.second_seed are both {config.seed}: the second query set would be the first one"
-        raise ConfigError(equal, remedy="choose another --seed, or --set plan.second_seed=NUMBER")
+        raise ConfigError(
+            f"seed and plan.second_seed are both {config.seed}: "
+            "the second query set would be the first one",
+            remedy="choose another --seed, or --set plan.second_seed=NUMBER",
+        )
 
 
 def check_carry(config: Config) -> None:
     """Raise UsageError unless both hands hold one object."""
     if not make_task(config).together:
-        way = f"leave the task out; then teleop-record --task {config.task}, train-act, deploy --task {config.task}"
         raise ConfigError(
             f"both hands carry one object; in the task '{config.task}' they do not",
-            remedy=way,
+            remedy=f"leave the task out; then teleop-record --task {config.task}, train-act, "
+            f"deploy --task {config.task}",
         )
 
 
@@ -37,7 +45,12 @@ def check_leader(config: Config) -> None:
 
 
 def check_policy(config: Config) -> None:
-    """Raise UsageError for an unknown policy, EnvironmentMissingError without the device that trains it."""
+    """Check the policy and the device that trains it.
+
+    Raises:
+        UsageError: Unknown policy.
+        EnvironmentMissingError: The device is missing.
+    """
     POLICIES.names([config.train.policy])
     _check_device(config, config.train.device)
 
@@ -48,10 +61,16 @@ def _check_device(config: Config, device: str) -> None:
 
 
 def check_deploy(config: Config) -> None:
-    """Raise UsageError for conditions that are unknown or cannot affect the policy; EnvironmentMissingError likewise."""
+    """Check the device and the conditions of the policy.
+
+    Raises:
+        UsageError: A condition is unknown or cannot affect the policy.
+        EnvironmentMissingError: The device is missing.
+    """
     _check_device(config, config.deploy.device)
     for name in config.deploy.conditions:
-        if reason := CONDITIONS[name].why_not("act", config):
+        reason = CONDITIONS[name].why_not("act", config)
+        if reason:
             raise ConfigError(
                 f"deploy.conditions: '{name}' does not apply: {reason}",
                 remedy="leave it out",
@@ -64,7 +83,7 @@ def check_benchmark(config: Config) -> None:
     for name in METHODS.names(config.benchmark.methods):
         check_able(name, tasks)  # the stage looks at what a policy was trained on
     for name in config.benchmark.success_rate_min:
-        METHODS[name]
+        METHODS[name]  # refuses an unknown name
     for name in parse_conditions(config.benchmark.conditions):
         for task in tasks:
-            condition(name).config_under(task.config)
+            condition(name).config_under(task.config)  # refuses values out of bounds

@@ -1,87 +1,93 @@
 """`minidual deploy`: the trained policy on held-out starts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
-from minidual.config.learning import DeployConfig
 from minidual.config.root import Config
 from minidual.config.seeds import stream
 from minidual.demos.episode import episode_paths, read_meta
 from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
-from minidual.gate.check import Check, Rows
+from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
 from minidual.gate.verdict import CONFIG_FILE
 from minidual.plant.render import Camera, Image
 from minidual.policies.occlusion import occlusion, on_object
 from minidual.policies.pilot import load_runtime
+from minidual.policies.policy import PolicyRuntime
 from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
-from minidual.stages.words import worded
+from minidual.stages.deploy_checks import (
+    GOAL_ERROR_MEDIAN,
+    HELD_OUT_SET,
+    HIDDEN,
+    LOOKS_AT_OBJECT,
+    TRAINING_SET,
+    deploy_checks,
+    seed_rates,
+    set_checks,
+)
 from minidual.tasks.catalogue import make_task
-from minidual.tasks.task import Trial, placement
+from minidual.tasks.task import Task, Trial, placement
 from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs, check_able
-from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
+from minidual.trials.metrics import TrialMetrics, summarise
 from minidual.trials.runner import Bench, run_trials
 
 METHOD = "act"
 HELD_OUT = "deploy"
 """Random stream of the held-out trials; `TRAINING` is that of the demonstrations."""
-HIDDEN = "object hidden"
 _INFERENCES_N = 60
 
 
-def deploy_starts(
-    config: Config,
-    seed: int,
-    demonstrated: Sequence[int],
-) -> tuple[dict[str, list[Trial]], int]:
-    """Return {"held_out": trials, "training": trials}, and the number of held-out trials drawn by a demonstration too.
+class TrialSet(NamedTuple):
+    """Trials that run under one condition."""
 
-    `demonstrated`: trial indices of the demonstrations.
+    condition: str
+    trials: list[Trial]
+
+
+class Starts(NamedTuple):
+    """Trials of `deploy`.
+
+    Attributes:
+        held_out: From starts that are not in the demonstrations.
+        training: From starts of demonstrations.
+        seen_n: Held-out trials that a demonstration has drawn, too.
     """
+
+    held_out: list[Trial]
+    training: list[Trial]
+    seen_n: int
+
+
+def deploy_starts(config: Config, seed: int, demonstrated: Sequence[int]) -> Starts:
+    """Return the trials; `demonstrated`: trial indices of the demonstrations."""
     task = make_task(config)
     settings = config.deploy
-    shown = demonstrated[: settings.training_trials]
-    widen = config.teleop.widen
-    held_out = range(settings.first_start, settings.first_start + settings.trials)
-    starts = {
-        "held_out": [task.trial(seed, HELD_OUT, i) for i in held_out],
-        "training": [task.trial(seed, TRAINING, i, widen=widen) for i in shown],
-    }
-    drawn = [
-        _poses(task.trial(seed, TRAINING, i)) for i in demonstrated
-    ]  # as wide as the held-out ones
-    return starts, sum(_poses(trial) in drawn for trial in starts["held_out"])
+    held_out = [
+        task.trial(seed, HELD_OUT, i)
+        for i in range(settings.first_start, settings.first_start + settings.trials)
+    ]
+    training = [
+        task.trial(seed, TRAINING, i, widen=config.teleop.widen)
+        for i in demonstrated[: settings.training_trials]
+    ]
+    # Drawn as wide as the held-out trials, the demonstrations have the same numbers.
+    drawn = [_poses(task.trial(seed, TRAINING, i)) for i in demonstrated]
+    seen_n = sum(_poses(trial) in drawn for trial in held_out)
+    return Starts(held_out, training, seen_n)
 
 
 def _poses(trial: Trial) -> list[object]:
     return [np.asarray(pose).tolist() for pose in (*trial.start.values(), *trial.goal.values())]
-
-
-def deploy_checks(
-    held_out: MethodSummary,
-    seen_n: int,
-    inference_hz: float,
-    settings: DeployConfig,
-) -> list[Check]:
-    """Return the checks."""
-    rows: Rows = {
-        "success_rate": (held_out["success_rate"], ">", settings.success_rate_min),
-        **{name: held_out[name] for name in ("success_low", "success_high")},
-        "trials": (held_out.trials_n, ">=", settings.trials),
-        "held_out_starts_seen": (seen_n, "==", 0),
-        "inference_hz": (inference_hz, ">", settings.inference_hz_min),
-    }
-    return worded("deploy", rows, trials_n=held_out.trials_n)
 
 
 def recorded_task(recorded: Path) -> str:
@@ -94,55 +100,24 @@ def run(context: StageContext) -> StageResult:
     config = context.config
     trained = context.upstream["train-act"]
     checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
-    watch = watch_trials(context.view)
     recorded = context.upstream["teleop-record"]
     check_able(METHOD, [make_task(config)], recorded_task(recorded))
     episodes = episode_paths(recorded / "episodes")
-    starts, seen_n = deploy_starts(
-        config,
-        context.seed,
-        [read_meta(path).trial for path in episodes],
-    )
-    sets = {name: (CLEAN, trials) for name, trials in starts.items()}
-    for name in config.deploy.conditions:
-        task = make_task(config)
-        widen = CONDITIONS[name].widen
-        sets[name] = (
-            name,
-            [task.trial(context.seed, HELD_OUT, t.index, widen=widen) for t in starts["held_out"]],
-        )
-    sets.setdefault(HIDDEN, (HIDDEN, farthest(starts["held_out"], config.deploy.hidden_trials)))
+    demonstrated = [read_meta(path).trial for path in episodes]
+    starts = deploy_starts(config, context.seed, demonstrated)
+    sets = _trial_sets(config, context.seed, starts)
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
-    results: dict[str, list[TrialMetrics]] = {name: [] for name in sets}
-    with context.progress.task(
-        "policy trials",
-        len(checkpoints) * sum(len(t) for _, t in sets.values()),
-    ) as bar:
-        for k, given in enumerate(inputs):
-            for name, (under, trials) in sets.items():
-                for result in run_trials(
-                    METHOD,
-                    given,
-                    trials,
-                    workers=context.workers,
-                    condition=under,
-                    watch=watch,
-                ):
-                    # The tables list the undisturbed sets as conditions, too, and count on from policy to policy.
-                    index = k * (1 + max(t.index for t in trials)) + result.index
-                    results[name].append(replace(result, condition=name, index=index))
-                    bar.advance(
-                        note=f"{name} {sum(r.success for r in results[name])}/{len(results[name])}",
-                    )
-    write_csv(
-        context.folder / "trials.csv",
-        [r.to_row() for rows in results.values() for r in rows],
-    )
+    results = _run_sets(context, inputs, sets)
+    rows = [r.to_row() for set_results in results.values() for r in set_results]
+    write_csv(context.folder / "trials.csv", rows)
     rng = stream(context.seed, "bootstrap/deploy")
-    summaries = {name: summarise(rows, rng) for name, rows in results.items() if rows}
-    film_outcomes(context, inputs, starts["held_out"], results["held_out"])
+    summaries = {
+        name: summarise(set_results, rng) for name, set_results in results.items() if set_results
+    }
+    film_outcomes(context, inputs, starts.held_out, results[HELD_OUT_SET])
     inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
-    checks = deploy_checks(summaries["held_out"], seen_n, inference_hz, config.deploy)
+    held_out = summaries[HELD_OUT_SET]
+    checks = deploy_checks(held_out, starts.seen_n, inference_hz, config.deploy)
     data: dict[str, Any] = {}
     for name, summary in summaries.items():
         record = summary.record()
@@ -150,56 +125,71 @@ def run(context: StageContext) -> StageResult:
         if len(rates) > 1:
             record["by_seed"] = rates
         checks += set_checks(name, summary, rates, config.deploy)
-        data |= record if name == "held_out" else {name: record}
-    checks += _looks(context, checkpoints[0], starts["held_out"][0])
-    clear_m = make_task(config).scene.task.clear_height_m
-    undisturbed = [r for name in starts for r in results[name]]
-    if errors := [r.goal_error_m for r in undisturbed if r.measured.get("rise_m", 0.0) > clear_m]:
-        checks += worded("deploy", {"goal_error_median_m": float(np.median(errors))})
+        data |= record if name == HELD_OUT_SET else {name: record}
+    checks.append(_looks_check(context, checkpoints[0], starts.held_out[0]))
+    undisturbed = [*results[HELD_OUT_SET], *results[TRAINING_SET]]
+    checks += _goal_error_checks(make_task(config), undisturbed)
     return StageResult(checks=checks, data=data)
+
+
+def _trial_sets(config: Config, seed: int, starts: Starts) -> dict[str, TrialSet]:
+    """Return the sets of trials by name; sets under a condition repeat the held-out starts."""
+    sets = {
+        HELD_OUT_SET: TrialSet(CLEAN, starts.held_out),
+        TRAINING_SET: TrialSet(CLEAN, starts.training),
+    }
+    task = make_task(config)
+    for name in config.deploy.conditions:
+        widen = CONDITIONS[name].widen
+        trials = [task.trial(seed, HELD_OUT, t.index, widen=widen) for t in starts.held_out]
+        sets[name] = TrialSet(name, trials)
+    if HIDDEN not in sets:
+        hidden = farthest(starts.held_out, config.deploy.hidden_trials)
+        sets[HIDDEN] = TrialSet(HIDDEN, hidden)
+    return sets
+
+
+def _run_sets(
+    context: StageContext,
+    inputs: Sequence[MethodInputs],
+    sets: Mapping[str, TrialSet],
+) -> dict[str, list[TrialMetrics]]:
+    """Run every set with every policy; return the results of each set, policy after policy.
+
+    The tables list the set as the condition, and count on from policy to policy.
+    """
+    watch = watch_trials(context.view)
+    results: dict[str, list[TrialMetrics]] = {name: [] for name in sets}
+    count = len(inputs) * sum(len(trials) for _, trials in sets.values())
+    with context.progress.task("policy trials", count) as bar:
+        for k, policy_inputs in enumerate(inputs):
+            for name, (condition, trials) in sets.items():
+                set_results = results[name]
+                for result in run_trials(
+                    METHOD,
+                    policy_inputs,
+                    trials,
+                    workers=context.workers,
+                    condition=condition,
+                    watch=watch,
+                ):
+                    index = k * (1 + max(t.index for t in trials)) + result.index
+                    set_results.append(replace(result, condition=name, index=index))
+                    successes_n = sum(r.success for r in set_results)
+                    bar.advance(note=f"{name} {successes_n}/{len(set_results)}")
+    return results
 
 
 def farthest(trials: Sequence[Trial], n: int) -> list[Trial]:
     """Return the `n` trials whose objects start farthest from the middle of all.
 
-    A policy that goes to the middle without looking succeeds where the object lies near it: in 13 of 100 trials.
+    A policy that goes to the middle without looking succeeds where the object lies near it: in 13
+    of 100 trials.
     """
     xy = np.array([[placement(start)[:2] for start in trial.start.values()] for trial in trials])
     off_m = np.linalg.norm(xy - xy.mean(axis=0), axis=2).sum(axis=1)
-    return [trials[k] for k in np.argsort(-off_m, kind="stable")[:n]]
-
-
-def set_checks(
-    name: str,
-    summary: MethodSummary,
-    rates: Sequence[float],
-    settings: DeployConfig,
-) -> list[Check]:
-    """Return the checks of a set of trials with the rate of each training seed."""
-    rows: dict[str, Any] = {}
-    if name == HIDDEN:
-        return worded(
-            "deploy",
-            {"hidden_success_rate": (summary["success_rate"], "<=", settings.hidden_rate_max)},
-        )
-    if name != "held_out":
-        rows |= {
-            "success_rate": (summary["success_rate"], ">=", settings.condition_rate_min.get(name)),
-        }
-    if len(rates) > 1:
-        rows |= {"worst_seed": min(rates), "median_seed": float(np.median(rates))}
-    return worded(
-        "deploy-set",
-        rows,
-        f"{name.replace(' ', '_')}_",
-        set=name,
-        interval=summary.interval,
-    )
-
-
-def seed_rates(results: Sequence[TrialMetrics], seeds_n: int) -> list[float]:
-    """Return the success rate of each training seed, from equally many results in order."""
-    return np.reshape([result.success for result in results], (seeds_n, -1)).mean(axis=1).tolist()
+    farthest_first = np.argsort(-off_m, kind="stable")
+    return [trials[k] for k in farthest_first[:n]]
 
 
 def film_outcomes(
@@ -208,43 +198,63 @@ def film_outcomes(
     trials: Sequence[Trial],
     results: Sequence[TrialMetrics],
 ) -> None:
-    """Film a success and a failure; `results` of each of `inputs` in turn."""
-    for label, wanted in (("success", True), ("failure", False)):
-        if (
-            found := next((i for i, r in enumerate(results) if r.success is wanted), None)
-        ) is not None:
-            k, index = divmod(found, len(trials))
-            filmed = film_trial(METHOD, inputs[k], trials[index], context.folder / f"{label}.mp4")
-            who = f", seed {k + 1}" if k else ""
-            context.progress.note(f"{label}.mp4 shows trial {index}{who}: {filmed.text}")
+    """Film a success and a failure; `results`: of all trials with each of `inputs` in turn."""
+    for label, success in (("success", True), ("failure", False)):
+        positions = [i for i, result in enumerate(results) if result.success is success]
+        if not positions:
+            continue
+        k, index = divmod(positions[0], len(trials))
+        filmed = film_trial(METHOD, inputs[k], trials[index], context.folder / f"{label}.mp4")
+        seed_text = f", seed {k + 1}" if k else ""
+        context.progress.note(f"{label}.mp4 shows trial {index}{seed_text}: {filmed.text}")
 
 
-def _looks(context: StageContext, checkpoint: Path, trial: Trial) -> list[Check]:
+def _goal_error_checks(task: Task, results: Sequence[TrialMetrics]) -> list[Check]:
+    """Return the median distance from the goal, if any trial lifted the object."""
+    clear_m = task.scene.task.clear_height_m
+    lifted = [r for r in results if r.measured.get("rise_m", 0.0) > clear_m]
+    if not lifted:
+        return []
+    return [GOAL_ERROR_MEDIAN.report(float(np.median([r.goal_error_m for r in lifted])))]
+
+
+def _looks_check(context: StageContext, checkpoint: Path, trial: Trial) -> Check:
+    """Cover patches of each picture, draw how far the joint targets change, and return the check."""
     config = context.config
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
     runtime = load_runtime(checkpoint, config.deploy, bench.world.robot)
     world = bench.world
     world.reset(poses=trial.start)
     state = np.concatenate([world.q, world.gripper])
-    hidden = CONDITIONS[HIDDEN]
     rng = stream(context.seed, "deploy/looks")
-    maps = dict[str, tuple[Image, Array]]()
-    shares = list[float]()
     with Camera.recorded(world.model, config.scene.camera) as camera:
         pictures = {name: camera.picture(world.data, name) for name in runtime.cameras}
-        with hidden.applied(world.model, bench.task, trial, rng):
+        with CONDITIONS[HIDDEN].applied(world.model, bench.task, trial, rng):
             without = {name: camera.picture(world.data, name) for name in runtime.cameras}
+    maps: dict[str, tuple[Image, Array]] = {}
+    shares: list[float] = []
     for name, picture in pictures.items():
-
-        def targets(image: Image, name: str = name) -> Array:
-            runtime.reset()
-            return runtime.predict_chunk({**pictures, name: image}, state)[:, : runtime.joints_n]
-
-        changes = occlusion(targets, picture)
+        changes = occlusion(_targets_of(runtime, pictures, name, state), picture)
         maps[name] = picture, changes
         shares.append(on_object(changes, picture, without[name]))
     draw_occlusion(maps, context.folder / "occlusion.png")
-    return worded("deploy", {"looks_at_object": max(shares)})
+    return LOOKS_AT_OBJECT.report(max(shares))
+
+
+def _targets_of(
+    runtime: PolicyRuntime,
+    pictures: Mapping[str, Image],
+    name: str,
+    state: Array,
+) -> Callable[[Image], Array]:
+    """Return the function from a picture of camera `name` to the joint targets of a chunk."""
+
+    def targets(image: Image) -> Array:
+        runtime.reset()
+        chunk = runtime.predict_chunk({**pictures, name: image}, state)
+        return chunk[:, : runtime.joints_n]
+
+    return targets
 
 
 def measure_inference(checkpoint: Path, context: StageContext) -> float:
@@ -255,8 +265,8 @@ def measure_inference(checkpoint: Path, context: StageContext) -> float:
     state = np.concatenate([robot.home, np.ones(2)])
     for _ in range(_INFERENCES_N):
         pictures = {
-            c: rng.integers(0, 255, (*size, 3), dtype=np.uint8)
-            for c, size in runtime.cameras.items()
+            name: rng.integers(0, 255, (*size, 3), dtype=np.uint8)
+            for name, size in runtime.cameras.items()
         }
         runtime.predict_chunk(pictures, state)
     return runtime.inference_hz

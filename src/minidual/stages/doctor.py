@@ -1,6 +1,7 @@
 """`minidual doctor`: look for every known fault of this machine, and of what a run holds.
 
-The simulator's stages run again at a small size, in a folder of the tool. What the run holds is read back.
+The simulator's stages run again at a small size, in a folder of the tool. Results, recordings and
+policy of the run are read back.
 """
 
 from collections.abc import Callable, Sequence
@@ -8,21 +9,19 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from minidual.config.loader import load_config
-from minidual.demos.checks import camera_references, check_swapped, thumbnails
+from minidual.config.root import Config
+from minidual.demos.checks import Thumbnails, camera_references, check_swapped, thumbnails
 from minidual.demos.episode import episode_paths, inspect_episode
 from minidual.errors import ExitCode, MinidualError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, ToolContext, ToolResult, markdown
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.policy import exercise_checkpoint
-from minidual.robot.pair import GRIPPERS_N, robot_from
-from minidual.stages.words import worded
+from minidual.robot.pair import robot_from
+from minidual.stages.train_act import action_checks
 
-_FEW = {
-    "plan": ("queries_n", "second_queries_n", "held"),
-    "carry": ("trials_n",),
-}
-"""Sizes taken from `smoke`."""
+_LAST_STAGE = "carry"
+"""The last of the stages that run again."""
 
 
 class Fault(NamedTuple):
@@ -33,56 +32,89 @@ class Fault(NamedTuple):
     remedy: str | None
 
 
-Examination = tuple[str, Sequence[Fault]]
-"""What was examined, or "" for nothing, and its faults."""
-Examine = Callable[[ToolContext], Examination]
+class Examination(NamedTuple):
+    """Result of a part.
+
+    Attributes:
+        examined: What was examined, or "" for nothing.
+        faults: Known faults that it has.
+    """
+
+    examined: str
+    faults: Sequence[Fault]
+
+
+type Examine = Callable[[ToolContext], Examination]
 
 
 def doctor(context: ToolContext) -> ToolResult:
     """Examine every part, whatever is wrong with the others; exit 1 if anything is."""
-    parts: dict[str, Examine] = {
-        name: partial(stage, name) for name in context.gate.table.until("carry")
-    }
-    parts |= {"results": results, "recordings": recordings, "policy": policy}
-    rows = list[dict[str, Any]]()
-    found = list[dict[str, Any]]()
-    for part, examine in parts.items():
+    rows: list[dict[str, Any]] = []
+    faults: list[dict[str, Any]] = []
+    for part, examine in _parts(context).items():
         context.progress.note(f"doctor: {part}")
-        try:
-            examined, faults = examine(context)
-        except MinidualError as error:
-            examined = "stopped"
-            faults = [Fault("error", error.message, error.remedy)]
-        rows.append({"part": part, "examined": examined or "nothing yet", "faults": len(faults)})
-        found += [{"part": part, **fault._asdict()} for fault in faults]
-    lines = [*markdown(rows), *(() if found else ("", "no known fault found"))]
-    for fault in found:
+        examined, part_faults = _examine(context, examine)
+        rows.append(
+            {"part": part, "examined": examined or "nothing yet", "faults": len(part_faults)},
+        )
+        faults += [{"part": part, **fault._asdict()} for fault in part_faults]
+    lines = markdown(rows)
+    if not faults:
+        lines += ["", "no known fault found"]
+    for fault in faults:
         lines += [
             "",
-            "{part}: {name}: {detail}".format(**fault),
+            f"{fault['part']}: {fault['name']}: {fault['detail']}",
             f"  remedy: {fault['remedy'] or 'see the message'}",
         ]
-    code = ExitCode.ACCEPTANCE_FAILED if found else ExitCode.PASS
-    return ToolResult(lines, data={"parts": rows, "faults": found}, exit_code=code)
+    code = ExitCode.ACCEPTANCE_FAILED if faults else ExitCode.PASS
+    return ToolResult(lines, data={"parts": rows, "faults": faults}, exit_code=code)
+
+
+def _parts(context: ToolContext) -> dict[str, Examine]:
+    stages = {name: partial(stage, name) for name in context.gate.table.until(_LAST_STAGE)}
+    return {**stages, "results": results, "recordings": recordings, "policy": policy}
+
+
+def _examine(context: ToolContext, examine: Examine) -> Examination:
+    """Examine a part; an error that ends it is a fault."""
+    try:
+        return examine(context)
+    except MinidualError as error:
+        return Examination("stopped", [Fault("error", error.message, error.remedy)])
 
 
 def stage(name: str, context: ToolContext) -> Examination:
     """Run a stage with the run's settings, and as many queries and trials as `smoke`."""
-    small = load_config("smoke").config
-    config = context.config
     entry = context.gate.table[name]
-    for part, names in _FEW.items():
-        sized = getattr(config, part).model_copy(
-            update={size: getattr(getattr(small, part), size) for size in names},
-        )
-        config = config.model_copy(update={part: sized})
-    (folder := context.output / name).mkdir()
-    shared: dict[str, Any] = {
-        key: getattr(context, key) for key in ("seed", "progress", "workers", "view")
+    folder = context.output / name
+    folder.mkdir()
+    stage_context = StageContext(
+        config=entry.resolved(_small(context.config), checked=True),
+        seed=context.seed,
+        profile="smoke",
+        folder=folder,
+        progress=context.progress,
+        workers=context.workers,
+        view=context.view,
+    )
+    result = entry.load()(stage_context)
+    return Examination(f"{len(result.checks)} checks", _failed(result.checks))
+
+
+def _small(config: Config) -> Config:
+    """Return the configuration with the sizes of the profile `smoke`."""
+    smoke = load_config("smoke").config
+    plan_sizes = {
+        "queries_n": smoke.plan.queries_n,
+        "second_queries_n": smoke.plan.second_queries_n,
+        "held": smoke.plan.held,
     }
-    config = entry.resolved(config, checked=True)
-    done = entry.load()(StageContext(config=config, profile="smoke", folder=folder, **shared))
-    return f"{len(done.checks)} checks", _failed(done.checks)
+    sections = {
+        "plan": config.plan.model_copy(update=plan_sizes),
+        "carry": config.carry.model_copy(update={"trials_n": smoke.carry.trials_n}),
+    }
+    return config.model_copy(update=sections)
 
 
 def _failed(checks: Sequence[Check]) -> list[Fault]:
@@ -95,56 +127,50 @@ def _failed(checks: Sequence[Check]) -> list[Fault]:
 
 def results(context: ToolContext) -> Examination:
     """Judge the stages that have run or were begun."""
-    states = [
-        s
-        for s in map(context.gate.state, context.gate.table)
-        if s.state not in ("missing", "blocked")
+    states = [context.gate.state(name) for name in context.gate.table]
+    begun = [s for s in states if s.state not in ("missing", "blocked")]
+    faults = [
+        Fault(f"{s.name} is {s.state}", s.why(), context.command(f"explain {s.name}"))
+        for s in begun
+        if s.state != "pass"
     ]
-    bad = [s for s in states if s.state != "pass"]
-    found = [
-        Fault(f"{s.name} is {s.state}", s.why(), context.command(f"explain {s.name}")) for s in bad
-    ]
-    return ", ".join(state.name for state in states), found
+    return Examination(", ".join(s.name for s in begun), faults)
 
 
 def recordings(context: ToolContext) -> Examination:
     """Inspect every episode, alone and beside the others."""
     config = context.config
-    views = dict[str, Any]()
-    faults = list[tuple[str, Any]]()
+    robot = robot_from(config.robot)
     paths = episode_paths(context.run_folder / "teleop-record" / "episodes")
+    faults: list[Fault] = []
+    views: dict[str, Thumbnails] = {}
     for path in paths:
-        episode, own = inspect_episode(
-            path,
-            cameras=config.teleop.cameras,
-            robot=robot_from(config.robot),
-        )
-        faults += [(path.name, fault) for fault in own]
-        if episode is not None and not own:
+        episode, own_faults = inspect_episode(path, cameras=config.teleop.cameras, robot=robot)
+        faults += [
+            Fault(fault.name, f"{path.name}: {fault.detail}", fault.remedy) for fault in own_faults
+        ]
+        if episode is not None and not own_faults:
             views[path.name] = thumbnails(episode.images)
     references = camera_references(list(views.values()))
-    faults += [
-        (name, fault) for name, seen in views.items() for fault in check_swapped(seen, references)
-    ]
-    found = [Fault(fault.name, f"{name}: {fault.detail}", fault.remedy) for name, fault in faults]
-    return f"{len(paths)} episodes" if paths else "", found
+    for name, thumbs in views.items():
+        faults += [
+            Fault(fault.name, f"{name}: {fault.detail}", fault.remedy)
+            for fault in check_swapped(thumbs, references)
+        ]
+    return Examination(f"{len(paths)} episodes" if paths else "", faults)
 
 
 def policy(context: ToolContext) -> Examination:
     """Read the whole dataset, pictures too, and let the trained policy answer to it."""
-    dataset = context.run_folder / "teleop-record" / "lerobot"
     train = context.config.train
+    dataset = context.run_folder / "teleop-record" / "lerobot"
     checkpoint = context.run_folder / "train-act" / "checkpoint"
-    robot = robot_from(context.config.robot)
     if not dataset.is_dir():
-        return "", []
+        return Examination("", [])
     demos = load_demonstrations(dataset, train.cameras, folder=context.output)
     if not checkpoint.is_dir():
-        return f"dataset of {len(demos)} ticks", []
+        return Examination(f"dataset of {len(demos)} ticks", [])
+    robot = robot_from(context.config.robot)
     emitted = exercise_checkpoint(checkpoint, demos, robot)
-    in_limits = emitted.in_limits, ">=", train.actions_in_limits_min
-    rows = {
-        "actions_in_limits": in_limits,
-        "targets_n": (emitted.targets_n, "==", robot.dof + GRIPPERS_N),
-    }
-    return f"dataset of {len(demos)} ticks, checkpoint", _failed(worded("train-act", rows))
+    checks = action_checks(emitted, train, robot)
+    return Examination(f"dataset of {len(demos)} ticks, checkpoint", _failed(checks))

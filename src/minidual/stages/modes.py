@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image as Picture
-from PIL import ImageDraw, ImageFont
 
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import dumping
@@ -28,53 +26,38 @@ from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
 from minidual.stages.config_checks import check_carry
+from minidual.stages.modes_film import FILM_SIZE, filmed
 from minidual.tasks.catalogue import make_task, task_config
 from minidual.trials import modes_turns
 from minidual.trials.modes import DEFAULT_MODES, ModesDemo, parse_modes
 from minidual.trials.modes_turns import Turn
 
 _INTERRUPT_SHARE = 0.55
-"""Share of the planner's first motion before it is interrupted."""
-_FILM_SIZE = (720, 540)
-_BAR_PX = 64
-_LAST_S = 1.0
-_COLOURS = {"moveit": (32, 108, 214), "teleop": (20, 140, 90), "policy": (150, 62, 190)}
-_NOBODY = (96, 96, 96)
+"""Share of a planner's motion after which it is interrupted, but for the last."""
 
 
 def modes(context: ToolContext) -> ToolResult:
-    """Run the demonstration; write film and log; exit 1 if a switch exceeds a bound or it ends early."""
+    """Run the demonstration; write film and log.
+
+    Exit 1 if a switch exceeds a bound or the demonstration ends early.
+    """
     check_carry(context.config)
     context = replace(context, config=task_config(context.config))
-    named = context.options.get("modes")
     config = context.config
-    wanted = DEFAULT_MODES if named is None else parse_modes(named)
-    checkpoint = find_checkpoint(context) if "policy" in wanted else None
+    typed_modes = context.options.get("modes")
+    names = DEFAULT_MODES if typed_modes is None else parse_modes(typed_modes)
+    checkpoint = find_checkpoint(context) if "policy" in names else None
     world = World(config.scene, robot_from(config.robot), visuals=True)
     with Camera.recorded(world.model, config.scene.camera) as eyes:
-        demo = _demo(context, world, eyes, wanted, checkpoint)
-        doing = lambda: ("" if demo.turn is None else demo.turn.caption, None)  # noqa: E731
-        with (
-            Camera(world.model, *_FILM_SIZE, shadows=True) as camera,
-            watched(
-                context.view,
-                world,
-                StackNarrator(demo.stack, Kinematics(world.robot), "modes", doing),
-            ),
-            context.progress.task("modes", len(wanted)) as bar,
-        ):
-            write_video(
-                context.output / "modes.mp4",
-                _filmed(_counted(demo, bar), demo.stack, camera),
-                fps=FILM_FPS,
-            )
+        demo = _demo(context, world, eyes, names, checkpoint)
+        _film(context, demo, world, len(names))
     passed = demo.ended is None and not demo.exceeded(config.arbiter)
     record = {
-        "modes": list(wanted),
+        "modes": list(names),
         "checkpoint": str(checkpoint) if checkpoint else None,
         "seed": context.seed,
+        **demo.record(config.arbiter),
     }
-    record |= demo.record(config.arbiter)
     write_csv(context.output / "modes.csv", demo.rows)
     write_text(context.output / "modes.json", dumps(record))
     notes = _notes(demo, context)
@@ -82,9 +65,26 @@ def modes(context: ToolContext) -> ToolResult:
         notes.append(f"ENDED TOO EARLY: {demo.ended}")
     if passed:
         notes.append("every step at every switch within its bound")
+    notes.append(f"log, film: {context.folder}")
     lines = [str(context.folder / name) for name in ("modes.json", "modes.mp4")]
     code = ExitCode.PASS if passed else ExitCode.ACCEPTANCE_FAILED
-    return ToolResult(lines, [*notes, f"log, film: {context.folder}"], record, code)
+    return ToolResult(lines, notes, record, code)
+
+
+def _film(context: ToolContext, demo: ModesDemo, world: World, modes_n: int) -> None:
+    """Run the demonstration and write modes.mp4."""
+
+    def phase() -> tuple[str, str | None]:
+        return "" if demo.turn is None else demo.turn.caption, None
+
+    narrate = StackNarrator(demo.stack, Kinematics(world.robot), "modes", phase)
+    with (
+        Camera(world.model, *FILM_SIZE, shadows=True) as camera,
+        watched(context.view, world, narrate),
+        context.progress.task("modes", modes_n) as bar,
+    ):
+        frames = filmed(_counted(demo, bar), demo.stack, camera)
+        write_video(context.output / "modes.mp4", frames, fps=FILM_FPS)
 
 
 def find_checkpoint(context: ToolContext) -> Path:
@@ -95,23 +95,28 @@ def find_checkpoint(context: ToolContext) -> Path:
         GateClosedError: The run has no trained policy.
     """
     named = context.options.get("checkpoint")
-    folder = context.run_folder / "train-act" / "checkpoint" if named is None else expanded(named)
+    own = context.run_folder / "train-act" / "checkpoint"
+    folder = own if named is None else expanded(named)
     if (folder / "config.json").is_file():
         return folder
     if named is not None:
         raise UsageError(f"--checkpoint {named}: there is no policy (config.json) in that folder")
-    none = f"mode 'policy' needs a trained policy, and the run '{context.run_folder.name}' has none ({folder})"
-    others = "or name one with --checkpoint PATH; or leave the policy out with --modes moveit,teleop,moveit"
-    raise GateClosedError(none, remedy=f"{context.command('run --until train-act')}; {others}")
+    raise GateClosedError(
+        f"mode 'policy' needs a trained policy, "
+        f"and the run '{context.run_folder.name}' has none ({folder})",
+        remedy=f"{context.command('run --until train-act')}; or name one with --checkpoint PATH; "
+        "or leave the policy out with --modes moveit,teleop,moveit",
+    )
 
 
 def _demo(
     context: ToolContext,
     world: World,
     eyes: Camera,
-    wanted: tuple[str, ...],
-    policy: Path | None,
+    names: tuple[str, ...],
+    checkpoint: Path | None,
 ) -> ModesDemo:
+    """Return the demonstration of the named modes in turn, from the goal of a trial."""
     config = context.config
     seed = context.seed
     robot = world.robot
@@ -120,99 +125,66 @@ def _demo(
     world.reset(poses=trial.goal)  # as the last carry left it
     recorder = Recorder(world, window_s=1.0, seed=seed, folder=context.run_folder / "dumps")
     world.recorder = recorder
-    supervisor = trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder))
     rate_hz = config.teleop.rate_hz
     stack = ControlStack(
         world,
         Kinematics(robot),
         config.arbiter,
         rate_hz=rate_hz,
-        supervisor=supervisor,
+        supervisor=trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder)),
     )
     planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
+
+    def picture(name: str) -> tuple[Image, float]:
+        return eyes.picture(world.data, name), world.time
+
     turns: list[Turn] = []
-    for number, mode in enumerate(wanted, start=1):
+    for number, mode in enumerate(names, start=1):
+        last = number == len(names)
         if mode == "moveit":
-            home = 1 < number == len(wanted)
-            share = 1.0 if number == len(wanted) else _INTERRUPT_SHARE
-            turns.append(modes_turns.moveit(stack, planner, seed, home=home, share=share))
+            goes_home = last and number > 1
+            share = 1.0 if last else _INTERRUPT_SHARE
+            turns.append(modes_turns.moveit(stack, planner, seed, home=goes_home, share=share))
         elif mode == "teleop":
             turns.append(modes_turns.teleop(stack, operator, trial, seed, rate_hz))
-        elif policy is not None:
-            picture = lambda name: (eyes.picture(world.data, name), world.time)  # noqa: E731
-            turns.append(
-                modes_turns.policy(
-                    stack,
-                    load_runtime(policy, config.deploy, robot),
-                    picture,
-                    task,
-                    trial,
-                ),
-            )
+        elif checkpoint is not None:
+            runtime = load_runtime(checkpoint, config.deploy, robot)
+            turns.append(modes_turns.policy(stack, runtime, picture, task, trial))
     return ModesDemo(stack, turns)
 
 
 def _counted(demo: ModesDemo, bar: ProgressTask) -> Iterator[Turn]:
+    """Run the demonstration; count its turns."""
     for turn, steps in itertools.groupby(demo.steps()):
         yield from steps
         bar.advance(note=f"{turn.mode} done")
 
 
 def _notes(demo: ModesDemo, context: ToolContext) -> list[str]:
+    """Return what each switch and turn measured, and what was refused or exceeded."""
     arbiter = context.config.arbiter
-    notes = [
-        f"switch to {s.mode} at {s.requested_s:.2f} s, confirmed after {s.confirmed_s - s.requested_s:.2f} s: "
-        + ", ".join(
+    notes: list[str] = []
+    for switch in demo.switches:
+        bounds = ", ".join(
             f"{name} {value:.3g} (bound {bound:g})"
-            for name, (value, bound) in s.bounds(arbiter).items()
+            for name, (value, bound) in switch.bounds(arbiter).items()
         )
-        for s in demo.switches
-    ]
+        wait_s = switch.confirmed_s - switch.requested_s
+        notes.append(
+            f"switch to {switch.mode} at {switch.requested_s:.2f} s, "
+            f"confirmed after {wait_s:.2f} s: {bounds}",
+        )
     for outcome in demo.outcomes:
-        said = (
-            f"{k} {np.round(v, 4) if isinstance(v, float | list) else v}"
-            for k, v in outcome.items()
-            if k != "mode"
+        values = ", ".join(
+            f"{name} {_rounded(value)}" for name, value in outcome.items() if name != "mode"
         )
-        notes.append(f"{outcome['mode']}: {', '.join(said)}")
-    refused = [r.name for r in demo.stack.refusals]
+        notes.append(f"{outcome['mode']}: {values}")
+    refused = [refusal.name for refusal in demo.stack.refusals]
     notes += [f"refused as {name}: {refused.count(name)}" for name in sorted(set(refused))]
-    return [*notes, *(f"OVER ITS BOUND: {text}" for text in demo.exceeded(arbiter))]
+    notes += [f"OVER ITS BOUND: {text}" for text in demo.exceeded(arbiter)]
+    return notes
 
 
-def _filmed(steps: Iterator[Turn], stack: ControlStack[World], camera: Camera) -> Iterator[Image]:
-    """Run `steps`; yield captioned frames at FILM_FPS, the last one for 1 s."""
-    frames = 0
-    world = stack.plant
-    last: Image | None = None
-    for turn in steps:
-        if world.time * FILM_FPS >= frames:
-            frames += 1
-            last = captioned(camera.picture(world.data, "overview"), stack, turn)
-            yield last
-    if last is not None:
-        yield from [last] * round(_LAST_S * FILM_FPS)
-
-
-def captioned(picture: Image, stack: ControlStack[World], turn: Turn) -> Image:
-    """Return the picture above a caption bar."""
-    height, width = picture.shape[:2]
-    source = stack.output.active_source
-    whole = Picture.new(
-        "RGB",
-        (width, height + _BAR_PX),
-        _NOBODY if source is None else _COLOURS[source],
-    )
-    whole.paste(Picture.fromarray(picture), (0, 0))
-    draw = ImageDraw.Draw(whole)
-    large = ImageFont.load_default(size=22)
-    small = ImageFont.load_default(size=15)
-    driver = f"{source} drives" if source is not None else f"{turn.mode} requested: arms held"
-    state = f"arbiter: {stack.state}   t = {stack.plant.time:5.1f} s"
-    active = f"controllers: {' + '.join(stack.manager.active)}"
-    draw.text((14, height + 6), driver, fill="white", font=large)
-    draw.text((14, height + 38), turn.caption, fill="white", font=small)
-    draw.text((width - 14, height + 10), state, fill="white", font=small, anchor="ra")
-    draw.text((width - 14, height + 38), active, fill="white", font=small, anchor="ra")
-    return np.asarray(whole)
+def _rounded(value: object) -> object:
+    return np.round(value, 4) if isinstance(value, float | list) else value

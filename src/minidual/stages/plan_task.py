@@ -1,6 +1,7 @@
 """`minidual plan --task NAME`: plan, simulate and judge one whole task."""
 
-from typing import Any, cast
+from pathlib import Path
+from typing import cast
 
 from minidual.config.root import replaced
 from minidual.durable import disk_errors
@@ -11,9 +12,9 @@ from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.watch import trial_hook
 from minidual.skills.planned_carry import PlannedCarry
-from minidual.stages.plan_tools import target_file
+from minidual.stages.output_file import target_file
 from minidual.tasks.catalogue import TASKS
-from minidual.tasks.task import placement
+from minidual.tasks.task import Trial, placement
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.runner import Bench
 
@@ -36,27 +37,33 @@ def plan_task(context: ToolContext) -> ToolResult:
     result, _ = bench.run(trial, on_step=on_step)
     carry = cast(PlannedCarry, bench.ran)
     solution = carry.solution
-    record = carry.record
-    lines = record.tree(name).splitlines()
+    lines = carry.record.tree(name).splitlines()
+    notes: list[str] = []
     if solution is not None:
         lines.append(
-            f"planned {solution.duration_s:.2f} s of motion; driven in the simulator: {result.text}",
+            f"planned {solution.duration_s:.2f} s of motion; "
+            f"driven in the simulator: {result.text}",
         )
-    notes = []
-    if video is not None and solution is not None:
-        stage = World(config.scene, robot_from(config.robot), visuals=True)
-        stage.mark_goal(*placement(trial.goal[bench.task.carried]))
-        with disk_errors(video):
-            film_postures(stage.model, postures.qpos, video)
-        notes.append(f"film: {video}")
-    found: dict[str, Any] = {
+        if video is not None:
+            _film(bench, trial, postures, video)
+            notes.append(f"film: {video}")
+    data = {
+        "task": name,
+        "seed": context.seed,
         "solved": solution is not None,
         "success": result.success,
         "result": result.text,
-    }
-    found |= {
         "duration_s": None if solution is None else solution.duration_s,
-        "record": record.to_json(),
+        "record": carry.record.to_json(),
     }
     code = ExitCode.PASS if result.success else ExitCode.ACCEPTANCE_FAILED
-    return ToolResult(lines, notes, {"task": name, "seed": context.seed, **found}, code)
+    return ToolResult(lines, notes, data, code)
+
+
+def _film(bench: Bench, trial: Trial, postures: Postures, path: Path) -> None:
+    """Write a film of the postures in a world with visuals and the goal."""
+    config = bench.task.config
+    world = World(config.scene, robot_from(config.robot), visuals=True)
+    world.mark_goal(*placement(trial.goal[bench.task.carried]))
+    with disk_errors(path):
+        film_postures(world.model, postures.qpos, path)

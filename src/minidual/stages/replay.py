@@ -1,7 +1,9 @@
 """`minidual replay`: run a dump or recorded trial again and report the first fault."""
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from minidual.errors import ExitCode, UsageError, check_name
 from minidual.gate.stage import ToolContext, ToolResult
@@ -9,27 +11,66 @@ from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay
 from minidual.show.figures.film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
-from minidual.stages.plan_tools import target_file
+from minidual.stages.output_file import target_file
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """What to draw of a replay.
+
+    Attributes:
+        video: File of the film, or None.
+        picture: File of the sheet of frames, or None.
+        camera: Row of CAMERAS.
+        slowdown: How many times slower than life the film is.
+        frames: Frames on the sheet.
+    """
+
+    video: Path | None
+    picture: Path | None
+    camera: str
+    slowdown: float
+    frames: int
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything is drawn."""
+        return self.video is not None or self.picture is not None
+
+    def period_s(self, duration_s: float) -> float:
+        """Return the time between two postures [s]."""
+        if self.video is not None:
+            return 1.0 / (FILM_FPS * self.slowdown)
+        return duration_s / (4 * self.frames)
+
+    def draw(self, recording: Recording, postures: Postures) -> list[str]:
+        """Write the files; return a note for each."""
+        if not self.wanted:
+            return []
+        notes: list[str] = []
+        model = build_model(recording.scene, recording.robot, visuals=True)
+        if self.video is not None:
+            count = film_postures(model, postures.qpos, self.video, camera=self.camera)
+            notes.append(f"film of {count} frames: {self.video}")
+        if self.picture is not None:
+            count = sheet_of_postures(
+                model,
+                postures,
+                self.picture,
+                frames=self.frames,
+                camera=self.camera,
+            )
+            notes.append(f"sheet of {count} frames: {self.picture}")
+        return notes
 
 
 def replay_tool(context: ToolContext) -> ToolResult:
-    """Replay the file; exit 1 if equal versions do not reproduce it, 5 if there was nothing to compare."""
+    """Replay the file.
+
+    Exit 1 if equal versions do not reproduce it, 5 if there was nothing to compare.
+    """
     options = context.options
-    camera = options.get("camera", "overview")
-    check_name("camera", camera, CAMERAS)
-    slowdown = options.get("slowdown", 1.0)
-    frames = options.get("frames", 8)
-    if not 0.1 <= slowdown <= 100.0:
-        raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
-    if not 1 <= frames <= 48:
-        raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
-    for option, of in (("slowdown", "video"), ("frames", "picture")):
-        if option in options and of not in options:
-            raise UsageError(f"--{option} goes with --{of}")
-    if "camera" in options and not {"video", "picture"} & options.keys():
-        raise UsageError("--camera goes with --video or --picture")
-    video = target_file("video", options.get("video"), ".mp4")
-    picture = target_file("picture", options.get("picture"), ".png")
+    pictures = _pictures(options)
     path = Path(options["file"])
     if path.suffix == ".hdf5":
         raise UsageError(
@@ -37,69 +78,90 @@ def replay_tool(context: ToolContext) -> ToolResult:
             remedy="see docs/data.md",
         )
     recording = read_recording(path)
-    begin = options.get("from-s", recording.start_s)
-    end = options.get("to-s", recording.end_s)
-    step_s = (end - begin) / (4 * frames) if video is None else 1.0 / (FILM_FPS * slowdown)
-    postures = Postures(max(recording.dt_s, step_s))
-    found = replay(
+    from_s = options.get("from-s", recording.start_s)
+    to_s = options.get("to-s", recording.end_s)
+    postures = Postures(max(recording.dt_s, pictures.period_s(to_s - from_s)))
+    replayed = replay(
         recording,
-        from_s=begin,
-        to_s=end,
-        on_step=postures if video or picture else None,
+        from_s=from_s,
+        to_s=to_s,
+        on_step=postures if pictures.wanted else None,
     )
-    notes: list[str] = []
-    if video or picture:
-        model = build_model(recording.scene, recording.robot, visuals=True)
-        if video is not None:
-            notes.append(
-                f"film of {film_postures(model, postures.qpos, video, camera=camera)} frames: {video}",
-            )
-        if picture is not None:
-            count = sheet_of_postures(model, postures, picture, frames=frames, camera=camera)
-            notes.append(f"sheet of {count} frames: {picture}")
-    broken = found.deviates is not None and not found.versions_differ
-    code = ExitCode.PASS if found.compared else ExitCode.NOTHING_EVALUATED
-    told = {name: getattr(recording, name) for name in ("kind", "reason", "seed", "details")}
+    notes = pictures.draw(recording, postures)
     data = {
         "file": str(path),
-        **told,
+        "kind": recording.kind,
+        "reason": recording.reason,
+        "seed": recording.seed,
+        "details": recording.details,
         "made_by": recording.libraries,
-        "exact": found.exact,
-        **asdict(found),
+        "exact": replayed.exact,
+        **asdict(replayed),
     }
-    return ToolResult(
-        _lines(path, recording, found),
-        notes,
-        data,
-        ExitCode.ACCEPTANCE_FAILED if broken else code,
+    return ToolResult(_lines(path, recording, replayed), notes, data, _exit_code(replayed))
+
+
+def _pictures(options: Mapping[str, Any]) -> _Pictures:
+    """Return what the options ask for.
+
+    Raises:
+        UsageError: A value is out of bounds, a file cannot be written, or options do not go together.
+    """
+    camera = options.get("camera", "overview")
+    check_name("camera", camera, CAMERAS)
+    slowdown = options.get("slowdown", 1.0)
+    if not 0.1 <= slowdown <= 100.0:
+        raise UsageError(f"--slowdown is {slowdown:g}; 0.1 <= value <= 100")
+    frames = options.get("frames", 8)
+    if not 1 <= frames <= 48:
+        raise UsageError(f"--frames is {frames}; 1 <= value <= 48")
+    for option, needed in (("slowdown", "video"), ("frames", "picture")):
+        if option in options and needed not in options:
+            raise UsageError(f"--{option} goes with --{needed}")
+    if "camera" in options and not {"video", "picture"} & options.keys():
+        raise UsageError("--camera goes with --video or --picture")
+    return _Pictures(
+        video=target_file("video", options.get("video"), ".mp4"),
+        picture=target_file("picture", options.get("picture"), ".png"),
+        camera=camera,
+        slowdown=slowdown,
+        frames=frames,
     )
 
 
-def _lines(path: Path, recording: Recording, found: Replayed) -> list[str]:
-    made = ", ".join(f"{name} {version}" for name, version in recording.libraries.items())
+def _exit_code(replayed: Replayed) -> ExitCode:
+    if replayed.deviates is not None and not replayed.versions_differ:
+        return ExitCode.ACCEPTANCE_FAILED
+    return ExitCode.PASS if replayed.compared else ExitCode.NOTHING_EVALUATED
+
+
+def _lines(path: Path, recording: Recording, replayed: Replayed) -> list[str]:
+    libraries = ", ".join(f"{name} {version}" for name, version in recording.libraries.items())
     extent = f"{recording.start_s:.3f} s to {recording.end_s:.3f} s"
+    stretch = f"{replayed.from_s:.3f} s to {replayed.to_s:.3f} s ({replayed.steps} steps)"
     seed = "unknown" if recording.seed is None else recording.seed
     lines = [
         f"{path}: {recording.kind}, seed {seed}",
         f"  why       {recording.reason}",
-        f"  made by   {made}",
-        f"  replayed  {found.from_s:.3f} s to {found.to_s:.3f} s ({found.steps} steps) of {extent}",
-        f"  repeats   {_repeats(found)}",
+        f"  made by   {libraries}",
+        f"  replayed  {stretch} of {extent}",
+        f"  repeats   {_repeats(replayed)}",
     ]
-    if found.versions_differ:
-        differ = ", ".join(
-            f"{row['name']}: was {row['was']}, is {row['is']}" for row in found.versions_differ
+    if replayed.versions_differ:
+        differences = ", ".join(
+            f"{row['name']}: was {row['was']}, is {row['is']}" for row in replayed.versions_differ
         )
-        lines.append(f"  versions  {differ}")
-    if found.model_changed:
-        lines.append(f"  model     changed from the scene's: {', '.join(found.model_changed)}")
-    lines += [f"  first     {sign.text}" for sign in found.first] or [
-        "  first     nothing went out of bounds",
-    ]
+        lines.append(f"  versions  {differences}")
+    if replayed.model_changed:
+        lines.append(f"  model     changed from the scene's: {', '.join(replayed.model_changed)}")
+    if replayed.first:
+        lines += [f"  first     {sign.text}" for sign in replayed.first]
+    else:
+        lines.append("  first     nothing went out of bounds")
     if recording.kind == "dump":  # the tick of the reflex, which the motors never saw
         lines += [f"  {name}: {_row(values)}" for name, values in recording.details.items()]
-    if found.ended is not None:
-        lines.append(f"  ended     {found.ended}")
+    if replayed.ended is not None:
+        lines.append(f"  ended     {replayed.ended}")
     return lines
 
 
@@ -109,21 +171,18 @@ def _row(values: object) -> str:
     return " ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in values)
 
 
-def _repeats(found: Replayed) -> str:
-    off = found.deviates
-    n = found.compared
-    versions = found.versions_differ
-    if off is None:
-        return (
-            f"to the bit, at {n} of {n} check points"
-            if n
-            else "nothing compared: no check point in this stretch"
-        )
-    why = (
-        "another version may round differently"
-        if versions
-        else "the state was changed between two steps"
+def _repeats(replayed: Replayed) -> str:
+    deviation = replayed.deviates
+    if deviation is None:
+        n = replayed.compared
+        if n == 0:
+            return "nothing compared: no check point in this stretch"
+        return f"to the bit, at {n} of {n} check points"
+    if replayed.versions_differ:
+        cause = "another version may round differently"
+    else:
+        cause = "the state was changed between two steps"
+    return (
+        f"no: {deviation.what} is off by {deviation.size:.3g} at {deviation.time_s:.3f} s, "
+        f"{replayed.largest_deviation:.3g} at most; {cause}"
     )
-    size = f"{off.size:.3g}"
-    most = f"{found.largest_deviation:.3g}"
-    return f"no: {off.what} is off by {size} at {off.time_s:.3f} s, {most} at most; {why}"

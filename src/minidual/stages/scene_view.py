@@ -22,22 +22,21 @@ from minidual.show.watch import Brake, StackNarrator, watched
 from minidual.tasks.catalogue import task_config
 
 _SOURCE = "teleop"
-_SLICE_S = 0.02  # one tick of the arbiter, which limits the sliders' speed
+_SLICE_S = 0.02
+"""Time between two readings of the sliders: one tick of the arbiter, which limits their speed."""
 
 
 def joint_sliders(robot: Robot) -> list[Slider]:
-    """Return one slider per joint, at home, and per hand, open."""
-    sliders = [
-        Slider(f"{side} arm", f"joint {i + 1} [rad]", *map(float, row))
-        for side in robot.sides
-        for i, row in enumerate(
-            zip(robot.arm.q_lower, robot.arm.q_upper, robot.arm.home, strict=True),
-        )
-    ]
-    return [
-        *sliders,
-        *(Slider(f"{side} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0) for side in robot.sides),
-    ]
+    """Return one slider per joint, at home, and then one per hand, open."""
+    sliders: list[Slider] = []
+    limits = list(zip(robot.arm.q_lower, robot.arm.q_upper, robot.arm.home, strict=True))
+    for side in robot.sides:
+        for i, (lower, upper, home) in enumerate(limits):
+            label = f"joint {i + 1} [rad]"
+            sliders.append(Slider(f"{side} arm", label, float(lower), float(upper), float(home)))
+    for side in robot.sides:
+        sliders.append(Slider(f"{side} arm", "hand, 0 closed to 1 open", 0.0, 1.0, 1.0))
+    return sliders
 
 
 @contextlib.contextmanager
@@ -61,7 +60,8 @@ def view_scene(context: ToolContext) -> ToolResult:
     Raises:
         UsageError: --view none, or --for-s not above 0.
     """
-    if (view := context.view) is None:
+    view = context.view
+    if view is None:
         raise UsageError("`minidual view` needs a view", remedy="--view web")
     for_s = float(context.options.get("for-s", math.inf))
     if not for_s > 0.0:
@@ -76,23 +76,21 @@ def view_scene(context: ToolContext) -> ToolResult:
     view.panel.offer(joint_sliders(robot))
     narrate = StackNarrator(stack, kinematics, "the scene, moved by the sliders")
     with interruptions() as stop, watched(view, world, narrate):
-        began = time.monotonic()
-        while view.alive and not stop.is_set() and time.monotonic() - began < for_s:
-            *joints, left, right = view.panel.values()
+        began_s = time.monotonic()
+        while view.alive and not stop.is_set() and time.monotonic() - began_s < for_s:
+            *joints, left_gripper, right_gripper = view.panel.values()
             target = np.clip(joints, robot.q_lower, robot.q_upper)
-            stack.propose(
-                _SOURCE,
-                JointCommand(target, np.array([left, right]), world.time, next(sequence)),
-            )
+            grippers = np.array([left_gripper, right_gripper])
+            stack.propose(_SOURCE, JointCommand(target, grippers, world.time, next(sequence)))
             for _ in range(round(_SLICE_S / world.dt)):
                 stack.step()
             brake.hold(world.time)
-    spent = time.monotonic() - began
-    notes = [f"showed {world.time:.1f} s of simulated time in {spent:.1f} s"]
+    spent_s = time.monotonic() - began_s
     data = {
         "view": view.name,
         "url": view.url,
         "simulated_s": world.time,
-        "wall_s": round(spent, 3),
+        "wall_s": round(spent_s, 3),
     }
-    return ToolResult(notes=notes, data=data)
+    note = f"showed {world.time:.1f} s of simulated time in {spent_s:.1f} s"
+    return ToolResult(notes=[note], data=data)

@@ -13,44 +13,110 @@ from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.demos import recording, rig
 from minidual.demos.leader import LEADERS
+from minidual.demos.lerobot_reader import LeRobotTables
 from minidual.demos.quality import JERK_FILTER
 from minidual.demos.schema import MAX_SYNC_S
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.canonical import canonical
-from minidual.gate.check import Check, Rows
+from minidual.gate.check import Check
 from minidual.gate.code import code_of
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
 from minidual.show.watch import watch_recording
-from minidual.stages.words import worded
+from minidual.stages.criterion import Criterion
 from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
 
 READS = ("robot", "task", "teleop", "plan.planner", "scene", "arbiter", "supervisor")
 """Configuration paths that the recording depends on."""
-
+_NAME = "teleop-record"
 _TESTS_SHOWN = 100
+"""Starts of `deploy` that the figure shows beside those of the demonstrations."""
+
+EPISODES = Criterion(
+    "episodes",
+    ">=",
+    why="demonstrations kept",
+    remedy="see `reason` in quality.csv; raise teleop.attempts_max_ratio",
+)
+SCHEMA_OK = Criterion(
+    "schema_ok",
+    "==",
+    why="every file, opened again, is sound and inside the limits",
+    remedy="read `faults` in the verdict",
+)
+JERK_RMS_MAX = Criterion(
+    "jerk_rms_max",
+    "<",
+    unit="rad/s^3",
+    why="roughest demonstration kept",
+    remedy="quality.csv names the roughest; set teleop.operator.speed_spread to 0, "
+    "or smooth the leader's targets",
+)
+LATENCY_P99 = Criterion(
+    "latency_p99_s",
+    "<",
+    unit="s",
+    why="wall time from reading the leader to its torque, 99th percentile",
+    remedy="use fewer workers",
+)
+EPISODES_PER_MIN = Criterion(
+    "episodes_per_min",
+    ">",
+    unit="1/min",
+    why="demonstrations kept, conversion included",
+    remedy="use more workers, or fewer cameras",
+)
+SYNC_ERROR_MAX = Criterion(
+    "sync_error_max_s",
+    "<=",
+    unit="s",
+    why="images against joints of a tick, each stamped when read",
+    remedy="read both in one tick",
+)
+DATASET_ROWS = Criterion(
+    "dataset_rows",
+    "==",
+    why="every recorded tick is a row and a frame of each video",
+    remedy="check the disk; add --force",
+)
+DATASET_EPISODES = Criterion(
+    "dataset_episodes",
+    "==",
+    why="every demonstration kept is an episode of the dataset",
+    remedy="record again with --force",
+)
+SUCCESS_RATE = Criterion(
+    "success_rate",
+    why="share of attempts that achieved the task; others are left out",
+)
+ATTEMPTS = Criterion("attempts", why="trials that were led")
+LATENCY_P50 = Criterion("latency_p50_s", unit="s", why="median of the same")
+RECORDED_PER_MIN = Criterion(
+    "recorded_per_min",
+    unit="1/min",
+    why="the rate of recording alone",
+)
 
 
 def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
     """Return the stage's checks from `RecordedAttempts.numbers` and the sizes of the dataset."""
-    rows: Rows = {
-        "episodes": (numbers["episodes"], ">=", config.episodes_n),
-        "schema_ok": (numbers["schema_ok"], "==", True),
-        "jerk_rms_max": (numbers["jerk_rms_max"], "<", config.jerk_max_rad_s3),
-        "latency_p99_s": (numbers["latency_p99_s"], "<", config.latency_max_s),
-        "episodes_per_min": (numbers["episodes_per_min"], ">", config.episodes_per_min),
-        "sync_error_max_s": (numbers["sync_error_max_s"], "<=", MAX_SYNC_S),
-        "dataset_rows": (numbers["dataset_rows"], "==", numbers["recorded_ticks"]),
-        "dataset_episodes": (numbers["dataset_episodes"], "==", numbers["episodes"]),
-        **{
-            name: numbers[name]
-            for name in ("success_rate", "attempts", "latency_p50_s", "recorded_per_min")
-        },
-    }
-    return worded("teleop-record", rows)
+    return [
+        EPISODES.check(numbers["episodes"], config.episodes_n),
+        SCHEMA_OK.check(numbers["schema_ok"], True),
+        JERK_RMS_MAX.check(numbers["jerk_rms_max"], config.jerk_max_rad_s3),
+        LATENCY_P99.check(numbers["latency_p99_s"], config.latency_max_s),
+        EPISODES_PER_MIN.check(numbers["episodes_per_min"], config.episodes_per_min),
+        SYNC_ERROR_MAX.check(numbers["sync_error_max_s"], MAX_SYNC_S),
+        DATASET_ROWS.check(numbers["dataset_rows"], numbers["recorded_ticks"]),
+        DATASET_EPISODES.check(numbers["dataset_episodes"], numbers["episodes"]),
+        SUCCESS_RATE.report(numbers["success_rate"]),
+        ATTEMPTS.report(numbers["attempts"]),
+        LATENCY_P50.report(numbers["latency_p50_s"]),
+        RECORDED_PER_MIN.report(numbers["recorded_per_min"]),
+    ]
 
 
 def recording_inputs(config: Config) -> dict[str, Any]:
@@ -60,69 +126,49 @@ def recording_inputs(config: Config) -> dict[str, Any]:
     return {"seed": config.seed, "code": code.modules, **values}
 
 
-def run(context: StageContext) -> StageResult:
-    """Record, convert and film; write quality.csv and quality.png."""
-    from minidual.demos import (
-        lerobot_adapter,
-    )  # takes seconds: interrupted there, no workers are left behind
+class _Demonstrations:
+    """The attempts of a recording as they come.
 
-    config = context.config
-    folder = context.folder
-    teleop = config.teleop
-    leader = LEADERS[config.teleop.leader]
-    within = rooms(teleop.conditions)
-    job = rig.Job(
-        folder,
-        make_task(config),
-        teleop,
-        config.arbiter,
-        context.seed,
-        config.supervisor,
-        within,
-    )
-    if earlier := recording.claim(folder, recording_inputs(config), "teleop-record"):
-        context.progress.note(earlier)
-    if leader.usage:
-        context.progress.note(leader.usage)
-    watch = watch_recording(context.view)
-    attempts = list[rig.Attempt]()
-    began = 0.0
+    Attributes:
+        attempts: All so far.
+        began_s: When the first attempt began, by time.perf_counter(); 0 before.
+    """
 
-    def demonstrations() -> Generator[Path]:
-        nonlocal began
-        with context.progress.task("demonstrations", teleop.episodes_n) as task:
-            for attempt in recording.attempts_of(job, context.workers, watch):
-                attempts.append(attempt)
-                began = began or time.perf_counter() - attempt.wall_s
-                why = "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
-                task.advance(int(attempt.kept), why)
+    def __init__(self, context: StageContext, job: rig.Job) -> None:
+        self._context = context
+        self._job = job
+        self.attempts: list[rig.Attempt] = []
+        self.began_s = 0.0
+
+    def paths(self) -> Generator[Path]:
+        """Record; yield the file of each demonstration, and write quality.csv at the end."""
+        context = self._context
+        watch = watch_recording(context.view)
+        with context.progress.task("demonstrations", self._job.teleop.episodes_n) as task:
+            for attempt in recording.attempts_of(self._job, context.workers, watch):
+                self.attempts.append(attempt)
+                if not self.began_s:
+                    self.began_s = time.perf_counter() - attempt.wall_s
+                reason = "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
+                task.advance(int(attempt.kept), reason)
                 if attempt.path is not None and attempt.kept:
                     yield attempt.path
-        write_csv(folder / "quality.csv", [attempt.row() for attempt in attempts])
+        write_csv(context.folder / "quality.csv", [attempt.row() for attempt in self.attempts])
 
-    with closing(demonstrations()) as coming:  # an interruption ends the workers here
-        paths = (
-            iter(list(coming)) if leader.realtime else coming
-        )  # a person does not wait between two episodes
-        if (first := next(paths, None)) is None:
-            recording.claim(folder, {}, "teleop-record")  # typed again, the command tries again
-            none = (
-                f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}"
-            )
-            remedy = "read `reason` above; try --set teleop.leader=scripted, or the defaults of teleop.operator"
-            raise NothingEvaluatedError(none, remedy=remedy)
-        context.progress.note(
-            "demonstrations go into the dataset as they come; at the end every picture is compared",
-        )
-        dataset = lerobot_adapter.convert(
-            itertools.chain([first], paths),
-            folder / "lerobot",
-            job.robot,
-        )
+
+def run(context: StageContext) -> StageResult:
+    """Record, convert and film; write quality.csv and quality.png."""
+    folder = context.folder
+    teleop = context.config.teleop
+    job = _job(context)
+    demonstrations = _Demonstrations(context, job)
+    dataset = _record_dataset(context, job, demonstrations)
+    attempts = demonstrations.attempts
     recorded = recording.recording_of(job, context.workers, attempts)
-    numbers = recorded.numbers(time.perf_counter() - began)
-    numbers |= {"dataset_rows": len(dataset), "dataset_episodes": len(dataset.starts)}
-    if not leader.realtime:  # a person does not do the same thing twice
+    numbers = recorded.numbers(time.perf_counter() - demonstrations.began_s)
+    numbers["dataset_rows"] = len(dataset)
+    numbers["dataset_episodes"] = len(dataset.starts)
+    if not LEADERS[teleop.leader].realtime:  # a person does not do the same thing twice
         context.progress.note("filming the first demonstration again")
         film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
     tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
@@ -133,12 +179,77 @@ def run(context: StageContext) -> StageResult:
         "faults": {str(a.trial.index): list(a.faults) for a in recorded.attempts if a.faults},
         "jerk_filter": JERK_FILTER,
     }
-    most = f"; {_commonest(rejected)}" if rejected else ""
-    notes = [f"{len(rejected)} of {len(attempts)} attempts were left out{most}"]
-    if adopted := sum(a.adopted for a in attempts):
-        notes.append(f"{adopted} attempts were recorded before an interruption")
-    return StageResult(checks=record_checks(numbers, teleop), data=data, notes=notes)
+    return StageResult(
+        checks=record_checks(numbers, teleop),
+        data=data,
+        notes=_notes(attempts, rejected),
+    )
+
+
+def _job(context: StageContext) -> rig.Job:
+    config = context.config
+    return rig.Job(
+        folder=context.folder,
+        task=make_task(config),
+        teleop=config.teleop,
+        arbiter=config.arbiter,
+        seed=context.seed,
+        supervisor=config.supervisor,
+        rooms=rooms(config.teleop.conditions),
+    )
+
+
+def _record_dataset(
+    context: StageContext,
+    job: rig.Job,
+    demonstrations: _Demonstrations,
+) -> LeRobotTables:
+    """Record, and convert the demonstrations as they come.
+
+    Raises:
+        NothingEvaluatedError: No attempt became a demonstration.
+    """
+    # Takes seconds: interrupted there, no workers are left behind.
+    from minidual.demos import lerobot_adapter
+
+    leader = LEADERS[job.teleop.leader]
+    adopted_note = recording.claim(context.folder, recording_inputs(context.config), _NAME)
+    for note in (adopted_note, leader.usage):
+        if note:
+            context.progress.note(note)
+    with closing(demonstrations.paths()) as coming:  # an interruption ends the workers here
+        # A person does not wait between two episodes: all are recorded before the first is converted.
+        paths = iter(list(coming)) if leader.realtime else coming
+        first = next(paths, None)
+        if first is None:
+            recording.claim(context.folder, {}, _NAME)  # typed again, the command tries again
+            raise _nothing_recorded(demonstrations.attempts)
+        context.progress.note(
+            "demonstrations go into the dataset as they come; at the end every picture is compared",
+        )
+        every_path = itertools.chain([first], paths)
+        return lerobot_adapter.convert(every_path, context.folder / "lerobot", job.robot)
+
+
+def _nothing_recorded(attempts: Sequence[rig.Attempt]) -> NothingEvaluatedError:
+    return NothingEvaluatedError(
+        f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}",
+        remedy="read `reason` above; try --set teleop.leader=scripted, "
+        "or the defaults of teleop.operator",
+    )
+
+
+def _notes(attempts: Sequence[rig.Attempt], rejected: Sequence[rig.Attempt]) -> list[str]:
+    commonest = f"; {_commonest(rejected)}" if rejected else ""
+    notes = [f"{len(rejected)} of {len(attempts)} attempts were left out{commonest}"]
+    adopted_n = sum(a.adopted for a in attempts)
+    if adopted_n:
+        notes.append(f"{adopted_n} attempts were recorded before an interruption")
+    return notes
 
 
 def _commonest(attempts: Sequence[rig.Attempt]) -> str:
-    return "{1} x {0}".format(*Counter(a.reason for a in attempts).most_common(1)[0])
+    """Return the most frequent reason and its count, such as "3 x late"."""
+    reasons = Counter(attempt.reason for attempt in attempts)
+    reason, count = reasons.most_common(1)[0]
+    return f"{count} x {reason}"

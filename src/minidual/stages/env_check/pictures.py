@@ -11,6 +11,8 @@ from minidual.plant.render import Camera
 from minidual.plant.world import World
 from minidual.show.figures.canvas import sheet
 
+_KINDS = {"high": "from above", "left": "wrist", "right": "wrist", "overview": "for people"}
+
 
 class CameraCheck(NamedTuple):
     """What the cameras see.
@@ -19,6 +21,7 @@ class CameraCheck(NamedTuple):
         contrast_min: Least standard deviation of brightness (0..255).
         object_share: Least share of `high` that a task object takes.
         fingers_min: The same of a fingertip and its wrist camera.
+        gl_renderer: Name of the OpenGL renderer.
     """
 
     contrast_min: float
@@ -28,31 +31,39 @@ class CameraCheck(NamedTuple):
 
 
 def check_cameras(world: World, path: Path | None = None) -> CameraCheck:
-    """Render the recorded cameras of a world with visuals; save a figure of them and the overview.
+    """Render the recorded cameras of a world with visuals.
+
+    Args:
+        world: Its model has visual meshes.
+        path: File of a figure of them and the overview.
 
     Raises:
         EnvironmentMissingError: No off-screen OpenGL context.
     """
+    robot = world.robot
     with Camera(world.model, 480, 360, supersample=2) as camera:
         pictures = {name: camera.picture(world.data, name) for name in (*CAMERAS, "overview")}
-        seen = {name: camera.bodies_seen(world.data, name) for name in ("high", *world.robot.sides)}
-        fingers = [
-            seen[side].get(f, 0.0)
-            for side in world.robot.sides
-            for f in world.robot.hand_links(side)[1:]
-        ]
-        objects = [seen["high"].get(name, 0.0) for name in world.objects]
+        shares = {name: camera.bodies_seen(world.data, name) for name in ("high", *robot.sides)}
         renderer = _gl_renderer()
     if path is not None:
-        kinds = {"high": "from above", "left": "wrist", "right": "wrist", "overview": "for people"}
-        sheet(
-            [(f"{name} ({kinds[name]})", picture) for name, picture in pictures.items()],
-            2,
-            path,
-            width_in=4.8,
-        )
-    contrast = min(float(pictures[name].mean(axis=2).std()) for name in CAMERAS)
-    return CameraCheck(contrast, min(objects), min(fingers), renderer)
+        titled = [(f"{name} ({_KINDS[name]})", picture) for name, picture in pictures.items()]
+        sheet(titled, 2, path, width_in=4.8)
+    finger_shares = [
+        shares[side].get(finger, 0.0) for side in robot.sides for finger in _fingers(world, side)
+    ]
+    object_shares = [shares["high"].get(name, 0.0) for name in world.objects]
+    return CameraCheck(
+        contrast_min=min(float(pictures[name].mean(axis=2).std()) for name in CAMERAS),
+        object_share=min(object_shares),
+        fingers_min=min(finger_shares),
+        gl_renderer=renderer,
+    )
+
+
+def _fingers(world: World, side: str) -> list[str]:
+    """Return the links of a hand's fingers."""
+    _palm, *fingers = world.robot.hand_links(side)
+    return fingers
 
 
 def renderer_name() -> str:

@@ -1,0 +1,40 @@
+"""`benchmark`: its checks refuse a method below its rate, and report every indicator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from minidual.config.root import BenchmarkConfig
+from minidual.stages.benchmark import benchmark_checks
+from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
+from tests.support.trial_results import BAD, failing, result, results
+
+
+def summaries(rows: list[TrialMetrics]) -> list[MethodSummary]:
+    return [summarise(rows, np.random.default_rng(0))]
+
+
+def test_benchmark_fails_a_method_below_its_rate_and_a_method_that_ran_too_little() -> None:
+    asked = BenchmarkConfig().success_rate_min, 10
+    assert failing(benchmark_checks(summaries(results()), *asked)) == set()
+    rows = results(**BAD)
+    rows[:2] = [result(i, **BAD) for i in range(2)]
+    assert failing(benchmark_checks(summaries(rows), *asked)) == {"impedance.success_rate"}
+    assert failing(benchmark_checks(summaries(results(9)), *asked)) == {"trials_per_method"}
+    assert failing(benchmark_checks([], *asked)) == {"trials_per_method"}
+
+
+def test_benchmark_reports_every_indicator_of_every_method() -> None:
+    names = {
+        check.name
+        for check in benchmark_checks(summaries(results()), BenchmarkConfig().success_rate_min, 10)
+    }
+    for indicator in (
+        "success_rate",
+        "duration_median_s",
+        "torque_ratio_max",
+        "jerk_rms_median",
+        "tilt_max_rad",
+        "path_length_m",
+    ):
+        assert f"impedance.{indicator}" in names
