@@ -4,9 +4,11 @@ A value is the thing or its target "module:attribute", imported at first use. En
 at the first lookup.
 """
 
+import dis
 import importlib
 import importlib.metadata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -103,6 +105,28 @@ class Registry[T](Mapping[str, T]):
             if names.count(name) > 1:
                 raise UsageError(f"{self.kind} '{name}' is named twice in {', '.join(names)}")
         return tuple(names)
+
+
+@dataclass(frozen=True)
+class Deferred[T]:
+    """Something that is imported when it is first used.
+
+    A decorator of the function that imports it, so that type checkers and searches see what is used.
+
+    Attributes:
+        load: Imports the thing and returns it.
+    """
+
+    load: Callable[[], T]
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Names of the modules that `load` imports from; nothing is imported to find out."""
+        return tuple(
+            instruction.argval
+            for instruction in dis.get_instructions(self.load)
+            if instruction.opname == "IMPORT_NAME"
+        )
 
 
 def load_target(target: str) -> Any:

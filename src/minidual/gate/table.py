@@ -15,7 +15,7 @@ from minidual.errors import EnvironmentMissingError, MinidualError, UsageError
 from minidual.gate.code import Code, code_of
 from minidual.gate.stage import StageFunction, ToolFunction
 from minidual.gate.weakening import weaker_values
-from minidual.registry import Registry, load_target
+from minidual.registry import Deferred, Registry, load_target
 
 _DEFAULTS = Config()
 
@@ -75,7 +75,7 @@ class _Entry[F: Callable[..., Any]]:
 
     Attributes:
         name: Command, or an aside's output folder.
-        target: The function or "module:function", see `minidual.gate.stage`.
+        target: The function, deferred, or "module:function"; see `minidual.gate.stage`.
         settings: {option: configuration path that it overrides}; other options reach the function
             as `context.options`.
         options: Options of a command without a function in `minidual.cli.commands`.
@@ -84,7 +84,7 @@ class _Entry[F: Callable[..., Any]]:
     """
 
     name: str
-    target: str | F
+    target: str | Deferred[F] | F
     _: KW_ONLY
     settings: Mapping[str, str] = field(default_factory=dict[str, str])
     options: tuple[Option, ...] = ()
@@ -126,8 +126,8 @@ class StageEntry(_Entry[StageFunction]):
         requires: Stages that must pass and be fresh.
         summary: Help without the full stop.
         reads: Configuration paths that the result depends on.
-        resolve: "module:function" from Config to Config; must import quickly.
-        check: "module:function" that raises UsageError before a run.
+        resolve: From Config to Config; like `target`, and must import quickly.
+        check: Raises UsageError before a run; like `target`.
         asides: Tools that run instead when their trigger is typed.
         keeps: Names in its folder that an attempt takes over from an interrupted one. If there are
             any, a replaced result is set aside.
@@ -137,15 +137,20 @@ class StageEntry(_Entry[StageFunction]):
     requires: tuple[str, ...]
     summary: str
     reads: tuple[str, ...] = ()
-    resolve: str | None = None
-    check: str | None = None
+    resolve: str | Deferred[Callable[[Config], Config]] | None = None
+    check: str | Deferred[Callable[[Config], None]] | None = None
     asides: tuple[ToolEntry, ...] = ()
     keeps: tuple[str, ...] = ()
     closing: bool = False
 
     def code(self, known: Code | None = None) -> Code:
         """Return the code that the stage reaches; see `code_of`."""
-        targets = [target for target in (self.target, self.resolve) if isinstance(target, str)]
+        targets: list[str] = []
+        for target in (self.target, self.resolve):
+            if isinstance(target, str):
+                targets.append(target)
+            elif isinstance(target, Deferred):
+                targets += target.modules
         return code_of(targets, known)
 
     def resolved(self, config: Config, *, checked: bool = False) -> Config:
@@ -175,11 +180,16 @@ class StageEntry(_Entry[StageFunction]):
         return {name: value for name, value in options.items() if name not in self.settings}
 
 
-def _loaded(name: str, target: str | Callable[..., Any]) -> Callable[..., Any]:
-    if not isinstance(target, str):
-        return target
+type _Function = Callable[..., Any]
+
+
+def _loaded(name: str, target: str | Deferred[_Function] | _Function) -> _Function:
     try:
-        return load_target(target)
+        if isinstance(target, str):
+            return load_target(target)
+        if isinstance(target, Deferred):
+            return cast(_Function, target.load())
+        return target
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("minidual"):
             raise

@@ -1,29 +1,181 @@
-"""Tables of stages and tools, from stages.yaml.
+"""Tables of stages, in the order in which they run, and of tools.
 
-A stage is a function (see minidual.gate.stage) and a row, there or in another distribution (docs/howto-stage.md).
+Their commands with options, help and examples are functions in `minidual.cli.commands`. Other
+distributions add stages through the entry point group `minidual.stages` (docs/howto-stage.md).
 """
 
-from typing import Any
-
 from minidual.gate.table import StageEntry, StageTable, ToolEntry
-from minidual.registry import rows_beside
+from minidual.stages import functions
 
-_ROWS = rows_beside(__file__, "stages.yaml")
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "mujoco",
+    "pin",
+    "coal",
+    "ompl",
+    "torch",
+    "lerobot",
+    "h5py",
+    "av",
+    "gymnasium",
+)
+"""Distributions whose versions verdicts record."""
 
+_CARRY_SETTINGS = {
+    "trials": "carry.trials_n",
+    "object": "carry.object",
+    "motion": "carry.motion",
+}
 
-def _entry[E: (StageEntry, ToolEntry)](kind: type[E], name: str, row: dict[str, Any]) -> E:
-    fields: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in row.items()
-    }
-    if "asides" in row:
-        fields["asides"] = tuple(
-            _entry(ToolEntry, key, aside) for key, aside in row["asides"].items()
-        )
-    return kind(name, **fields)
-
+ENV_CHECK = StageEntry(
+    "env-check",
+    functions.env_check,
+    requires=(),
+    summary=(
+        "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries"
+    ),
+    reads=("robot", "env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+    watchable=True,
+    asides=(ToolEntry("env-check-bill", functions.env_check_bill),),
+)
+PLAN = StageEntry(
+    "plan",
+    functions.plan,
+    requires=("env-check",),
+    summary="Plan collision-free motions for left_arm, right_arm and both_arms",
+    reads=("robot", "plan", "scene.physics", "scene.object", "scene.more", "scene.task"),
+    check=functions.check_plan,
+    watchable=True,
+    settings={"queries": "plan.queries_n"},
+    asides=(
+        ToolEntry("plan-acm", functions.plan_acm),
+        ToolEntry("plan-once", functions.plan_once, watchable=True),
+        ToolEntry(
+            "plan-task",
+            functions.plan_task,
+            watchable=True,
+            moves=True,
+            shared=True,
+        ),
+    ),
+)
+CARRY = StageEntry(
+    "carry",
+    functions.carry,
+    requires=("plan",),
+    summary="Carry an object with both arms under object impedance control",
+    reads=("robot", "task", "carry", "scene", "arbiter", "supervisor"),
+    resolve=functions.task_config,
+    check=functions.check_carry,
+    watchable=True,
+    settings={**_CARRY_SETTINGS, "speed": "arbiter.speed_override"},
+    asides=(
+        ToolEntry(
+            "carry-perturb",
+            functions.carry_perturb,
+            moves=True,
+            watchable=True,
+            settings=_CARRY_SETTINGS,
+        ),
+        ToolEntry(
+            "carry-tune",
+            functions.carry_tune,
+            moves=True,
+            settings={"object": "carry.object", "motion": "carry.motion"},
+        ),
+    ),
+)
+TELEOP_RECORD = StageEntry(
+    "teleop-record",
+    functions.teleop_record,
+    requires=("carry",),
+    summary="Teleoperate, record demonstrations, convert and grade the dataset",
+    reads=("robot", "task", "teleop", "plan.planner", "scene", "arbiter", "supervisor"),
+    resolve=functions.task_config,
+    check=functions.check_leader,
+    keeps=("episodes", "rejected", "attempts", "inputs.json"),
+    watchable=True,
+    settings={"episodes": "teleop.episodes_n", "task": "task"},
+)
+TRAIN_ACT = StageEntry(
+    "train-act",
+    functions.train_act,
+    requires=("teleop-record",),
+    summary="Train the ACT policy on the recorded dataset",
+    reads=("robot", "train"),
+    check=functions.check_policy,
+    settings={"seeds": "train.seeds_n"},
+)
+DEPLOY = StageEntry(
+    "deploy",
+    functions.deploy,
+    requires=("train-act",),
+    summary="Let the policy drive the arms on seeds it never saw",
+    reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+    resolve=functions.task_config,
+    check=functions.check_deploy,
+    watchable=True,
+    settings={"trials": "deploy.trials", "task": "task"},
+)
+BENCHMARK = StageEntry(
+    "benchmark",
+    functions.benchmark,
+    requires=("carry", "deploy"),
+    summary=(
+        "Compare the methods on the same tasks, seeds and success tests, undisturbed and disturbed"
+    ),
+    reads=(
+        "robot",
+        "task",
+        "benchmark",
+        "carry",
+        "plan.planner",
+        "deploy",
+        "scene",
+        "arbiter",
+        "supervisor",
+    ),
+    resolve=functions.benchmark_config,
+    check=functions.check_benchmark,
+    watchable=True,
+    settings={
+        "tasks": "benchmark.tasks",
+        "methods": "benchmark.methods",
+        "conditions": "benchmark.conditions",
+        "trials": "benchmark.trials_n",
+    },
+)
+REPORT = StageEntry(
+    "report",
+    functions.report,
+    requires=("benchmark",),
+    summary="Build the report from the verdicts: one offline HTML and report.json",
+    reads=("report", "task", "benchmark"),
+    closing=True,
+)
 
 STAGES = StageTable(
-    [_entry(StageEntry, *row) for row in _ROWS["stages"].items()],
-    _ROWS["libraries"],
+    [ENV_CHECK, PLAN, CARRY, TELEOP_RECORD, TRAIN_ACT, DEPLOY, BENCHMARK, REPORT],
+    LIBRARIES,
 )
-TOOLS = tuple(_entry(ToolEntry, *row) for row in _ROWS["tools"].items())
+TOOLS = (
+    ToolEntry("doctor", functions.doctor, moves=True),
+    ToolEntry(
+        "view",
+        functions.view,
+        watchable=True,
+        moves=True,
+        shared=True,
+        view_default="web",
+        settings={"task": "task"},
+    ),
+    ToolEntry("replay", functions.replay),
+    ToolEntry(
+        "modes",
+        functions.modes,
+        watchable=True,
+        moves=True,
+        settings={"speed": "arbiter.speed_override"},
+    ),
+)
