@@ -2,6 +2,7 @@
 
 import math
 import operator
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
@@ -137,3 +138,34 @@ def with_unit(value: Number | None, unit: str) -> str:
     else:
         text = str(value)
     return f"{text} {unit}".rstrip()
+
+
+Rows = Mapping[str, Number | tuple[Number, Op, Number | None]]
+"""{check: observed value, or (observed value, operator, limit)}.
+
+Without a limit the value is only reported.
+"""
+
+
+def checks_of(
+    words: Mapping[str, Mapping[str, str]],
+    rows: Rows,
+    prefix: str = "",
+    **names: object,
+) -> list[Check]:
+    """Return a check for each row.
+
+    Args:
+        words: {check: {"unit", "why", "remedy": text}}.
+        rows: Observed values and limits.
+        prefix: Of the names.
+        **names: Filled into the texts, as by `str.format`.
+    """
+    checks: list[Check] = []
+    for name, row in rows.items():
+        observed, op, limit = row if isinstance(row, tuple) else (row, None, None)
+        if limit is None:
+            op = None
+        texts = {key: text.format(**names) for key, text in words[name].items()}
+        checks.append(Check(f"{prefix}{name}", observed, op, limit, **texts))
+    return checks

@@ -6,10 +6,10 @@ from typing import Any
 from minidual.demos.quality import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.gate.check import Check
+from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
-from minidual.stages.criterion import Criterion
 from minidual.stages.deploy import recorded_task
 from minidual.tasks.catalogue import tasks_of
 from minidual.trials import benchmark

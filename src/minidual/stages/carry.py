@@ -11,12 +11,12 @@ from minidual.demos.quality import JERK_FILTER
 from minidual.durable import write_csv
 from minidual.errors import DataError
 from minidual.gate.check import Check
+from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import film_trial
 from minidual.show.figures.trial import draw_trial
 from minidual.show.watch import watch_trials
-from minidual.stages.criterion import Criterion
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial, pose_of
 from minidual.trials.measures import TrialLog

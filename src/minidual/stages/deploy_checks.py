@@ -6,7 +6,7 @@ import numpy as np
 
 from minidual.config.learning import DeployConfig
 from minidual.gate.check import Check
-from minidual.stages.criterion import Criterion
+from minidual.gate.criterion import Criterion
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 
 HELD_OUT_SET = "held_out"

@@ -1,6 +1,6 @@
 """Criteria of `plan`."""
 
-from minidual.stages.criterion import Criterion
+from minidual.gate.criterion import Criterion
 
 _BUSY = (
     "the process had {core_share:.0%} of a core: if the machine was busy, run again; "

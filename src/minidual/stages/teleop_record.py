@@ -21,11 +21,11 @@ from minidual.errors import NothingEvaluatedError
 from minidual.gate.canonical import canonical
 from minidual.gate.check import Check
 from minidual.gate.code import code_of
+from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
 from minidual.show.watch import watch_recording
-from minidual.stages.criterion import Criterion
 from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
 

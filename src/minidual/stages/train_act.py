@@ -10,6 +10,7 @@ from minidual.config.seeds import subseed
 from minidual.gate.canonical import digest
 from minidual.gate.check import Check
 from minidual.gate.code import code_of
+from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.demonstrations import Demonstrations, load_demonstrations
 from minidual.policies.kinds import (
@@ -22,7 +23,6 @@ from minidual.policies.kinds import (
 from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import GRIPPERS_N, Robot, robot_from
 from minidual.show.figures.training import draw_loss
-from minidual.stages.criterion import Criterion
 
 LOSS_RATIO = Criterion(
     "loss_ratio",

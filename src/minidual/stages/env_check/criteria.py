@@ -1,6 +1,6 @@
 """Criteria of `env-check`, in the order in which a person would look for a fault."""
 
-from minidual.stages.criterion import Criterion
+from minidual.gate.criterion import Criterion
 
 LIBRARIES = Criterion(
     "libraries.unfit",
