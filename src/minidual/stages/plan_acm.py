@@ -4,7 +4,8 @@ import dataclasses
 from collections import Counter
 from pathlib import Path
 
-from minidual.collision.scene import PlanningScene, acm_report
+from minidual.collision.acm import acm_report
+from minidual.collision.scene import PlanningScene
 from minidual.collision.scene_file import load_scene
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.robot.pair import Robot, robot_from

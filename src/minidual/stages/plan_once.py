@@ -17,7 +17,8 @@ from minidual.durable import disk_errors
 from minidual.errors import ExitCode, UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner, PlanResult
-from minidual.motion.goal_plan import Goal, GoalPlanner, goal_of
+from minidual.motion.goal import Goal, goal_of
+from minidual.motion.goal_plan import GoalPlanner
 from minidual.proof.scene_engines import CLEARANCE_MAX_M
 from minidual.robot.pair import GROUP_ARMS, Array, Robot, robot_from
 from minidual.stages.output_file import target_file
