@@ -24,8 +24,9 @@ class Shares:
     """Copies of a policy with common weights and gradients of their own.
 
     Each thread computes one share of a batch. Torch's own threads wait for each other in every
-    layer, these once a step. `forward(batch)` of a policy returns (loss, parts); it must not draw
-    random numbers if `count` is above 1.
+    layer, these once a step. `forward(batch)` of a policy returns (loss, parts). If `count` is above
+    1 it must not draw random numbers, because threads would draw in any order: `with_draws(batch)`,
+    if a policy has it, adds to a batch what is to be drawn.
     """
 
     def __init__(self, policy: Any, count: int) -> None:
@@ -48,6 +49,9 @@ class Shares:
         rows_n = len(next(iter(batch.values())))
         shares = _split(rows_n, len(self.policies))
         weights = [(share.stop - share.start) / rows_n for share in shares]
+        with_draws = getattr(self.policies[0], "with_draws", None)
+        if with_draws is not None:
+            batch = with_draws(batch)
         batches = [{key: values[share] for key, values in batch.items()} for share in shares]
         results = list(self._pool.map(_gradient, self.policies, batches))
         self._add_gradients(weights)

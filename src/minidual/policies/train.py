@@ -58,7 +58,7 @@ def train(build: Callable[[Stats], Trained], job: Training) -> tuple[TrainResult
 def splits(config: TrainConfig) -> bool:
     """Return whether each thread computes a share of the batch.
 
-    No policy that draws random numbers can be shared.
+    Dropout and the VAE draw random numbers in `forward`, which threads would draw in any order.
     """
     return config.device == "cpu" and not config.use_vae and config.dropout == 0.0
 

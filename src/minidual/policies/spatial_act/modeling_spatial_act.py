@@ -32,6 +32,9 @@ _BEGINS_BETWEEN = 0.25
 A policy that begins between two switches gets them too.
 """
 
+_DRAW = "keyframe_draw"
+"""Key of what decides this for each sample of a batch, if it was drawn before."""
+
 
 class ModelOutput(NamedTuple):
     """What the model predicts.
@@ -49,6 +52,10 @@ class ModelOutput(NamedTuple):
 
 def _same(flat: Tensor) -> Tensor:
     return flat
+
+
+def _draw(n: int, device: torch.device) -> Tensor:
+    return torch.rand(n, 1, 1, device=device)
 
 
 class SpatialSoftmax(nn.Module):
@@ -213,7 +220,8 @@ class SpatialActModel(nn.Module):
         """
         token = keyframes.detach()
         if self.training and "keyframe" in batch:
-            begins_between = torch.rand(len(token), 1, 1, device=token.device) < _BEGINS_BETWEEN
+            draw = batch[_DRAW] if _DRAW in batch else _draw(len(token), token.device)
+            begins_between = draw < _BEGINS_BETWEEN
             to_come = batch["keyframe_is_valid"].unsqueeze(-1)
             token = torch.where(to_come, batch["keyframe"], token * begins_between)
         return token.flatten(1)
@@ -239,6 +247,11 @@ class SpatialActPolicy(ACTPolicy):
         self._count = 0
         self._next_keyframe = -1
         self._openings_at_switch = torch.zeros(0)
+
+    def with_draws(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return a training batch with the random numbers that `forward` would draw for it."""
+        actions = batch[ACTION]
+        return {**batch, _DRAW: _draw(len(actions), actions.device)}
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
