@@ -16,11 +16,10 @@ from minidual.errors import DataError
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.kinds import POLICIES, Training, load_policy
 from minidual.robot.pair import DUAL_PANDA
-from tests.policies.test_demonstrations import tiny
-from tests.policies.test_train import SMALL
 from tests.support import broken_files, data_samples
 from tests.support.broken_files import Break
 from tests.support.late import late
+from tests.support.training_samples import SMALL, tiny
 
 lerobot_adapter = late("minidual.demos.lerobot_adapter")
 pytestmark = pytest.mark.torch
@@ -62,7 +61,10 @@ BREAKS = {
 
 def refused(kind: str, sound: Path, folder: Path, change: Break, seed: Sequence[int]) -> DataError:
     copy = folder / sound.name
-    (shutil.copytree if sound.is_dir() else shutil.copy)(sound, copy)
+    if sound.is_dir():
+        shutil.copytree(sound, copy)
+    else:
+        shutil.copy(sound, copy)
     change(copy, np.random.default_rng(seed))
     with pytest.raises(DataError) as caught:
         READERS[kind](copy)

@@ -342,8 +342,6 @@ def test_a_video_that_lerobot_cannot_write_ends_the_conversion_with_one_message(
 
 
 def test_an_error_of_whoever_records_is_no_error_of_the_disk(made: tuple, tmp_path: Path) -> None:
-    """Before, a recorder that was killed read "could not be written: check the disk"."""
-
     def recorded() -> Iterator[Path]:
         yield made[1][0]
         raise RuntimeError("a worker died")

@@ -8,16 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from minidual.config.learning import TeleopConfig
+from minidual.config.learning import MirrorConfig, TeleopConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import ScriptedLeader
-from minidual.demos.session import SessionResult, TeleopSession, Tick
+from minidual.demos.session import (
+    SessionResult,
+    TeleopSession,
+    Tick,
+    check_start,
+    follower_target,
+)
 from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array
+from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.skills.operator import ScriptedOperator
 from tests.support.carry_trials import carry_task, sample_trial
 from tests.support.panda import HOME
@@ -84,12 +90,12 @@ def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World
     assert _replay_error(world, trial.start, ticks, np.vstack([action[:1], action[:-1]])) > 1e-3
 
 
-@pytest.mark.parametrize("what", ["leader", "writer"])
+@pytest.mark.parametrize("broken", ["leader", "writer"])
 def test_an_error_in_a_leader_or_a_writer_is_raised_when_the_arms_rest(
     world: World,
-    what: str,
+    broken: str,
 ) -> None:
-    """Before, it was raised in the middle of the motion, and no torque was computed any more."""
+    """The arms keep their torques until they rest."""
     config = TeleopConfig()
     stack = ControlStack(
         world,
@@ -99,23 +105,23 @@ def test_an_error_in_a_leader_or_a_writer_is_raised_when_the_arms_rest(
     )
     session = TeleopSession(stack, config)
     trial = sample_trial(world.scene, SEED, "demonstrations", 0, widen=1.3)
-    fast: list[float] = []
+    speeds: list[float] = []
 
     class Unplugged(ScriptedLeader):
         def read(self, now_s: float) -> Any:
-            if what == "leader" and now_s > 0.8:
+            if broken == "leader" and now_s > 0.8:
                 raise OSError("the device is gone")
             return super().read(now_s)
 
     def write(tick: Tick) -> None:
-        fast.append(float(np.abs(world.v).max()))
-        if what == "writer" and len(fast) > 40:
+        speeds.append(float(np.abs(world.v).max()))
+        if broken == "writer" and len(speeds) > 40:
             raise OSError("the device is gone")
 
     leader = Unplugged(ScriptedOperator(world.scene).plan(trial, seed=SEED))
     with pytest.raises(OSError, match="the device is gone"):
         session.run(carry_task(world.scene), trial, leader, on_tick=write)
-    assert fast[-1] > 0.2
+    assert speeds[-1] > 0.2
     assert np.abs(world.v).max() < 0.05
     assert stack.reflex is not None
     assert "controller_failed" in stack.reflex.message
@@ -202,3 +208,28 @@ def test_a_leader_too_far_away_may_not_begin(world: World) -> None:
 def test_a_rate_that_does_not_divide_the_control_rate_is_refused(world: World) -> None:
     with pytest.raises(UsageError, match="rate_hz 60"):
         _session(world, rate_hz=60.0)
+
+
+def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None:
+    leader = HOME.copy()
+    leader[10] += 0.25
+    with pytest.raises(
+        UsageError,
+        match=r"\+0\.250 rad away from the follower at right_panda_joint4",
+    ) as error:
+        check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
+    assert "joint order" in (error.value.remedy or "")
+    leader[10] = HOME[10] + 0.09
+    check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
+
+
+def test_targets_stay_inside_the_limits_and_what_is_no_posture_is_left_for_the_arbiter() -> None:
+    leader = HOME.copy()
+    leader[5] = DUAL_PANDA.q_upper[5] + 0.2
+    assert follower_target(DUAL_PANDA, leader)[5] == DUAL_PANDA.q_upper[5]
+    for odd in (np.nan, np.inf, -np.inf, np.degrees(HOME[5]), HOME[5] + 2.0 * np.pi):
+        leader[5] = odd
+        np.testing.assert_equal(follower_target(DUAL_PANDA, leader)[5], odd)
+    np.testing.assert_array_equal(follower_target(DUAL_PANDA, np.zeros(14)), np.zeros(14))
+    with pytest.raises(UsageError, match=r"shape \(7,\)"):
+        follower_target(DUAL_PANDA, HOME[:7])

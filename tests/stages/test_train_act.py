@@ -24,9 +24,7 @@ from minidual.policies.policy import EmittedActions, exercise_checkpoint
 from minidual.robot.pair import DUAL_PANDA
 from minidual.stages import train_act
 from minidual.stages.train_act import train_checks, training_seeds
-from tests.policies.test_demonstrations import tiny
-from tests.policies.test_train import SMALL
-from tests.support import learning_world
+from tests.support.training_samples import SMALL, tiny
 
 RESULT = TrainResult(
     steps=100,
@@ -123,7 +121,7 @@ def test_a_checkpoint_is_judged_as_it_predicts(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    demos = learning_world.demonstrations(1, seed=0, every=40)
+    demos = tiny(episodes=1, size=(96, 128))
     if dim != demos.dim:
         demos = dataclasses.replace(demos, state=demos.state[:, :dim], action=demos.action[:, :dim])
     monkeypatch.setattr(policy, "load_policy", lambda *_: Wide(dim, value))

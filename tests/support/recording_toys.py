@@ -59,8 +59,18 @@ class ToyRig(Rig):
         )
         for k, t in enumerate(times):
             images = {camera: pixels + np.uint8(k) for camera in self.job.teleop.cameras}
-            seen = t, t + self.late_s, q[k], np.zeros(14), np.ones(2), images
-            on_tick(Tick(*seen, q[k] + 0.01, np.ones(2)))
+            on_tick(
+                Tick(
+                    timestamps=t,
+                    image_timestamps=t + self.late_s,
+                    qpos=q[k],
+                    qvel=np.zeros(14),
+                    gripper=np.ones(2),
+                    images=images,
+                    action=q[k] + 0.01,
+                    action_gripper=np.ones(2),
+                ),
+            )
         good = trial.index % 4 != 1
         outcome = Outcome(good, (), times[-1], {"goal_error_m": 1e-3, "tilt_max_rad": 1e-2})
         return SessionResult(q, outcome, [1e-4] * TICKS, ended_by="leader")
