@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -43,12 +44,13 @@ def decoded(path: Path, expected: int, size: tuple[int, int]) -> Iterator[Image]
                 )
             if count > expected:
                 break
-            yield frame.to_ndarray(
+            picture: Any = frame.to_ndarray(
                 format="rgb24",
                 width=width,
                 height=height,
                 interpolation="AREA",
             )
+            yield picture
     if count != expected:
         frames = f"more than {expected}" if count > expected else count
         raise DataError(

@@ -76,5 +76,5 @@ class Optimiser:
         self._adam.load_state_dict(state)
 
 
-def _trained_parameters(policy: Any) -> list[torch.nn.Parameter]:
+def _trained_parameters(policy: Any) -> list[torch.Tensor]:
     return [parameter for parameter in policy.parameters() if parameter.requires_grad]
