@@ -1,4 +1,4 @@
-"""docs/howto-plant.md: its code runs, and a plant from outside the package is driven like the simulator."""
+"""docs/howto-plant.md: its code runs, and its plant is driven like the simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/howto-policy.md: its code runs, and a kind of policy from outside the package is trained, graded and driven."""
+"""docs/howto-policy.md: its code runs, and its kind of policy is trained, graded and driven."""
 
 from __future__ import annotations
 

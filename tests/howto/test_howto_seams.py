@@ -1,4 +1,4 @@
-"""docs/howto-task.md, howto-method.md and howto-condition.md: their code runs, from outside the package."""
+"""docs/howto-task, -method and -condition.md: their code runs, from outside the package."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TABLES = {"gentle_carry": TASKS, "open_loop": METHODS, "wind": CONDITIONS}
 
 @pytest.fixture
 def printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Return a function that installs a page's module, runs the page's program and returns the lines it prints."""
+    """Return a function that installs a page's module, runs its program and returns its lines."""
 
     def run_page(page: str, name: str) -> list[str]:
         with pytest.raises(UsageError, match=f"no .* '{name}'"):

@@ -1,7 +1,7 @@
 """Ways to cheat the success test, of every task. Each is refused, by the right name.
 
-Part one moves the object of a real world along a script and reports the grips of the script. Part two drives two real
-hands, whose contacts MuJoCo computes.
+Part one moves the object of a real world along a script and reports the grips of the script. Part
+two drives two real hands, whose contacts MuJoCo computes.
 """
 
 from __future__ import annotations
@@ -250,12 +250,15 @@ CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
     beside_the_goal: ("arrived", "arrived"),
     pushed_the_last_four_centimetres: ("held", "held"),
 }
-"""The first failure of a carry by both hands, and of a handover, where the yaw of the bottle is free."""
+"""First failure of a carry by both hands, and of a handover, where the bottle's yaw is free."""
 
 
 @pytest.mark.parametrize("name", ["rod straight", "pot_lift", "handover"])
 def test_with_one_arm_frozen_no_draw_succeeds(name: str) -> None:
-    """256 draws, each with one arm frozen, a handover from either side. The script's free hand reaches everywhere."""
+    """256 draws, each with one arm frozen, a handover from either side.
+
+    The script's free hand reaches everywhere.
+    """
     task = TASKS[name]()
     won = Counter[str]()
     sides = Counter[bool]()
@@ -309,7 +312,10 @@ DOWN = rot_z(np.pi / 2.0) @ rot_x(np.pi)
 
 
 class Hands:
-    """Two real hands, driven by position, whose contacts MuJoCo computes. Openings: 1 open, 0 closed."""
+    """Two real hands, driven by position, whose contacts MuJoCo computes.
+
+    Openings: 1 open, 0 closed.
+    """
 
     frozen: tuple[int, ...] = ()
 

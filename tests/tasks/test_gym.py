@@ -28,7 +28,7 @@ def env():
 
 @pytest.mark.parametrize("name", TASKS)
 def test_every_task_is_an_environment_that_pays_at_the_goal(name):
-    """Before, `handover` divided by no hands, and the peg of `insertion` was drawn down to the table."""
+    """Also with no grasps (`handover`) and with a goal in the air (`insertion`)."""
     made = TaskEnv(task=name, object_pose=True)
     try:
         _, info = made.reset(seed=0)
@@ -71,7 +71,7 @@ def test_gymnasiums_own_checker_passes_with_images_and_rendering():
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            # Raw radians are the interface of the arms; only this piece of advice may be passed over.
+            # Raw radians are the interface of the arms: only this advice may be ignored.
             warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
             warnings.filterwarnings("ignore", category=DeprecationWarning)
             check_env(made.unwrapped)
@@ -97,7 +97,7 @@ def test_a_scripted_carry_succeeds_from_a_random_start_and_is_paid_for_it(env, k
     assert not truncated
     assert info["success"]
     assert info["failures"] == ()
-    # The potential telescopes: at most its rise from start to end (under 2 m), and 1 for the success.
+    # The potential telescopes: at most its rise from start to end (under 2 m), and 1 for success.
     assert 1.0 < total < 3.0
 
 

@@ -1,4 +1,4 @@
-"""A bottle changes hands in the air: a task of the table, solved by the pipeline and judged by its own conditions."""
+"""A bottle changes hands in the air, solved by the pipeline and judged by its own conditions."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_the_bottle_changes_hands_in_the_air_and_stands_at_its_goal(
 
 
 def test_a_hand_closes_as_long_as_its_fingers_need_to_the_bottle(planner: Planner) -> None:
-    """Before, as long as to one another, 0.83 s more: nothing tells a policy how long a closed hand waits."""
+    """Nothing tells a policy how long a closed hand waits."""
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     start = State(
         DUAL_PANDA.home,
@@ -123,7 +123,7 @@ def test_a_hand_is_told_the_weight_that_it_bears_until_the_bottle_stands(
     bench: Slack,
     planner: Planner,
 ) -> None:
-    """Before, the giver sagged by 4 mm under the bottle, beside which the taker then closed."""
+    """A giver that sags under the bottle lets the taker close beside it."""
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)
     begin(bench, TASK, trial)
     carry = PlannedCarry(ControlStack(bench, Kinematics()), planner, TASK, trial, TO_THE_RIGHT)
@@ -255,7 +255,7 @@ def test_each_end_is_out_of_the_other_hand_s_reach(planner: Planner) -> None:
 
 
 def test_only_one_arm_reaches_a_corner_of_either_range() -> None:
-    """By inverse kinematics with 25 starts a grasp, for the grasps and turns that the task offers."""
+    """By inverse kinematics with 25 starts a grasp, for the grasps and turns of the task."""
     asked = TASK.scene.task
     rng = np.random.default_rng(0)
     trial = TASK.trial(1, "plan", TO_THE_RIGHT)

@@ -1,4 +1,4 @@
-"""Peg and socket in the air: the draw, the play of the bore, why it takes two hands, and ways to cheat."""
+"""Peg and socket in the air: draw, play of the bore, need of two hands, and ways to cheat."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BODIES = {name: item.body for name, item in TASK.objects.items()}
 MOUTH_M = 0.085
 AIM_M = 0.036
 BEFORE_M = 0.045
-"""From the socket's centre to the mouth of its bore, and the depth to which a plan drives the peg."""
+"""From the socket's centre to the mouth of its bore; depth to which a plan drives the peg."""
 
 
 def start_of(trial: Trial) -> dict[str, np.ndarray]:
@@ -45,11 +45,11 @@ def start_of(trial: Trial) -> dict[str, np.ndarray]:
 
 
 def in_socket(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """Return T_socket_peg with the tip at (x, y, z) from the centre of the mouth; y is the depth."""
+    """Return T_socket_peg with the tip at (x, y, z) from the mouth's centre; y is the depth."""
     return pose(np.eye(3), (x, y - MOUTH_M - BODIES[PEG].length_m / 2, z))
 
 
-# --- the draw --------------------------------------------------------------------------------------------------------
+# --- the draw
 
 
 def test_starts_and_places_in_the_air_vary() -> None:
@@ -65,7 +65,7 @@ def test_starts_and_places_in_the_air_vary() -> None:
 
 
 def test_both_hands_reach_every_draw() -> None:
-    """Over the object, at it, before the mouth and in it; one search each, from the posture before."""
+    """Over the object, at it, before the mouth and in it; each search from the last posture."""
     for draw in DRAWS:
         ends = {**draw.goal, PEG: draw.goal[SOCKET] @ in_socket(y=-BEFORE_M)}
         for name, side in HAND_OF.items():
@@ -84,7 +84,7 @@ def test_both_hands_reach_every_draw() -> None:
                 assert found.reached, (draw.index, name, found.off)
 
 
-# --- the bore --------------------------------------------------------------------------------------------------------
+# --- the bore
 
 
 @pytest.fixture(scope="module")
@@ -143,13 +143,13 @@ def test_a_peg_pressed_beside_the_bore_does_not_go_in(
     assert deep > 0.04 if enters else abs(deep) < 0.002
 
 
-# --- two arms are needed ---------------------------------------------------------------------------------------------
+# --- two arms are needed
 
 
 def test_a_frozen_hand_is_away_from_its_object_wherever_the_task_is_done() -> None:
-    """One arm frozen, 0 of 256: at the end each hand pinches its own object, and the frozen one is beside it.
+    """One arm frozen, 0 of 256: at the end each hand must pinch its object; the frozen one is away.
 
-    The peg is within the tolerance of its goal then, and in the bore, so neither object is elsewhere by more.
+    The peg is within the tolerance of its goal then, and in the bore: neither object is farther.
     """
     (held,) = (condition for condition in TASK.success(TASK, DRAWS[0]) if condition.name == "held")
     assert {part.object: part.hand for part in held.parts} == {SOCKET: 0, PEG: 1}
@@ -170,7 +170,7 @@ def test_a_frozen_hand_is_away_from_its_object_wherever_the_task_is_done() -> No
             assert tips[side][2, 3] > 0.3 > pose_of(BODIES[name], draw.start[name])[2, 3] + 0.2
 
 
-# --- the success test ------------------------------------------------------------------------------------------------
+# --- the success test
 
 OWN = {SOCKET: (30.0, 0.0), PEG: (0.0, 30.0)}
 NONE = (0.0, 0.0)
@@ -466,7 +466,7 @@ def test_a_cheat_is_refused(cheat: Callable[[Script], None]) -> None:
 
 
 def test_with_one_arm_frozen_no_draw_succeeds() -> None:
-    """256 draws; the free hand reaches everywhere, brings both objects together, and wins nothing."""
+    """256 draws; the free hand reaches everywhere, brings both objects together, and fails."""
     for index, draw in enumerate(DRAWS):
         free = (30.0, 0.0) if index % 2 else (0.0, 30.0)
         script = Script(draw, step_s=0.05)
@@ -477,7 +477,7 @@ def test_with_one_arm_frozen_no_draw_succeeds() -> None:
         assert script.end().reason.startswith("held")
 
 
-# --- planned and driven ----------------------------------------------------------------------------------------------
+# --- planned and driven
 
 
 def test_peg_and_socket_may_touch_in_the_last_move_only() -> None:
@@ -551,7 +551,7 @@ def controllers_of(
     bench: Bench,
     trial: Trial,
 ) -> tuple[Any, dict[str, set[tuple[str, ...]]], float]:
-    """Return a trial's result, the controllers of each phase, and the largest force of the right hand in the last ones."""
+    """Return a trial's result, each phase's controllers, and the right hand's last peak force."""
     active: dict[str, set[tuple[str, ...]]] = {}
     forces = [0.0]
 
@@ -583,7 +583,7 @@ def test_by_impedance_the_right_hand_alone_is_soft_and_presses_little(soft: Benc
 def test_a_peg_that_lies_further_back_than_it_seems_is_pushed_deep_enough(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The camera of trial 2 is off; pushed to 6 mm beyond the aim, the peg would stay 7 mm short."""
+    """The camera of trial 2 is off: pushed 6 mm beyond the aim, the peg stays 7 mm short."""
     bench = Bench("impedance", MethodInputs(TASK.config, TASK.config.seed), "randomised")
     trial = TASK.trial(TASK.config.seed, "benchmark", 2)
     found, _ = bench.run(trial)
@@ -633,7 +633,8 @@ def test_with_the_left_arm_frozen_the_right_one_wins_nothing(kind: type[PlannedC
         DRAWS[0],
         start={PEG: (0.45, -0.12, 0.0), SOCKET: (0.45, 0.16, 0.0)},
     )
-    before, *way = (start_of(trial)[SOCKET] @ in_socket(y=y) for y in (-BEFORE_M, 0.0015, AIM_M))
+    depths_m = (-BEFORE_M, 0.0015, AIM_M)
+    before, *way = (start_of(trial)[SOCKET] @ in_socket(y=depth_m) for depth_m in depths_m)
     right = ("right",)
     steps = [Step(phase, right, (PEG,)) for phase in ("approach", "descend", "close", "lift")]
     steps += [

@@ -1,7 +1,8 @@
-"""A pot with two handles: an object of several parts, within reach of both hands, lifted by both."""
+"""A pot with two handles: an object of several parts, in reach of both hands, lifted by both."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -32,7 +33,7 @@ from tests.support.placing import put_at
 
 TASK = make_task(Config(task="pot_lift"))
 POT = TASK.scene.object
-ASKED = TASK.scene.task
+LIMITS = TASK.scene.task
 DRAWS = [TASK.trial(seed, "reach", 0) for seed in range(256)]
 
 
@@ -52,43 +53,38 @@ def world() -> World:
 
 
 def test_starts_span_20_by_20_cm_and_60_degrees_and_goals_vary() -> None:
-    starts, goals = (
-        np.array([placement(where["pot"]) for where in of])
-        for of in zip(*[(d.start, d.goal) for d in DRAWS], strict=True)
-    )
+    starts = np.array([placement(draw.start["pot"]) for draw in DRAWS])
+    goals = np.array([placement(draw.goal["pot"]) for draw in DRAWS])
     assert np.ptp(starts, axis=0) == pytest.approx([0.2, 0.2, math.radians(60.0)], rel=0.03)
     assert np.ptp(goals[:, :2], axis=0) == pytest.approx([0.06, 0.06], rel=0.05)
-    assert ASKED.goal_tolerance_m == 0.03
-    assert ASKED.clear_height_m == 0.10
+    assert LIMITS.goal_tolerance_m == 0.03
+    assert LIMITS.clear_height_m == 0.10
 
 
 def test_both_hands_reach_the_handles_of_every_draw_and_corner() -> None:
-    """Over the handles, at them, and lifted; one search each, from the posture before."""
-    (x, y) = ASKED.start_xy_m
-    r = ASKED.start_range_m
-    turn = ASKED.start_range_rad
-    corners = [(x + a * r, y + b * r, c * turn) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]
-    places = corners + [
-        placement(where["pot"]) for draw in DRAWS for where in (draw.start, draw.goal)
+    """Over the handles, at them, and lifted; one search each, from the last posture."""
+    x_middle, y_middle = LIMITS.start_xy_m
+    range_m = LIMITS.start_range_m
+    corners = [
+        (x_middle + x_side * range_m, y_middle + y_side * range_m, turn * LIMITS.start_range_rad)
+        for x_side, y_side, turn in itertools.product((-1, 1), repeat=3)
     ]
-    for x, y, yaw in places:
+    drawn = [placement(poses["pot"]) for draw in DRAWS for poses in (draw.start, draw.goal)]
+    for x, y, yaw in corners + drawn:
         q = DUAL_PANDA.home
-        for height in (0.08, 0.0, ASKED.lift_height_m):  # raises where a hand does not reach
-            q = grasp_posture(
-                TASK.scene,
-                DUAL_PANDA,
-                level_pose(x, y, POT.rest_height_m + height, yaw),
-                q,
-            )
-        hands = Kinematics(DUAL_PANDA).tcp_poses(q)
-        assert np.linalg.norm(hands[0][:3, 3] - hands[1][:3, 3]) == pytest.approx(
-            2.0 * POT.grasp_offset_m,
-            abs=1e-3,
-        )
+        for height_m in (0.08, 0.0, LIMITS.lift_height_m):  # raises where a hand does not reach
+            level = level_pose(x, y, POT.rest_height_m + height_m, yaw)
+            q = grasp_posture(TASK.scene, DUAL_PANDA, level, q)
+        left, right = Kinematics(DUAL_PANDA).tcp_poses(q)
+        apart_m = np.linalg.norm(left[:3, 3] - right[:3, 3])
+        assert apart_m == pytest.approx(2.0 * POT.grasp_offset_m, abs=1e-3)
 
 
 def test_force_control_begins_far_from_singular_postures() -> None:
-    """From home, descent bends an arm until a carry slows down; such a start gets the posture nearest to home."""
+    """From home, descent may bend an arm until a carry slows down.
+
+    Such a start gets the posture nearest to home.
+    """
     kinematics = Kinematics(DUAL_PANDA)
 
     def condition(q: Array) -> float:
@@ -101,10 +97,11 @@ def test_force_control_begins_far_from_singular_postures() -> None:
         level = level_pose(x, y, POT.rest_height_m, yaw)
         plain = grasp_posture(TASK.scene, DUAL_PANDA, level, DUAL_PANDA.home, above_m=0.08)
         over = posture_over(TASK.scene, DUAL_PANDA, level, 0.08)
-        at = [grasp_posture(TASK.scene, DUAL_PANDA, level, q) for q in (plain, over)]
+        at_plain = grasp_posture(TASK.scene, DUAL_PANDA, level, plain)
+        at_over = grasp_posture(TASK.scene, DUAL_PANDA, level, over)
         assert np.array_equal(plain, over) != bent
-        assert (condition(at[0]) > SLOW_AT[0]) == bent
-        assert condition(at[1]) < 25.0
+        assert (condition(at_plain) > SLOW_AT[0]) == bent
+        assert condition(at_over) < 25.0
     with pytest.raises(PoseUnreachableError, match="cannot reach"):
         posture_over(TASK.scene, DUAL_PANDA, level_pose(1.2, 0.0, POT.rest_height_m, 0.0), 0.08)
 
@@ -163,7 +160,7 @@ def test_the_plate_stands_at_the_goal_of_the_trial(world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "reason"),
     [
         ({"grasp_offset_m": 0.20}, "no part holds the grasp"),
         ({"parts": ()}, "lies beyond the end"),
@@ -171,8 +168,8 @@ def test_the_plate_stands_at_the_goal_of_the_trial(world: World) -> None:
         ({"parts": ({"size_m": (0.03, 0.0, 0.02)},)}, "greater than or equal to 0.001"),
     ],
 )
-def test_an_object_that_no_hand_can_hold_is_refused(values: dict[str, object], told: str) -> None:
-    with pytest.raises(ValidationError, match=told):
+def test_an_object_that_no_hand_can_hold_is_refused(values: dict[str, object], reason: str) -> None:
+    with pytest.raises(ValidationError, match=reason):
         ObjectConfig.model_validate(POT.model_dump() | values)
 
 
@@ -181,8 +178,8 @@ def test_a_planned_lift_carries_all_parts_to_the_goal() -> None:
     start = State(DUAL_PANDA.home, {"pot": pose_of(POT, draw.start["pot"])})
     solution = solve(TASK, draw, start, Planner())
     carry = next(segment for segment in solution.segments if segment.phase == "carry")
-    (held,) = carry.scene.attached
-    assert held.shape.pieces == thing_of(POT).shape.pieces
+    (attached,) = carry.scene.attached
+    assert attached.shape.pieces == thing_of(POT).shape.pieces
     assert carry.verification is not None
     goal = pose_of(POT, draw.goal["pot"])
     hands = zip(SIDES, Kinematics(DUAL_PANDA).tcp_poses(carry.trajectory.q[-1]), strict=True)
@@ -197,7 +194,7 @@ def test_the_pot_is_lifted_under_object_impedance_and_put_on_the_plate() -> None
     assert result.success, result.text
     assert result.measured["progress"] == 1.0
     assert result.measured["rise_m"] > 0.11
-    assert result.measured["internal_force_min_n"] > ASKED.internal_force_min_n
+    assert result.measured["internal_force_min_n"] > LIMITS.internal_force_min_n
     assert result.measured["goal_error_m"] < 0.005
     assert set(SIDES) == set(TASK.objects["pot"].grasps)
     assert log.pinch[-1].max() == 0.0
@@ -205,22 +202,14 @@ def test_the_pot_is_lifted_under_object_impedance_and_put_on_the_plate() -> None
 
 def test_where_the_arms_reach_no_higher_the_pot_is_lifted_as_high_as_the_task_asks() -> None:
     far = {"start_xy_m": (0.68, 0.12), "goal_xy_m": (0.68, -0.1), "lift_height_m": 0.4}
-    task = make_task(
-        changed(
-            Config(task="pot_lift"),
-            {f"scene.task.{name}": value for name, value in far.items()},
-        ),
-    )
+    values = {f"scene.task.{name}": value for name, value in far.items()}
+    task = make_task(changed(Config(task="pot_lift"), values))
     trial = task.trial(20260, "benchmark", 102)
-    start = State(
-        DUAL_PANDA.home,
-        {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()},
-    )
+    start = State(DUAL_PANDA.home, {"pot": pose_of(POT, trial.start["pot"])})
     segments = solve(task, trial, start, Planner()).segments
-    kinematics = Kinematics(DUAL_PANDA)
     carried = next(segment for segment in segments if segment.phase in ("lift", "carry"))
-    begin, *heights = (
-        [T[2, 3] for T in kinematics.tcp_poses(q)] for q in carried.trajectory.q[::20]
-    )
-    risen_m = min(max(h[arm] for h in heights) - begin[arm] for arm in range(2))
+    kinematics = Kinematics(DUAL_PANDA)
+    postures = carried.trajectory.q[::20]
+    heights_m = np.array([[T[2, 3] for T in kinematics.tcp_poses(q)] for q in postures])
+    risen_m = (heights_m.max(axis=0) - heights_m[0]).min()
     assert task.scene.task.clear_height_m < risen_m < 0.2

@@ -1,4 +1,4 @@
-"""Four cubes into two bins: the draw, the order of the work, the reach of the arms, and ways to cheat."""
+"""Four cubes into two bins: draw, order of the work, reach of the arms, and ways to cheat."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def start_of(trial: Trial, task: Task = TASK) -> dict[str, np.ndarray]:
     return {name: pose_of(item.body, trial.start[name]) for name, item in task.objects.items()}
 
 
-# --- the draw --------------------------------------------------------------------------------------------------------
+# --- the draw
 
 
 def test_every_draw_has_cubes_apart_outside_the_bins_and_one_on_the_wrong_side() -> None:
@@ -72,11 +72,11 @@ def test_of_one_colour_the_cube_nearer_its_bin_is_the_first() -> None:
         assert y["blue_1"] < y["blue_2"]
 
 
-# --- two arms are needed -----------------------------------------------------------------------------------------------
+# --- two arms are needed
 
 
 def test_no_posture_brings_a_hand_to_a_cube_in_the_other_arms_bin() -> None:
-    """Shoulder to elbow to wrist to tool centre: the three lengths do not change, and their sum is too short."""
+    """Shoulder to elbow to wrist to tool centre: the sum of three fixed lengths is too short."""
     kinematics = Kinematics()
     rng = np.random.default_rng(0)
     model = kinematics.model
@@ -101,7 +101,7 @@ def test_no_posture_brings_a_hand_to_a_cube_in_the_other_arms_bin() -> None:
     )  # centre of a cube inside, nearest to the left arm
     grip = np.hypot(HALF_M, HALF_M)  # the tool centre is in the cube when the fingers pinch it
     assert np.linalg.norm(nearest - shoulders[0]) > reach + grip
-    # so with one arm frozen, the two cubes of the other colour never come into their bin, whatever the draw
+    # With one arm frozen, the two cubes of its colour never come into their bin, whatever the draw.
     for k in range(DRAWS):
         goals = TASK.trial(4, "frozen", k).goal
         for arm, way in WAY.items():
@@ -128,7 +128,7 @@ def test_one_arm_alone_finds_no_plan(arm: str, name: str) -> None:
         solve(one_armed(arm, name), trial, State(DUAL_PANDA.home, start_of(trial)), Planner())
 
 
-# --- the order of the work ---------------------------------------------------------------------------------------------
+# --- the order of the work
 
 
 def carries(steps: tuple[Step, ...]) -> list[Step]:
@@ -208,7 +208,7 @@ def test_by_force_what_is_put_down_is_lowered_by_soft_hands_before_it_is_let_go(
     assert let_go >= 1
 
 
-# --- the success test --------------------------------------------------------------------------------------------------
+# --- the success test
 
 GRIP = {"left": (30.0, 0.0), "right": (0.0, 30.0)}
 TRIAL = Trial(
@@ -323,7 +323,7 @@ def test_an_honest_script_succeeds_and_counts_its_cubes() -> None:
 
 
 def test_with_one_arm_frozen_no_draw_succeeds() -> None:
-    """256 draws; the free arm brings two cubes into its bin, the other two as near to theirs as its hand comes."""
+    """256 draws; the free arm brings two cubes into its bin, the others as near as it can."""
     for index in range(DRAWS):
         hand = ("left", "right")[index % 2]
         script = Script(TASK.trial(4, "frozen", index))
@@ -450,7 +450,7 @@ def test_a_cheat_with_one_cube_is_refused_though_the_others_are_sorted(
     assert cheat is late or "red_1" in first
 
 
-# --- driven ------------------------------------------------------------------------------------------------------------
+# --- driven
 
 
 @pytest.mark.slow
@@ -466,7 +466,7 @@ def test_driven_it_sorts(method: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["moveit", "impedance"])
 def test_a_camera_that_sees_cubes_too_high_makes_nobody_drop_them(method: str) -> None:
-    """Before hands were told that what rests is no load, `moveit` let go in the air."""
+    """An object that rests is no payload of the hand: else `moveit` lets go in the air."""
     bench = Bench(method, MethodInputs(TASK.config, TASK.config.seed), "randomised")
     result, _ = bench.run(TASK.trial(20260, "benchmark", 6))
     assert result.success, result.text

@@ -22,16 +22,25 @@ TASK = make_task(Config(task="sort"))
 
 
 def demonstrated(task: Task, trial: Trial) -> Demonstration:
-    return ScriptedLeader.for_trial(
-        LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED),
-        trial,
-    ).demonstration
+    setup = LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED)
+    return ScriptedLeader.for_trial(setup, trial).demonstration
 
 
 @functools.cache
 def sorted_cubes() -> tuple[Task, Trial, Demonstration]:
     trial = TASK.trial(SEED, "demonstrations", 0)
     return TASK, trial, demonstrated(TASK, trial)
+
+
+def with_noise(task: Task, trial: Trial, noise_m: float) -> Demonstration:
+    """Return the demonstration whose hands err by this along the fingers."""
+    noise = {"teleop.operator.along_noise_m": noise_m}
+    return demonstrated(make_task(changed(task.config, noise)), trial)
+
+
+def tips_of(demo: Demonstration) -> np.ndarray:
+    """Return T_world_tcp (T, 2, 4, 4)."""
+    return np.array([Kinematics().tcp_poses(q) for q in demo.q])
 
 
 def test_the_hands_of_a_planned_demonstration_close_at_the_cubes_one_by_one() -> None:
@@ -49,21 +58,16 @@ def test_the_hands_of_a_planned_demonstration_close_at_the_cubes_one_by_one() ->
 
 
 def test_hands_err_along_what_they_grasp_until_they_are_down() -> None:
-    """Oracle: the same plan without the error. Hands never err across the fingers, where they would touch."""
+    """Oracle: the same plan without the error.
+
+    Hands never err across the fingers, where they would touch.
+    """
     task, trial, _ = sorted_cubes()
-    exact, erring = (
-        demonstrated(
-            make_task(changed(task.config, {"teleop.operator.along_noise_m": noise_m})),
-            trial,
-        )
-        for noise_m in (0.0, 0.03)
-    )
-    tips = [np.array([Kinematics().tcp_poses(q) for q in demo.q]) for demo in (exact, erring)]
-    off = np.einsum(
-        "thij,thi->thj",
-        tips[0][:, :, :3, :3],
-        tips[1][:, :, :3, 3] - tips[0][:, :, :3, 3],
-    )
+    exact = with_noise(task, trial, 0.0)
+    erring = with_noise(task, trial, 0.03)
+    exact_tips = tips_of(exact)
+    shift = tips_of(erring)[:, :, :3, 3] - exact_tips[:, :, :3, 3]
+    off = np.einsum("thij,thi->thj", exact_tips[:, :, :3, :3], shift)
     assert np.abs(off[:, :, 1:]).max() < 1e-6, "only along"
     assert np.all(np.abs(off[:, :, 0]).max(axis=0) > 0.002), "both hands"
     held = np.minimum(exact.gripper[1:], exact.gripper[:-1]) < 1.0
@@ -79,6 +83,8 @@ def test_a_cube_keeps_its_colour_in_every_room() -> None:
         trial = TASK.trial(3, "randomised", index)
         with condition("randomised").applied(model, TASK, trial, np.random.default_rng(index)):
             colours = model.geom_rgba.copy()
-        red, blue = ([colours[model.geom(f"{c}_{k}").id] for k in (1, 2)] for c in ("red", "blue"))
-        assert all(rgba[0] > rgba[2] for rgba in red)
-        assert all(rgba[2] > rgba[0] for rgba in blue)
+        for number in (1, 2):
+            red = colours[model.geom(f"red_{number}").id]
+            blue = colours[model.geom(f"blue_{number}").id]
+            assert red[0] > red[2]
+            assert blue[2] > blue[0]

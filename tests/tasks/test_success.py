@@ -76,7 +76,10 @@ class Instant:
 
 
 def cycle(**held: object) -> list[Instant]:
-    """A clean cycle: grasp 1 s, lift to 10 cm, carry 50 cm, lower, release, rest. `held` overrides it in the air."""
+    """A clean cycle: grasp 1 s, lift to 10 cm, carry 50 cm, lower, release, rest.
+
+    `held` overrides values while the object is in the air.
+    """
     grip = {"pinches": (60.0, 60.0), "squeeze": 40.0}
     instants = [Instant() for _ in range(50)]
     instants += [Instant(**grip) for _ in range(50)]
@@ -306,6 +309,17 @@ def test_the_error_of_a_direction_is_the_short_way_round(scene):
     assert referee.outcome(Instant(yaw=-3.1)).number("yaw_error_rad") == pytest.approx(
         2 * np.pi - 6.2,
     )
+
+
+@pytest.mark.parametrize(
+    ("off_m", "missed"),
+    [(0.049, set()), (0.051, {"carried"}), (0.099, {"carried"})],
+)
+def test_five_centimetres_from_its_start_a_rod_on_the_table_is_not_carried(scene, off_m, missed):
+    """Before its lift the rod lies there for an instant, held by both hands."""
+    instants = cycle()
+    instants[60] = replace(instants[60], xy=(START[0] + off_m, START[1]))
+    assert faults(judge(instants, scene)[1]) == missed
 
 
 def test_a_broken_object_stays_broken(scene):

@@ -1,4 +1,4 @@
-"""Methods by conditions: the same starts for all, cells that depend on nothing else, and blanks that are true."""
+"""Methods by conditions: the same starts for all, independent cells, and blanks with a reason."""
 
 from __future__ import annotations
 
@@ -347,7 +347,7 @@ def test_a_policy_is_compared_on_the_task_that_it_was_trained_on(
     asked: list[Any],
     tmp_path: Path,
 ) -> None:
-    """Before, the run's task counted: a policy of a hand-over was refused there, and drove at the rod."""
+    """The task of the checkpoint counts, not the run's."""
     asked_of = {"tasks": ["rod_carry", "handover"], "methods": ["moveit", "act"], "trials_n": 2}
     config = Config.model_validate({"benchmark": {**asked_of, "conditions": ["clean"]}})
     result = run_benchmark_stage(tmp_path, config, "handover")

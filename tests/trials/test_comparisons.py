@@ -45,7 +45,10 @@ def trial(
 
 @pytest.fixture
 def trials() -> list[TrialMetrics]:
-    """Twelve clean and eight pushed starts: `slow` takes 1 s longer, and a push costs it every second start."""
+    """Twelve clean and eight pushed starts.
+
+    `slow` takes 1 s longer, and a push costs it every second start.
+    """
     noise = np.random.default_rng(2).normal(0.0, 0.1, 20)
     made = [
         trial("fast", c, i, duration_s=6.0 + noise[i])

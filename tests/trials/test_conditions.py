@@ -130,7 +130,7 @@ def test_another_joint_each_trial(model):
 
 @pytest.mark.parametrize(("torque_nm", "moves"), [(0.6, False), (0.9, True)])
 def test_an_arm_feels_the_dry_friction_of_its_joint(model, torque_nm, moves):
-    """Below twice the reference, 0.72 Nm, a torque beside gravity's moves the joint only without the condition."""
+    """Under the condition, a torque beside gravity's moves the joint only above 0.72 Nm."""
     world = World(Config().scene, model=model)
     kinematics = Kinematics()
     joint = 6
@@ -177,7 +177,7 @@ class AtOnce(Push):
 
 
 def test_a_push_gives_the_object_its_impulse(model):
-    """A free object pushed by F for dt, and by half of it during two ramps, gains F (dt + ramp) / m."""
+    """A free object pushed by F for dt, and by F / 2 during two ramps, gains F (dt + ramp) / m."""
     world = World(Config().scene, model=model)
     world.reset()
     pusher = ShortPush(TASK, np.random.default_rng(0), force_n=(20.0, 0.0, 0.0))

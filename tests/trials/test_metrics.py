@@ -1,4 +1,4 @@
-"""From logs to metrics to tables; a value that does not exist is words in a file and NaN in memory."""
+"""From logs to metrics to tables; a missing value is words in a file and NaN in memory."""
 
 from __future__ import annotations
 

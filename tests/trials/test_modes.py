@@ -1,4 +1,4 @@
-"""The demonstration of the three modes: what it measures at each switch, what it refuses, and that it can fail."""
+"""The demonstration of the three modes: measurements, refusals, and that it can fail."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SEED = 11
 
 
 class Mimic:
-    """Stands in for a trained policy: it asks for what it sees, and drops its queue when it is told to."""
+    """Stands in for a trained policy: commands the posture it sees, drops its queue on request."""
 
     inference_hz = 100.0
     joints_n = len(HOME)
@@ -213,7 +213,7 @@ def test_the_caption_changes_with_who_drives(world: World) -> None:
 
 
 def test_a_planner_alone_moves_the_arms(tmp_path: Path) -> None:
-    """Before, its first motion was also its last one: home, where the arms stood."""
+    """Its first motion leads away from home, where the arms stand."""
     result = modes(_context(tmp_path / "run", modes="moveit"))
     assert result.exit_code == ExitCode.PASS
     (outcome,) = result.data["outcomes"]
@@ -286,7 +286,7 @@ def _refuse(
     sequence: int,
     change: Callable[[Any], Any] | None = None,
 ) -> None:
-    """Let the planner's trajectory of that number be refused: at once, or changed so that the next tick refuses it."""
+    """Let the planner's trajectory of that number be refused, at once or at the next tick."""
     propose = ControlStack.propose
 
     def proposed(self: ControlStack, source: str, command: Any) -> Refusal | None:

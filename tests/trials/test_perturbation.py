@@ -40,7 +40,7 @@ def trial_result(index: int, condition: str, *, success: bool) -> TrialMetrics:
 
 @pytest.fixture
 def outcomes(monkeypatch):
-    """Trials that fail as often as the test says: {condition: failures}; and what they were asked to run."""
+    """Trials that fail as often as the test says, {condition: failures}; and the trials run."""
     failures: dict[str, int] = {}
     asked: list = []
 

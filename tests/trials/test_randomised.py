@@ -1,4 +1,4 @@
-"""The condition `randomised`: each of its parts acts in every task, within its range, and leaves nothing behind."""
+"""The condition `randomised`: each part acts in every task, within its range, and is undone."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def drawn(
 
 
 def factors(name: str, field: str) -> np.ndarray:
-    """Return a field of every trial over that of the plain model; 1 where that is 0 and stays so."""
+    """Return a field of every trial over the plain model's; 1 where that is 0 and stays so."""
     _, _, plain, found = drawn(name)
     base = plain[field]
     return np.array(
@@ -197,11 +197,10 @@ def test_the_pose_sensor_is_off_by_a_constant_of_the_trial(name: str) -> None:
     offsets = []
     for item in task.objects:
         sensors = Sensors(world, sensing, np.random.default_rng(len(offsets)), item)
-        poses = [
-            sample.T_world_object for _ in range(3) if (sample := sensors.sense().pose) is not None
+        samples = [sensors.sense().pose for _ in range(3)]
+        errors = [
+            sample.T_world_object[:3, 3] - world.object_pose(item)[:3, 3] for sample in samples
         ]
-        assert len(poses) == 3
-        errors = [T[:3, 3] - world.object_pose(item)[:3, 3] for T in poses]
         np.testing.assert_array_equal(errors[0], errors[2])
         offsets.append(errors[0])
     assert all(1e-4 < np.abs(error).max() < 0.04 for error in offsets)

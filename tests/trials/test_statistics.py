@@ -83,8 +83,9 @@ def test_the_paired_test_is_mcnemars_exact_test() -> None:
 @pytest.mark.parametrize(
     ("table", "low", "high"),
     [
-        # Without a correlation it is Newcombe's interval of independent rates (Statistics in Medicine 17 (1998) 873,
-        # method 10), here from the Wilson ends of tests above: 16 of 20 against 0 of 20, and 20 of 20 against itself.
+        # Without a correlation it is Newcombe's interval of independent rates (Statistics in
+        # Medicine 17 (1998) 873, method 10), from the Wilson ends of tests above: 16 of 20 against
+        # 0 of 20, and 20 of 20 against itself.
         ((0, 16, 0, 4), 0.8 - float(np.hypot(0.8 - 0.5840, 0.1611)), 0.8 + (0.9193 - 0.8)),
         ((20, 0, 0, 0), -(1.0 - 0.8389), 1.0 - 0.8389),
     ],
@@ -98,7 +99,7 @@ def test_the_paired_interval_of_rates_against_its_parts(
 
 
 def test_the_paired_interval_of_rates_is_corrected_for_continuity() -> None:
-    """A negative correlation stays as it is, one of less than half a pair vanishes, a greater one shrinks by as much."""
+    """A negative correlation stays; a positive one shrinks by half a pair, at most to none."""
     assert paired_rate_interval(36, 12, 2, 0) == pytest.approx(
         (0.0569, 0.3404),
         abs=1e-4,
@@ -137,7 +138,7 @@ def test_the_paired_interval_of_rates_covers_as_often_as_it_says(
     shares: tuple[float, ...],
     n: int,
 ) -> None:
-    """Simulated pairs: the truth lies inside in about 95 % of the draws, and agreement narrows the interval."""
+    """Simulated pairs: the truth is inside in about 95 % of the draws; agreement narrows it."""
     tables = np.random.default_rng(11).multinomial(n, shares, 2000)
     truth = shares[1] - shares[2]
     ends = np.array([paired_rate_interval(*map(int, row)) for row in tables])

@@ -1,4 +1,4 @@
-"""Every trial has the supervisor between its controllers and the motors: a reflex ends the trial by name."""
+"""Every trial has the supervisor before the motors: a reflex ends the trial by name."""
 
 from __future__ import annotations
 

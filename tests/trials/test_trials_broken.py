@@ -1,8 +1,10 @@
-"""A trial that breaks has failed, with a name and true numbers; the trials after it are none the worse."""
+"""A trial that breaks has failed, with a name and true numbers; later trials are as without it."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +14,11 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import pose, rot_z
 from minidual.tasks.judge import Judge, begin
-from minidual.tasks.task import Trial
+from minidual.tasks.task import Task, Trial
 from minidual.trials import runner
 from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import METHODS
-from minidual.trials.runner import Bench
+from minidual.trials.runner import Bench, Judged
 from tests.support.carry_trials import carry_task, same_row, sample_trial
 from tests.support.placing import put_at
 
@@ -24,7 +26,6 @@ from tests.support.placing import put_at
 class Stands:
     """A method that holds the arms where they are and ends, or breaks, after so many steps."""
 
-    aborted: str | None = None
     phase = "standing"
 
     def __init__(
@@ -34,11 +35,13 @@ class Stands:
         *,
         steps: int,
         breaks: str = "",
+        aborted: str | None = None,
     ) -> None:
         self.world = world
         self._gravity = kinematics.gravity(world.q)
         self._left = steps
         self._breaks = breaks
+        self.aborted = aborted
 
     @property
     def done(self) -> bool:
@@ -62,12 +65,19 @@ def trial(world: World) -> Trial:
     return sample_trial(world.scene, 5, "broken", 0)
 
 
-def _run(world: World, trial: Trial, method: str = "impedance", **how: object):
+def _run(
+    world: World,
+    trial: Trial,
+    method: str = "impedance",
+    *,
+    task: Task | None = None,
+    **how: Any,
+) -> Judged:
     bench = Bench.__new__(Bench)  # on the world of the other tests: none is compiled
     bench.method = method
     bench.seed = 5
     bench.spec = METHODS[method]
-    bench.task = carry_task(world.scene)
+    bench.task = carry_task(world.scene) if task is None else task
     bench.condition = condition(CLEAN)
     bench.world = world
     bench.kinematics = Kinematics()
@@ -128,6 +138,32 @@ def test_the_next_trial_is_the_same_as_without_a_broken_one(
     assert same_row(after) == same_row(before)
     assert np.array_equal(after_log.tau, before_log.tau)
     assert before.failure != "diverged"  # the control: a trial that only ends has another name
+
+
+@pytest.mark.parametrize(
+    ("breaks", "failure"),
+    [("", ""), ("diverged", "diverged"), ("exploded", "diverged"), ("singular", "singular")],
+)
+def test_a_trial_that_breaks_after_its_finish_is_no_success(
+    world: World,
+    trial: Trial,
+    breaks: str,
+    failure: str,
+    monkeypatch: pytest.MonkeyPatch,
+    quiet_mujoco: None,
+) -> None:
+    """The task demands nothing here, so it is finished after a tenth of a second."""
+    nothing = dataclasses.replace(carry_task(world.scene), success=lambda task, trial: ())
+    result, _ = _run(world, trial, "moveit", task=nothing, steps=300, breaks=breaks)
+    assert result.success == (failure == "")
+    assert result.failure == failure
+
+
+def test_a_method_that_stops_itself_before_the_finish_fails(world: World, trial: Trial) -> None:
+    result, _ = _run(world, trial, "moveit", steps=50, aborted="the grasp was lost")
+    assert not result.success
+    assert result.aborted == "the grasp was lost"
+    assert "(stopped itself: the grasp was lost)" in result.text
 
 
 @pytest.mark.parametrize(

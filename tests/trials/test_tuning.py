@@ -26,7 +26,7 @@ NEEDED_N = Config().scene.task.internal_force_min_n
 
 @pytest.fixture
 def plant(monkeypatch):
-    """A plant that loses 2 N of squeeze, slips over 60 N and oscillates from a stiffness that the test sets."""
+    """A plant that loses 2 N of squeeze, slips over 60 N and oscillates from a set stiffness."""
     law = {
         "loss_n": 2.0,
         "slips_n": 60.0,
@@ -136,7 +136,7 @@ def test_the_profile_that_is_written_loads(plant, tmp_path):
 
 
 def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
-    """Gains of a glass, or of a softer pinch, must not end in a profile that carries something else."""
+    """Gains of a glass, or of a softer pinch, must not end in a profile of something else."""
     config = load_config(
         "standard",
         ["carry.object=glass", "carry.impedance.pinch_n=33", "scene.object.friction=0.45"],
@@ -152,10 +152,11 @@ def test_the_profile_holds_for_what_was_tuned(plant, tmp_path):
 
 @pytest.mark.parametrize("extends", ["extends: standard\n", "extends: smoke\n", ""])
 def test_the_profile_keeps_all_that_ones_own_profile_says(plant, tmp_path, extends):
-    """Before, it kept `scene` and `carry`: gains of another arm, tuned with another arbiter, were given to Pandas."""
+    """Arm and arbiter too: gains hold only for those with which they were tuned."""
     mine = tmp_path / "mine.yaml"
     mine.write_text(
-        f"{extends}seed: 7\nworkers: 1\nview: {{port: 9000}}\nrobot: {{arm: xarm7}}\narbiter: {{speed_override: 0.5}}\n"
+        f"{extends}seed: 7\nworkers: 1\nview: {{port: 9000}}\nrobot: {{arm: xarm7}}\n"
+        "arbiter: {speed_override: 0.5}\n"
         "deploy: {trials: 3}\nscene: {object: {friction: 0.5}}\n",
     )
     loaded = load_config(str(mine), ["carry.object=glass"])

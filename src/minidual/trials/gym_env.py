@@ -101,8 +101,8 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         high = np.r_[robot.q_upper, 1.0, 1.0]
         beyond = np.r_[np.full(robot.dof, _OVERTRAVEL_RAD), 0.1, 0.1]
         self._actions = _box(low, high)
-        self._states = _box(low - beyond, high + beyond)
         self.action_space = self._actions
+        self._states = _box(low - beyond, high + beyond)
         self.observation_space = self._observations()
 
     def _observations(self) -> spaces.Dict:
@@ -112,8 +112,10 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             members["goal"] = spaces.Box(-10.0, 10.0, (3,))
         if self._images:
             shape = (self.scene.camera.height_px, self.scene.camera.width_px, 3)
-            picture = {name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in self._images}
-            members["images"] = spaces.Dict(picture)
+            pictures: dict[str, spaces.Space[Any]] = {
+                name: spaces.Box(0, 255, shape, dtype=np.uint8) for name in self._images
+            }
+            members["images"] = spaces.Dict(pictures)
         return spaces.Dict(members)
 
     def reset(
@@ -252,7 +254,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._render_camera = None
 
 
-def _box(low: Array, high: Array) -> spaces.Box:
+def _box(low: Array, high: Array) -> Any:  # generic in numpy's types, which pyright cannot match
     return spaces.Box(low.astype(np.float32), high.astype(np.float32))
 
 
