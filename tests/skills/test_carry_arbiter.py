@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,8 +14,8 @@ import pytest
 
 from minidual.config.control import CarryConfig, PaceConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.arbiter import CommandArbiter
-from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.commands import ArbiterState, Command, JointCommand
+from minidual.control.driving import Driving
 from minidual.control.impedance import ObjectImpedance, ObjectState
 from minidual.control.kernels import minimum_jerk
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS
@@ -26,6 +26,8 @@ from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import trial_hook
 from minidual.skills.carry_motions import grasp_posture, held_motion, joint_move, plan_path
+from minidual.skills.carry_phases import CarryPhases
+from minidual.skills.faults import Fault
 from minidual.skills.impedance_carry import SOURCE, ImpedanceCarry
 from minidual.tasks.task import level_pose, tilt_rad
 from tests.support.branches import Branches
@@ -240,7 +242,7 @@ def test_what_fails_in_a_branch_fails_here_and_nowhere_else(carry: Carry) -> Non
 
 
 def fails(seen: Ride) -> None:
-    seen.carry.phase = "lost"
+    seen.carry.fault = Fault("lost", "in the copy")
     raise ZeroDivisionError("in the copy")
 
 
@@ -249,6 +251,7 @@ def ends(seen: Ride) -> None:
 
 
 def is_whole(seen: Ride) -> None:
+    assert seen.carry.fault is None
     assert seen.carry.phase == "carry"
 
 
@@ -465,7 +468,7 @@ def test_without_the_watchdog_nobody_would_notice(carry: Carry) -> None:
 
 
 def silence_without_watchdog(seen: Ride) -> None:
-    CommandArbiter._is_gone = lambda self, now_s: False  # type: ignore[method-assign]
+    Driving.is_gone = lambda self, now_s: False  # type: ignore[method-assign]
     falls_silent(seen)
     seen.finish()
     assert seen.carry.fault is None
@@ -476,16 +479,15 @@ def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(carry: 
 
 
 def late_command(seen: Ride) -> None:
-    propose = ImpedanceCarry._propose
+    propose = CarryPhases._propose
     world = seen.world
 
-    def late(self: ImpedanceCarry, phase: str, kind: Any, *what: Any) -> None:
-        def old(*what: Any) -> Any:
-            return kind(*what[:-2], what[-2] - 0.2, what[-1])
+    def late(self: CarryPhases, phase: str, command: Command) -> None:
+        if phase == "carry":
+            command = replace(command, stamp_s=command.stamp_s - 0.2)
+        propose(self, phase, command)
 
-        propose(self, phase, old if phase == "carry" else kind, *what)
-
-    ImpedanceCarry._propose = late  # type: ignore[method-assign]
+    CarryPhases._propose = late  # type: ignore[method-assign]
     seen.finish()
     assert seen.carry.fault is not None
     assert seen.carry.fault.name == "interrupted"
@@ -501,16 +503,16 @@ def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step
     phase: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    propose = ImpedanceCarry._propose
+    propose = CarryPhases._propose
     offered_s: list[float] = []
 
-    def too_wide(self: ImpedanceCarry, to: str, kind: Any, *what: Any) -> None:
-        if to == phase:
-            what = (*what[:-1], np.full(2, 1.5))
-            offered_s.append(self.world.time)
-        propose(self, to, kind, *what)
+    def too_wide(self: CarryPhases, next_phase: str, command: Command) -> None:
+        if next_phase == phase:
+            command = replace(command, gripper=np.full(2, 1.5))
+            offered_s.append(command.stamp_s)
+        propose(self, next_phase, command)
 
-    monkeypatch.setattr(ImpedanceCarry, "_propose", too_wide)
+    monkeypatch.setattr(CarryPhases, "_propose", too_wide)
     seen = ride(world)
     assert seen.carry.fault is not None
     assert seen.carry.fault.name == "interrupted"
