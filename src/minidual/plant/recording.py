@@ -125,7 +125,7 @@ def check_shapes(model: mujoco.MjModel, recording: Recording) -> None:
             raise shape_misfit(f"a row of the model's {name}", shape, recorded_shape)
 
 
-# Writing -------------------------------------------------------------------------------------------
+# Writing ------------------------------------------------------------------------------------------
 
 
 def write_recording(path: Path, recording: Recording) -> Path:
@@ -154,7 +154,7 @@ def _digest(arrays: Mapping[str, _AnyArray]) -> npt.NDArray[np.uint8]:
     return np.frombuffer(sha256.digest(), dtype=np.uint8)
 
 
-# Reading -------------------------------------------------------------------------------------------
+# Reading ------------------------------------------------------------------------------------------
 
 
 def read_recording(path: Path) -> Recording:

@@ -36,7 +36,7 @@ class SimulationDivergedError(PlantEndedError):
 
 
 _BRAKE_NM_S_PER_RAD = 50.0
-"""Damping of a braked joint, beside exact gravity compensation, as far as the motors' limits reach."""
+"""Damping of a braked joint, beside exact gravity compensation, inside the motors' limits."""
 _NOT_FINITE = {
     int(mujoco.mjtWarning.mjWARN_BADQPOS): "positions",
     int(mujoco.mjtWarning.mjWARN_BADQVEL): "velocities",

@@ -1,6 +1,7 @@
-"""Arm and hand models as data: names, limits, masses and postures, with their sources.
+"""Arm and hand models as data, with their sources.
 
-Another arm is one more `ArmModel`, added by an entry point of the group `minidual.arms` (docs/howto-arm.md).
+Another arm is one more `ArmModel`, added by an entry point of the group `minidual.arms`
+(docs/howto-arm.md).
 """
 
 from collections.abc import Mapping

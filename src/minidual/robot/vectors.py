@@ -57,11 +57,12 @@ def rotation_vector(X: Vector, Y: Vector, Z: Vector) -> tuple[tuple[float, float
         b = 0.5 * (X[2] + Z[0])
         c = 0.5 * (X[1] + Y[0])
         if X[0] >= max(Y[1], Z[2]):
-            u, v, w = X[0] - cosine, c, b
+            longest = (X[0] - cosine, c, b)
         elif Y[1] >= Z[2]:
-            u, v, w = c, Y[1] - cosine, a
+            longest = (c, Y[1] - cosine, a)
         else:
-            u, v, w = b, a, Z[2] - cosine
+            longest = (b, a, Z[2] - cosine)
+        u, v, w = longest
         size = math.copysign(math.sqrt(u * u + v * v + w * w), x * u + y * v + z * w)
         x = u
         y = v

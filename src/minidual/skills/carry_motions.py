@@ -47,7 +47,7 @@ The differences are below 1.4 rad on the same branch, and 2.5 rad and more on an
 """
 
 
-# Grasps --------------------------------------------------------------------------------------------
+# Grasps -------------------------------------------------------------------------------------------
 
 
 def grasp_posture(
@@ -101,7 +101,7 @@ def _worst_condition(robot: Robot, postures: tuple[Array, ...]) -> float:
     return np.linalg.cond(jacobians).max()
 
 
-# Durations and joint motions -----------------------------------------------------------------------
+# Durations and joint motions ----------------------------------------------------------------------
 
 
 def _time(distance: float | Array, speed: float | Array, acceleration: float | Array) -> float:
@@ -178,7 +178,7 @@ def joint_move(
     return Trajectory(times, q0 + s, ds / times[-1], dds / times[-1] ** 2, "both_arms")
 
 
-# Held motions --------------------------------------------------------------------------------------
+# Held motions -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,8 @@ class RefusedError(Exception):
 class CarryPhases:
     """Proposes the commands of a carry, phase by phase.
 
+    The first four arguments say what is to be done, the last four by what.
+
     Args:
         world: World with the object.
         kinematics: Of the arms.

@@ -41,10 +41,8 @@ _PINCH_STEP = 0.2
 _POSES_N = 2
 _GAPS_N = 3
 """Bad samples in a row that make a fault."""
-
-
 _MOTOR_SHARE = 0.12
-"""Share of the commanded torque by which sound motors may differ: their calibration is good to a tenth."""
+"""Share of the commanded torque by which sound motors may differ; they are calibrated to 0.1."""
 
 
 class Fault(NamedTuple):
@@ -137,7 +135,7 @@ class FaultMonitor:
     # Motors and sensors ------------------------------------------------------------------------
 
     def motors(self, commanded: Array, applied: Array) -> Fault | None:
-        """Compare commanded and applied torques (n,) [Nm]; a motor may give a share more or less."""
+        """Compare commanded and applied torques (n,) [Nm]; a motor may be off by a share."""
         torque_max_nm = self._torque_max_nm
         if farthest(commanded, applied) <= torque_max_nm and not self._motors_missing:
             return None

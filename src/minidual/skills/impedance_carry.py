@@ -36,8 +36,18 @@ _STOPPED_S = 0.5
 class ImpedanceCarry:
     """One trial; call `step` until `done`.
 
-    A sensed fault halts the arms. After a reflex the supervisor stops them. Another mode, a halt by another source, a refusal or silence is the fault
-    `interrupted`: the arbiter stops them.
+    A sensed fault halts the arms. After a reflex the supervisor stops them. Another mode, a halt by
+    another source, a refusal or silence is the fault `interrupted`: the arbiter stops them.
+
+    Args:
+        world: The plant.
+        kinematics: Of the arms.
+        config: Settings of the carry.
+        trial: Goal of the object, and stream of the sensors' noise.
+        sensors: Of the object; by default simulated ones with the noise of `seed`.
+        seed: Of the noise.
+        supervisor: Guards the arms; by default one without distances.
+        arbiter: Settings of the arbiter.
 
     Attributes:
         world: The plant.

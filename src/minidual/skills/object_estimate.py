@@ -1,7 +1,8 @@
 """Estimates of an object's pose from delayed, noisy samples and the joint encoders.
 
-At rest it is the mean of all samples. When held, its pose X in a frame H of the hands is estimated: origin midway
-between the tool centre points, y from right to left, x along the mean finger direction. Samples z correct X:
+At rest it is the mean of all samples. When held, its pose X in a frame H of the hands is estimated:
+origin midway between the tool centre points, y from right to left, x along the mean finger
+direction. Samples z correct X:
 
     X <- X + g (T_H(t - delay)^-1 z - X),  g = max(1 / n, sample period / memory)
 """
@@ -36,8 +37,9 @@ class RestingEstimate:
         self.T_world_object, self.innovation = towards(self.T_world_object, T_world_object, gain)
 
 
-_ODD_M = 0.03  # one frame off by more says nothing of the object: a marker was taken for another
+_ODD_M = 0.03
 _ODD_RAD = 0.2
+"""A single frame that is off by more is dropped: one marker was taken for another."""
 
 
 class HeldEstimate:
@@ -70,7 +72,8 @@ class HeldEstimate:
         self._history: deque[Array] = deque(maxlen=delay_ticks + 1)
         self.innovation = (0.0, 0.0)
         self._odd = False
-        self.spread_m = self.moved_m = 0.0
+        self.spread_m = 0.0
+        self.moved_m = 0.0
         self._T_hands_object = np.eye(4)
         T_world_hands = self._follow(q, np.zeros_like(q))[0]
         self._T_hands_object = inverse(T_world_hands) @ T_world_object
@@ -98,19 +101,18 @@ class HeldEstimate:
             self._sampled_m = T_then[:3, 3]
             self.moved_m = math.sqrt(way_m @ way_m)
             moved, self.innovation = towards(self._T_hands_object, inverse(T_then) @ sample, gain)
-            before = self._odd
-            self._odd = self.innovation[0] > _ODD_M or self.innovation[1] > _ODD_RAD
-            if before or not self._odd:
+            was_odd = self._odd
+            distance_m, angle_rad = self.innovation
+            self._odd = distance_m > _ODD_M or angle_rad > _ODD_RAD
+            if was_odd or not self._odd:
                 self._T_hands_object = moved
-            T, twist = self._follow(q, v)[1:]
-        self.state = tuple.__new__(
-            ObjectState,
-            (T, twist, STILL),
-        )  # ObjectState(...) takes three times as long
+            _, T, twist = self._follow(q, v)
+        # ObjectState(...) takes three times as long.
+        self.state = tuple.__new__(ObjectState, (T, twist, STILL))
         return self.state
 
     def _follow(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return T_world_hands (4, 4), and pose (4, 4) and twist (6,) of the object; set `spread_m`."""
+        """Return T_world_hands (4, 4), the object's pose (4, 4) and twist (6,); set `spread_m`."""
         hands = self._hands
         hands.update(q)
         T_hands = np.empty((4, 4))

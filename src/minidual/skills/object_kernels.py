@@ -1,6 +1,7 @@
 """Compiled parts of an object's estimate, of its path, and of the watch over it.
 
-numba's cache watches this file alone; after a change of `control/kernels.py` delete the `__pycache__` folders.
+numba's cache watches this file alone; after a change of `control/kernels.py` delete the
+`__pycache__` folders.
 """
 
 import math
@@ -31,7 +32,8 @@ _REAL = types.float64
 @njit
 def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
     """Return the velocity (linear, angular) of a hand at p."""
-    linear = omega = (0.0, 0.0, 0.0)
+    linear = (0.0, 0.0, 0.0)
+    omega = (0.0, 0.0, 0.0)
     for j in range(len(v)):
         linear = plus(linear, times(v[j], three(J[:, j], 0)))
         omega = plus(omega, times(v[j], three(J[:, j], 3)))
@@ -40,9 +42,15 @@ def hand_twist(J: Array, p: Elements, v: Array) -> tuple[Vector, Vector]:
 
 @kernel(_REAL(HANDS, VECTOR, ROWS, ROWS, ROWS, VECTOR))
 def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: Array) -> float:
-    """Fill the frame T_hands (4, 4) of both hands, and pose T = T_hands X and twist (6,) of an object that follows them.
+    """Fill frame, pose and twist of an object that follows both hands; return the hands' distance.
 
-    Return the distance between the hands.
+    Args:
+        hands: See `Hands.views`.
+        v: Joint velocities (n,) [rad/s].
+        X: Pose (4, 4) of the object in the hands' frame.
+        T_hands: (4, 4), overwritten by the frame of the hands.
+        T: (4, 4), overwritten by T_hands X.
+        twist: (6,), overwritten by the object's twist.
     """
     J, p_left, p_right, R_left, R_right = hands
     left = three(p_left, 0)
@@ -70,7 +78,8 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
     T[3, 3] = 1.0
     v_left, w_left = hand_twist(J[:, :n], left, v[:n])
     v_right, w_right = hand_twist(J[:, n:], right, v[n:])
-    # Rotation about x and z follows from the two points, about y only from the hands' angular velocities.
+    # Rotation about x and z follows from the two points, about y only from the hands' angular
+    # velocities.
     about_y = 0.5 * inner(plus(w_left, w_right), y)
     omega = plus(times(1.0 / distance, cross(y, minus(v_left, v_right))), times(about_y, y))
     middle = times(0.5, plus(v_left, v_right))
@@ -82,7 +91,7 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
 
 @kernel(_REAL(VECTOR, ROWS))
 def pressed(felt: Array, T: Array) -> float:
-    """Return the internal force [N] that the hands' forces felt[:6] have along y of T; NaN stays NaN."""
+    """Return the internal force [N] of the hands' forces felt[:6] along y of T; NaN stays NaN."""
     y = three(T[:, 1], 0)
     left = -inner(three(felt, 0), y)
     right = inner(three(felt, 3), y)
@@ -111,10 +120,22 @@ def smooth(
     patient: bool,
     T: Array,
 ) -> tuple[int, float]:
-    """Fill `raw` (8,) with forces (2, 3) and pinch (2,), and move `felt` (8,) towards it by `share`.
+    """Filter forces and pinches, without glitches.
 
-    A value further away than `glitch_n` is left out if `patient`, one that is not finite always. Return 0 if all were
-    near, 1 if finite, else 2; and `pressed`.
+    It has eight arguments, because a kernel takes arrays and numbers only.
+
+    Args:
+        forces: (2, 3) [N], of the hands.
+        pinch: (2,) [N].
+        raw: (8,), overwritten by forces and pinches.
+        felt: (8,), moved towards `raw`.
+        share: Of the difference, by which `felt` moves.
+        glitch_n: Difference from which a value is a glitch.
+        patient: Whether glitches are left out; values that are not finite always are.
+        T: Pose (4, 4) of the object.
+
+    Returns:
+        0 if all values were near, 1 if all were finite, else 2; and `pressed`.
     """
     odd = 0
     for i in range(8):
@@ -133,9 +154,15 @@ def smooth(
 
 @kernel(types.void(ROWS, VECTOR, _REAL, ROWS, ROWS, ROWS))
 def on_path(poses: Array, ends_s: Array, t_s: float, X: Array, T: Array, motion: Array) -> None:
-    """Fill T (4, 4) with a path's level pose times X, and `motion` (2, 6) with twist and acceleration.
+    """Fill pose, twist and acceleration at a time of a path.
 
-    poses: (k, 4), x, y, z and yaw each, reached at ends_s (k,).
+    Args:
+        poses: (k, 4), x, y, z and yaw each.
+        ends_s: (k,), times at which they are reached.
+        t_s: Path time.
+        X: Pose (4, 4) of the object in the level frame.
+        T: (4, 4), overwritten by the level pose times X.
+        motion: (2, 6), overwritten by twist and acceleration.
     """
     first = 0
     while first < len(ends_s) - 2 and ends_s[first + 1] <= t_s:

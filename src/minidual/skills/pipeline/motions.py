@@ -24,7 +24,10 @@ or more."""
 
 
 def free(tools: Tools, phase: str, state: State, plan: PlanResult, scene: PlanningScene) -> Segment:
-    """Return a planned free motion, slowed to 1.6 m/s; hands that hold something, to a carry's limits."""
+    """Return a planned free motion, slowed to 1.6 m/s.
+
+    Hands that hold something are slowed to the limits of a carry.
+    """
     motion = plan.trajectory
     sampled = motion.q[::_TIPS_EVERY]
     tips = np.array([tools.planner.kinematics.tcp_poses(q) for q in sampled])
