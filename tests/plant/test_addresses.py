@@ -1,4 +1,4 @@
-"""The map from joints to addresses goes through the transmission and refuses what it cannot drive."""
+"""Joints are mapped to addresses by their transmissions; other actuators are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The plant seam: the simulator and the delayed plant of docs/howto-plant.md keep it, and the stack needs no more."""
+"""The simulator and the delayed plant of docs/howto-plant.md keep the plant protocol.
+
+The control stack needs no more than it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording repeats to the bit; a changed one does not and says where; a damaged one is one clear message."""
+"""A recording repeats to the bit; a changed one says where it differs; a damaged one is refused."""
 
 from __future__ import annotations
 
@@ -426,7 +426,7 @@ class TestHostileFiles:
             replay(changed)
 
     def test_a_change_that_physics_allows_is_told_by_the_digest(self, trial, tmp_path):
-        """Every array and the header, changed as little as possible; without a digest all of these would be read."""
+        """Every array and the header, changed as little as possible: only the digest shows it."""
         with np.load(trial[0]) as stored:
             arrays = dict(stored)
         read = []
@@ -591,7 +591,7 @@ class TestHostileFiles:
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("forged", [False, True])
 def test_no_mutation_kills_the_command_or_passes_unseen(trial, tmp_path, forged):
-    """300 mutations of arrays and header, with the old digest or one that fits, in processes of their own."""
+    """300 mutations of arrays and header, with the old digest or a new one, in own processes."""
     with np.load(trial[0]) as stored:
         arrays = dict(stored)
     cases = []

@@ -148,7 +148,7 @@ def test_rendering_does_not_move_the_world(visual_world):
 
 
 def seen_from(name: str, width_px: int | None = None, opening_deg: float | None = None) -> float:
-    """Return how far the starts and goals of a task reach out of the middle of the recorded picture; 1 is its rim."""
+    """Return how far starts and goals are from the middle of the recorded picture; 1 is its rim."""
     settings = [f"task={name}"] + (
         [] if width_px is None else [f"scene.camera.width_px={width_px}"]
     )
@@ -178,5 +178,5 @@ def test_every_start_and_goal_of_a_task_is_well_in_the_recorded_picture(name: st
 
 
 def test_the_picture_that_cut_bottles_off_is_told() -> None:
-    """The negative control: 128 pixels and 64 degrees, as `handover` was recorded before."""
+    """The negative control: 128 pixels and 64 degrees cut bottles of `handover` off."""
     assert seen_from("handover", 128, 64.1) > 0.97

@@ -97,7 +97,7 @@ print(njit(lambda a: a @ a)(2.0 * np.eye(2))[1, 1])
 
 
 def test_no_caller_makes_the_planes_compile_again():
-    """Another kind of array would cost ten seconds in the middle of a query: every entry makes them alike."""
+    """Every entry makes arrays of one kind: another kind would compile for ten seconds."""
     engines = SceneEngines(PlanningScene())
     checker = EdgeChecker(engines, 0.008, (HOME,), 0.05)
     both = np.array([HOME, HOME + 0.01])

@@ -1,4 +1,4 @@
-"""The same code runs two UR5 (6 joints each) and two xArm 7: planned, followed, and behind the gates."""
+"""The same code plans, follows and carries with two UR5 (6 joints each) and two xArm 7."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_another_pair_plans_to_joints_and_poses_and_follows(arm):
 
 @pytest.mark.slow
 def test_two_xarms_pass_env_check_plan_and_carry(tmp_path):
-    """The limits are those of the profile: tracking, plans found and proven, grip, tilt, time and success."""
+    """The limits are those of the profile."""
     words = [
         "run",
         "--until",

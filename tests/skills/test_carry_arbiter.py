@@ -1,4 +1,4 @@
-"""A carry only proposes: every torque comes through the arbiter, which can stop it and give the arms to somebody else."""
+"""A carry only proposes; the arbiter can stop it and give the arms to another source."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ POINTS = (
 
 @dataclass
 class Ride:
-    """A carry, and what was seen of it tick by tick."""
+    """A carry, and what it did in each tick."""
 
     carry: ImpedanceCarry
-    told: list[Array] = field(default_factory=list)
+    commanded: list[Array] = field(default_factory=list)
     phases: list[str] = field(default_factory=list)
     active: list[tuple[str, ...]] = field(default_factory=list)
-    given: list[str | None] = field(default_factory=list)
+    sources: list[str | None] = field(default_factory=list)
     onset_s: float = np.inf
     began_s: dict[str, float] = field(default_factory=dict)
 
@@ -67,7 +67,7 @@ class Ride:
 
     @property
     def torque_step_nm(self) -> float:
-        return float(np.abs(np.diff(np.array(self.told), axis=0)).max())
+        return float(np.abs(np.diff(np.array(self.commanded), axis=0)).max())
 
     def reached(self, point: tuple[str, float]) -> bool:
         """Return whether a phase has lasted for so long."""
@@ -88,12 +88,12 @@ class Ride:
         carry = self.carry
         carry.step()
         world = carry.world
-        self.told.append(world.data.ctrl[world.joints.ctrl].copy())
+        self.commanded.append(world.data.ctrl[world.joints.ctrl].copy())
         self.phases.append(carry.phase)
         self.active.append(carry.stack.manager.active)
-        self.given.append(carry.stack.output.active_source)
-        # Whatever the phase, what the motors were told is what the stack let through.
-        assert np.array_equal(self.told[-1], carry.stack.applied), (
+        self.sources.append(carry.stack.output.active_source)
+        # Whatever the phase, the motors' commands are what the stack let through.
+        assert np.array_equal(self.commanded[-1], carry.stack.applied), (
             "a torque that did not come through the stack"
         )
 
@@ -108,11 +108,11 @@ def begun(world: World) -> Ride:
     return Ride(ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5))
 
 
-def ride(world: World, each: Callable[[Ride], None] | None = None) -> Ride:
+def ride_through(world: World, each: Callable[[Ride], None] | None = None) -> Ride:
     """Carry to the end and a little further."""
-    seen = begun(world)
-    seen.finish(each)
-    return seen
+    ride = begun(world)
+    ride.finish(each)
+    return ride
 
 
 @pytest.fixture(scope="module")
@@ -124,13 +124,13 @@ def carry(scene: SceneConfig) -> Iterator[Carry]:
 
 @pytest.fixture(scope="module")
 def undisturbed(scene: SceneConfig) -> Ride:
-    return ride(World(scene))
+    return ride_through(World(scene))
 
 
 def test_a_carry_is_one_source_with_one_request_and_nothing_is_refused(undisturbed: Ride) -> None:
     carry = undisturbed.carry
     assert carry.fault is None
-    assert set(undisturbed.given) == {SOURCE, None}
+    assert set(undisturbed.sources) == {SOURCE, None}
     assert carry.stack.refusals == []
     assert tuple(dict.fromkeys(undisturbed.phases)) == (*PHASES, "done")
     while carry.stack.source is not None:  # it has nothing to say any more, and loses its turn
@@ -158,15 +158,15 @@ def test_a_torque_past_the_stack_is_noticed(world: World, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(ImpedanceCarry, "step", and_more)
     with pytest.raises(AssertionError, match="did not come through the stack"):
-        ride(world)
+        ride_through(world)
 
 
 def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: World) -> None:
-    """Sensed state and planned path, put into a law of its own: what the motors were told, without a difference."""
+    """A second law, given the sensed states and the planned path, returns the same torques."""
     q_hold: list[Array] = []
     motion: Any = None
-    given: list[tuple[Array, Array, ObjectState, float]] = []
-    told: list[Array] = []
+    inputs: list[tuple[Array, Array, ObjectState, float]] = []
+    commanded: list[Array] = []
     trial = sample_trial(world.scene, 5, "arbiter", 1)
     world.reset(poses=trial.start)
     carry = ImpedanceCarry(world, Kinematics(), CarryConfig(), trial, seed=5)
@@ -180,57 +180,57 @@ def test_in_the_air_the_motors_are_told_the_law_of_the_path_to_the_bit(world: Wo
         if carry.phase == "carry":
             motion = carry.stack.output.executions[0].command.motion
             state, felt_n = carry.watch.read()
-            given.append(
+            inputs.append(
                 (q, v, ObjectState(state.T_world_object.copy(), state.twist.copy()), felt_n),
             )
-            told.append(world.data.ctrl[world.joints.ctrl].copy())
+            commanded.append(world.data.ctrl[world.joints.ctrl].copy())
     assert carry.fault is None
     law = carry.stack.impedance._law
     assert law is not None
     again = ObjectImpedance(Kinematics(), law.held, law.gains)
     again.engage(q_hold[0])
-    assert len(told) > 2000
-    for k, (q, v, state, felt_n) in enumerate(given):
+    assert len(commanded) > 2000
+    for k, (q, v, state, felt_n) in enumerate(inputs):
         tau = again.torque(q, v, state, motion.at(k * world.dt), wanted_n=40.0, felt_n=felt_n)
-        assert np.array_equal(tau, told[k]), f"step {k} of the path"
+        assert np.array_equal(tau, commanded[k]), f"step {k} of the path"
 
 
 def test_another_source_that_proposes_moves_nothing(world: World, undisturbed: Ride) -> None:
     sent = 0
 
-    def intrude(seen: Ride) -> None:
+    def intrude(ride: Ride) -> None:
         nonlocal sent
-        if seen.carry.stack.tick_next:
+        if ride.carry.stack.tick_next:
             sent += 1
             for source in ("teleop", "policy"):
                 command = JointCommand(HOME + 0.2, np.ones(2), world.time, sent)
                 assert (
-                    seen.carry.stack.propose(source, command) is None
+                    ride.carry.stack.propose(source, command) is None
                 )  # kept for its turn, which never comes
 
-    seen = ride(world, intrude)
+    ride = ride_through(world, intrude)
     assert sent > 300
-    assert seen.carry.fault is None
-    assert set(seen.given) == {SOURCE, None}
-    assert np.array_equal(seen.told, undisturbed.told)
+    assert ride.carry.fault is None
+    assert set(ride.sources) == {SOURCE, None}
+    assert np.array_equal(ride.commanded, undisturbed.commanded)
 
 
-def onset(seen: Ride) -> Ride:
+def onset(ride: Ride) -> Ride:
     """Note that what happens now is the disturbance."""
-    seen.onset_s = seen.world.time
-    return seen
+    ride.onset_s = ride.world.time
+    return ride
 
 
 def test_a_branch_that_nothing_disturbs_is_the_carry_to_the_bit(
     carry: Carry,
     undisturbed: Ride,
 ) -> None:
-    carry.run(("carry", 1.4), nothing, [tau.tobytes() for tau in undisturbed.told])
+    carry.run(("carry", 1.4), nothing, [tau.tobytes() for tau in undisturbed.commanded])
 
 
-def nothing(seen: Ride, told: list[bytes]) -> None:
-    seen.finish()
-    assert [tau.tobytes() for tau in seen.told] == told
+def nothing(ride: Ride, commanded: list[bytes]) -> None:
+    ride.finish()
+    assert [tau.tobytes() for tau in ride.commanded] == commanded
 
 
 def test_what_fails_in_a_branch_fails_here_and_nowhere_else(carry: Carry) -> None:
@@ -241,18 +241,18 @@ def test_what_fails_in_a_branch_fails_here_and_nowhere_else(carry: Carry) -> Non
     carry.run(("carry", 1.4), is_whole)
 
 
-def fails(seen: Ride) -> None:
-    seen.carry.fault = Fault("lost", "in the copy")
+def fails(ride: Ride) -> None:
+    ride.carry.fault = Fault("lost", "in the copy")
     raise ZeroDivisionError("in the copy")
 
 
-def ends(seen: Ride) -> None:
+def ends(ride: Ride) -> None:
     os._exit(3)
 
 
-def is_whole(seen: Ride) -> None:
-    assert seen.carry.fault is None
-    assert seen.carry.phase == "carry"
+def is_whole(ride: Ride) -> None:
+    assert ride.carry.fault is None
+    assert ride.carry.phase == "carry"
 
 
 @pytest.mark.parametrize(
@@ -266,15 +266,15 @@ def test_a_request_of_another_mode_ends_the_carry_by_name_and_drops_nothing(
     carry.run(point, another_mode)
 
 
-def another_mode(seen: Ride) -> None:
-    carry = seen.carry
-    world = seen.world
-    phase = seen.carry.phase
+def another_mode(ride: Ride) -> None:
+    carry = ride.carry
+    world = ride.world
+    phase = ride.carry.phase
     sent = 0
 
-    def lead(seen: Ride) -> None:  # the leader stands where the arms are, its hands as theirs
+    def lead(ride: Ride) -> None:  # the leader stands where the arms are, its hands as theirs
         nonlocal sent
-        stack = seen.carry.stack
+        stack = ride.carry.stack
         if stack.source == "teleop" and stack.tick_next:
             sent += 1
             opening = stack.output.gripper.copy()
@@ -286,17 +286,17 @@ def another_mode(seen: Ride) -> None:
                 is None
             )
 
-    onset(seen).carry.stack.request("teleop")
-    seen.finish(lead)
+    onset(ride).carry.stack.request("teleop")
+    ride.finish(lead)
     assert carry.fault is not None
     assert (carry.fault.name, carry.fault.detail) == ("interrupted", "'teleop' was asked for")
-    assert carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert carry.fault.at_s - ride.onset_s <= 0.001 + 1e-9
+    assert ride.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(world.v).max() < 0.05
     assert carry.stack.output.active_source == "teleop", "the newcomer drives"
     assert carry.stack.manager.active == DEFAULT_CONTROLLERS, "a leader drives joints"
-    given = seen.given.index("teleop")
-    assert SOURCE not in seen.given[given:], "two sources took turns"
+    handed_over = ride.sources.index("teleop")
+    assert SOURCE not in ride.sources[handed_over:], "two sources took turns"
     if phase == "carry":
         assert not world.on_table()
         assert world.truth().pinch().min() > 20.0
@@ -304,16 +304,16 @@ def another_mode(seen: Ride) -> None:
 
 
 def test_a_request_in_the_middle_of_the_lift_may_have_to_be_made_again(carry: Carry) -> None:
-    """The elbows go on swinging for longer than a switch waits; meanwhile the law holds the object."""
+    """Elbows swing for longer than a switch waits; the law holds the object during that time."""
     carry.run(("carry", 0.6), asked_in_the_lift)
 
 
-def asked_in_the_lift(seen: Ride) -> None:
-    carry = seen.carry
-    stack = seen.carry.stack
-    world = seen.world
+def asked_in_the_lift(ride: Ride) -> None:
+    carry = ride.carry
+    stack = ride.carry.stack
+    world = ride.world
     stack.request("teleop")
-    seen.finish()
+    ride.finish()
     assert carry.fault is not None
     assert carry.fault.name == "interrupted"
     assert ("teleop", "not_still") in {(r.source, r.name) for r in stack.refusals}
@@ -332,15 +332,15 @@ def asked_in_the_lift(seen: Ride) -> None:
 def test_a_hold_in_the_air_keeps_the_object_squeezed_for_as_long_as_nobody_asks_for_the_arms(
     carry: Carry,
 ) -> None:
-    """Also the negative control of the two tests of a lost object: the watch has nothing to find."""
+    """Also the negative control of the two tests of a lost object: there is no fault to find."""
     carry.run(("carry", 1.4), hold)
 
 
-def hold(seen: Ride) -> None:
-    carry = seen.carry
-    world = seen.world
+def hold(ride: Ride) -> None:
+    carry = ride.carry
+    world = ride.world
     carry.stack.request("hold")
-    seen.finish()
+    ride.finish()
     assert carry.fault is not None
     assert carry.fault.detail == "'hold' was asked for"
     assert carry.stack.state is ArbiterState.HOLDING
@@ -348,7 +348,7 @@ def hold(seen: Ride) -> None:
     for _ in range(1001):
         assert carry.stack.manager.active == OBJECT_CONTROLLERS
         assert world.truth().internal_force() > 35.0
-        seen.step()
+        ride.step()
     assert not world.on_table()
 
 
@@ -357,18 +357,18 @@ def test_a_halt_by_somebody_else_is_named_as_one(carry: Carry, phase: str) -> No
     carry.run((phase, 0.6), halt)
 
 
-def halt(seen: Ride) -> None:
-    phase = seen.carry.phase
-    world = seen.world
-    onset(seen).carry.stack.halt("teleop")
-    seen.finish()
-    assert seen.carry.fault is not None
-    assert (seen.carry.fault.name, seen.carry.fault.detail) == (
+def halt(ride: Ride) -> None:
+    phase = ride.carry.phase
+    world = ride.world
+    onset(ride).carry.stack.halt("teleop")
+    ride.finish()
+    assert ride.carry.fault is not None
+    assert (ride.carry.fault.name, ride.carry.fault.detail) == (
         "interrupted",
         "the arms were halted",
     )
-    assert seen.carry.fault.at_s - seen.onset_s <= 0.001 + 1e-9
-    assert seen.active[-1] == ("soft_stop",)
+    assert ride.carry.fault.at_s - ride.onset_s <= 0.001 + 1e-9
+    assert ride.active[-1] == ("soft_stop",)
     assert np.abs(world.v).max() < 0.05
     if phase == "carry":
         assert world.truth().pinch().min() > 20.0, "the hands let go"
@@ -381,19 +381,19 @@ def hands_stay_apart(world: World) -> None:
 
 
 def test_an_object_lost_while_the_arbiter_brakes_halts_the_arms(carry: Carry) -> None:
-    """Braked along its path the law would push two hands together that have nothing between them any more."""
+    """Without the object, braking along the path would push the two hands into each other."""
     carry.run(("carry", 1.4), snatch_while_braking)
 
 
-def snatch_while_braking(seen: Ride) -> None:
-    world = onset(seen).world
-    seen.carry.stack.request("teleop")
+def snatch_while_braking(ride: Ride) -> None:
+    world = onset(ride).world
+    ride.carry.stack.request("teleop")
     world.truth().qpos[:3] = (0.9, 0.6, 0.2)
-    seen.finish()
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.name == "interrupted"
-    assert ("soft_stop",) in seen.active
-    assert seen.active.index(("soft_stop",)) * world.dt <= seen.onset_s + 0.05
+    ride.finish()
+    assert ride.carry.fault is not None
+    assert ride.carry.fault.name == "interrupted"
+    assert ("soft_stop",) in ride.active
+    assert ride.active.index(("soft_stop",)) * world.dt <= ride.onset_s + 0.05
     assert np.abs(world.v).max() < 0.05
     hands_stay_apart(world)
 
@@ -403,35 +403,35 @@ def test_an_object_lost_after_a_hold_halts_the_arms(carry: Carry) -> None:
     carry.run(("carry", 1.4), snatch_once_done)
 
 
-def snatch_once_done(seen: Ride) -> None:
+def snatch_once_done(ride: Ride) -> None:
     lost_s = np.inf
-    world = seen.world
+    world = ride.world
 
-    def snatch(seen: Ride) -> None:
+    def snatch(ride: Ride) -> None:
         nonlocal lost_s
-        if seen.carry.done and not np.isfinite(lost_s):
-            assert seen.carry.stack.manager.active == OBJECT_CONTROLLERS
+        if ride.carry.done and not np.isfinite(lost_s):
+            assert ride.carry.stack.manager.active == OBJECT_CONTROLLERS
             assert world.truth().internal_force() > 35.0
             world.truth().qpos[:3] = (0.9, 0.6, 0.2)
             lost_s = world.time
 
-    seen.carry.stack.request("hold")
-    seen.finish(snatch)
+    ride.carry.stack.request("hold")
+    ride.finish(snatch)
     for _ in range(500):
-        seen.step()
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.detail == "'hold' was asked for", (
+        ride.step()
+    assert ride.carry.fault is not None
+    assert ride.carry.fault.detail == "'hold' was asked for", (
         "what ended the trial stays what ended it"
     )
-    assert ("soft_stop",) in seen.active
-    assert 0.0 < seen.active.index(("soft_stop",)) * world.dt - lost_s <= 0.05
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert ("soft_stop",) in ride.active
+    assert 0.0 < ride.active.index(("soft_stop",)) * world.dt - lost_s <= 0.05
+    assert ride.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(world.v).max() < 0.05
     hands_stay_apart(world)
 
 
-def falls_silent(seen: Ride) -> None:
-    seen.carry.stack.affirm = lambda source: None  # type: ignore[method-assign]
+def falls_silent(ride: Ride) -> None:
+    ride.carry.stack.affirm = lambda source: None  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize("point", [("approach", 0.4), ("carry", 1.2)])
@@ -442,45 +442,45 @@ def test_a_carry_that_falls_silent_is_braked_and_keeps_what_it_holds(
     carry.run(point, silence)
 
 
-def silence(seen: Ride) -> None:
-    carry = seen.carry
-    world = seen.world
-    phase = seen.carry.phase
-    falls_silent(onset(seen))
-    seen.finish()
+def silence(ride: Ride) -> None:
+    carry = ride.carry
+    world = ride.world
+    phase = ride.carry.phase
+    falls_silent(onset(ride))
+    ride.finish()
     assert carry.fault is not None
     assert carry.fault.name == "interrupted"
     assert "stale" in carry.fault.detail
     assert (
-        carry.fault.at_s - seen.onset_s <= 0.1 + 2 * 0.02 + 0.002
+        carry.fault.at_s - ride.onset_s <= 0.1 + 2 * 0.02 + 0.002
     )  # what a command lives, heard and missed at its ticks
     assert np.abs(world.v).max() < 0.05
     assert carry.stack.source is None
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert ride.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     if phase == "carry":
         assert not world.on_table()
         assert world.truth().internal_force() > 35.0
 
 
 def test_without_the_watchdog_nobody_would_notice(carry: Carry) -> None:
-    """The negative control: it is the arbiter's watchdog, and nothing else, that stops a silent carry."""
+    """The negative control: nothing but the arbiter's watchdog stops a silent carry."""
     carry.run(("carry", 1.2), silence_without_watchdog)
 
 
-def silence_without_watchdog(seen: Ride) -> None:
+def silence_without_watchdog(ride: Ride) -> None:
     Driving.is_gone = lambda self, now_s: False  # type: ignore[method-assign]
-    falls_silent(seen)
-    seen.finish()
-    assert seen.carry.fault is None
+    falls_silent(ride)
+    ride.finish()
+    assert ride.carry.fault is None
 
 
 def test_an_object_command_that_comes_late_is_refused_and_ends_the_carry(carry: Carry) -> None:
     carry.run(("squeeze", 0.2), late_command)
 
 
-def late_command(seen: Ride) -> None:
+def late_command(ride: Ride) -> None:
     propose = CarryPhases._propose
-    world = seen.world
+    world = ride.world
 
     def late(self: CarryPhases, phase: str, command: Command) -> None:
         if phase == "carry":
@@ -488,13 +488,13 @@ def late_command(seen: Ride) -> None:
         propose(self, phase, command)
 
     CarryPhases._propose = late  # type: ignore[method-assign]
-    seen.finish()
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.name == "interrupted"
-    assert seen.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
+    ride.finish()
+    assert ride.carry.fault is not None
+    assert ride.carry.fault.name == "interrupted"
+    assert ride.carry.fault.detail.startswith("stale: ObjectCommand is 0.2")
     assert world.object_pose()[2, 3] < world.scene.object.rest_height_m + 0.002
     assert world.truth().pinch().min() > 20.0
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert ride.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
 
 
 @pytest.mark.parametrize("phase", ["approach", "close"])
@@ -513,38 +513,38 @@ def test_a_command_that_is_refused_as_it_is_proposed_ends_the_carry_in_that_step
         propose(self, next_phase, command)
 
     monkeypatch.setattr(CarryPhases, "_propose", too_wide)
-    seen = ride(world)
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.name == "interrupted"
-    assert seen.carry.fault.detail.startswith("gripper_out_of_range: ")
-    assert seen.carry.fault.at_s == offered_s[0]
+    ride = ride_through(world)
+    assert ride.carry.fault is not None
+    assert ride.carry.fault.name == "interrupted"
+    assert ride.carry.fault.detail.startswith("gripper_out_of_range: ")
+    assert ride.carry.fault.at_s == offered_s[0]
     assert len(offered_s) == 1, "it goes on proposing"
-    assert len(seen.carry.stack.refusals) == 1
+    assert len(ride.carry.stack.refusals) == 1
     assert np.abs(world.v).max() < 0.05
 
 
 @pytest.mark.parametrize("phase", PHASES)
 def test_an_emergency_stop_stops_every_phase_and_leaves_the_hands(carry: Carry, phase: str) -> None:
-    """Of nine stops in the middle of a carry five took the pinch to 0 N, when each joint braked for itself."""
+    """The joints brake together: braking each for itself takes the pinch to 0 N in most stops."""
     carry.run((phase, 0.15 if phase != "carry" else 1.4), emergency_stop)
 
 
-def emergency_stop(seen: Ride) -> None:
-    carry = seen.carry
-    world = seen.world
-    phase = seen.carry.phase
+def emergency_stop(ride: Ride) -> None:
+    carry = ride.carry
+    world = ride.world
+    phase = ride.carry.phase
     pinch_n: list[float] = []
     supervisor = carry.stack.supervisor
     assert supervisor is not None
-    onset(seen)
+    onset(ride)
     supervisor.estop("pressed")
-    seen.finish(lambda _seen: pinch_n.append(float(world.truth().pinch().min())))
+    ride.finish(lambda _seen: pinch_n.append(float(world.truth().pinch().min())))
     assert carry.fault is not None
     assert carry.fault.name == "reflex"
     assert "emergency_stop" in carry.fault.detail
-    assert carry.fault.at_s == pytest.approx(seen.onset_s)
+    assert carry.fault.at_s == pytest.approx(ride.onset_s)
     assert np.abs(world.v).max() < 0.05
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert ride.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     openings = carry.stack.output.gripper
     closed = phase in ("close", "squeeze", "carry", "unload")
     assert np.array_equal(openings, np.zeros(2) if closed else np.ones(2)), (
@@ -555,7 +555,7 @@ def emergency_stop(seen: Ride) -> None:
         assert min(pinch_n) > 55.0, "the object slipped or was torn between the hands"
 
 
-# What is proposed -------------------------------------------------------------------------------------------
+# Proposals ----------------------------------------------------------------------------------------
 
 
 def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
@@ -568,9 +568,9 @@ def test_a_joint_move_is_its_quintic_and_its_derivatives_are() -> None:
     assert np.array_equal(move.v[[0, -1]], np.zeros((2, 14)))
     for k in (0, 1, 137, 400, 813):
         blend, rate, curvature = minimum_jerk(k / 813)
-        wanted = q0 + blend * (q1 - q0), rate * (q1 - q0) / 0.813, curvature * (q1 - q0) / 0.813**2
-        for seen, value in zip((move.q, move.v, move.a), wanted, strict=True):
-            assert np.allclose(seen[k], value, rtol=1e-13, atol=1e-13)
+        assert np.allclose(move.q[k], q0 + blend * (q1 - q0), rtol=1e-13, atol=1e-13)
+        assert np.allclose(move.v[k], rate * (q1 - q0) / 0.813, rtol=1e-13, atol=1e-13)
+        assert np.allclose(move.a[k], curvature * (q1 - q0) / 0.813**2, rtol=1e-13, atol=1e-13)
     assert np.allclose(np.gradient(move.q[:-1], 1e-3, axis=0)[1:-1], move.v[1:-2], atol=1e-5)
 
 
@@ -607,11 +607,11 @@ def test_the_squeeze_is_asked_for_no_faster_than_controller_c_gives_it(
         assert np.allclose(end, start, rtol=0.0, atol=1e-15)
 
 
-# What is shown of it, and what becomes of it without its senses ----------------------------------------------
+# View, and lost sensors ---------------------------------------------------------------------------
 
 
 class Screen:
-    """A view that is always due, and keeps what it is told."""
+    """A view that is always due, and keeps what it is to show."""
 
     name = "screen"
     url = None
@@ -639,25 +639,25 @@ def test_who_watches_sees_the_source_the_phase_and_why_it_ended(carry: Carry) ->
     carry.run(("approach", 0.6), watched)
 
 
-def watched(seen: Ride) -> None:
+def watched(ride: Ride) -> None:
     screen: Any = Screen()
-    world = seen.world
+    world = ride.world
     bench: Any = SimpleNamespace(world=world, kinematics=Kinematics(), method="impedance")
     watch = trial_hook(screen, bench, "a title")
 
-    def look(seen: Ride) -> None:
+    def look(ride: Ride) -> None:
         if round(world.time / world.dt) % 100 == 0:
-            watch(world, seen.carry)
+            watch(world, ride.carry)
 
-    while not seen.reached(("carry", 1.4)):
-        look(seen)
-        seen.step()
-    seen.carry.stack.request("hold")
-    seen.finish(look)
-    told = {(overlay.source, overlay.state) for overlay in screen.shown}
-    assert {("moveit", "active, approach"), ("moveit", "active, carry")} <= told
+    while not ride.reached(("carry", 1.4)):
+        look(ride)
+        ride.step()
+    ride.carry.stack.request("hold")
+    ride.finish(look)
+    states = {(overlay.source, overlay.state) for overlay in screen.shown}
+    assert {("moveit", "active, approach"), ("moveit", "active, carry")} <= states
     assert screen.shown[-1].state == "holding, done"
-    assert screen.shown[-1].status == seen.carry.aborted
+    assert screen.shown[-1].status == ride.carry.aborted
     assert "'hold' was asked for" in screen.shown[-1].status
 
 
@@ -689,35 +689,35 @@ DEAD = {
 
 def frozen_pose() -> Callable[[Reading], Reading]:
     """Repeat the first pose, on time."""
-    seen: list[Any] = []
+    poses: list[Any] = []
 
     def lies(reading: Reading) -> Reading:
         if reading.pose is None:
             return reading
-        seen.append(reading.pose)
-        return reading._replace(pose=seen[0])
+        poses.append(reading.pose)
+        return reading._replace(pose=poses[0])
 
     return lies
 
 
 def silent_force() -> Callable[[Reading], Reading]:
     """Deliver the first forces again and again."""
-    seen: list[Reading] = []
+    readings: list[Reading] = []
 
     def lies(reading: Reading) -> Reading:
-        seen.append(reading)
-        return seen[0]._replace(pose=reading.pose)
+        readings.append(reading)
+        return readings[0]._replace(pose=reading.pose)
 
     return lies
 
 
 def frozen_left_force() -> Callable[[Reading], Reading]:
     """Repeat the first force of the left hand."""
-    seen: list[Array] = []
+    forces: list[Array] = []
 
     def lies(reading: Reading) -> Reading:
-        seen.append(reading.hand_forces[0].copy())
-        return reading._replace(hand_forces=np.array([seen[0], reading.hand_forces[1]]))
+        forces.append(reading.hand_forces[0].copy())
+        return reading._replace(hand_forces=np.array([forces[0], reading.hand_forces[1]]))
 
     return lies
 
@@ -742,30 +742,30 @@ def from_now(lies: Callable[[Reading], Reading]) -> None:
 
 @pytest.mark.parametrize("what", LYING)
 def test_a_sensor_that_is_silent_or_frozen_is_named(carry: Carry, what: str) -> None:
-    """Before, a silent camera and a frozen force ended in "success", a frozen camera in "slip"."""
+    """The carry ends as `sensor_lost`, neither as a success nor as a slip."""
     carry.run((LYING[what][0], 0.6), lied_to, what)
 
 
-def lied_to(seen: Ride, what: str) -> None:
+def lied_to(ride: Ride, what: str) -> None:
     _, named, make = LYING[what]
     from_now(make())
-    onset(seen).finish()
-    fault = seen.carry.fault
+    onset(ride).finish()
+    fault = ride.carry.fault
     assert fault is not None
     assert (fault.name, fault.detail.startswith(named)) == ("sensor_lost", True), fault.text
-    assert fault.at_s - seen.onset_s <= 0.05
-    assert seen.torque_step_nm <= TAU_RATE_MAX * seen.world.dt + 1e-9
-    assert np.abs(seen.world.v).max() < 0.05
+    assert fault.at_s - ride.onset_s <= 0.05
+    assert ride.torque_step_nm <= TAU_RATE_MAX * ride.world.dt + 1e-9
+    assert np.abs(ride.world.v).max() < 0.05
 
 
 def test_a_force_glitch_of_one_step_does_not_end_a_carry(carry: Carry) -> None:
-    """Before, 1 kN for 1 ms ended it as a slip, NaN for 1 ms as a reflex."""
+    """1 kN or NaN for 1 ms is neither a slip nor a reflex."""
     carry.run(("carry", 0.3), glitches)
 
 
-def glitches(seen: Ride) -> None:
+def glitches(ride: Ride) -> None:
     values = iter((1e3, -1e3, np.nan))
-    due_s = seen.world.time
+    due_s = ride.world.time
 
     def glitch(reading: Reading) -> Reading:
         nonlocal due_s
@@ -780,28 +780,28 @@ def glitches(seen: Ride) -> None:
         )
 
     from_now(glitch)
-    seen.finish()
+    ride.finish()
     assert next(values, None) is None, "a glitch was not tried"
-    assert seen.carry.fault is None, seen.carry.aborted
+    assert ride.carry.fault is None, ride.carry.aborted
 
 
 def test_a_program_error_in_a_sensor_stops_the_arms_and_is_then_raised(carry: Carry) -> None:
-    """Before, it left the tick without torque."""
+    """The arms stop by a commanded torque in every tick; then the error is raised."""
     carry.run(("approach", 0.6), program_error)
 
 
-def program_error(seen: Ride) -> None:
+def program_error(ride: Ride) -> None:
     def breaks(reading: Reading) -> Reading:
         raise ZeroDivisionError("no driver")
 
     from_now(breaks)
     with pytest.raises(ZeroDivisionError, match="no driver"):
-        seen.finish()
-    carry = seen.carry
-    world = seen.world
+        ride.finish()
+    carry = ride.carry
+    world = ride.world
     assert carry.fault is not None
     assert "ZeroDivisionError: no driver" in carry.fault.detail
-    assert seen.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert ride.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     assert np.abs(world.v).max() < 0.05
 
 
@@ -810,12 +810,12 @@ def test_a_sensor_that_dies_in_the_air_stops_the_carry_by_name(carry: Carry, wha
     carry.run(("carry", 1.0), sensor_dies, what)
 
 
-def sensor_dies(seen: Ride, what: str) -> None:
+def sensor_dies(ride: Ride, what: str) -> None:
     from_now(DEAD[what])
-    onset(seen).finish()
-    assert seen.carry.fault is not None
-    assert seen.carry.fault.name in ("slip", "object_lost", "sensor_lost")
-    assert seen.carry.fault.at_s - seen.onset_s <= 0.05
-    assert np.isfinite(seen.told).all()
-    assert seen.torque_step_nm <= TAU_RATE_MAX * seen.world.dt + 1e-9
-    assert np.abs(seen.world.v).max() < 0.05
+    onset(ride).finish()
+    assert ride.carry.fault is not None
+    assert ride.carry.fault.name in ("slip", "object_lost", "sensor_lost")
+    assert ride.carry.fault.at_s - ride.onset_s <= 0.05
+    assert np.isfinite(ride.commanded).all()
+    assert ride.torque_step_nm <= TAU_RATE_MAX * ride.world.dt + 1e-9
+    assert np.abs(ride.world.v).max() < 0.05

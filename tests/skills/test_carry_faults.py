@@ -1,4 +1,4 @@
-"""Each fault of a carry, brought about in the simulated world: told within 50 ms, by name, and stopped softly."""
+"""Each fault of a carry is detected within 50 ms, has its name, and stops the arms softly."""
 
 from __future__ import annotations
 
@@ -100,14 +100,14 @@ class Run:
             self.speeds.append(world.v.copy())
 
     def finish(self, onset: Callable[[World], bool] | None = None) -> None:
-        """Go on to the end. `onset` tells from the truth when the fault begins, where that is later than now."""
+        """Go on to the end; `onset` tells from the truth when the fault begins, by default now."""
         while not self.carry.done and self.world.time < 14.0:
             if not np.isfinite(self.onset_s) and (onset is None or onset(self.world)):
                 self.onset_s = self.world.time
             self.step()
 
     def deceleration(self, first: int) -> np.ndarray:
-        """Largest deceleration of each joint, over 20 ms, in the first steps after the fault, by its limit."""
+        """Return each joint's largest mean deceleration over 20 ms after the fault, by its limit."""
         v = np.array(self.speeds[:first])
         slower = np.abs(v[:-20]) - np.abs(v[20:])
         return slower.max(axis=0) / 0.02 / A_MAX
@@ -118,7 +118,7 @@ type Carry = Branches[Run, tuple[str, float]]
 
 @pytest.fixture(scope="module")
 def carry(scene: SceneConfig) -> Iterator[Carry]:
-    """One carry; each test branches off from it and disturbs its own copy, the compiled model too."""
+    """One carry; each test branches off and disturbs its own copy, also of the compiled model."""
 
     def start() -> Run:
         world = World(scene)
@@ -186,44 +186,43 @@ def test_a_fault_is_told_in_time_by_name_and_stopped_softly(carry: Carry, scenar
     carry.run(SCENARIOS[scenario][1:3], is_told_in_time, scenario)
 
 
-def is_told_in_time(found: Run, scenario: str) -> None:
+def is_told_in_time(run: Run, scenario: str) -> None:
     name, _, _, disturb, onset = SCENARIOS[scenario]
-    world = found.world
+    world = run.world
     disturb(world)
-    found.finish(onset)
-    fault = found.carry.fault
+    run.finish(onset)
+    fault = run.carry.fault
     assert fault is not None
     assert fault.name == name
-    assert 0.0 <= found.latency_s <= DETECTED_S
-    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
-    assert found.saturated_s <= 0.02
+    assert 0.0 <= run.latency_s <= DETECTED_S
+    assert run.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert run.saturated_s <= 0.02
     alive = slice(0, DOF)
     if name == "lost_arm":
         alive = slice(7, DOF) if fault.detail.startswith("left") else slice(0, 7)
         assert np.all(
-            found.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0,
+            run.carry.world.data.ctrl[world.joints.ctrl][_other(alive)] == 0.0,
         )  # nothing waits for it
     # A dead arm falls, and sooner or later it strikes the other one.
-    decelerated = found.deceleration(300 if name == "lost_arm" else 2000)[alive].max()
+    decelerated = run.deceleration(300 if name == "lost_arm" else 2000)[alive].max()
     assert decelerated < (1.5 if name == "slip" else 0.7)
     if name != "lost_arm":
-        assert np.abs(found.speeds[-1]).max() < 0.05
+        assert np.abs(run.speeds[-1]).max() < 0.05
 
 
 def test_an_object_that_is_shifted_in_the_approach_is_followed(carry: Carry) -> None:
-    """Before: `knocked_away`."""
     carry.run(("approach", 0.5), is_followed)
 
 
-def is_followed(found: Run) -> None:
-    world = found.world
+def is_followed(run: Run) -> None:
+    world = run.world
     before_m = world.object_pose()[0, 3]
     rod_moves((0.6, 0.0, 0.0))(world)
-    while found.carry.phase == "approach":
-        found.step()
+    while run.carry.phase == "approach":
+        run.step()
     assert world.object_pose()[0, 3] - before_m > 0.02, "not shifted"
-    found.finish()
-    assert found.carry.fault is None
+    run.finish()
+    assert run.carry.fault is None
     x_m, y_m, _ = sample_trial(world.scene, 5, "faults", 3).goal["rod"]
     np.testing.assert_allclose(world.object_pose()[:2, 3], (x_m, y_m), atol=0.002)
 
@@ -232,30 +231,30 @@ def test_an_object_that_is_shifted_a_third_time_is_a_fault(carry: Carry) -> None
     carry.run(("approach", 0.5), is_followed_twice)
 
 
-def is_followed_twice(found: Run) -> None:
+def is_followed_twice(run: Run) -> None:
     """The rod is kicked to and fro, each time the hands set out to follow it."""
     for kick in (0.6, -0.6, 0.6):
-        assert found.carry.fault is None
-        rod_moves((kick, 0.0, 0.0))(found.world)
-        while not found.carry.watch.shifted and found.carry.fault is None:
-            found.step()
-        while found.carry.watch.shifted and found.carry.fault is None:
-            found.step()
-    found.finish()
-    assert found.carry.fault is not None
-    assert (found.carry.fault.name, found.carry.phase) == ("knocked_away", "done")
-    assert found.world.time < 8.0, "it never grasped"
+        assert run.carry.fault is None
+        rod_moves((kick, 0.0, 0.0))(run.world)
+        while not run.carry.watch.shifted and run.carry.fault is None:
+            run.step()
+        while run.carry.watch.shifted and run.carry.fault is None:
+            run.step()
+    run.finish()
+    assert run.carry.fault is not None
+    assert (run.carry.fault.name, run.carry.phase) == ("knocked_away", "done")
+    assert run.world.time < 8.0, "it never grasped"
 
 
 def test_an_object_that_is_taken_off_the_table_is_not_followed(carry: Carry) -> None:
     carry.run(("approach", 0.5), is_not_followed)
 
 
-def is_not_followed(found: Run) -> None:
-    found.world.truth().qpos[2] += 0.1
-    found.finish()
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "knocked_away"
+def is_not_followed(run: Run) -> None:
+    run.world.truth().qpos[2] += 0.1
+    run.finish()
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "knocked_away"
 
 
 GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
@@ -281,32 +280,32 @@ GRIPPERS: dict[str, tuple[str, str, float, Finger, float]] = {
 
 @pytest.mark.parametrize("what", GRIPPERS)
 def test_a_gripper_that_does_not_do_what_it_is_told_is_named(carry: Carry, what: str) -> None:
-    """Before: missed_grasp after 1.5 s, slip after 1.7 s, missed_grasp after 1.5 s, nothing, nothing."""
+    """The fault is the gripper's, neither `missed_grasp` nor `slip`, and is found within 0.3 s."""
     carry.run(GRIPPERS[what][1:3], gripper_is_named, what)
 
 
-def gripper_is_named(found: Run, what: str) -> None:
-    name, _, _, found.finger, latency_s = GRIPPERS[what]
-    found.finish()
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == name
-    assert found.carry.fault.detail.startswith("the left hand")
-    assert 0.0 < found.latency_s <= latency_s
-    assert np.abs(found.speeds[-1]).max() < 0.05
+def gripper_is_named(run: Run, what: str) -> None:
+    name, _, _, run.finger, latency_s = GRIPPERS[what]
+    run.finish()
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == name
+    assert run.carry.fault.detail.startswith("the left hand")
+    assert 0.0 < run.latency_s <= latency_s
+    assert np.abs(run.speeds[-1]).max() < 0.05
 
 
 def test_when_both_arms_are_lost_no_torque_waits_for_either(carry: Carry) -> None:
     carry.run(("carry", 0.8), both_arms_lost)
 
 
-def both_arms_lost(found: Run) -> None:
-    world = found.world
+def both_arms_lost(run: Run) -> None:
+    world = run.world
     for arm in ("left", "right"):
         motors_off(arm)(world)
-    found.finish()
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "lost_arm"
-    assert found.latency_s <= DETECTED_S
+    run.finish()
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "lost_arm"
+    assert run.latency_s <= DETECTED_S
     assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
 
 
@@ -326,13 +325,13 @@ def test_the_other_arm_may_be_lost_while_the_first_one_stops(carry: Carry) -> No
     carry.run(("carry", 0.8), one_arm_after_the_other)
 
 
-def one_arm_after_the_other(found: Run) -> None:
-    world = found.world
+def one_arm_after_the_other(run: Run) -> None:
+    world = run.world
     motors_off("right")(world)
-    found.finish(motors_off_after("left", world.time + 0.1))
-    assert found.carry.fault is not None
-    assert found.carry.fault.detail.startswith("right arm")
-    assert "left arm" not in found.carry.fault.detail
+    run.finish(motors_off_after("left", world.time + 0.1))
+    assert run.carry.fault is not None
+    assert run.carry.fault.detail.startswith("right arm")
+    assert "left arm" not in run.carry.fault.detail
     assert np.all(world.data.ctrl[world.joints.ctrl] == 0.0)
 
 
@@ -341,12 +340,12 @@ def test_motors_that_die_after_another_fault_are_switched_off_too(carry: Carry) 
     carry.run(("descend", 0.1), motors_die_after_a_kick)
 
 
-def motors_die_after_a_kick(found: Run) -> None:
-    world = found.world
+def motors_die_after_a_kick(run: Run) -> None:
+    world = run.world
     rod_moves((0.6, 0.0, 0.0))(world)
-    found.finish(motors_off_after("left", world.time + 0.2))
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "knocked_away", "what stopped it stays what stopped it"
+    run.finish(motors_off_after("left", world.time + 0.2))
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "knocked_away", "what stopped it stays what stopped it"
     told = world.data.ctrl[world.joints.ctrl]
     assert np.all(told[:7] == 0.0)
     assert np.abs(told[7:]).max() > 1.0, "the other arm is held"
@@ -361,14 +360,14 @@ def test_an_undisturbed_trial_raises_nothing(carry: Carry) -> None:
     carry.run(("done", 0.0), nothing_is_raised)
 
 
-def nothing_is_raised(found: Run) -> None:
-    assert found.carry.fault is None
-    assert found.carry.done
-    assert found.torque_step_nm <= TAU_RATE_MAX * found.world.dt + 1e-9
+def nothing_is_raised(run: Run) -> None:
+    assert run.carry.fault is None
+    assert run.carry.done
+    assert run.torque_step_nm <= TAU_RATE_MAX * run.world.dt + 1e-9
 
 
 def test_noise_alone_never_moves_a_resting_object() -> None:
-    """Ten thousand samples of the standard noise, judged as the trial judges them: not one false alarm."""
+    """10,000 samples of the standard noise, checked as in a trial, raise no false alarm."""
     rng = np.random.default_rng(0)
     monitor = FaultMonitor(CarryFaultConfig(), dt_s=0.001, width_m=0.0177, pinch_n=60.0)
     for _ in range(10_000):
@@ -439,7 +438,7 @@ def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(
     monitor: FaultMonitor,
     phase: int,
 ) -> None:
-    """+-6.5 N about 60 N at 20 Hz, after rest: the swing of 13 N counts, not the distance from where the hand rested."""
+    """The swing of 13 N counts, not the distance of 6.5 N from the pinch at rest."""
     told_s = None
     for k in range(200):
         t = 4e-3 * k
@@ -458,7 +457,7 @@ def test_a_pinch_that_swings_by_little_more_than_a_step_jitters_at_any_phase(
 def test_a_pinch_that_had_crept_before_its_hand_opens_counts_from_where_it_is(
     monitor: FaultMonitor,
 ) -> None:
-    """Before, from where it last stepped: 5 of 27 clean carries of the box ended as gripper_stuck."""
+    """The change counts from the pinch at the order, not from that of the last step."""
 
     def look(k: int, told: str, pinch_n: float) -> Fault | None:
         return monitor.grippers(10.0 + 4e-3 * k, told, (0.018, 0.018), (pinch_n, pinch_n), 0.076)
@@ -615,13 +614,13 @@ def test_a_grasp_that_is_lost_on_the_way_is_a_fault(carry: Carry, phase: str) ->
     carry.run((phase, 0.0), grasp_lost)
 
 
-def grasp_lost(found: Run) -> None:
+def grasp_lost(run: Run) -> None:
     def none(*_args: object, **_options: object) -> None:
         raise PoseUnreachableError("the left hand misses its grasp")
 
     carry_phases.grasp_posture = none
-    found.finish()
-    fault = found.carry.fault
+    run.finish()
+    fault = run.carry.fault
     assert fault is not None
     assert (fault.name, fault.detail) == ("unreachable", "the left hand misses its grasp")
 
@@ -630,18 +629,18 @@ def test_a_singular_posture_stops_the_arms_softly_with_the_object_held(carry: Ca
     carry.run(("carry", 1.0), singular_in_the_air)
 
 
-def singular_in_the_air(found: Run) -> None:
+def singular_in_the_air(run: Run) -> None:
     def singular(*_args: object, **_options: object) -> None:
         raise SingularPostureError("a hand has lost a direction of motion")
 
     ObjectImpedance.torque = singular  # type: ignore[method-assign]
-    world = found.world
-    found.finish()
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "singular"
-    assert found.latency_s <= 0.001 + 1e-9
-    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
-    assert np.abs(found.speeds[-1]).max() < 0.05
+    world = run.world
+    run.finish()
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "singular"
+    assert run.latency_s <= 0.001 + 1e-9
+    assert run.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(run.speeds[-1]).max() < 0.05
     assert world.truth().pinch().min() > 20.0
     assert not world.on_table()
 
@@ -651,17 +650,17 @@ def test_a_halt_on_the_way_down_stops_above_the_table(carry: Carry) -> None:
     carry.run(("descend", 0.3), blind_on_the_way_down)
 
 
-def blind_on_the_way_down(found: Run) -> None:
-    sensors = found.carry.watch.sensing._sensors
+def blind_on_the_way_down(run: Run) -> None:
+    sensors = run.carry.watch.sensing._sensors
     kinematics = Kinematics()
     lowest_m = np.inf
     sense = sensors.sense
     sensors.sense = lambda: sense()._replace(pose=None)  # type: ignore[method-assign]
-    while not found.carry.done:
-        found.step()
-        lowest_m = min(lowest_m, *(float(T[2, 3]) for T in kinematics.tcp_poses(found.world.q)))
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "sensor_lost"
+    while not run.carry.done:
+        run.step()
+        lowest_m = min(lowest_m, *(float(T[2, 3]) for T in kinematics.tcp_poses(run.world.q)))
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "sensor_lost"
     assert lowest_m > 0.0115  # fingers touch the table at 9.5 mm
 
 
@@ -669,44 +668,44 @@ def test_a_path_that_the_law_stops_ends_the_carry_by_its_name(carry: Carry) -> N
     carry.run(("squeeze", 0.1), path_stopped)
 
 
-def path_stopped(found: Run) -> None:
-    world = found.world
-    found.carry.stack.output.executions[0].stop(("joint_limit", "a joint is near its limit"))
-    found.finish()
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "joint_limit"
+def path_stopped(run: Run) -> None:
+    world = run.world
+    run.carry.stack.output.executions[0].stop(("joint_limit", "a joint is near its limit"))
+    run.finish()
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "joint_limit"
     assert np.abs(world.v).max() < 0.02
     assert world.truth().pinch().min() > 50.0
 
 
 @pytest.mark.parametrize("force_n", [15.0, 40.0])
 def test_an_object_that_falls_behind_its_path_stops_it(carry: Carry, force_n: float) -> None:
-    """Before, a joint that stuck while slow was not noticed until the next path was refused, 72 mm away."""
+    """The path stops within 50 mm, before a next one could be refused."""
     carry.run(("carry", 1.0), held_back, force_n)
 
 
-def held_back(found: Run, force_n: float) -> None:
-    world = found.world
+def held_back(run: Run, force_n: float) -> None:
+    world = run.world
     away_m = list[float]()
-    until_s = found.world.time + 1.0
-    while not found.carry.done and world.time < 14.0:
+    until_s = run.world.time + 1.0
+    while not run.carry.done and world.time < 14.0:
         world.data.xfrc_applied[world.truth().body, 1] = (
-            -force_n if found.carry.phase == "carry" and world.time < until_s else 0.0
+            -force_n if run.carry.phase == "carry" and world.time < until_s else 0.0
         )
-        found.step()
-        desired = found.carry.stack.impedance.desired
-        if desired is not None and found.carry.phase == "carry":
+        run.step()
+        desired = run.carry.stack.impedance.desired
+        if desired is not None and run.carry.phase == "carry":
             away_m.append(
                 float(np.linalg.norm(world.object_pose()[:3, 3] - desired.T_world_object[:3, 3])),
             )
     if force_n < 20.0:  # the spring gives way, as it is meant to
-        assert found.carry.fault is None
+        assert run.carry.fault is None
         assert 0.02 < max(away_m) < 0.04
         return
-    assert found.carry.fault is not None
-    assert found.carry.fault.name == "off_path"
+    assert run.carry.fault is not None
+    assert run.carry.fault.name == "off_path"
     assert max(away_m) < 0.05
-    assert "bounds 0.04 m, 0.15 rad" in found.carry.fault.detail
+    assert "bounds 0.04 m, 0.15 rad" in run.carry.fault.detail
     assert world.truth().pinch().min() > 50.0
     assert not world.on_table()
     assert np.abs(world.v).max() < 0.05
@@ -718,20 +717,20 @@ def test_a_singular_posture_when_the_law_is_to_take_over_leaves_the_object_where
     carry.run(("close", 0.0), singular_at_the_start)
 
 
-def singular_at_the_start(found: Run) -> None:
+def singular_at_the_start(run: Run) -> None:
     def singular(*_args: object, **_options: object) -> None:
         raise SingularPostureError("the left hand has lost a direction of motion")
 
     ObjectImpedance.engage = singular  # type: ignore[method-assign]
-    world = found.world
-    found.finish()
-    fault = found.carry.fault
+    world = run.world
+    run.finish()
+    fault = run.carry.fault
     assert fault is not None
     assert (fault.name, fault.detail) == (
         "singular",
         "the left hand has lost a direction of motion",
     )
-    assert found.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
-    assert np.abs(found.speeds[-1]).max() < 0.05
-    assert found.carry.stack.manager.active == ("soft_stop",)
+    assert run.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
+    assert np.abs(run.speeds[-1]).max() < 0.05
+    assert run.carry.stack.manager.active == ("soft_stop",)
     assert world.on_table()

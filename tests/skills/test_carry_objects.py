@@ -1,4 +1,4 @@
-"""The catalogue of objects and the table of motions: consistent with mechanics, carried for real, judged both ways."""
+"""Objects and motions: consistent with mechanics, carried, and judged both ways."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_what_somebody_has_set_stays_and_a_second_call_changes_nothing() -> None
 def test_an_object_of_ones_own_gets_the_pinch_that_its_squeeze_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Before, only those of the package did; 40 N at friction 0.3 fell to 25 N."""
+    """Rows from outside get it as those of the package do."""
     row = {
         "carry.impedance.internal_force_n": 40.0,
         "scene.object.friction": 0.3,
@@ -250,7 +250,6 @@ def test_only_the_way_over_has_an_obstacle() -> None:
 
 
 def test_no_start_or_goal_touches_the_obstacle() -> None:
-    """Before, boards began on the block and had failed at once."""
     config = configured(object="board", motion="over")
     world = World(config.scene)
     task = make_task(config)
@@ -272,7 +271,7 @@ def test_an_obstacle_that_leaves_no_room_is_refused() -> None:
 
 @pytest.mark.parametrize("name", ["rod", "glass"])
 def test_arms_begin_on_the_branch_of_home(name: str) -> None:
-    """Before, the descent from home turned the left shoulder over at this start; turning the rod, the arms met."""
+    """At this start the descent from home turns the left shoulder over; the arms would meet."""
     scene = configured(object=name, motion="rotate").scene
     level = pose_of(scene.object, (0.471, 0.201, 0.25))
     plain = grasp_posture(scene, DUAL_PANDA, level, DUAL_PANDA.home, above_m=0.08)

@@ -69,7 +69,7 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up():
     ],
 )
 def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
-    """Before, a pad lost what it pinched with 60 N for single steps, because contacts were too stiff."""
+    """Stiffer contacts let a pad lose what it pinches with 60 N, for single steps."""
     config = Config(task=task)
     bench = Bench("impedance", MethodInputs(config, config.seed), name)
     pinch = []
@@ -118,7 +118,7 @@ def test_worse_sensing_raises_no_false_alarm():
 
 
 def test_dry_joints_hold_the_object_up_until_its_path_is_moved_on():
-    """All joints dry, and a camera that is off: the spring stops short of the goal, and the path goes on by that."""
+    """All joints dry, and a biased camera: the path goes on by what the spring is short of."""
     bench = Bench("impedance", MethodInputs(Config(), 20260), "randomised")
     ends = []
 
@@ -192,7 +192,7 @@ def test_a_plan_begins_with_objects_at_their_known_height():
 
 
 def test_a_smooth_object_slips_before_it_is_lifted():
-    """Friction 0.36: the pads carry 43 N, more than the 40 N of the squeeze and less than the 46 N that are tried."""
+    """At friction 0.36 the pads carry 43 N: more than the squeeze of 40, less than the 46 tried."""
     bench = Bench("impedance", MethodInputs(Config(), 11))
     slid = {}
     told_n = Config().carry.impedance.internal_force_n
@@ -208,7 +208,7 @@ def test_a_smooth_object_slips_before_it_is_lifted():
 
 
 def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs_in_the_air():
-    """Friction 0.23: 60 N of pinch carry 28 N. Before, the hands slipped by 4 mm on the table, and the carry stopped."""
+    """At friction 0.23, 60 N of pinch carry 28 N; the slip of 4 mm on the table is no fault."""
     bench = Bench("impedance", MethodInputs(Config(), 11))
     told = {}
     pinch = []
@@ -232,7 +232,7 @@ def test_what_slips_on_the_table_is_pinched_harder_and_keeps_what_the_task_needs
 
 
 def test_slip_on_the_table_does_not_count_in_the_air():
-    """Worn pads, dry joints: 2.7 mm on the table, then 1.9 mm more. Before, their sum was the fault `slip`."""
+    """Worn pads, dry joints: 2.7 mm on the table and 1.9 mm in the air are not summed."""
     bench = Bench("impedance", MethodInputs(Config(), 20260), "randomised")
     spread_m = []
 
@@ -247,7 +247,7 @@ def test_slip_on_the_table_does_not_count_in_the_air():
 
 
 def test_an_object_that_is_seen_in_the_table_is_lifted():
-    """Before, the supervisor stopped the lift: it took the seen height for the clearance over the table."""
+    """The supervisor does not take the sensed height for the clearance above the table."""
     config = changed(Config(), {"carry.sensing.pose_bias_m": 0.010})
     bench = Bench("impedance", MethodInputs(config, 11))
     seen_m = []

@@ -1,4 +1,4 @@
-"""The sensors lie as much as they say, late by as much as they say, and the controller knows nothing else."""
+"""Sensors have the stated noise and delay, and the controller reads nothing else."""
 
 from __future__ import annotations
 
@@ -124,7 +124,8 @@ def test_switched_off_it_is_the_truth() -> None:
 
 def test_same_stream_same_noise_and_the_draws_do_not_depend_on_the_amounts() -> None:
     def errors(seed: int, noise_m: float) -> np.ndarray:
-        senses = Sensors(Bench(), SensingConfig(pose_noise_m=noise_m), stream(seed, "sensing/x", 3))  # type: ignore[arg-type]
+        config = SensingConfig(pose_noise_m=noise_m)
+        senses = Sensors(Bench(), config, stream(seed, "sensing/x", 3))  # type: ignore[arg-type]
         readings = [senses.sense() for _ in range(200)]
         return (
             np.array([r.pose.T_world_object[:3, 3] for r in readings if r.pose]) - Bench().T[:3, 3]
@@ -239,7 +240,7 @@ def test_one_frame_that_is_far_off_moves_no_estimate_and_two_do(
     kinematics: Kinematics,
     turned: bool,
 ) -> None:
-    """Before, a marker that was taken for another moved the estimate by 20 mm, and the next good frame read as slip."""
+    """A marker that is taken for another one does not move the estimate, nor look like slip."""
     T = _held_pose(kinematics, HOME)
     estimate = HeldEstimate(kinematics, HOME, T, delay_ticks=0, least_gain=0.1)
     odd = T @ (pose(rot_x(np.pi), (0.0, 0.0, 0.0)) if turned else pose(np.eye(3), (0.3, 0.0, 0.0)))
@@ -278,7 +279,7 @@ def _errors(world: World, carry: ImpedanceCarry) -> tuple[float, float]:
 
 
 def test_a_first_force_that_is_no_number_is_forgotten(world: World) -> None:
-    """Before, the filter kept its NaN, and the hands closed without feeling anything."""
+    """The filter does not keep a NaN: the hands feel what they close on."""
     world.reset()
     senses = Sensors(world, SensingConfig(), stream(1, "sensing/first", 0))
     listen = senses.sense
@@ -312,7 +313,8 @@ def test_a_whole_carry_never_reads_the_truth_and_its_estimate_beats_the_raw_read
 
     senses.sense = sense  # type: ignore[method-assign]
     nowhere = replace(trial, start=(9.0, 9.0, 9.0))  # not even where the trial began
-    carry = ImpedanceCarry(Blind(world), Kinematics(), CarryConfig(), nowhere, sensors=senses)  # type: ignore[arg-type]
+    blind: Any = Blind(world)
+    carry = ImpedanceCarry(blind, Kinematics(), CarryConfig(), nowhere, sensors=senses)
     fused = []
     raw = []
     speeds = []

@@ -1,4 +1,4 @@
-"""The scripted operator: smooth, inside the limits, the same shape in every trial, hands where they belong."""
+"""The scripted operator is smooth, inside the limits, and alike in every trial."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
 def test_the_approach_errs_across_before_and_along_while_the_hands_go_down(
     operator: ScriptedOperator,
 ) -> None:
-    """Over the object, the place of the hands must not tell where along it the grasp is; across, fingers need room."""
+    """Above the object, the hands must not tell where along it the grasp is."""
     plain = {"approach_noise_m": 0.0, "along_noise_m": 0.0, "approach_noise_rad": 0.0}
     exact = ScriptedOperator(operator.scene, OperatorConfig(**plain))
     trial = rod_trial("t", 3, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))

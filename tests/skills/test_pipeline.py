@@ -1,4 +1,4 @@
-"""Plans made of stages: order, going back, reasons, and a carry that is driven through the control stack."""
+"""Plans made of stages: order, going back, reasons, and a carry driven by the control stack."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -119,7 +119,7 @@ def carried(planner):
     return carry([GOAL]).solve(START, tools(planner))
 
 
-# --- the search, on stages without any robot ---------------------------------------------------------------------
+# Search, on stages without any robot --------------------------------------------------------------
 
 
 class Idle:
@@ -210,7 +210,7 @@ def test_a_pipeline_without_stages_or_with_a_name_twice_is_refused():
         Pipeline("t", [])
 
 
-# --- the rod --------------------------------------------------------------------------------------------------------
+# The rod ------------------------------------------------------------------------------------------
 
 
 def test_hands_back_off_against_the_way_they_point():
@@ -468,7 +468,7 @@ def test_hands_may_reach_their_grasps_one_after_the_other(planner):
 
 
 def keeps_the_limits_of_a_carry(planner, motion):
-    """The left hand's speed and acceleration by finite differences every 2 ms; one radian counts as 0.2 m."""
+    """Return the left hand's speed and acceleration every 2 ms; one radian counts as 0.2 m."""
     step_s = 0.002
     limits = PHASES["carry"].limits
     times = np.arange(0.0, motion.duration_s, step_s)
@@ -483,7 +483,7 @@ def keeps_the_limits_of_a_carry(planner, motion):
 
 
 def test_a_free_motion_that_tilts_the_object_is_a_failure(planner):
-    """One hand brings an upright rod round a wall: allowed where any tilt is, refused where none is."""
+    """One hand moves an upright rod round a wall: if any tilt is allowed, not if none is."""
     bottle = replace(ROD, upright=True)
     T = GRASPS["left"]
     state = replace(START, q=np.array(HOME), held_by={"left": T}, rests=False)

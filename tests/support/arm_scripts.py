@@ -1,4 +1,4 @@
-"""Postures and scripts for the tests of robot, simulation and control, independent of the planners under test."""
+"""Postures and scripts for tests of robot, plant and control, independent of the planners."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def pinch_rod(
     *,
     hands: Array = _CLOSED,
 ) -> Array:
-    """Put the open hands round the nominal rod, close those whose opening in `hands` is 0; return the posture."""
+    """Put open hands at the nominal rod, and close those with opening 0; return the posture."""
     x, y = scene.task.start_xy_m
     q = grasp_posture(scene, kinematics, level_pose(x, y, scene.object.radius_m, 0.0))
     loop.world.reset(q)
@@ -63,7 +63,7 @@ def pinch_rod(
 
 
 def carry_script(scene: SceneConfig, kinematics: Kinematics, trial: Trial) -> list[Array]:
-    """Return 50 Hz actions (16,) that carry a rod from start to goal (x, y, yaw): a plain joint-space carry."""
+    """Return 50 Hz actions (16,) of a joint-space carry of the rod, without force control."""
     start = placement(trial.start["rod"])
     goal = placement(trial.goal["rod"])
     actions: list[Array] = []
