@@ -22,6 +22,12 @@ class PlannerConfig(MotionLimits):
 
     planner: str = Field(default="rrtconnect", min_length=1)
     """Row of PLANNERS: rrtconnect or kpiece."""
+    timing: str = Field(default="own", min_length=1)
+    """Row of TIMING_ENGINES: own or toppra.
+
+    toppra limits neither jerk nor the rate of torque. It times plans for empty hands; moves of an
+    object in both hands are always timed by own.
+    """
     range_rad: float = Field(default=1.0, ge=0.05, le=10.0)
     """Longest edge of a search tree (Euclidean)."""
     edge_step_rad: float = Field(default=0.08, ge=0.0005, le=0.2)

@@ -18,13 +18,14 @@ from minidual.collision.scene import PlanningScene
 from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
-from minidual.motion.blend import blended_path
+from minidual.motion.blend import SmoothPath, blended_path
 from minidual.motion.checks import check_joints, goal_joints, require_free
 from minidual.motion.pose_goals import pose_goals
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.shortcut import shortcut
 from minidual.motion.speed_profile import DT_S
-from minidual.motion.timing import resting, time_path
+from minidual.motion.timing import resting
+from minidual.motion.timing_engines import TIMING_ENGINES
 from minidual.proof.certificate import certify
 from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
@@ -42,6 +43,8 @@ class PlanResult(NamedTuple):
         q_goal: Goal reached (dof,).
         times_s: Wall time of each of `PLAN_PHASES`, summed over attempts.
         notes: Why earlier attempts failed, or a straight move ends early.
+        curve: The path with rounded corners, as it was timed; None for a plan that stays where it
+            is, or a straight move.
     """
 
     trajectory: Trajectory
@@ -52,6 +55,7 @@ class PlanResult(NamedTuple):
     total_s: float
     attempts_n: int
     notes: tuple[str, ...] = ()
+    curve: SmoothPath | None = None
 
     @property
     def direct(self) -> bool:
@@ -138,6 +142,7 @@ class Planner:
         self.scene = scene or PlanningScene(robot=robot)
         self.robot = self.scene.robot
         self.kinematics = Kinematics(self.robot)
+        self.timing = TIMING_ENGINES[self.config.timing]
         self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
@@ -214,6 +219,14 @@ class Planner:
         """
         work = _Work(self, group, q_start, **options)
         return work.run(work.goals_at(targets))
+
+
+class _Timed(NamedTuple):
+    """A trajectory, its polyline (n, dof) and its curve."""
+
+    trajectory: Trajectory
+    path: Array
+    curve: SmoothPath | None
 
 
 class _Work:
@@ -294,21 +307,22 @@ class _Work:
                 effort = effort.after_no_path()
                 continue
             try:
-                trajectory, path = self._timed(path, checker, attempt)
-                proof = self._proven(trajectory)
+                timed = self._timed(path, checker, attempt)
+                proof = self._proven(timed.trajectory)
             except PlanningError as error:
                 notes.append(error.message)
                 effort = effort.after_no_proof()
                 continue
             return PlanResult(
-                trajectory=trajectory,
-                path=path,
+                trajectory=timed.trajectory,
+                path=timed.path,
                 q_goal=goal,
                 verification=proof,
                 times_s=self.seconds,
                 total_s=perf_counter() - self.started,
                 attempts_n=attempt,
                 notes=tuple(notes),
+                curve=timed.curve,
             )
         last = notes[-1] if notes else "the budget ended before the first attempt"
         raise NoPathInTimeError(
@@ -351,10 +365,10 @@ class _Work:
                 range_rad=self.config.range_rad,
             )
 
-    def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> tuple[Trajectory, Array]:
-        """Return the trajectory along the shortened path, and that path."""
+    def _timed(self, path: Array, checker: EdgeChecker, attempt: int) -> _Timed:
+        """Return the trajectory along the shortened path."""
         if np.abs(path[-1] - path[0]).max() < _SAME_RAD and len(path) == 2:
-            return resting(path[0], DT_S, self.group), path
+            return _Timed(resting(path[0], DT_S, self.group), path, None)
         config = self.config
         with self.phase("shortcut"):
             rng = stream(self.seed, "motion/shortcut", attempt)
@@ -365,12 +379,17 @@ class _Work:
         if curve is None:
             raise TimingError("a corner of the path stays blocked however small it is rounded")
         with self.phase("timing"):
-            timed = time_path(curve, self.group, config, self.planner.kinematics)
-        return timed.trajectory, path
+            timed = self.planner.timing.time_path(
+                curve,
+                self.group,
+                config,
+                self.planner.kinematics,
+            )
+        return _Timed(timed.trajectory, path, curve)
 
     def _proven(self, trajectory: Trajectory) -> Verification:
         with self.phase("verify"):
-            proof = self.engines.verify(trajectory)
+            proof = self.engines.verify(trajectory, self.planner.timing.unlimited)
         if not proof.ok:
             raise PlanningError(f"proof failed: {proof.reason}")
         return proof

@@ -30,7 +30,11 @@ class GoalPlanner:
         self.planner = planner or Planner()
         self.robot = self.planner.robot
         self.states = NamedStates(semantics, self.robot)
-        self._linear = LinearPlanner(self.planner.config, self.planner.kinematics)
+        self._linear = LinearPlanner(
+            self.planner.config,
+            self.planner.kinematics,
+            self.planner.timing,
+        )
 
     def resolve(
         self,

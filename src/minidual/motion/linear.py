@@ -13,7 +13,8 @@ from minidual.motion.checks import check_joints, check_targets, require_free
 from minidual.motion.held.path import ROTATION_WEIGHT_M
 from minidual.motion.ik import ArmIK, solvers
 from minidual.motion.speed_profile import DT_S
-from minidual.motion.timing import PathLimits, TimedPath, resting, time_path
+from minidual.motion.timing import PathLimits, TimedPath, resting
+from minidual.motion.timing_engines import OWN, TimingEngine
 from minidual.proof.scene_engines import SceneEngines, Verification
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, pose
@@ -113,11 +114,13 @@ class LinearPlanner:
         self,
         limits: MotionLimits | None = None,
         kinematics: Kinematics | None = None,
+        timing: TimingEngine = OWN,
     ) -> None:
         self._kinematics = kinematics or Kinematics()
         self._robot = self._kinematics.robot
         self._ik = solvers(self._robot)
         self._limits = limits or MotionLimits()
+        self._timing = timing
 
     def plan(
         self,
@@ -208,7 +211,7 @@ class LinearPlanner:
             if keep < _POINTS_MIN:
                 break
             timed = self._time(group, marks[:keep], followed.Q[:keep], limits)
-            proof = engines.verify(timed.trajectory)
+            proof = engines.verify(timed.trajectory, self._timing.unlimited)
             if proof.ok:
                 fraction = float(marks[keep - 1] / marks[-1])
                 return LinearMove(timed.trajectory, proof, fraction, reason), timed.s
@@ -216,7 +219,8 @@ class LinearPlanner:
         raise _cut_short(group, 0.0, reason or "there is no room to begin")
 
     def _time(self, group: str, marks: Array, Q: Array, limits: PathLimits) -> TimedPath:
-        return time_path(_Curve(marks, Q), group, self._limits, self._kinematics, limits)
+        curve = _Curve(marks, Q)
+        return self._timing.time_path(curve, group, self._limits, self._kinematics, limits)
 
     def _deviation(
         self,

@@ -174,9 +174,14 @@ def fastest_profile(
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         raise TimingError("a derivative of the path is not finite")
     speeds = np.sqrt(squared_speeds(grid, first, second, floats(v_max), floats(a_max)))
+    check_speeds(speeds)
+    return grid, speeds
+
+
+def check_speeds(speeds: Array) -> None:
+    """Raise TimingError unless path speeds (n,) are finite and positive between the ends."""
     if not np.isfinite(speeds).all() or (speeds[1:-1] <= 0.0).any():
         raise TimingError("the path has no time law within the limits; it may be degenerate")
-    return grid, speeds
 
 
 def path_grid(path: Curve) -> Array:

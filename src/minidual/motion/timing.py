@@ -5,6 +5,7 @@ keep every limit. Averaging s(t) over a window bounds jerk; k times slower means
 """
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,18 @@ class TimedPath(NamedTuple):
 
     trajectory: Trajectory
     s: Array
+
+
+class SpeedProfile(NamedTuple):
+    """Path speed on a grid.
+
+    Attributes:
+        s: Path parameter (n,).
+        speeds: ds/dt (n,), zero at both ends.
+    """
+
+    s: Array
+    speeds: Array
 
 
 class ColumnLimits(NamedTuple):
@@ -111,17 +124,37 @@ def time_path(
     Raises:
         TimingError: The limits cannot be kept.
     """
-    robot = kinematics.robot
-    bounds = column_limits(path, group, limits, robot, along)
+    bounds = column_limits(path, group, limits, kinematics.robot, along)
     s, speeds = fastest_profile(path, bounds.columns, bounds.v_max, bounds.a_max)
+    return slowed_down(path, SpeedProfile(s, speeds), group, limits, kinematics)
+
+
+def slowed_down(
+    path: Curve,
+    profile: SpeedProfile,
+    group: str,
+    limits: MotionLimits,
+    kinematics: Kinematics,
+    unlimited: Collection[str] = (),
+) -> TimedPath:
+    """Return the samples of a profile, slowed down as a whole until they keep the limits.
+
+    `unlimited` names limits that do not count: "jerk", "torque_rate".
+
+    Raises:
+        TimingError: Slowing down does not suffice.
+    """
+    robot = kinematics.robot
+    speeds = profile.speeds
     factor = 1.0
     for _ in range(_SLOWDOWNS_MAX):
-        samples = sample_parameters(s, speeds, limits.smoothing_s)
+        samples = sample_parameters(profile.s, speeds, limits.smoothing_s)
         motion = _joint_motion(path, samples, robot)
-        factor = _slowdown(motion, limits, robot)
+        factor = _slowdown(motion, limits, robot, unlimited)
         if not factor > 1.0 + 1e-9:
             q = path.at(samples.s)[:, : robot.dof]
-            uses = kinematics.torque_use(q, motion.v, motion.a, DT_S, _TORQUE_EVERY)
+            use = kinematics.torque_use(q, motion.v, motion.a, DT_S, _TORQUE_EVERY)
+            uses = [use.torque] if "torque_rate" in unlimited else [use.torque, use.rate]
             ratio = np.max(uses) / limits.torque_scale
             # Gravity torque does not shrink with speed, so the steps are small.
             factor = 1.02 + 0.25 * np.minimum(1.0, ratio - 1.0)
@@ -140,7 +173,12 @@ def _joint_motion(path: Curve, samples: PathSamples, robot: Robot) -> _JointMoti
     return _JointMotion(*_motion(first, second, samples.speed, samples.acceleration, robot.dof))
 
 
-def _slowdown(motion: _JointMotion, limits: MotionLimits, robot: Robot) -> float:
+def _slowdown(
+    motion: _JointMotion,
+    limits: MotionLimits,
+    robot: Robot,
+    unlimited: Collection[str],
+) -> float:
     """Return how many times slower the motion must be to keep velocity, acceleration and jerk."""
     allowed = np.stack(
         [
@@ -150,7 +188,10 @@ def _slowdown(motion: _JointMotion, limits: MotionLimits, robot: Robot) -> float
         ],
     )
     velocity, acceleration, jerk = np.max(motion.most / allowed, axis=1).tolist()
-    return max(velocity, math.sqrt(acceleration), math.cbrt(jerk))
+    slowdown = max(velocity, math.sqrt(acceleration))
+    if "jerk" in unlimited:
+        return slowdown
+    return max(slowdown, math.cbrt(jerk))
 
 
 @kernel(types.UniTuple(ROWS, 3)(ROWS, ROWS, VECTOR, VECTOR, types.intp), heap=True)

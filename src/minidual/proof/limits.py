@@ -1,5 +1,6 @@
 """Use of the robot's limits by a trajectory, between its samples too; torques every 4 ms."""
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -71,8 +72,14 @@ def check_robot(robot: Robot, trajectory: Trajectory) -> None:
         )
 
 
-def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> LimitUse:
+def limit_use(
+    trajectory: Trajectory,
+    kinematics: Kinematics,
+    reported: Collection[str] = (),
+) -> LimitUse:
     """Return how much of each limit a trajectory uses.
+
+    `reported` names limits that may be exceeded: "jerk", "torque_rate".
 
     Raises:
         UsageError: A trajectory of another robot.
@@ -97,7 +104,7 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> LimitUse:
         "acceleration": extremes.acceleration / robot.a_max,
         "jerk": acceleration_steps / dt / robot.jerk_max,
         "torque": torque,
-        "torque rate": torque_rate,
+        "torque_rate": torque_rate,
     }
     below = -extremes.negative_position - robot.q_lower
     above = robot.q_upper - extremes.position
@@ -107,26 +114,33 @@ def limit_use(trajectory: Trajectory, kinematics: Kinematics) -> LimitUse:
         acceleration_ratio=float(ratios["acceleration"].max()),
         jerk_ratio=float(ratios["jerk"].max()),
         torque_ratio=float(ratios["torque"].max()),
-        torque_rate_ratio=float(ratios["torque rate"].max()),
+        torque_rate_ratio=float(ratios["torque_rate"].max()),
         limit_margin_rad=float(margins.min()),
         broken=(
-            _broken_limit(robot, margins, ratios)
+            _broken_limit(robot, margins, ratios, reported)
             or _moving_end(trajectory)
             or _inconsistent(robot, extremes, dt)
         ),
     )
 
 
-def _broken_limit(robot: Robot, margins: Array, ratios: dict[str, Array]) -> str:
-    """Return the first limit that is exceeded, or ""."""
+def _broken_limit(
+    robot: Robot,
+    margins: Array,
+    ratios: dict[str, Array],
+    reported: Collection[str],
+) -> str:
+    """Return the first limit that is exceeded, or ""; limits that are only reported do not count."""
     names = robot.joint_names
     if not margins.min() >= -_ROUNDING:
         joint = int(np.argmin(margins))
         return f"{names[joint]} leaves its position limit by {-margins.min():.4f} rad"
     for limit, ratio in ratios.items():
         joint = int(np.argmax(ratio))
-        if not ratio[joint] <= 1.0 + _ROUNDING:
-            return f"{names[joint]} needs {ratio[joint]:.3f} of its {limit} limit"
+        exceeded = not ratio[joint] <= 1.0 + _ROUNDING
+        if exceeded and (limit not in reported or not np.isfinite(ratio[joint])):
+            name = limit.replace("_", " ")
+            return f"{names[joint]} needs {ratio[joint]:.3f} of its {name} limit"
     return ""
 
 

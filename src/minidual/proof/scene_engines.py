@@ -6,7 +6,7 @@ engines, too slow for every plan.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +35,7 @@ class Verification(NamedTuple):
         limit_margin_rad: Smallest distance to a position limit.
         reason: What failed first, or "".
         samples_n: Number of stretch ends of the proof.
+        reported_only: Limits whose use is reported and not required: "jerk", "torque_rate".
     """
 
     velocity_ratio: float
@@ -46,6 +47,7 @@ class Verification(NamedTuple):
     ok: bool
     reason: str
     samples_n: int
+    reported_only: tuple[str, ...] = ()
 
 
 class Audit(NamedTuple):
@@ -88,13 +90,15 @@ class SceneEngines:
             return []
         return self.engine("mujoco").closest(q, within_m)
 
-    def verify(self, trajectory: Trajectory) -> Verification:
+    def verify(self, trajectory: Trajectory, reported_only: Collection[str] = ()) -> Verification:
         """Check limits and prove freedom from contact.
+
+        `reported_only` names limits that the trajectory's timing engine does not keep.
 
         Raises:
             UsageError: A trajectory of another robot.
         """
-        use = limit_use(trajectory, self._kinematics)
+        use = limit_use(trajectory, self._kinematics, reported_only)
         certificate = certify(self.solids, trajectory)
         reason = certificate.reason or use.broken
         return Verification(
@@ -107,6 +111,7 @@ class SceneEngines:
             ok=not reason,
             reason=reason,
             samples_n=certificate.samples_n,
+            reported_only=tuple(reported_only),
         )
 
     def clearance(self, trajectory: Trajectory) -> float:
