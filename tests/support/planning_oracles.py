@@ -123,3 +123,12 @@ def toppra_profile(path: SmoothPath, grid: Array, v_max: Array, a_max: Array) ->
     solver = TOPPRA(limits, Path(), gridpoints=grid, solver_wrapper="seidel")
     _, speeds, _ = solver.compute_parameterization(0, 0)
     return speeds
+
+
+def polyline_from(q_start: Array, joints: slice, seed: int) -> SmoothPath:
+    """Return the curve from a posture (n,) through two random ones in which `joints` differ."""
+    rng = np.random.default_rng(seed)
+    points = np.array([q_start, q_start, q_start])
+    size = points[1:, joints].shape
+    points[1:, joints] += rng.uniform(-0.5, 0.5, size)
+    return rounded(points, 0.2)

@@ -4,6 +4,7 @@ from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
 from minidual.errors import ConfigError
 from minidual.motion.search import PLANNERS
+from minidual.motion.timing_engines import TIMING_ENGINES
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import make_task, tasks_of
@@ -12,14 +13,15 @@ from minidual.trials.methods import METHODS, check_able
 
 
 def check_plan(config: Config) -> None:
-    """Check the names of arm and planners, and the seeds of the query sets.
+    """Check the names of arm, planners and timing engine, and the seeds of the query sets.
 
     Raises:
-        UsageError: Unknown arm or planner, or query sets with equal seeds.
+        UsageError: Unknown arm, planner or engine, or query sets with equal seeds.
     """
     robot_from(config.robot)
     settings = config.plan.planner
     PLANNERS.names(tuple({settings.planner, *settings.fallback_planners}))
+    TIMING_ENGINES.names((settings.timing,))
     if config.plan.second_queries_n and config.seed == config.plan.second_seed:
         raise ConfigError(
             f"seed and plan.second_seed are both {config.seed}: "
