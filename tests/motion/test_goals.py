@@ -101,7 +101,7 @@ def test_states_come_from_the_arm_model():
     [
         (NamedStateConfig(left_rad=(0.0,) * 6), r"states.x.left_rad: 6 values; an arm has 7"),
         (NamedStateConfig(), "neither left_rad nor right_rad"),
-        (NamedStateConfig(right_rad=(0.0,) * 7), r"right_panda_joint4 = 0.0000 rad; its limits"),
+        (NamedStateConfig(right_rad=(0.0,) * 7), r"right_panda_joint4 = 0 rad; its limits"),
     ],
 )
 def test_states_that_do_not_fit_the_robot_are_refused(state, says):
