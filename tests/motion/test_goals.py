@@ -190,7 +190,7 @@ def test_some_joints_by_name(planner):
             "left_arm",
             Goal(joints_by_name_rad={"left_panda_joint4": 0.5}),
             OutOfLimitsError,
-            "left_panda_joint4 = 0.5000",
+            "left_panda_joint4 = 0.5 rad",
         ),
         ("left_arm", Goal(joints_rad=(0.0,) * 5), OutOfLimitsError, r"shape \(5,\)"),
         ("left_arm", to_pose((0.5, 0.0, 0.3), arm="right"), UsageError, "left_arm moves left only"),
