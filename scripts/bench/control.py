@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from minidual.control.impedance import ObjectState
 from minidual.control.joint_control import JointLoop
 from minidual.robot.kinematics import Hands
-from scripts.bench.scenes import BenchScene, JointSample, free_scene, held_scene
+from minidual.show.report.bench import BenchRow, BenchTable
+from scripts.bench.scenes import BenchScene, free_scene, held_scene
 from scripts.bench.step import Step, StepCost, step_cost
-from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
+from scripts.bench.tables import BenchInputs
 
 JOINT_RATIO_MAX = 1.5
+"""A whole step of joint control over bare physics."""
 OBJECT_RATIO_MAX = 2.0
-"""A whole step of joint control, and of object impedance, over bare physics."""
+"""A whole step of object impedance over bare physics."""
 
 COLUMNS = (
     "step_us",
@@ -28,6 +29,13 @@ COLUMNS = (
     "dynamics_us",
     "algebra_us",
 )
+_NOTES = (
+    "ratio = step / bare, turn by turn; real_time = simulated time / wall time",
+    "algebra = step - bare - read - dynamics",
+    "held: both hands hold the rod in the air, their contacts are solved",
+    "free: open hands, nothing touched; object impedance then runs on an imagined object, to show",
+    "    the law beside the cheapest physics there is",
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +45,7 @@ class Case:
     Attributes:
         name: For the table.
         step: One whole step of control and physics.
-        before: Takes the sample that the step follows; not timed, a sample is given to a controller.
+        before: Takes the sample that the step follows; not timed, a controller is given its sample.
         parts: `read` (and write) of the world, and `dynamics` in Pinocchio.
         ratio_max: Limit.
     """
@@ -55,11 +63,15 @@ MakeCase = Callable[[BenchScene], Case]
 def trajectory_14(scene: BenchScene) -> Case:
     """Controller A: both arms follow a timed trajectory of 14 joints."""
     loop = _loop(scene)
-    now = _Latest(scene.joint_samples())
+    samples = _Latest(scene.joint_samples())
+
+    def step() -> None:
+        loop.follow(*samples.latest, scene.gripper)
+
     return Case(
         "A trajectory, 14 joints",
-        lambda: loop.follow(*now.value, scene.gripper),
-        now.take,
+        step,
+        samples.take,
         _joint_parts(scene),
         JOINT_RATIO_MAX,
     )
@@ -72,19 +84,16 @@ def trajectory_7(scene: BenchScene) -> Case:
     q = scene.q_rest.copy()
     v = np.zeros(len(scene.q_rest))
     a = np.zeros(len(scene.q_rest))
-    q_arm = q[arm]
-    v_arm = v[arm]
-    a_arm = a[arm]
-    now = _Latest[JointSample]((q[arm], v[arm], a[arm]) for q, v, a in scene.joint_samples())
+    samples = _Latest(scene.joint_samples(arm))
 
     def step() -> None:
-        q_arm[:], v_arm[:], a_arm[:] = now.value
+        q[arm], v[arm], a[arm] = samples.latest
         loop.follow(q, v, a, scene.gripper)
 
     return Case(
         "B trajectory, 7 joints of one arm",
         step,
-        now.take,
+        samples.take,
         _joint_parts(scene),
         JOINT_RATIO_MAX,
     )
@@ -93,11 +102,15 @@ def trajectory_7(scene: BenchScene) -> Case:
 def targets_14(scene: BenchScene) -> Case:
     """Controller A behind the reference filter: 14 joint targets at 50 Hz, from leader or policy."""
     loop = _loop(scene)
-    now = _Latest(scene.joint_targets())
+    targets = _Latest(scene.joint_targets())
+
+    def step() -> None:
+        loop.step(targets.latest, scene.gripper)
+
     return Case(
         "A targets at 50 Hz, reference filter",
-        lambda: loop.step(now.value, scene.gripper),
-        now.take,
+        step,
+        targets.take,
         _joint_parts(scene),
         JOINT_RATIO_MAX,
     )
@@ -108,12 +121,19 @@ def object_impedance(scene: BenchScene) -> Case:
     world = scene.world
     law = scene.law
     grippers = scene.grippers()
-    now = _Latest[ObjectState](scene.object_samples())
+    desired = _Latest(scene.object_samples())
     squeeze_n = scene.squeeze_n
 
     def step() -> None:
-        measured, felt = scene.sense()
-        tau = law.torque(world.q, world.v, measured, now.value, wanted_n=squeeze_n, felt_n=felt)
+        measured, felt_n = scene.sense()
+        tau = law.torque(
+            world.q,
+            world.v,
+            measured,
+            desired.latest,
+            wanted_n=squeeze_n,
+            felt_n=felt_n,
+        )
         world.command(tau, grippers.step(scene.gripper))
         world.step()
 
@@ -126,16 +146,16 @@ def object_impedance(scene: BenchScene) -> Case:
         kinematics.rnea(scene.q_rest, rest, rest)
 
     tau = np.zeros(len(scene.q_rest))
-    targets = np.zeros(2)
+    gripper_targets = np.zeros(2)
 
     def read() -> None:
         scene.sense()
-        _read_and_write(scene, tau, targets)
+        _read_and_write(scene, tau, gripper_targets)
 
     return Case(
         "C object impedance",
         step,
-        now.take,
+        desired.take,
         {"read": read, "dynamics": dynamics},
         OBJECT_RATIO_MAX,
     )
@@ -151,19 +171,14 @@ def measure(inputs: BenchInputs) -> BenchTable:
     for make_scene in (held_scene, free_scene):
         scene = make_scene(inputs.config.scene, gains)
         for make in CASES:
-            rows.append(measure_case(scene, make, inputs.repeats_n))
-            inputs.advance(rows[-1].name)
-    return BenchTable(
-        f"One step of {scene.world.dt * 1e3:g} ms: control and physics beside bare mj_step, medians of "
-        f"{inputs.repeats_n} steps in turns of 50",
-        COLUMNS,
-        tuple(rows),
-        (
-            "ratio = step / bare, turn by turn; real_time = simulated time / wall time; algebra = step - bare - read - dynamics.",
-            "held: both hands hold the rod in the air, their contacts are solved. free: open hands, nothing touched;",
-            "object impedance then runs on an imagined object, to show the law beside the cheapest physics there is.",
-        ),
+            row = measure_case(scene, make, inputs.repeats_n)
+            rows.append(row)
+            inputs.advance(row.name)
+    title = (
+        f"One step of {scene.world.dt * 1e3:g} ms: control and physics beside bare mj_step, "
+        f"medians of {inputs.repeats_n} steps in turns of 50"
     )
+    return BenchTable(title, COLUMNS, tuple(rows), _NOTES)
 
 
 def measure_case(scene: BenchScene, make: MakeCase, steps_n: int) -> BenchRow:
@@ -172,13 +187,10 @@ def measure_case(scene: BenchScene, make: MakeCase, steps_n: int) -> BenchRow:
     case = make(scene)
     case.before()
     cost = step_cost(scene.world, case.step, steps_n, parts=case.parts, before=case.before)
-    # Beside free physics even a perfect law fails: nobody impedes an object that is not there.
-    limited = not (scene.virtual and case.ratio_max == OBJECT_RATIO_MAX)
-    return BenchRow(
-        f"{case.name}, {scene.name}",
-        _numbers(cost),
-        {"ratio": case.ratio_max} if limited else {},
-    )
+    limits = {"ratio": case.ratio_max}
+    if scene.virtual and case.ratio_max == OBJECT_RATIO_MAX:
+        limits = {}  # free physics costs too little: nobody impedes an object that is not there
+    return BenchRow(f"{case.name}, {scene.name}", _numbers(cost), limits)
 
 
 class _Latest[T]:
@@ -186,10 +198,10 @@ class _Latest[T]:
 
     def __init__(self, samples: Iterator[T]) -> None:
         self._samples = samples
-        self.value = next(samples)
+        self.latest = next(samples)
 
     def take(self) -> None:
-        self.value = next(self._samples)
+        self.latest = next(self._samples)
 
 
 def _loop(scene: BenchScene) -> JointLoop:
@@ -199,35 +211,35 @@ def _loop(scene: BenchScene) -> JointLoop:
 
 
 def _joint_parts(scene: BenchScene) -> dict[str, Step]:
-    kinematics = scene.kinematics
-    q = scene.q_rest
     rest = np.zeros(len(scene.q_rest))
     tau = np.zeros(len(scene.q_rest))
-    targets = np.zeros(2)
+    gripper_targets = np.zeros(2)
     return {
-        "read": lambda: _read_and_write(scene, tau, targets),
-        "dynamics": lambda: kinematics.rnea(q, rest, rest),
+        "read": lambda: _read_and_write(scene, tau, gripper_targets),
+        "dynamics": lambda: scene.kinematics.rnea(scene.q_rest, rest, rest),
     }
 
 
-def _read_and_write(scene: BenchScene, tau: np.ndarray, targets: np.ndarray) -> None:
-    """Read the joints and write commands as a step does; the next block begins from the whole step's own state."""
+def _read_and_write(scene: BenchScene, tau: np.ndarray, gripper_targets: np.ndarray) -> None:
+    """Read the joints and write commands as a step does; leave the commands as they were."""
     world = scene.world
-    _ = world.q, world.v
+    _ = world.q
+    _ = world.v
     ctrl = world.data.ctrl.copy()
-    world.command(tau, targets)
+    world.command(tau, gripper_targets)
     world.data.ctrl[:] = ctrl
 
 
 def _numbers(cost: StepCost) -> dict[str, float]:
-    parts = cost.parts_us
+    read_us = cost.parts_us["read"]
+    dynamics_us = cost.parts_us["dynamics"]
     return {
         "step_us": cost.median_us,
         "p99_us": cost.p99_us,
         "bare_us": cost.bare_median_us,
         "ratio": cost.ratio,
         "real_time": cost.real_time_factor,
-        "read_us": parts["read"],
-        "dynamics_us": parts["dynamics"],
-        "algebra_us": cost.median_us - cost.bare_median_us - parts["read"] - parts["dynamics"],
+        "read_us": read_us,
+        "dynamics_us": dynamics_us,
+        "algebra_us": cost.median_us - cost.bare_median_us - read_us - dynamics_us,
     }

@@ -1,12 +1,12 @@
-"""Hard planning queries, none left out: what is solved, times out, has no posture, is proven infeasible.
+"""Hard planning queries, none left out: solved, timed out, without a posture, proven infeasible.
 
-Every planner gets the same postures. What a planner calls solved is sampled every 0.002 rad; MuJoCo and coal are asked
-about each sample.
+Every planner gets the same postures. What a planner calls solved is sampled every 0.002 rad; MuJoCo
+and coal are asked about each sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,11 +20,15 @@ from minidual.motion.held.query import HeldQuery
 from minidual.proof.scene_engines import collision_samples
 from minidual.robot.pair import SIDES, Array, Robot, inverse
 from minidual.robot.trajectory import Trajectory
+from minidual.show.report.bench import BenchRow, BenchTable
 from minidual.trials.planning.evaluate import attempted
 from minidual.trials.statistics import wilson_interval
-from scripts.bench.peers import Roboplan, Run, core_share, plan_ompl
-from scripts.bench.queries import GROUP, SETS, DrawnQuery, PosedQuery, draw, posed, rod_grasps
-from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
+from scripts.bench.peer_ompl import plan_ompl
+from scripts.bench.peer_roboplan import Roboplan
+from scripts.bench.peers import Run, core_share
+from scripts.bench.queries import GROUP, DrawnQuery, PosedQuery, draw, posed, rod_grasps
+from scripts.bench.query_sets import SETS
+from scripts.bench.tables import BenchInputs
 
 DRAWS = ("drawn", "infeasible", "no_posture")
 RUNS = (
@@ -40,12 +44,15 @@ RUNS = (
     "off_grasp",
 )
 BUDGET_S = 10.0
+_EARLY_SHARE = 0.9
+"""A planner that ends without a path before this share of the budget gave up."""
 _ARRIVED_M = 1e-3
 _ARRIVED_RAD = 1e-3
 _NOTES = (
-    "drawn = infeasible (proven) + no_posture (inverse kinematics found no free one at an end) + solved + timed_out",
-    f"timed_out: no timed path within {BUDGET_S:g} s of processor time; early: of these, ended before 90 % of that:",
-    "    the planner gave up, or other programs ran (minidual and roboplan go by the wall clock)",
+    "drawn = infeasible (proven) + no_posture (no free one found at an end) + solved + timed_out",
+    f"timed_out: no timed path within {BUDGET_S:g} s of processor time",
+    "early: timed out, but ended before 90 % of that: the planner gave up, or other programs ran",
+    "    (minidual and roboplan go by the wall clock)",
     "low, high: 95 % Wilson interval of solved and free of contact, among those with postures",
     "median, p99: processor time of the solved, from postures to timed path; scenes are built before",
     "colliding, over_jerk: solved, but it touches something, or needs more than the arms' jerk limits",
@@ -56,8 +63,15 @@ type PlanAll = Callable[[Sequence[PosedQuery], Planner, float], list[Run]]
 
 
 @dataclass(frozen=True)
-class Found:
-    """What dense sampling says of a timed path."""
+class PathFaults:
+    """What dense sampling says of a timed path.
+
+    Attributes:
+        arrives: Whether it leads from start to goal.
+        colliding: Whether something touches.
+        over_jerk: Whether it needs more than the arms' jerk limits.
+        off_grasp: Whether a hand leaves its grasp of the rod.
+    """
 
     arrives: bool
     colliding: bool
@@ -67,114 +81,154 @@ class Found:
 
 def measure(inputs: BenchInputs) -> BenchTable:
     """Plan `repeats_n` draws of every set."""
-    planner = Planner(config=inputs.config.plan.planner.model_copy(update={"budget_s": BUDGET_S}))
+    config = inputs.config.plan.planner.model_copy(update={"budget_s": BUDGET_S})
+    planner = Planner(config=config)
     planner.plan_to_joints(GROUP, planner.robot.home, planner.robot.home + 0.05)  # compiles
     planners: dict[str, PlanAll] = {
         "minidual": plan_minidual,
         "minidual, to hand poses": plan_to_poses,
     }
     title = "hard planning queries"
-    notes = _NOTES
+    notes = list(_NOTES)
     if inputs.peers:
-        planners["OMPL, MuJoCo, toppra"] = plan_ompl
+        planners["OMPL, MuJoCo, toppra"] = plan_with_ompl
         try:
-            planners["roboplan"] = Roboplan(inputs.roboplan).plan
+            planners["roboplan"] = _with_roboplan(Roboplan(inputs.roboplan))
         except EnvironmentMissingError as error:
             missing = f"{error.message}. Type: {error.remedy}"
             inputs.advance(missing)
             title = f"{title}, WITHOUT roboplan"
-            notes = (*notes, missing)
-    rows = []
-    for name, of in SETS.items():
-        queries = [
-            posed(draw(of, inputs.seed, index), planner) for index in range(inputs.repeats_n)
-        ]
-        rows.append(BenchRow(name, counted(queries), {}))
-        inputs.advance(f"{name}: {rows[-1].numbers}")
-        plannable = [query for query in queries if query.plannable]
-        for planner_name, plan_all in planners.items():
-            if of.rod and plan_all is plan_to_poses:
-                continue  # a held rod's goal is its pose anyway
-            runs = plan_all(plannable, planner, BUDGET_S)
-            rows.append(BenchRow(f"{name}: {planner_name}", judged(plannable, runs, planner), {}))
-            for query, run in zip(plannable, runs, strict=True):
-                if run.trajectory is None:
-                    inputs.advance(f"query {query.drawn.index}, {run.cpu_s:.1f} s: {run.reason}")
-            inputs.advance(f"{rows[-1].name}: {rows[-1].numbers}")
-    return BenchTable(title, (*DRAWS, *RUNS), tuple(rows), notes)
+            notes.append(missing)
+    rows: list[BenchRow] = []
+    for name in SETS:
+        rows += _set_rows(name, planners, planner, inputs)
+    return BenchTable(title, (*DRAWS, *RUNS), tuple(rows), tuple(notes))
 
 
-def counted(queries: Sequence[PosedQuery]) -> dict[str, float]:
+def _set_rows(
+    name: str,
+    planners: Mapping[str, PlanAll],
+    planner: Planner,
+    inputs: BenchInputs,
+) -> list[BenchRow]:
+    """Return the row of a set's draws, and a row per planner."""
+    query_set = SETS[name]
+    queries = [posed(draw(query_set, inputs.seed, k), planner) for k in range(inputs.repeats_n)]
+    rows = [BenchRow(name, counted(queries), {})]
+    inputs.advance(f"{name}: {rows[0].numbers}")
+    plannable = [query for query in queries if query.plannable]
+    for planner_name, plan_all in planners.items():
+        if query_set.rod and plan_all is plan_to_poses:
+            continue  # a held rod's goal is its pose anyway
+        runs = plan_all(plannable, planner, BUDGET_S)
+        row = BenchRow(f"{name}: {planner_name}", judged(plannable, runs, planner), {})
+        rows.append(row)
+        for query, run in zip(plannable, runs, strict=True):
+            if run.trajectory is None:
+                inputs.advance(f"query {query.drawn.index}, {run.cpu_s:.1f} s: {run.reason}")
+        inputs.advance(f"{row.name}: {row.numbers}")
+    return rows
+
+
+def counted(queries: Sequence[PosedQuery]) -> dict[str, int]:
     """Return how many were drawn, are proven infeasible, have no known posture."""
-    infeasible = sum(bool(query.infeasible) for query in queries)
-    no_posture = sum(not (query.infeasible or query.plannable) for query in queries)
-    return {"drawn": len(queries), "infeasible": infeasible, "no_posture": no_posture}
+    infeasible_n = sum(bool(query.infeasible) for query in queries)
+    plannable_n = sum(query.plannable for query in queries)
+    return {
+        "drawn": len(queries),
+        "infeasible": infeasible_n,
+        "no_posture": len(queries) - infeasible_n - plannable_n,
+    }
 
 
 def judged(
     queries: Sequence[PosedQuery],
     runs: Sequence[Run],
     planner: Planner,
-) -> dict[str, float]:
+) -> dict[str, int | float]:
     """Return the numbers of one planner on plannable queries."""
-    times = []
-    found = []
+    times_ms: list[float] = []
+    solved: list[PathFaults] = []
+    early_n = 0
     for query, run in zip(queries, runs, strict=True):
         if run.trajectory is None:
+            early_n += run.cpu_s < _EARLY_SHARE * BUDGET_S
             continue
-        looked = look(query.drawn, run.trajectory, planner)
-        if looked.arrives and run.cpu_s <= BUDGET_S:
-            found.append(looked)
-            times.append(1e3 * run.cpu_s)
-    numbers: dict[str, float] = {"solved": len(found), "timed_out": len(queries) - len(found)}
-    numbers["early"] = sum(run.trajectory is None and run.cpu_s < 0.9 * BUDGET_S for run in runs)
-    for what in ("colliding", "over_jerk", "off_grasp"):
-        numbers[what] = sum(getattr(one, what) for one in found)
+        faults = look(query.drawn, run.trajectory, planner)
+        if faults.arrives and run.cpu_s <= BUDGET_S:
+            solved.append(faults)
+            times_ms.append(1e3 * run.cpu_s)
+    colliding_n = sum(faults.colliding for faults in solved)
+    numbers: dict[str, int | float] = {
+        "solved": len(solved),
+        "timed_out": len(queries) - len(solved),
+        "early": early_n,
+        "colliding": colliding_n,
+        "over_jerk": sum(faults.over_jerk for faults in solved),
+        "off_grasp": sum(faults.off_grasp for faults in solved),
+    }
     if queries:
-        low, high = wilson_interval(len(found) - int(numbers["colliding"]), len(queries))
-        numbers |= {"low_pct": 100.0 * low, "high_pct": 100.0 * high}
-    if times:
-        numbers |= {"median_ms": float(np.median(times)), "p99_ms": float(np.percentile(times, 99))}
+        low, high = wilson_interval(len(solved) - colliding_n, len(queries))
+        numbers["low_pct"] = 100.0 * low
+        numbers["high_pct"] = 100.0 * high
+    if times_ms:
+        numbers["median_ms"] = float(np.median(times_ms))
+        numbers["p99_ms"] = float(np.percentile(times_ms, 99))
     return numbers
 
 
-def look(drawn: DrawnQuery, trajectory: Trajectory, planner: Planner) -> Found:
+def look(drawn: DrawnQuery, trajectory: Trajectory, planner: Planner) -> PathFaults:
     """Sample a timed path of a query every 0.002 rad."""
     Q = collision_samples(trajectory)
-    tips = planner.kinematics.tcp_poses
-    arrives = all(
-        _same(T, asked[arm])
-        for q, asked in ((Q[0], drawn.start), (Q[-1], drawn.goal))
-        for arm, T in zip(SIDES, tips(q), strict=True)
+    arrives = _is_at(drawn.start, Q[0], planner) and _is_at(drawn.goal, Q[-1], planner)
+    off_grasp = drawn.T_world_rod is not None and _leaves_rod(Q, planner)
+    return PathFaults(
+        arrives=arrives,
+        colliding=planner.engines(drawn.scene).audit(trajectory).collisions_n > 0,
+        over_jerk=not jerk_ratio(trajectory, planner.robot) <= 1.0,  # NaN is over
+        off_grasp=off_grasp,
     )
-    off_grasp = False
-    if drawn.T_world_rod is not None:
-        grasps = rod_grasps()
-        hands = HandsIK((grasps["left"], grasps["right"]), planner.robot)
-        rods = np.array([tips(q)[0] @ inverse(grasps["left"]) for q in Q])
-        off_m, off_rad = hands.strays(Q, rods)
-        off_grasp = not (off_m <= RESIDUAL_MAX_M and off_rad <= RESIDUAL_MAX_RAD)
-    return Found(
-        arrives,
-        planner.engines(drawn.scene).audit(trajectory).collisions_n > 0,
-        not jerk_ratio(trajectory, planner.robot) <= 1.0,
-        off_grasp,
-    )
+
+
+def _is_at(targets: Mapping[str, Array], q: Array, planner: Planner) -> bool:
+    """Return whether the hands are at T_world_tcp (4, 4)."""
+    poses = planner.kinematics.tcp_poses(q)
+    return all(_same(T, targets[arm]) for arm, T in zip(SIDES, poses, strict=True))
+
+
+def _same(T: Array, other: Array) -> bool:
+    distance_m = np.linalg.norm(T[:3, 3] - other[:3, 3])
+    angle_rad = np.linalg.norm(pin.log3(T[:3, :3].T @ other[:3, :3]))
+    return bool(distance_m <= _ARRIVED_M and angle_rad <= _ARRIVED_RAD)
+
+
+def _leaves_rod(Q: Array, planner: Planner) -> bool:
+    """Return whether a hand leaves its grasp of the rod on the postures Q (T, n)."""
+    grasps = rod_grasps()
+    T_left_rod = inverse(grasps["left"])
+    hands = HandsIK((grasps["left"], grasps["right"]), planner.robot)
+    Ts_world_rod = np.array([planner.kinematics.tcp_poses(q)[0] @ T_left_rod for q in Q])
+    off_m, off_rad = hands.strays(Q, Ts_world_rod)
+    return not (off_m <= RESIDUAL_MAX_M and off_rad <= RESIDUAL_MAX_RAD)  # NaN leaves
 
 
 def jerk_ratio(trajectory: Trajectory, robot: Robot) -> float:
-    """Return the largest change of acceleration per sample, over what the jerk limit allows; it starts and ends at rest."""
+    """Return the largest jerk over its limit, from samples; the motion starts and ends at rest."""
     at_rest = np.zeros((1, robot.dof))
     changes = np.abs(np.diff(np.vstack([at_rest, trajectory.a, at_rest]), axis=0))
     return float((changes / trajectory.dt_s / robot.jerk_max).max())
 
 
-def _same(T: Array, other: Array) -> bool:
-    apart = (
-        np.linalg.norm(T[:3, 3] - other[:3, 3]),
-        np.linalg.norm(pin.log3(T[:3, :3].T @ other[:3, :3])),
-    )
-    return bool(apart[0] <= _ARRIVED_M and apart[1] <= _ARRIVED_RAD)
+def plan_with_ompl(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> list[Run]:
+    """Plan with plain OMPL and toppra."""
+    return [plan_ompl(query.motion, planner, budget_s) for query in queries]
+
+
+def _with_roboplan(roboplan: Roboplan) -> PlanAll:
+    def plan_all(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> list[Run]:
+        return roboplan.plan([query.motion for query in queries], planner, budget_s)
+
+    return plan_all
 
 
 def plan_minidual(queries: Sequence[PosedQuery], planner: Planner, budget_s: float) -> list[Run]:
@@ -190,26 +244,41 @@ def plan_to_poses(queries: Sequence[PosedQuery], planner: Planner, budget_s: flo
 
 
 def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) -> Run:
-    assert query.q_start is not None
-    assert query.q_goal is not None
-    q_start = query.q_start
-    q_goal = query.q_goal
     drawn = query.drawn
+    motion = query.motion
     held = HeldPlanner(planner)
     planner.engines(drawn.scene)
 
     def plan() -> PlanResult | Trajectory:
-        how = {"scene": drawn.scene, "seed": drawn.seed, "budget_s": wall_s}
         if drawn.T_world_rod is not None:
-            left, right = rod_grasps().values()
-            asked = HeldQuery(q_start, drawn.T_world_rod, (left, right), drawn.scene, drawn.seed)
-            return held.plan(asked, wall_s)
+            grasps = rod_grasps()
+            request = HeldQuery(
+                motion.q_start,
+                drawn.T_world_rod,
+                (grasps["left"], grasps["right"]),
+                drawn.scene,
+                drawn.seed,
+            )
+            return held.plan(request, wall_s)
         if to_poses:
-            return planner.plan_to_poses(GROUP, q_start, drawn.goal, **how)
-        return planner.plan_to_joints(GROUP, q_start, q_goal, **how)
+            return planner.plan_to_poses(
+                GROUP,
+                motion.q_start,
+                drawn.goal,
+                scene=drawn.scene,
+                seed=drawn.seed,
+                budget_s=wall_s,
+            )
+        return planner.plan_to_joints(
+            GROUP,
+            motion.q_start,
+            motion.q_goal,
+            scene=drawn.scene,
+            seed=drawn.seed,
+            budget_s=wall_s,
+        )
 
     attempt = attempted(plan)
-    trajectory = (
-        attempt.result.trajectory if isinstance(attempt.result, PlanResult) else attempt.result
-    )
+    result = attempt.result
+    trajectory = result.trajectory if isinstance(result, PlanResult) else result
     return Run(trajectory, attempt.cpu_s, attempt.message)

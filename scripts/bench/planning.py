@@ -1,7 +1,9 @@
-"""What planning costs: planners on the stored hard queries, a new scene, and the first plan of a process.
+"""What planning costs: planners on the stored queries, a new scene, and the first plan of a process.
 
-Times run from the goal going in to the proven trajectory coming out. "bare" is RRTConnect without padding, shortcuts or
-proof; dense sampling with both collision engines counts how many of its trajectories are really free.
+minidual's plans are proven; the others' are sampled every 0.002 rad, and both collision libraries say
+how many of them are really free. Planners are timed from the goal going in to the timed path coming
+out. All times are processor time, taken in turns with the yardstick's: other programs on the machine
+disturb the ratios least.
 """
 
 from __future__ import annotations
@@ -11,143 +13,281 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from minidual.collision.engines import MujocoEngine
 from minidual.collision.errors import TimingError
-from minidual.config.planning import PlanConfig
+from minidual.collision.scene import PlanningScene
+from minidual.config.planning import PlannerConfig
+from minidual.errors import EnvironmentMissingError
 from minidual.motion.api import Planner
 from minidual.motion.blend import blended_path
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.timing import time_path
 from minidual.proof.scene_engines import SceneEngines
+from minidual.robot.trajectory import Trajectory
+from minidual.show.report.bench import BenchRow, BenchTable
 from minidual.trials.planning.evaluate import plan_query
 from minidual.trials.planning.queries import Query, query_source
-from scripts.bench.tables import BenchInputs, BenchRow, BenchTable
+from scripts.bench.peer_ompl import plan_ompl
+from scripts.bench.peer_roboplan import Roboplan
+from scripts.bench.peers import PeerQuery, Run
+from scripts.bench.tables import BenchInputs
 
-COLUMNS = ("median_ms", "p95_ms", "worst_ms", "solved_pct", "free_pct")
-GOALS_MS = {"left_arm": 10.0, "right_arm": 10.0, "both_arms": 15.0}
-NEW_SCENE_MAX_MS = 10.0
-COLD_START_MAX_MS = 2000.0
+COLUMNS = (
+    "median_ms",
+    "p99_ms",
+    "worst_ms",
+    "solved_pct",
+    "free_pct",
+    "median_ratio",
+    "p99_ratio",
+)
+RATIO_MAX = 1.0 / 3.0
+"""The goal: minidual takes at most a third of another planner's time."""
+NEW_SCENE_RATIO_MAX = 1.0
+"""Of the time in which MuJoCo compiles the same scene."""
+COLD_START_RATIO_MAX = 1.2
+"""Of the time in which a process imports OMPL, MuJoCo and toppra."""
+_GROUPS = ("left_arm", "right_arm", "both_arms")
 _BUDGET_S = 5.0
 _BARE_CHECKS_N = 200_000
+_JOINTS_GOAL = 0
+_POSES_GOAL = 2
+"""Indices of queries whose goal is joints, and hand poses."""
 _COLD_STARTS_N = 3
-_COLD = """
+_FIRST_PLAN = """
 import time
-began = time.perf_counter()
 from minidual.motion.api import Planner
 planner = Planner()
 home = planner.robot.home
 planner.plan_to_joints("both_arms", home, home + 0.05)
-print(1e3 * (time.perf_counter() - began))
+print(time.process_time())
+"""
+_IMPORTS = """
+import time
+import mujoco, ompl.base, ompl.geometric, toppra
+print(time.process_time())
 """
 _NOTES = (
-    "median, p95, worst: wall time",
-    f"solved: proven within {_BUDGET_S:g} s",
-    "free: of the solved, those on which dense sampling (0.002 rad, both engines) sees nothing touch",
-    "new scene: geometry of the arms among ten obstacles, ready to plan and prove",
-    "cold start: imports and the first plan of a process, byte code and compiled code on disk",
-    "at 420c4ab, on two cores: left_arm 5.8, right_arm 5.7, both_arms 8.5 ms; new scene 34 ms; cold start 6900 ms",
+    "median, p99, worst: processor time; a query that is not solved counts with what it took",
+    "ratio: minidual's time over this planner's, in the same run; goal: at most a third",
+    f"solved: a timed path within {_BUDGET_S:g} s; minidual's are proven",
+    "free: of the solved, those on which dense sampling (0.002 rad, both engines) sees no contact",
+    "where a goal is hand poses, minidual finds the posture too; the others are given it",
+    "bare: minidual's own RRTConnect without padding, shortcuts or proof",
+    "OMPL: RRTConnect asks MuJoCo every 0.03 rad, OMPL's simplification, toppra",
+    "roboplan: its defaults",
+    "new scene: geometry of the arms among the obstacles, ready to plan and prove;",
+    "    ratio: over MuJoCo compiling the same scene",
+    "cold start: imports and the first plan of a process, compiled code on disk;",
+    "    ratio: over a process that imports OMPL, MuJoCo and toppra",
 )
+
+
+@dataclass
+class _Tally:
+    """One planner's runs on the queries of a group.
+
+    Attributes:
+        times_s: Of every query.
+        free: Whether the path is free of contact, for each that was solved.
+    """
+
+    times_s: list[float] = field(default_factory=list[float])
+    free: list[bool] = field(default_factory=list[bool])
+
+    def add(self, run: Run, engines: SceneEngines) -> None:
+        """Count a run, and sample its path."""
+        self.times_s.append(run.cpu_s)
+        if run.trajectory is not None:
+            self.free.append(engines.audit(run.trajectory).collisions_n == 0)
+
+    def numbers(self) -> dict[str, float]:
+        """Return times and shares."""
+        numbers = _times(self.times_s)
+        numbers["solved_pct"] = 100.0 * len(self.free) / len(self.times_s)
+        if self.free:
+            numbers["free_pct"] = 100.0 * sum(self.free) / len(self.free)
+        return numbers
+
+
+def _times(times_s: Sequence[float]) -> dict[str, float]:
+    times_ms = 1e3 * np.array(times_s)
+    return {
+        "median_ms": float(np.median(times_ms)),
+        "p99_ms": float(np.percentile(times_ms, 99)),
+        "worst_ms": float(times_ms.max()),
+    }
 
 
 def measure(inputs: BenchInputs) -> BenchTable:
     """Time planners on `repeats_n` queries of each group, as many new scenes, and three cold starts."""
     plan = inputs.config.plan
+    config = plan.planner.model_copy(update={"budget_s": _BUDGET_S})
     source = query_source(inputs.seed, plan.obstacles_n, plan.blocked_fraction)
+    notes = list(_NOTES)
+    roboplan = None
+    try:
+        roboplan = Roboplan(inputs.roboplan)
+    except EnvironmentMissingError as error:
+        notes.append(f"{error.message}. Type: {error.remedy}")
     rows: list[BenchRow] = []
-    scenes: list[float] = []
-    for group, goal_ms in GOALS_MS.items():
+    scenes: list[PlanningScene] = []
+    for group in _GROUPS:
         queries = [source(group, index) for index in range(inputs.repeats_n)]
-        rows.append(_planner_row(group, plan, queries, goal_ms, scenes))
-        inputs.advance(rows[-1].name)
-        rows.append(_bare_row(group, plan, queries))
-        inputs.advance(rows[-1].name)
-    rows.append(_row("new scene", scenes, limit_ms=NEW_SCENE_MAX_MS))
-    with tempfile.TemporaryDirectory() as folder:
-        starts = [_cold_start_s(folder) for _ in range(1 + _COLD_STARTS_N)][
-            1:
-        ]  # the first one writes the byte code
-    rows.append(_row("cold start", starts, limit_ms=COLD_START_MAX_MS))
-    inputs.advance(rows[-1].name)
-    return BenchTable("planning: goal in to trajectory out", COLUMNS, tuple(rows), _NOTES)
+        scenes += [query.scene for query in queries]
+        _warm_up(config, [source(group, index) for index in (_JOINTS_GOAL, _POSES_GOAL)])
+        for row in _group_rows(group, queries, Planner(config=config), roboplan):
+            rows.append(row)
+            inputs.advance(row.name)
+    for row in (_new_scene_row(scenes), _cold_start_row()):
+        rows.append(row)
+        inputs.advance(row.name)
+    return BenchTable("planning: goal in to trajectory out", COLUMNS, tuple(rows), tuple(notes))
 
 
-def _row(
-    name: str,
-    times_s: Sequence[float],
-    free: Sequence[bool] | None = None,
-    limit_ms: float | None = None,
-) -> BenchRow:
-    """Return a row; `free` says of each solved query whether its trajectory is."""
-    times = np.array(times_s) * 1e3
-    numbers = {
-        "median_ms": float(np.median(times)),
-        "p95_ms": float(np.percentile(times, 95)),
-        "worst_ms": float(times.max()),
-    }
-    if free is not None:
-        numbers["solved_pct"] = 100.0 * len(free) / len(times)
-    if free:
-        numbers["free_pct"] = 100.0 * sum(free) / len(free)
-    return BenchRow(name, numbers, {} if limit_ms is None else {"median_ms": limit_ms})
-
-
-def _planner_row(
-    group: str,
-    plan: PlanConfig,
-    queries: Sequence[Query],
-    goal_ms: float,
-    scenes: list[float],
-) -> BenchRow:
-    planner = Planner(config=plan.planner.model_copy(update={"budget_s": _BUDGET_S}))
-    planner.plan_to_joints("both_arms", planner.robot.home, planner.robot.home + 0.05)  # compiles
-    times: list[float] = []
-    free: list[bool] = []
+def _warm_up(config: PlannerConfig, queries: Sequence[Query]) -> None:
+    """Load compiled code and libraries, which the first plans of a process wait for."""
+    planner = Planner(config=config)
     for query in queries:
-        began = time.perf_counter()
-        SceneEngines(query.scene)
-        scenes.append(time.perf_counter() - began)
-        outcome = plan_query(planner, query)
-        times.append(outcome.total_s)
-        if outcome.result is not None:
-            verifier = planner.engines(query.scene)
-            free.append(verifier.audit(outcome.result.trajectory).collisions_n == 0)
-    return _row(f"{group}: {plan.planner.planner}, proven", times, free, goal_ms)
+        _proven(query, planner)
+        _bare(query, planner)
+        plan_ompl(_motion(query), planner, _BUDGET_S)
 
 
-def _bare_row(group: str, plan: PlanConfig, queries: Sequence[Query]) -> BenchRow:
-    """Return the row of RRTConnect as it is often used; goals are joints."""
-    config = plan.planner
-    planner = Planner()
-    times: list[float] = []
-    free: list[bool] = []
+def _group_rows(
+    group: str,
+    queries: Sequence[Query],
+    planner: Planner,
+    roboplan: Roboplan | None,
+) -> Iterator[BenchRow]:
+    """Yield a row per planner, minidual's first."""
+    proven = _Tally()
+    bare = _Tally()
+    ompl = _Tally()
     for query in queries:
         engines = planner.engines(query.scene)
-        began = time.perf_counter()
-        checker = EdgeChecker(engines, 0.0, (), config.edge_step_rad)
-        checker.allow(_BARE_CHECKS_N, began + _BUDGET_S)
-        ends = np.array([query.q_start, query.q_goal])
-        joints = planner.robot.groups[group]
-        path = search(checker, ends, joints, seed=query.seed, range_rad=config.range_rad)
-        trajectory = None
-        if path is not None:
-            curve = blended_path(path, checker, config.blend_radius_rad, config.edge_step_rad)
-            try:
-                trajectory = curve and time_path(curve, group, config, planner.kinematics)[0]
-            except TimingError:
-                trajectory = None
-        times.append(time.perf_counter() - began)
-        if trajectory is not None:
-            free.append(engines.audit(trajectory).collisions_n == 0)
-    return _row(f"{group}: bare rrtconnect, unproven", times, free)
+        proven.add(_proven(query, planner), engines)
+        bare.add(_bare(query, planner), engines)
+        ompl.add(plan_ompl(_motion(query), planner, _BUDGET_S), engines)
+    own = proven.numbers()
+    yield BenchRow(f"{group}: minidual, proven", own, {})
+    yield BenchRow(f"{group}: bare rrtconnect, unproven", bare.numbers(), {})
+    yield _peer_row(f"{group}: OMPL, MuJoCo, toppra", ompl, own)
+    if roboplan is not None:
+        tally = _Tally()
+        runs = roboplan.plan([_motion(query) for query in queries], planner, _BUDGET_S)
+        for query, run in zip(queries, runs, strict=True):
+            tally.add(run, planner.engines(query.scene))
+        yield _peer_row(f"{group}: roboplan", tally, own)
 
 
-def _cold_start_s(folder: str) -> float:
-    """Return what a new process takes from its first import to its first proven plan [s]; its byte code is in a folder."""
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    environment["PYTHONPYCACHEPREFIX"] = folder
-    command = [sys.executable, "-c", _COLD]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    return float(done.stdout) / 1e3
+def _peer_row(name: str, tally: _Tally, own: dict[str, float]) -> BenchRow:
+    """Return another planner's row, with minidual's times over its own."""
+    numbers = tally.numbers()
+    numbers["median_ratio"] = own["median_ms"] / numbers["median_ms"]
+    numbers["p99_ratio"] = own["p99_ms"] / numbers["p99_ms"]
+    return BenchRow(name, numbers, {"median_ratio": RATIO_MAX, "p99_ratio": RATIO_MAX})
+
+
+def _motion(query: Query) -> PeerQuery:
+    return PeerQuery(
+        query.group,
+        query.index,
+        query.seed,
+        query.scene,
+        query.q_start,
+        query.q_goal,
+    )
+
+
+def _proven(query: Query, planner: Planner) -> Run:
+    outcome = plan_query(planner, query)
+    trajectory = None if outcome.result is None else outcome.result.trajectory
+    return Run(trajectory, outcome.cpu_s, outcome.message)
+
+
+def _bare(query: Query, planner: Planner) -> Run:
+    """Plan with RRTConnect as it is often used: no padding, no shortcuts, no proof; goals are joints."""
+    began = time.process_time()
+    trajectory = _bare_path(query, planner, planner.config)
+    cpu_s = time.process_time() - began
+    return Run(trajectory, cpu_s, "" if trajectory is not None else "no path")
+
+
+def _bare_path(query: Query, planner: Planner, config: PlannerConfig) -> Trajectory | None:
+    checker = EdgeChecker(planner.engines(query.scene), 0.0, (), config.edge_step_rad)
+    checker.allow(_BARE_CHECKS_N, time.perf_counter() + _BUDGET_S)
+    ends = np.array([query.q_start, query.q_goal])
+    joints = planner.robot.groups[query.group]
+    path = search(checker, ends, joints, seed=query.seed, range_rad=config.range_rad)
+    if path is None:
+        return None
+    curve = blended_path(path, checker, config.blend_radius_rad, config.edge_step_rad)
+    if curve is None:
+        return None
+    try:
+        return time_path(curve, query.group, config, planner.kinematics)[0]
+    except TimingError:
+        return None
+
+
+def _new_scene_row(scenes: Sequence[PlanningScene]) -> BenchRow:
+    """Return the row of new scenes, beside MuJoCo's models of the same scenes."""
+    SceneEngines(scenes[0])  # the hulls of the arms are made once
+    own_s: list[float] = []
+    mujoco_s: list[float] = []
+    for scene in scenes:
+        own_s.append(_cpu_s(SceneEngines, scene))
+        mujoco_s.append(_cpu_s(MujocoEngine, scene))
+    return _yardstick_row("new scene", own_s, mujoco_s, NEW_SCENE_RATIO_MAX)
+
+
+def _cpu_s(build: Callable[[PlanningScene], object], scene: PlanningScene) -> float:
+    began = time.process_time()
+    build(scene)
+    return time.process_time() - began
+
+
+def _cold_start_row() -> BenchRow:
+    """Return the row of first plans of a process, beside processes that import the peers' libraries."""
+    own_s: list[float] = []
+    imports_s: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        _process_s(_FIRST_PLAN, folder)  # writes the byte code
+        _process_s(_IMPORTS, folder)
+        for _ in range(_COLD_STARTS_N):
+            own_s.append(_process_s(_FIRST_PLAN, folder))
+            imports_s.append(_process_s(_IMPORTS, folder))
+    return _yardstick_row("cold start", own_s, imports_s, COLD_START_RATIO_MAX)
+
+
+def _process_s(program: str, byte_code_folder: str) -> float:
+    """Return the processor time [s] that a program prints in a new process."""
+    environment = dict(os.environ)
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    environment["PYTHONPYCACHEPREFIX"] = byte_code_folder
+    process = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return float(process.stdout)
+
+
+def _yardstick_row(
+    name: str,
+    own_s: Sequence[float],
+    yardstick_s: Sequence[float],
+    ratio_max: float,
+) -> BenchRow:
+    """Return a row of times, with their median over the yardstick's."""
+    numbers = _times(own_s)
+    numbers["median_ratio"] = float(np.median(own_s) / np.median(yardstick_s))
+    return BenchRow(name, numbers, {"median_ratio": ratio_max})

@@ -94,12 +94,14 @@ class BenchRecord:
         made_at: ISO time.
         commit: Commit of the code, with "+changes" if it was edited.
         machine: System, processor, cores, Python.
+        libraries: Versions of the libraries that it compares.
         tables: By bench.
     """
 
     made_at: str
     commit: str
     machine: Mapping[str, str | int | float]
+    libraries: Mapping[str, str]
     tables: Mapping[str, BenchTable]
     schema: int = SCHEMA
 
