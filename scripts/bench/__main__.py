@@ -12,7 +12,7 @@ from pathlib import Path
 
 from minidual.config.root import Config
 from minidual.durable import now_text
-from minidual.gate.fingerprint import circumstances_now
+from minidual.gate.circumstances import circumstances_now
 from minidual.registry import Registry
 from minidual.show.report.bench import BenchRecord, BenchTable, write_bench
 from scripts.bench.tables import ROBOPLAN_PYTHON, Bench, BenchInputs, table_lines
@@ -108,9 +108,9 @@ def _record(tables: dict[str, BenchTable]) -> BenchRecord:
     circumstances = circumstances_now(("ompl", "toppra", "mujoco", "pin", "numpy"))
     return BenchRecord(
         made_at=now_text(),
-        commit=circumstances["commit"] or "unknown",
-        machine=circumstances["machine"],
-        libraries=circumstances["libraries"],
+        commit=circumstances.commit or "unknown",
+        machine=circumstances.machine,
+        libraries=circumstances.libraries,
         tables=tables,
     )
 
