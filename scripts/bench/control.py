@@ -134,7 +134,7 @@ def object_impedance(scene: BenchScene) -> Case:
             wanted_n=squeeze_n,
             felt_n=felt_n,
         )
-        world.command(tau, grippers.step(scene.gripper))
+        world.command(tau, grippers.step(scene.gripper, world.fingers, world.grip))
         world.step()
 
     hands = Hands(scene.kinematics)

@@ -220,5 +220,5 @@ def _lift(held: BenchScene, path: ObjectPath, T_level_rod: Array) -> None:
             wanted_n=min(1.0, t / _SQUEEZE_RAMP_S) * law.gains.internal_force_n,
             felt_n=felt_n,
         )
-        world.command(tau, grippers.step(_CLOSED))
+        world.command(tau, grippers.step(_CLOSED, world.fingers, world.grip))
         world.step()
