@@ -67,7 +67,7 @@ def _table_force_n(world: World) -> float:
 
 @pytest.mark.parametrize("supervised", [False, True])
 def test_a_target_under_the_table_does_not_press_for_ever(world: World, supervised: bool) -> None:
-    """5 mm under: 76 N for ever before; now the arm stops 3 ms after the touch and keeps off."""
+    """5 mm under: 76 N for ever without bounds; with them the arm stops after the touch and keeps off."""
     kinematics = Kinematics()
     left, right = kinematics.tcp_poses(HOME)
     q = HOME
@@ -100,7 +100,7 @@ def test_a_target_under_the_table_does_not_press_for_ever(world: World, supervis
         assert np.mean(forces[-100:]) > 60.0
     else:
         assert error is not None
-        assert error.name in ("contact.joint", "contact.hand")
+        assert error.label in ("contact.joint", "contact.hand")
         assert error.time_s - touched_s < 0.05
         assert np.mean(forces[-100:]) < 25.0
 
@@ -216,7 +216,7 @@ def test_a_joint_that_sticks_at_01_to_03_rad_per_s_is_named_in_4_ms(
     joint: int,
     after_s: float,
 ) -> None:
-    """Before: `slip` or `gripper_opened`, 16 to 32 ms after the arms had torn at the object."""
+    """By the joint, before the arms tear at the object."""
     carry, onset_s = _carried(faulty, _sticks(joint), after_s)
     reflex: Any = carry.stack.reflex
     assert reflex.reflex.label == "contact.stuck"
@@ -231,7 +231,7 @@ def test_a_joint_that_sticks_while_it_hardly_moves_stops_the_path(
     joint: int,
     after_s: float,
 ) -> None:
-    """Below 0.08 rad/s its torque is what the law expects; before, nobody noticed until `far_start`, 72 mm away."""
+    """Below 0.08 rad/s its torque is what the law expects; the distance to the path names it."""
     carry, _ = _carried(faulty, _sticks(joint), after_s)
     assert carry.fault is not None
     assert carry.fault.name == "off_path"

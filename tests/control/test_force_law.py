@@ -189,28 +189,17 @@ class TestOracle:
         ):
             assert np.abs(changed - before).max() > 1e-3
 
-    @pytest.mark.parametrize(("wanted", "felt"), [(np.nan, 40.0), (40.0, np.nan)])
-    def test_a_squeeze_that_is_no_number_is_named(
-        self,
-        kinematics: Kinematics,
-        wanted: float,
-        felt: float,
-    ) -> None:
-        law = ObjectImpedance(
-            kinematics,
-            draw(np.random.default_rng(1), kinematics).held,
-            ImpedanceConfig(),
-        )
+    def test_a_measured_force_that_is_no_number_is_named(self, kinematics: Kinematics) -> None:
+        held = draw(np.random.default_rng(1), kinematics).held
+        law = ObjectImpedance(kinematics, held, ImpedanceConfig())
         law.engage(HOME)
         T_left, T_right = kinematics.tcp_poses(HOME)
         state = ObjectState(pose(np.eye(3), 0.5 * (T_left[:3, 3] + T_right[:3, 3])))
-
-        def torque(wanted_n: float, felt_n: float) -> np.ndarray:
-            return law.torque(HOME, np.zeros(DOF), state, state, wanted_n=wanted_n, felt_n=felt_n)
-
-        assert np.isfinite(torque(40.0, 40.0)).all()
+        rest = np.zeros(DOF)
+        tau = law.torque(HOME, rest, state, state, wanted_n=40.0, felt_n=40.0)
+        assert np.isfinite(tau).all()
         with pytest.raises(DataError, match="internal force is not finite"):
-            torque(wanted, felt)
+            law.torque(HOME, rest, state, state, wanted_n=40.0, felt_n=np.nan)
 
     def test_a_lost_direction_is_named(self, kinematics: Kinematics) -> None:
         law = ObjectImpedance(
@@ -342,7 +331,8 @@ class TestHeld:
                 wanted_n=squeeze_n,
                 felt_n=felt,
             )
-            world.command(tau, grippers.step(held.gripper))
+            fingers_m = grippers.step(held.gripper, world.fingers, world.grip)
+            world.command(tau, fingers_m)
             world.step()
             yield measured, felt
 

@@ -19,10 +19,16 @@ OPEN_M = np.full(2, 0.04)
 Reference = Callable[[float], tuple[Array, Array, Array]]
 Torque = Callable[[float, Array], Array]
 Senses = Callable[[float, Array, Array], tuple[Array, Array]]
+Clock = Callable[[float], float]
 
 
 class SensedPlant:
-    """A world whose joint readings pass through `senses(time, q, v)`."""
+    """A world whose joint readings pass through `senses(time, q, v)`, and whose clocks can be changed.
+
+    Attributes:
+        clock: Maps the world's time to the control time.
+        stamp: Maps the world's time to the stamp of the readings.
+    """
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -30,22 +36,24 @@ class SensedPlant:
         self.dt = world.dt
         self.health = ""
         self.senses: Senses = lambda _t, q, v: (q, v)
+        self.clock: Clock = lambda t: t
+        self.stamp: Clock = lambda t: t
 
     @property
     def time(self) -> float:
-        return self._world.time
+        return self.clock(self._world.time)
 
     @property
     def stamp_s(self) -> float:
-        return self._world.time
+        return self.stamp(self._world.time)
 
     @property
     def q(self) -> Array:
-        return self.senses(self.time, self._world.q, self._world.v)[0]
+        return self.senses(self._world.time, self._world.q, self._world.v)[0]
 
     @property
     def v(self) -> Array:
-        return self.senses(self.time, self._world.q, self._world.v)[1]
+        return self.senses(self._world.time, self._world.q, self._world.v)[1]
 
     @property
     def fingers(self) -> Array:
@@ -70,8 +78,8 @@ class GuardedArms:
         self.controller = ComputedTorque(Kinematics(), natural_frequency_rad_s=30.0)
         self.plant = SensedPlant(world)
         self._reader = Reader(self.plant, supervisor.config)
-        self._measured = self._reader.reset()
-        self._last = np.array(Kinematics().gravity(world.q))
+        self._measured: Measurement | None = None
+        self._last = np.zeros(DOF)
         self.applied: list[Array] = []
         self.error: ReflexError | None = None
 
@@ -126,18 +134,72 @@ class GuardedArms:
             ways.append(np.abs(self.world.q - began).reshape(2, -1).max(axis=1))
         return np.max(speeds, axis=0), np.max(ways, axis=0)
 
+    def fail(self, reason: str) -> None:
+        """Run a tick in which the controllers give no torque."""
+        measurement = self._read(self.plant.senses)
+        try:
+            tau = self.supervisor.fail(measurement, self._last, reason)
+        except ReflexError as error:
+            self.error = error
+            tau = error.tau
+        self._apply(tau)
+
+    def begin_anew(self) -> None:
+        """Start from the measurement of the next tick; the world has been reset."""
+        self._measured = None
+
     def _read(self, senses: Senses) -> Measurement:
         self.plant.senses = senses
-        self._measured = self._reader.read(self._last, self.supervisor.observer.needed)
+        if self._measured is None:
+            self._last = np.array(Kinematics().gravity(self.world.q))
+            self._measured = self._reader.reset()
+        else:
+            self._measured = self._reader.read(self._last, self.supervisor.observer.needed)
         return self._measured
 
     def _apply(self, tau: Array) -> None:
         self._last = np.array(tau)
         self.applied.append(self._last)
         if self.error is not None and self._reader.braking_due:
+            assert self._measured is not None
             self.world.brake(self._measured.blind_arms)
         self.world.command(tau, OPEN_M)
         self.world.step()
+
+
+def guard_commands(
+    world: World,
+    supervisor: Supervisor,
+    acceleration: Callable[[], Array | None] = lambda: None,
+) -> tuple[list[Array], list[Array]]:
+    """Let every command of a world pass the supervisor; return the requested and the applied torques."""
+    reader = Reader(world, supervisor.config)
+    command = world.command
+    requested: list[Array] = []
+    applied: list[Array] = []
+
+    def guarded(tau: Array, fingers_m: Array) -> None:
+        if applied:
+            last = applied[-1]
+            measurement = reader.read(last, supervisor.observer.needed)
+        else:
+            last = np.array(Kinematics().gravity(world.q))
+            measurement = reader.reset()
+        requested.append(tau.copy())
+        applied.append(supervisor.guard(measurement, tau, last, acceleration()))
+        command(applied[-1], fingers_m)
+
+    world.command = guarded  # type: ignore[method-assign]
+    return requested, applied
+
+
+def measurement_at(time_s: float, q: Array, v: Array, stamp_s: float | None = None) -> Measurement:
+    """Return a measurement without faults, 1 ms after the last one."""
+    stamp_s = time_s if stamp_s is None else stamp_s
+    hands = np.full(2, 0.04), np.zeros(2)
+    blind = np.zeros(DOF, dtype=bool)
+    fresh_s = 1e-3 if stamp_s == time_s else 0.0
+    return Measurement(time_s, 1e-3, stamp_s, fresh_s, q, v, *hands, blind, None)
 
 
 def hold(q: Array) -> Reference:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import TrajectoryCommand
 from minidual.control.kernels import minimum_jerk
@@ -99,11 +100,31 @@ class FailingPlant(ArmsPlant):
         lies = super().__getattribute__("lies")
         return lies[name](value) if name in lies else value
 
+    @property
+    def true_q(self) -> Array:
+        """Positions (14,) [rad] past the sensors."""
+        return self.__dict__["q"]
+
+    @property
+    def true_v(self) -> Array:
+        """Velocities (14,) [rad/s] past the sensors."""
+        return self.__dict__["v"]
+
     def step(self) -> None:
         kept = self.lies  # physics does not read the sensors
         self.lies = {}
         super().step()
         self.lies = kept
+
+
+def off_by(joint: int, value: float) -> Callable[[Array], Array]:
+    """Return a lie that adds to one joint's reading."""
+    return lambda x: x + value * np.eye(DOF)[joint]
+
+
+def nan_of(*joints: int) -> Callable[[Array], Array]:
+    """Return a lie by which these joints read NaN."""
+    return lambda x: np.where(np.isin(np.arange(DOF), joints), np.nan, x)
 
 
 def breaks(*_args: object, **_kwargs: object) -> Any:
@@ -128,13 +149,18 @@ def under_way(plant: FailingPlant) -> ControlStack:
 
 
 class Arms(FailingPlant):
-    """As MuJoCo, implicit in the joints' damping."""
+    """As MuJoCo, implicit in the joints' damping.
+
+    Attributes:
+        pushed: External torques (14,) [Nm].
+        stuck: (14,) joints that stand still.
+        limp: Whether the fingers stay where they are.
+    """
 
     def __init__(self, scene: SceneConfig) -> None:
         super().__init__(scene)
-        model = self._kinematics.model = (
-            self._kinematics.model.copy()
-        )  # all workspaces share the original
+        model = self._kinematics.model.copy()  # all workspaces share the original
+        self._kinematics.model = model
         model.armature = model.armature + self.dt * JOINT_DAMPING
         self.pushed = np.zeros(DOF)
         self.stuck = np.zeros(DOF, dtype=bool)
@@ -142,15 +168,13 @@ class Arms(FailingPlant):
 
     def step(self) -> None:
         told = self.tau
-        q = self.__dict__["q"]
+        q = self.true_q
         self.tau = told + self.pushed
         super().step()
         self.tau = told
-        crawl = (
-            1e-6 * (-1.0) ** self.steps
-        )  # readings that stay the same to the bit are frozen, not stuck
-        self.v = np.where(self.stuck, crawl, self.__dict__["v"])
-        self.q = np.where(self.stuck, q + self.dt * crawl, self.__dict__["q"])
+        crawl = 1e-6 * (-1.0) ** self.steps  # a stuck joint is not a frozen sensor
+        self.v = np.where(self.stuck, crawl, self.true_v)
+        self.q = np.where(self.stuck, q + self.dt * crawl, self.true_q)
 
     def command(self, tau: Array, fingers: Array) -> None:
         super().command(tau, self.fingers if self.limp else fingers)
@@ -158,3 +182,57 @@ class Arms(FailingPlant):
     def touch_nothing(self) -> None:
         self.pushed = np.zeros(DOF)
         self.stuck = np.zeros(DOF, dtype=bool)
+
+    def grip_something(self, *, left_only: bool = False) -> None:
+        """Let the hands feel 60 N of something 20 mm wide between their fingers."""
+        self.grip = np.array([60.0, 0.0 if left_only else 60.0])
+        self.fingers = np.array([0.01, 0.04 if left_only else 0.01])
+        self.limp = True
+
+
+class SlowArms(Arms):
+    """Arms that are controlled at a lower rate; their physics stays at 1 kHz."""
+
+    def __init__(self, scene: SceneConfig, rate_hz: int) -> None:
+        super().__init__(scene)
+        self._every = 1000 // rate_hz
+        self.dt = 1e-3 * self._every
+
+    @property
+    def time(self) -> float:
+        return self.steps * 1e-3
+
+    def step(self) -> None:
+        self.dt = 1e-3
+        for _ in range(self._every):
+            super().step()
+        self.dt = 1e-3 * self._every
+
+
+APART = np.r_[np.full(7, 0.5), np.full(7, -0.5)]
+"""A way of both arms away from one another [rad]."""
+SPACIOUS = SupervisorConfig(workspace_m=((-2, 2), (-2, 2), (-2, 2.5)))
+"""A supervisor whose workspace nothing leaves."""
+
+
+def in_motion(plant: ArmsPlant) -> ControlStack:
+    """Return a supervised stack whose arms move apart at 0.9 rad/s."""
+    stack = supervised(plant)
+    hand_over(stack, "moveit")
+    assert stack.propose("moveit", trajectory(stack, move(HOME, HOME + APART, 1.0))) is None
+    assert run(stack, 480) == []
+    assert np.abs(plant.v).max() > 0.85
+    return stack
+
+
+def fastest_in(stack: ControlStack, ticks: int) -> float:
+    """Step; return the largest true speed [rad/s] of a joint."""
+    fastest = 0.0
+    for _ in range(ticks):
+        run(stack, 1)
+        fastest = max(fastest, float(np.abs(stack.plant.true_v).max()))
+    return fastest
+
+
+def hand_height_m(plant: FailingPlant, arm: int) -> float:
+    return float(Kinematics().tcp_poses(plant.true_q)[arm][2, 3])
