@@ -347,3 +347,8 @@ def test_misuse_is_named(desk: Desk) -> None:
         match="no command source 'leader'; there are moveit, policy, teleop",
     ):
         desk.propose("leader", HOME)
+
+
+def test_a_step_at_a_start_that_fades_beyond_the_acceleration_limits_is_refused() -> None:
+    with pytest.raises(ValueError, match="switch_step_max_rad"):
+        ArbiterConfig(switch_step_max_rad=0.5)

@@ -256,7 +256,7 @@ def test_a_hand_that_takes_over_near_a_singularity_is_damped_for_where_it_goes(
     plant: ArmsPlant,
     elbow_rad: float,
 ) -> None:
-    """Before, damping of the inertia there (thousands of Ns/m) shook the arm on its way home: `joint_velocity`."""
+    """Damping of the inertia there (thousands of Ns/m) would shake the arm on its way home."""
     q = HOME.copy()
     q[:7] = 0.0, 0.2, 0.0, elbow_rad, 0.0, 1.0 - 0.3 * elbow_rad, 0.785
     plant.reset(q)

@@ -16,7 +16,15 @@ from minidual.robot.pair import DUAL_PANDA
 from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.control_plant import ArmsPlant
 from tests.support.panda import A_MAX, HOME, V_MAX
-from tests.support.stacks import OPEN, hand_over, move, stack_on, trajectory
+from tests.support.stacks import (
+    OPEN,
+    Arms,
+    hand_over,
+    move,
+    stack_on,
+    supervised,
+    trajectory,
+)
 
 SLOW = ArbiterConfig(speed_override=0.1)
 STEP = np.where(np.arange(14) % 7 == 0, 0.1, 0.025)
@@ -55,7 +63,7 @@ def test_controllers_that_last_drove_slowly_take_over_at_full_speed(
     plant: ArmsPlant,
     supervised: bool,
 ) -> None:
-    """Before, their reference lost 1.3 rad/s in one tick: 1261 rad/s^2, and 61 Nm in 1 ms without a supervisor."""
+    """Their reference loses no speed in one tick."""
     stack = stack_on(
         plant,
         config=SLOW,
@@ -86,7 +94,7 @@ def test_controllers_that_last_drove_slowly_take_over_at_full_speed(
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
 def test_arms_whose_leader_falls_silent_stop_where_they_are(plant: ArmsPlant, share: float) -> None:
-    """Before, they went on to its last target: by 1.57, 0.79 and 0.09 rad, the first for 7.6 s."""
+    """They do not go on to its last target."""
     stack = stack_on(
         plant,
         config=ArbiterConfig(speed_override=share),
@@ -212,3 +220,36 @@ def test_it_outlasts_a_recovery(plant: ArmsPlant) -> None:
     stack.speed_override = 0.3
     stack.reset()
     assert stack.arbiter.speed == stack.speed_override == 0.3
+
+
+@pytest.mark.parametrize("controllers", [("both_arms",), ("left_arm", "right_arm")])
+def test_it_holds_from_the_first_target_on(
+    scene: SceneConfig,
+    controllers: tuple[str, ...],
+) -> None:
+    plant = Arms(scene)
+    stack = supervised(plant, config=ArbiterConfig(speed_override=0.1))
+    hand_over(stack, "teleop", controllers)
+    fastest = 0.0
+    for tick in range(600):
+        if stack.tick_next:
+            stack.propose("teleop", JointCommand(HOME + 0.099, OPEN, plant.time, tick + 1))
+        stack.step()
+        fastest = max(fastest, float(np.max(np.abs(plant.v) / V_MAX)))
+    assert 0.05 < fastest < 0.13
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
+def test_a_start_beside_the_reference_fades_no_faster(scene: SceneConfig, share: float) -> None:
+    plant = Arms(scene)
+    stack = stack_on(plant, config=ArbiterConfig(speed_override=share))
+    hand_over(stack, "moveit")
+    start = HOME + 0.099
+    references = [HOME.copy()]
+    assert stack.propose("moveit", trajectory(stack, move(start, start, 1.0))) is None
+    while stack.executing:
+        stack.step()
+        references.append(stack.manager.reference.copy())
+    fastest = np.abs(np.diff(references, axis=0)).max() / plant.dt
+    assert fastest == pytest.approx(share * 0.099 * 1.875 / 0.5, rel=0.02)
+    np.testing.assert_allclose(references[-1], start, atol=1e-6)

@@ -142,7 +142,7 @@ def test_a_fast_descent_with_an_object_stops_above_the_table(world: World) -> No
 
     held.supervisor.reset()
     world.reset(HIGH)
-    assert held.supervisor._clearance(HIGH + 0.6 * np.eye(DOF)[1])[0] == "none", (
+    assert held.supervisor._space_check.clearance(HIGH + 0.6 * np.eye(DOF)[1])[0] == "none", (
         "a reset forgets what was held"
     )
 
@@ -160,4 +160,4 @@ def test_a_clearance_that_fails_is_named_and_the_arms_stop(world: World) -> None
 
 def test_the_default_supervisor_of_a_trial_looks_ahead() -> None:
     supervisor = trial_supervisor(SupervisorConfig(), 1e-3, DUAL_PANDA)
-    assert isinstance(supervisor._clearance, SceneClearance)
+    assert isinstance(supervisor._space_check.clearance, SceneClearance)

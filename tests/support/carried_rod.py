@@ -30,13 +30,14 @@ class Sensor(TrueObject):
     failing = False
     off_m = (0.0, 0.0, 0.0)
     twist_off = (0.0,) * 6
+    felt_off_n = 0.0
 
     def read(self) -> tuple[ObjectState, float]:
         if self.failing:
             raise OSError("the camera is gone")
         state, felt_n = super().read()
         state.T_world_object[:3, 3] += self.off_m
-        return state._replace(twist=state.twist + self.twist_off), felt_n
+        return state._replace(twist=state.twist + self.twist_off), felt_n + self.felt_off_n
 
 
 class Carried:
@@ -132,7 +133,6 @@ class Carried:
 
     def stop(self) -> None:
         """Press the emergency stop, and wait for rest."""
-        assert self.stack.supervisor is not None
         self.stack.supervisor.estop()
         self.run(1000)
         assert self.names == ["emergency_stop"]

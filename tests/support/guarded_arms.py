@@ -199,7 +199,7 @@ def measurement_at(time_s: float, q: Array, v: Array, stamp_s: float | None = No
     hands = np.full(2, 0.04), np.zeros(2)
     blind = np.zeros(DOF, dtype=bool)
     fresh_s = 1e-3 if stamp_s == time_s else 0.0
-    return Measurement(time_s, 1e-3, stamp_s, fresh_s, q, v, *hands, blind, None)
+    return Measurement(time_s, 1e-3, stamp_s, fresh_s, q.copy(), v.copy(), *hands, blind, None)
 
 
 def hold(q: Array) -> Reference:

@@ -73,8 +73,14 @@ def trajectory(
     return TrajectoryCommand(motion, **fields)
 
 
-def supervised(plant: ArmsPlant, **options: Any) -> ControlStack:
-    return stack_on(plant, supervisor=Supervisor(dt_s=plant.dt), **options)
+def supervised(
+    plant: ArmsPlant,
+    *,
+    config_of_supervisor: SupervisorConfig | None = None,
+    **options: Any,
+) -> Attended:
+    supervisor = Supervisor(config_of_supervisor, dt_s=plant.dt)
+    return stack_on(plant, supervisor=supervisor, **options)
 
 
 def run(stack: ControlStack, ticks: int) -> list[str]:

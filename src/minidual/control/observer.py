@@ -177,6 +177,7 @@ class ContactObserver:
         self.bounds = self.modes["free motion"]
         self._stamp_s = math.nan
         self._ticks = 0
+        self._due_tick = self._every
 
     def forget_needed(self) -> None:
         """Say that the needed torque is unknown: in a stop a joint at rest may stand under any torque."""
@@ -189,11 +190,12 @@ class ContactObserver:
 
     @property
     def due(self) -> bool:
-        """Whether this tick has an update."""
-        return self._ticks % self._every == 0
+        """Whether the next new measurement is for an update; measurements may come in any phase."""
+        return self._ticks >= self._due_tick
 
     def update(self, measurement: Measurement, expected: Expected) -> bool:
         """Update all attributes; return False where there is nothing to compare with yet."""
+        self._due_tick = (self._ticks // self._every + 1) * self._every
         lag = max(0, round((measurement.age_s + self._delay_s) / self._dt))
         if self._ticks <= lag + self._every or lag + _WINDOW_MAX >= _APPLIED_N:
             return False  # torques before the start are not known

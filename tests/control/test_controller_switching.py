@@ -1,0 +1,160 @@
+"""Switches of controllers and modes: which set is active when, and that nothing is drawn anywhere by a switch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from minidual.config.scene import SceneConfig
+from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.stack import DEFAULT_CONTROLLERS
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
+from tests.support.panda import DOF, HOME
+from tests.support.stacks import (
+    CLOSED,
+    OPEN,
+    PAIR,
+    SPACIOUS,
+    Arms,
+    hand_over,
+    in_motion,
+    move,
+    nan_of,
+    off_by,
+    run,
+    stack_on,
+    supervised,
+    trajectory,
+)
+
+HANDS = ("left_hand", "right_hand")
+LEFT_HAND = ("left_hand", "right_arm")
+
+
+@pytest.fixture
+def plant(scene: SceneConfig) -> Arms:
+    return Arms(scene)
+
+
+@pytest.mark.parametrize("hold_first", [True, False])
+def test_a_hold_keeps_the_set_that_is_active_when_it_is_confirmed(
+    plant: Arms,
+    hold_first: bool,
+) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit", PAIR)
+    if hold_first:
+        stack.request("hold")
+        stack.switch_controllers(DEFAULT_CONTROLLERS)
+    else:
+        stack.switch_controllers(DEFAULT_CONTROLLERS)
+        stack.request("hold")
+    run(stack, 100)
+    assert stack.state is ArbiterState.HOLDING
+    assert stack.manager.active == DEFAULT_CONTROLLERS
+
+
+def test_a_hold_that_names_its_set_gets_it(plant: Arms) -> None:
+    stack = stack_on(plant)
+    hand_over(stack, "moveit")
+    stack.request("hold", PAIR)
+    stack.switch_controllers(DEFAULT_CONTROLLERS)
+    run(stack, 100)
+    assert stack.state is ArbiterState.HOLDING
+    assert stack.manager.active == PAIR
+
+
+def test_a_repeated_request_of_who_drives_takes_back_no_hold(plant: Arms) -> None:
+    stack = in_motion(plant)
+    began = plant.q.copy()
+    stack.request("hold")
+    stack.request("moveit")
+    assert run(stack, 800) == []
+    assert np.abs(plant.q - began).max() < 0.15
+    assert [(r.source, r.name) for r in stack.refusals] == [("moveit", "superseded")]
+    assert stack.source is None
+
+
+@pytest.mark.parametrize("wrong", [np.nan, 2.0, 1000.0])
+def test_one_wrong_velocity_at_a_switch_sends_the_arms_nowhere(plant: Arms, wrong: float) -> None:
+    stack = supervised(plant)
+    hand_over(stack, "teleop", HANDS)
+    began = plant.q.copy()
+    plant.lies["v"] = nan_of(3) if np.isnan(wrong) else off_by(3, wrong)
+    stack.switch_controllers(DEFAULT_CONTROLLERS)
+    plant.lies.clear()
+    run(stack, 500)
+    assert np.isfinite(stack.output.q_target).all()
+    assert np.abs(stack.output.q_target - began).max() < 1e-3
+    assert np.abs(plant.q - began).max() < 1e-3
+
+
+def test_hands_that_give_way_to_joints_in_motion_are_drawn_nowhere(plant: Arms) -> None:
+    stack = supervised(plant, config_of_supervisor=SPACIOUS)
+    hand_over(stack, "teleop", HANDS)
+    for tick in range(600):
+        if stack.tick_next:
+            goal = HOME + tick / 600 * np.eye(DOF)[0]
+            stack.propose("teleop", JointCommand(goal, OPEN, plant.time, tick + 1))
+        run(stack, 1)
+    assert plant.v[0] > 1.0
+    stack.switch_controllers(DEFAULT_CONTROLLERS)
+    positions = []
+    for _ in range(800):
+        assert run(stack, 1) == []
+        positions.append(plant.q[0])
+    assert max(positions) - positions[-1] < 0.01
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_the_end_of_one_arms_trajectory_leaves_the_streamed_arm_alone(
+    plant: Arms,
+    joint: int,
+) -> None:
+    stack = supervised(plant)
+    hand_over(stack, "moveit")
+    motion = move(HOME[:7], HOME[:7] + 0.05, 0.4)
+    assert stack.propose("moveit", trajectory(stack, motion, group="left_arm")) is None
+    target = HOME[7:].copy()
+    torques = []
+    speeds = []
+    for tick in range(600):
+        if stack.tick_next:
+            target[joint] += 0.02
+            command = JointCommand(target, OPEN, plant.time, tick + 2, "right_arm")
+            assert stack.propose("moveit", command) is None
+        assert run(stack, 1) == []
+        torques.append(stack.manager.tau)
+        speeds.append(plant.v[7 + joint])
+    around_end = slice(380, 500)
+    assert min(speeds[around_end]) > 0.95
+    assert np.abs(np.diff(torques[around_end], axis=0)).max() < 0.5
+
+
+def test_stiff_controllers_take_over_from_a_blocked_hand_where_it_is(
+    world: World,
+    kinematics: Kinematics,
+) -> None:
+    """They do not press on towards the old target."""
+    stack = supervised(world)  # type: ignore[arg-type]
+    hand_over(stack, "moveit", LEFT_HAND)
+    floor_m = kinematics.tcp_poses(world.q)[0][2, 3] - 0.004
+    goal = HOME.copy()
+    goal[1] += 0.06
+    goal[3] -= 0.03
+    command = trajectory(stack, move(world.q, goal, 1.5), gripper=CLOSED)
+    assert stack.propose("moveit", command) is None
+    pressed_n = []
+    for tick in range(3000):
+        if tick == 1700:
+            assert not stack.executing
+            stack.switch_controllers(PAIR)
+        J = kinematics.tcp_jacobians(world.q)[0]
+        height_m = kinematics.tcp_poses(world.q)[0][2, 3]
+        force_n = max(0.0, 1e4 * (floor_m - height_m) - 100.0 * float(J[2] @ world.v))
+        world.data.qfrc_applied[world.joints.qvel] = force_n * J[2]
+        pressed_n.append(force_n)
+        assert run(stack, 1) == []
+    assert 5.0 < pressed_n[1699] < 15.0
+    assert max(pressed_n[1700:]) < 15.0
