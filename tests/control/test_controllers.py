@@ -11,7 +11,7 @@ from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
 from minidual.control.controller_manager import ControllerSwitchError
-from minidual.control.impedance import HeldObject, ObjectState, SingularPostureError
+from minidual.control.impedance import HeldObject, SingularPostureError
 from minidual.control.joint_control import JointLoop
 from minidual.control.kernels import minimum_jerk
 from minidual.control.measurement import Measurement
@@ -707,44 +707,6 @@ def test_the_arms_of_a_controller_that_fails_stop(world: World, bounded: bool) -
     hand_over(stack, "moveit")
 
 
-class _Deaf:
-    """An object at rest whose force sensor gives no number."""
-
-    grip_limit_n = float("inf")
-
-    def __init__(self, world: World) -> None:
-        self.force_n = 40.0
-        self._T = world.object_pose()
-
-    def read(self) -> tuple[ObjectState, float]:
-        return ObjectState(self._T), self.force_n
-
-
-@pytest.mark.parametrize("when", ["before", "after"])
-def test_a_squeeze_that_is_no_number_is_a_reflex(
-    scene: SceneConfig,
-    world: World,
-    kinematics: Kinematics,
-    when: str,
-) -> None:
-    pinch_rod(JointLoop(world, kinematics), scene, kinematics)
-    sensor = _Deaf(world)
-    stack = stack_on(world, sensor=sensor, supervisor=Supervisor(dt_s=world.dt))
-    hand_over(stack, "moveit")
-    stack.impedance.configure(_grasped(world, kinematics))
-    if when == "before":
-        sensor.force_n = float("nan")
-    stack.switch_controllers(("object_impedance",))
-    if when == "after":
-        stack.step()
-        sensor.force_n = float("nan")
-    with pytest.raises(
-        ReflexError,
-        match=r"controller_failed.*: the object's internal force is not finite",
-    ):
-        stack.step()
-
-
 # The supervisor ---------------------------------------------------------------------------------------------
 
 
@@ -767,31 +729,6 @@ def test_the_supervisor_has_the_last_word_in_every_tick(plant: ArmsPlant) -> Non
     stack.step()
     stack.step()
     np.testing.assert_array_equal(plant.torques, np.full((2, 14), 0.25))
-
-
-def test_the_real_supervisor_stops_the_arms_and_lets_them_go_on(
-    scene: SceneConfig,
-    world: World,
-) -> None:
-    supervisor = Supervisor(dt_s=world.dt)
-    stack = stack_on(world, supervisor=supervisor)
-    hand_over(stack, "moveit")
-    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.3, 0.6)))
-    for _ in range(300):
-        stack.step()
-    assert np.abs(world.v).max() > 0.5
-    supervisor.estop("pressed by the test")
-    with pytest.raises(ReflexError, match="emergency_stop"):
-        stack.step()
-    for _ in range(1000):
-        stack.step()
-    assert np.abs(world.v).max() < 0.01
-    stack.recover()
-    hand_over(stack, "moveit")
-    stack.propose("moveit", trajectory(stack, move(world.q, HOME, 0.8)))
-    while stack.executing:
-        stack.step()
-    np.testing.assert_allclose(world.q, HOME, atol=5e-3)
 
 
 def _run_out(stack: ControlStack) -> None:

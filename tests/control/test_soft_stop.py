@@ -32,6 +32,7 @@ from tests.support.stacks import (
     fastest_in,
     hand_over,
     move,
+    nan_of,
     run,
     stack_on,
     supervised,
@@ -106,10 +107,10 @@ def test_a_joint_near_its_limit_does_not_wait_for_a_faster_one(kinematics: Kinem
     v[6] = 1.0
     q[6] = Q_UPPER[6] - 0.1  # the two would stop together after 0.2 rad of joint 7
     stop.begin(q, v)
-    measurement = measurement_at(0.0, q, v)
     tau = kinematics.gravity(q).copy()
-    for _ in range(600):
-        tau = stop.torque(measurement, tau)
+    for tick in range(600):
+        reference = stop._profile
+        tau = stop.torque(measurement_at(1e-3 * tick, reference.q, reference.v), tau)
     rest = stop._profile.q
     assert 0.3 < rest[1] - q[1] < 0.45
     assert rest[6] < Q_UPPER[6]
@@ -178,18 +179,14 @@ def test_a_latched_arm_that_is_pushed_away_does_not_spring_back(
 
 # Readings that are lost ---------------------------------------------------------------------------------------
 
-ONE = slice(1, 2)
-LEFT = slice(0, 7)
-ALL = slice(0, DOF)
-LOST: dict[str, tuple[str, slice, bool, bool]] = {
-    "a position is NaN": ("measurement.not_finite", ONE, True, False),
-    "a velocity is NaN": ("measurement.not_finite", ONE, False, True),
-    "the left arm is NaN": ("measurement.not_finite", LEFT, True, True),
-    "both arms are NaN": ("measurement.not_finite", ALL, True, True),
-    "a position is frozen": ("measurement.implausible", ONE, True, False),
-    "the left arm is frozen": ("measurement.implausible", LEFT, True, True),
+LEFT = tuple(range(7))
+LOST: dict[str, tuple[tuple[int, ...], bool, bool]] = {
+    "a position": ((1,), True, False),
+    "a velocity": ((1,), False, True),
+    "the left arm": (LEFT, True, True),
+    "both arms": (tuple(range(DOF)), True, True),
 }
-"""Reflex, joints, and whether their positions and velocities are lost."""
+"""Joints, and whether their positions and velocities are NaN."""
 
 
 @pytest.mark.parametrize("what", LOST)
@@ -197,8 +194,8 @@ def test_lost_readings_speed_no_joint_up_and_the_other_arm_stops_as_ever(
     world: World,
     what: str,
 ) -> None:
-    """From 0.9 rad/s, beside a stop with sound readings."""
-    label, joints, lose_q, lose_v = LOST[what]
+    """From 0.9 rad/s, beside a stop with sound readings; test_blind_joints has frozen ones."""
+    joints, lose_q, lose_v = LOST[what]
     seeing = guarded(world)
     begin_swing(world)
 
@@ -210,29 +207,21 @@ def test_lost_readings_speed_no_joint_up_and_the_other_arm_stops_as_ever(
     sound_speed, sound_way = seeing.go_on(1.0)
     assert sound_speed == pytest.approx([0.9, 0.9], abs=0.01)
 
-    kept: list[tuple[Array, Array]] = []
-
     def senses(t: float, q: Array, v: Array) -> tuple[Array, Array]:
         if t < 0.0195:
             return q, v
-        if not kept:
-            kept.append((q.copy(), v.copy()))
-        last_q, last_v = kept[0]
-        if lose_q:
-            q[joints] = np.nan if "NaN" in what else last_q[joints]
-        if lose_v:
-            v[joints] = np.nan if "NaN" in what else last_v[joints]
-        return q, v
+        nothing = nan_of(*joints)
+        return nothing(q) if lose_q else q, nothing(v) if lose_v else v
 
     begin_swing(world)
     arms = guarded(world)
     arms.run(0.1, swing, senses=senses)
-    assert stopped_by(arms).label == label
+    assert stopped_by(arms).label == "measurement.not_finite"
     speed, way = arms.go_on(1.0, senses=senses)
-    assert speed.max() <= 0.95
+    assert speed.max() <= 0.93
     assert way.max() <= sound_way.max() + 0.1
-    if joints != ALL:
-        assert way[1] == pytest.approx(sound_way[1], abs=0.03)
+    if len(joints) < DOF:
+        assert way[1] == pytest.approx(sound_way[1], abs=0.01)
         assert speed[1] <= sound_speed[1] + 0.01
     assert np.abs(world.v).max() < 0.02
     assert np.abs(np.diff(arms.applied, axis=0)).max() <= TAU_STEP
@@ -265,12 +254,17 @@ class Gap(World):
         return self._read("stamp_s", super().stamp_s)
 
 
-@pytest.mark.parametrize(("gap", "ticks"), [("NaN", 1), ("NaN", 25), ("no packets", 100)])
+@pytest.mark.parametrize(
+    ("gap", "ticks", "sinks_m"),
+    [("NaN", 1, 0.001), ("NaN", 25, 0.001), ("no packets", 100, 0.015)],
+)
 def test_a_carried_rod_stays_in_the_hands_when_readings_are_lost(
     world: World,
     gap: str,
     ticks: int,
+    sinks_m: float,
 ) -> None:
+    """The simulated brakes of both arms do not know the weight of the rod."""
     carried = Carried(world)
     carried.carry((0.25, 0.0, 0.05), 0.9)
     carried.run(850)
@@ -286,7 +280,7 @@ def test_a_carried_rod_stays_in_the_hands_when_readings_are_lost(
     carried.fastest = 0.0
     carried.run(1000)
     assert carried.fastest < 0.05
-    assert abs(carried.height_m - height_m) < 0.001
+    assert abs(carried.height_m - height_m) < sinks_m
     assert carried.height_m > 0.14
     carried.stack.recover()
     carried.run(300)
