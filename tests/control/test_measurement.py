@@ -121,6 +121,19 @@ def test_a_measurement_says_what_was_read_and_when(read: Read) -> None:
     assert measurement.blind_arms == ()
 
 
+def test_a_plant_may_protect_or_reuse_the_arrays_that_it_returns(read: Read) -> None:
+    strided = np.zeros((DOF, 2))
+    strided[:, 0] = HOME
+    q = strided[:, 0]
+    first = read.at(0.001, q=q)
+    q += 1e-4
+    q.flags.writeable = False
+    second = read.at(0.002, q=q)
+    np.testing.assert_array_equal(first.q, HOME)
+    np.testing.assert_array_equal(second.q, HOME + 1e-4)
+    assert second.fault is None
+
+
 def test_a_reading_that_was_overtaken_is_not_used(read: Read) -> None:
     read.at(0.001)
     measurement = read.at(0.002, stamp_s=0.0005, q=HOME + 1.0)

@@ -87,9 +87,8 @@ class Readings(NamedTuple):
 
 
 def _array(x: Array, n: int) -> Array:
-    """Return x as floats of shape (n,)."""
-    x = np.asarray(x, dtype=float)
-    return x if x.shape == (n,) else x.reshape(n)
+    """Return a copy of x as floats (n,): plants may keep, or write-protect, what they return."""
+    return np.array(x, dtype=float, order="C").reshape(n)
 
 
 class Reader:
