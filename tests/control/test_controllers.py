@@ -10,13 +10,11 @@ import pytest
 from minidual.config.control import SupervisorConfig
 from minidual.config.scene import SceneConfig
 from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
-from minidual.control.controller_manager import ControllerSwitchError
 from minidual.control.impedance import HeldObject, SingularPostureError
 from minidual.control.joint_control import JointLoop
-from minidual.control.kernels import minimum_jerk
 from minidual.control.measurement import Measurement
 from minidual.control.reflexes import ReflexError
-from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
+from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.plant.world import World
@@ -25,7 +23,7 @@ from minidual.robot.pair import Array, inverse
 from minidual.robot.trajectory import Trajectory
 from minidual.skills.object_path import ObjectPath, Waypoint
 from tests.support.arm_scripts import pinch_rod
-from tests.support.control_plant import ArmsPlant, HandsObject, TrueObject
+from tests.support.control_plant import ArmsPlant, TrueObject
 from tests.support.panda import A_MAX, HOME, V_MAX
 from tests.support.stacks import OPEN, PAIR, hand_over, move, stack_on, trajectory
 
@@ -374,280 +372,6 @@ def test_object_impedance_lifts_the_rod_and_hands_it_back(
     assert world.object_pose()[2, 3] > z + 0.05, "the rod was dropped"
 
 
-# The manager ------------------------------------------------------------------------------------------------
-
-
-def test_a_set_that_does_not_claim_every_joint_once_is_refused_and_nothing_changes(
-    plant: ArmsPlant,
-) -> None:
-    stack = stack_on(plant)
-    stack.step()
-    for names, reason in (
-        (("left_arm",), "unclaimed: the right arm"),
-        ((), "unclaimed: the left arm"),
-        (("both_arms", "right_arm"), "doubly_claimed: the right arm.*both_arms and right_arm"),
-        (
-            ("object_impedance",),
-            "not_ready: controller object_impedance: it has not been told what is held",
-        ),
-    ):
-        with pytest.raises(ControllerSwitchError, match=reason):
-            stack.switch_controllers(names)
-        with pytest.raises(ControllerSwitchError, match=reason):
-            stack.request("moveit", names)
-        assert stack.manager.active == ("both_arms",)
-    with pytest.raises(UsageError, match=r"(?s)no controller 'left'.*did you mean 'left_arm'"):
-        stack.switch_controllers(("left", "right"))
-    stack.step()
-    assert stack.source is None, "a refused request left something behind"
-
-
-def test_no_switch_of_controllers_under_a_running_trajectory(plant: ArmsPlant) -> None:
-    stack = stack_on(plant)
-    hand_over(stack, "moveit")
-    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.1, 0.3)))
-    stack.step()
-    with pytest.raises(ControllerSwitchError, match="under_way"):
-        stack.switch_controllers(PAIR)
-    while stack.executing:
-        stack.step()
-    stack.step()
-    stack.switch_controllers(PAIR)
-    assert stack.manager.active == PAIR
-
-
-def test_a_controller_that_raises_as_it_takes_over_changes_nothing(
-    plant: ArmsPlant,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def torques(raising: bool) -> list[Array]:
-        plant.reset()
-        stack = stack_on(plant)
-        hand_over(stack, "moveit")
-        stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.1, 0.3)))
-        while stack.executing:
-            stack.step()
-        if raising:
-            monkeypatch.setattr(stack.manager["right_arm"], "activate", singular)
-            with pytest.raises(SingularPostureError):
-                stack.switch_controllers(PAIR)
-        assert stack.manager.active == ("both_arms",)
-        for _ in range(50):
-            stack.step()
-        return list(plant.torques)
-
-    def singular(q: Array, v: Array) -> None:
-        raise SingularPostureError("the right hand has lost a direction of motion")
-
-    np.testing.assert_array_equal(torques(raising=True), torques(raising=False))
-
-
-def test_a_switch_of_controllers_in_motion_does_not_jolt(plant: ArmsPlant) -> None:
-    stack = stack_on(plant)
-    hand_over(stack, "teleop")
-    steps = []
-    sequence = 0
-    switched_at = None
-    for k in range(600):
-        if stack.tick_next:
-            sequence += 1
-            target = HOME + 0.4 * minimum_jerk(k / 500)[0]
-            stack.propose("teleop", JointCommand(target, OPEN, plant.time, sequence))
-        if k == 250:
-            assert np.abs(plant.v).max() > 0.8
-            before = plant.torques[-1]
-            stack.switch_controllers(PAIR)
-            switched_at = len(plant.torques)
-        stack.step()
-        steps.append(stack.manager.tau)
-    assert switched_at is not None
-    jump = float(np.abs(plant.torques[switched_at] - before).max())
-    assert jump < 1e-9, "the first torque after the switch is the last one before it"
-    np.testing.assert_allclose(plant.q, HOME + 0.4, atol=0.02)
-
-
-# Refusals ---------------------------------------------------------------------------------------------------
-
-
-def _bad(motion: Trajectory, **changes: Any) -> Any:
-    """A trajectory with values that Trajectory itself would not let through."""
-    import types
-
-    fields = {
-        n: getattr(motion, n) for n in ("times", "q", "v", "a", "dt_s", "duration_s", "sample_many")
-    }
-    return types.SimpleNamespace(**{**fields, **changes})
-
-
-def _edited(values: Array, row: int, column: int, value: float) -> Array:
-    values = values.copy()
-    values[row, column] = value
-    return values
-
-
-@pytest.mark.parametrize(
-    ("name", "detail"),
-    [
-        ("not_finite", "left_panda_joint3 = nan in sample 5"),
-        ("not_finite", "velocity"),
-        ("all_zero", "every joint"),
-        ("out_of_limits", "left_panda_joint4 = 0.5000000 rad in sample 9"),
-        ("too_fast", "right_panda_joint7"),
-        ("not_at_rest", "ends with left_panda_joint1"),
-        ("too_sharp", "left_panda_joint2"),
-        ("too_sharp", "left_panda_joint5"),
-        ("wrong_shape", r"trajectory \(501, 13\)"),
-        ("gripper_out_of_range", "1.2"),
-        ("unknown_group", "no group 'arms'"),
-    ],
-)
-def test_a_bad_trajectory_is_refused_when_it_is_proposed(
-    plant: ArmsPlant,
-    name: str,
-    detail: str,
-) -> None:
-    good = move(HOME, HOME + 0.2, 0.5)
-    bad: dict[str, Any] = {
-        "left_panda_joint3 = nan in sample 5": {"q": _edited(good.q, 5, 2, np.nan)},
-        "velocity": {"v": _edited(good.v, 5, 2, np.inf)},
-        "every joint": {"q": 0.0 * good.q},
-        "left_panda_joint4 = 0.5000000 rad in sample 9": {"q": _edited(good.q, 9, 3, 0.5)},
-        "right_panda_joint7": {"q": _edited(good.q, 100, 13, good.q[100, 13] + 0.05)},
-        "ends with left_panda_joint1": {"v": _edited(good.v, -1, 0, 0.4)},
-        "left_panda_joint2": {"a": _edited(good.a, 7, 1, -9.0)},
-        "left_panda_joint5": {"v": _edited(good.v, 100, 4, good.v[100, 4] + 0.1)},
-        r"trajectory \(501, 13\)": {"q": good.q[:, :13]},
-    }
-    stack = stack_on(plant)
-    hand_over(stack, "moveit")
-    fields: dict[str, Any] = {}
-    if name == "gripper_out_of_range":
-        fields["gripper"] = np.array([0.0, 1.2])
-    if name == "unknown_group":
-        fields["group"] = "arms"
-    refusal = stack.propose(
-        "moveit",
-        trajectory(stack, _bad(good, **bad.get(detail, {})), **fields),
-    )
-    assert refusal is not None
-    assert refusal.name == name
-    import re
-
-    assert re.search(detail, refusal.detail)
-    stack.step()
-    assert not stack.executing
-
-
-def test_a_trajectory_is_refused_for_where_and_when_it_starts(plant: ArmsPlant) -> None:
-    stack = stack_on(plant)
-    hand_over(stack, "moveit")
-    far = HOME.copy()
-    far[9] += 0.2
-    stack.propose("moveit", trajectory(stack, move(far, HOME, 0.5), 1))
-    stack.step()
-    assert stack.refusals[-1].name == "far_start"
-    assert "+0.200 rad away from the arms at right_panda_joint3" in stack.refusals[-1].detail
-
-    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 2))
-    stack.step()
-    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 3))
-    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 3))
-    stack.step()
-    assert stack.refusals[-1].name == "busy"
-    stack.propose("moveit", JointCommand(HOME, OPEN, plant.time, 4))
-    for _ in range(21):
-        stack.step()
-    assert stack.refusals[-1].name == "busy", "a streamed target does not disturb a trajectory"
-    assert stack.executing
-
-    stack.request("teleop")
-    while stack.source != "teleop":
-        stack.step()
-    refusal = stack.propose("moveit", trajectory(stack, move(HOME, HOME, 0.5), 9, stamp_s=0.0))
-    assert refusal is not None
-    assert refusal.name == "before_switch"
-    stack.request("moveit")
-    stack.propose(
-        "moveit",
-        trajectory(stack, move(plant.q, HOME, 0.5), 10, stamp_s=plant.time + 5.0),
-    )
-    while stack.source != "moveit":
-        stack.step()
-    assert stack.refusals[-1].name in ("from_future", "before_switch")
-
-
-def test_an_object_command_is_held_to_its_bounds(plant: ArmsPlant) -> None:
-    here = HandsObject(plant)
-    stack = stack_on(plant, sensor=here)
-    hand_over(stack, "moveit")
-    x, y, z = here.pose()[:3, 3]
-
-    def command(
-        dz: float,
-        seconds: float,
-        squeeze: float,
-        sequence: int,
-        **lies: Array,
-    ) -> ObjectCommand:
-        path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
-        honest = path.at
-        path.at = lambda t, *T: honest(t, *T)._replace(**lies)  # type: ignore[method-assign]
-        return ObjectCommand(path, lambda t: squeeze, OPEN, plant.time, sequence)
-
-    still = np.zeros(6)
-    falls = np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
-    commands = (
-        *(command(0.1, 1.0, 90.0, 1), command(0.1, 1.0, np.nan, 2), command(0.9, 1.5, 40.0, 3)),
-        *(command(0.4, 0.3, 40.0, 4), command(0.0, 1.0, 40.0, 5, acceleration=falls)),
-        command(
-            0.5,
-            0.6,
-            40.0,
-            6,
-            twist=still,
-            acceleration=still,
-        ),  # before, only what it says of itself was checked
-    )
-    names = [getattr(stack.propose("moveit", c), "name", "") for c in commands]
-    assert names == [
-        "squeeze_out_of_range",
-        "not_finite",
-        "too_fast",
-        "too_sharp",
-        "too_sharp",
-        "too_fast",
-    ]
-    assert stack.propose("moveit", command(0.05, 1.0, 0.0, 4)) is None
-    stack.step()
-    assert stack.refusals[-1].name == "wrong_controller", "a joint controller takes no object path"
-
-
-@pytest.mark.parametrize("names", [("both_arms",), PAIR, ("left_hand", "right_hand")])
-def test_after_an_object_path_the_arms_stay_where_it_has_brought_them(
-    plant: ArmsPlant,
-    names: tuple[str, ...],
-) -> None:
-    """Joint controllers take over at the posture, not at the joint target of before the path."""
-    here = HandsObject(plant)
-    stack = stack_on(plant, sensor=here, supervisor=Supervisor(dt_s=plant.dt))
-    stack.impedance.configure(here.held())
-    hand_over(stack, "moveit", OBJECT_CONTROLLERS)
-    (x, y, z) = (float(value) for value in here.pose()[:3, 3])
-    began = plant.q
-    path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y + 0.1, z + 0.05), 0.0, 1.5)])
-    assert stack.propose("moveit", ObjectCommand(path, lambda t: 0.0, OPEN, plant.time, 1)) is None
-    stack.step()
-    while stack.executing:
-        stack.step()
-    assert np.abs(plant.q - began).max() > 0.1
-    q = plant.q
-    stack.switch_controllers(names)
-    for _ in range(600):
-        stack.step()
-    assert stack.reflex is None
-    assert np.abs(plant.q - q).max() < 0.002
-
-
 def test_a_supervisor_of_another_period_is_refused(plant: ArmsPlant) -> None:
     """At 500 Hz an emergency stop took 0.39 s instead of 0.14 s, and the arm went back."""
     with pytest.raises(
@@ -655,24 +379,6 @@ def test_a_supervisor_of_another_period_is_refused(plant: ArmsPlant) -> None:
         match=r"the supervisor's period is 0.002 s, the plant's 0.001 s",
     ):
         stack_on(plant, supervisor=Supervisor(dt_s=0.002))
-
-
-def test_a_mode_that_drives_changes_to_the_controllers_it_names(plant: ArmsPlant) -> None:
-    stack = stack_on(plant)
-    hand_over(stack, "moveit")
-    stack.request("moveit", PAIR)
-    stack.step()
-    assert stack.source == "moveit"
-    assert stack.manager.active == PAIR
-    stack.request("moveit")  # none named: those that drive stay
-    stack.step()
-    assert stack.manager.active == PAIR
-    stack.propose("moveit", trajectory(stack, move(plant.q, HOME + 0.1, 0.3)))
-    stack.step()
-    stack.request("moveit", PAIR)  # nothing would change
-    with pytest.raises(ControllerSwitchError, match="under_way"):
-        stack.request("moveit", ("both_arms",))
-    assert stack.manager.active == PAIR
 
 
 # A controller that fails ------------------------------------------------------------------------------------

@@ -285,7 +285,7 @@ def test_a_path_that_left_its_object_behind_presses_no_longer(
     start = world.object_pose()[:3, 3].copy()
     along = np.array(by_m) / np.linalg.norm(by_m)
     pressed_n = 0.0
-    for _ in range(3000):
+    for _ in range(3500):
         back_m = along @ (start - world.object_pose()[:3, 3])
         speed = along @ world.truth().twist()[:3]
         pressed_n = float(np.clip(3000.0 * back_m - 100.0 * speed, -40.0, 40.0))

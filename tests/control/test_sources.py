@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import types
+from typing import Any
+
 import numpy as np
 import pytest
 
 from minidual.config.control import ArbiterConfig
 from minidual.config.scene import SceneConfig
-from minidual.control.commands import ArbiterState, JointCommand
+from minidual.control.commands import ArbiterState, JointCommand, ObjectCommand
+from minidual.robot.pair import Array
 from minidual.robot.trajectory import Trajectory
+from minidual.skills.object_path import ObjectPath, Waypoint
+from tests.support.control_plant import HandsObject
 from tests.support.panda import DOF, HOME, Q_UPPER
 from tests.support.stacks import (
     OPEN,
@@ -137,6 +144,154 @@ def test_a_long_trajectory_does_not_hold_up_the_tick_in_which_it_starts(plant: A
     first = next(k for k, q in enumerate(references) if not np.array_equal(q, HOME)) - 1
     times = np.arange(len(references) - first) * plant.dt
     np.testing.assert_allclose(references[first:], sample_many(times)[0], atol=1e-12)
+
+
+# Trajectories and object paths ---------------------------------------------------------------------------------------------------
+
+
+def _bad(motion: Trajectory, **changes: Any) -> Any:
+    """A trajectory with values that Trajectory itself would not let through."""
+    fields = {
+        n: getattr(motion, n) for n in ("times", "q", "v", "a", "dt_s", "duration_s", "sample_many")
+    }
+    return types.SimpleNamespace(**{**fields, **changes})
+
+
+def _edited(values: Array, row: int, column: int, value: float) -> Array:
+    values = values.copy()
+    values[row, column] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "detail"),
+    [
+        ("not_finite", "left_panda_joint3 = nan in sample 5"),
+        ("not_finite", "velocity"),
+        ("all_zero", "every joint"),
+        ("out_of_limits", "left_panda_joint4 = 0.5000000 rad in sample 9"),
+        ("too_fast", "right_panda_joint7"),
+        ("not_at_rest", "ends with left_panda_joint1"),
+        ("too_sharp", "left_panda_joint2"),
+        ("too_sharp", "left_panda_joint5"),
+        ("wrong_shape", r"trajectory \(501, 13\)"),
+        ("gripper_out_of_range", "1.2"),
+        ("unknown_group", "no group 'arms'"),
+    ],
+)
+def test_a_bad_trajectory_is_refused_when_it_is_proposed(
+    plant: Arms,
+    name: str,
+    detail: str,
+) -> None:
+    good = move(HOME, HOME + 0.2, 0.5)
+    bad: dict[str, Any] = {
+        "left_panda_joint3 = nan in sample 5": {"q": _edited(good.q, 5, 2, np.nan)},
+        "velocity": {"v": _edited(good.v, 5, 2, np.inf)},
+        "every joint": {"q": 0.0 * good.q},
+        "left_panda_joint4 = 0.5000000 rad in sample 9": {"q": _edited(good.q, 9, 3, 0.5)},
+        "right_panda_joint7": {"q": _edited(good.q, 100, 13, good.q[100, 13] + 0.05)},
+        "ends with left_panda_joint1": {"v": _edited(good.v, -1, 0, 0.4)},
+        "left_panda_joint2": {"a": _edited(good.a, 7, 1, -9.0)},
+        "left_panda_joint5": {"v": _edited(good.v, 100, 4, good.v[100, 4] + 0.1)},
+        r"trajectory \(501, 13\)": {"q": good.q[:, :13]},
+    }
+    stack = supervised(plant)
+    hand_over(stack, "moveit")
+    fields: dict[str, Any] = {}
+    if name == "gripper_out_of_range":
+        fields["gripper"] = np.array([0.0, 1.2])
+    if name == "unknown_group":
+        fields["group"] = "arms"
+    refusal = stack.propose(
+        "moveit",
+        trajectory(stack, _bad(good, **bad.get(detail, {})), **fields),
+    )
+    assert refusal is not None
+    assert refusal.name == name
+    assert re.search(detail, refusal.detail)
+    stack.step()
+    assert not stack.executing
+
+
+def test_a_trajectory_is_refused_for_where_and_when_it_starts(plant: Arms) -> None:
+    stack = supervised(plant)
+    hand_over(stack, "moveit")
+    far = HOME.copy()
+    far[9] += 0.2
+    stack.propose("moveit", trajectory(stack, move(far, HOME, 0.5), 1))
+    stack.step()
+    assert stack.refusals[-1].name == "far_start"
+    assert "+0.200 rad away from the arms at right_panda_joint3" in stack.refusals[-1].detail
+
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 2))
+    stack.step()
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 3))
+    stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.2, 0.5), 3))
+    stack.step()
+    assert stack.refusals[-1].name == "busy"
+    stack.propose("moveit", JointCommand(HOME, OPEN, plant.time, 4))
+    for _ in range(21):
+        stack.step()
+    assert stack.refusals[-1].name == "busy", "a streamed target does not disturb a trajectory"
+    assert stack.executing
+
+    stack.request("teleop")
+    while stack.source != "teleop":
+        stack.step()
+    refusal = stack.propose("moveit", trajectory(stack, move(HOME, HOME, 0.5), 9, stamp_s=0.0))
+    assert refusal is not None
+    assert refusal.name == "before_switch"
+    stack.request("moveit")
+    stack.propose(
+        "moveit",
+        trajectory(stack, move(plant.q, HOME, 0.5), 10, stamp_s=plant.time + 5.0),
+    )
+    while stack.source != "moveit":
+        stack.step()
+    assert stack.refusals[-1].name in ("from_future", "before_switch")
+
+
+def test_an_object_command_is_held_to_its_bounds(plant: Arms) -> None:
+    here = HandsObject(plant)
+    stack = supervised(plant, sensor=here)
+    hand_over(stack, "moveit")
+    x, y, z = here.pose()[:3, 3]
+
+    def command(
+        dz: float,
+        seconds: float,
+        squeeze: float,
+        sequence: int,
+        **lies: Array,
+    ) -> ObjectCommand:
+        path = ObjectPath(Waypoint((x, y, z), 0.0, 0.0), [Waypoint((x, y, z + dz), 0.0, seconds)])
+        honest = path.at
+        path.at = lambda t, *T: honest(t, *T)._replace(**lies)  # type: ignore[method-assign]
+        return ObjectCommand(path, lambda t: squeeze, OPEN, plant.time, sequence)
+
+    still = np.zeros(6)
+    falls = np.array([0.0, 0.0, -9.8, 0.0, 0.0, 0.0])
+    commands = {
+        "squeeze": command(0.1, 1.0, 90.0, 1),
+        "squeeze of NaN": command(0.1, 1.0, np.nan, 2),
+        "fast": command(0.9, 1.5, 40.0, 3),
+        "sharp": command(0.4, 0.3, 40.0, 4),
+        "says that it falls": command(0.0, 1.0, 40.0, 5, acceleration=falls),
+        "says that it stands": command(0.5, 0.6, 40.0, 6, twist=still, acceleration=still),
+    }
+    refusals = {what: stack.propose("moveit", one) for what, one in commands.items()}
+    assert {what: refusal and refusal.name for what, refusal in refusals.items()} == {
+        "squeeze": "squeeze_out_of_range",
+        "squeeze of NaN": "not_finite",
+        "fast": "too_fast",
+        "sharp": "too_sharp",
+        "says that it falls": "too_sharp",
+        "says that it stands": "too_fast",
+    }
+    assert stack.propose("moveit", command(0.05, 1.0, 0.0, 4)) is None
+    stack.step()
+    assert stack.refusals[-1].name == "wrong_controller", "a joint controller takes no object path"
 
 
 # Silence ----------------------------------------------------------------------------------------------------
