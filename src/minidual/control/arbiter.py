@@ -18,6 +18,7 @@ from minidual.control.commands import (
     Command,
     Reason,
     Refusal,
+    RefusalLog,
 )
 from minidual.control.driving import Driving
 from minidual.control.execution import Execution, Underway
@@ -99,17 +100,17 @@ class CommandArbiter:
         self.underway = Underway(control_dt_s, robot, admit)
         self.on_confirm: Callable[[str], None] = lambda mode: None
         self.on_flush: list[Callable[[str], None]] = []
+        self._refusals = RefusalLog()
         self._mailboxes = {
-            source: Mailbox(robot, partial(self._refuse, source)) for source in SOURCES
+            source: Mailbox(robot, partial(self._refusals.note, source)) for source in SOURCES
         }
         self._requested: str | None = None
         self._halt: _Halt | None = None
         self._switch: _Switch | None = None
-        self._refusals: list[Refusal] = []
         self._robot = robot
         self._target: JointTarget | None = None  # from the first tick on
         openings = np.ones(2) if gripper is None else np.array(gripper, dtype=float)
-        self._driving = Driving(self.config, self.underway, openings, self._refuse)
+        self._driving = Driving(self.config, self.underway, openings, self._refusals.note)
         self._last_tick_s: float | None = None
         self._affirmed: set[str] = set()
         self.speed = self.config.speed_override
@@ -125,7 +126,7 @@ class CommandArbiter:
             UsageError: Unknown source.
         """
         reason = self._mailbox(source).put(command)
-        return None if reason is None else self._refuse(source, *reason)
+        return None if reason is None else self._refusals.note(source, *reason)
 
     def affirm(self, source: str) -> None:
         """Report a source as alive; after silence for `stale_s` its timed commands brake."""
@@ -140,10 +141,12 @@ class CommandArbiter:
         """
         check_name("mode", mode, (*SOURCES, HOLD))
         if self._requested == HOLD and mode == self.source:
-            self._supersede(mode, f"'{HOLD}' was requested before the switch began")
+            self._refusals.supersede(mode, f"'{HOLD}' was requested before the switch began")
             return
         if self._requested != mode:
-            self._supersede(self._requested, f"'{mode}' was requested before the switch began")
+            self._refusals.supersede(
+                self._requested, f"'{mode}' was requested before the switch began"
+            )
         self._requested = mode
 
     def halt(self, source: str, gripper: Array | None = None) -> None:
@@ -155,10 +158,12 @@ class CommandArbiter:
         if gripper is not None:
             reason = check_openings(gripper)
             if reason:
-                self._refuse(source, *reason)
+                self._refusals.note(source, *reason)
                 gripper = None
         if self._requested != HOLD:
-            self._supersede(self._requested, "the arms were halted before the switch began")
+            self._refusals.supersede(
+                self._requested, "the arms were halted before the switch began"
+            )
             self._requested = None
         openings = None if gripper is None else np.array(gripper, dtype=float)
         self._halt = _Halt(source, openings)
@@ -217,15 +222,13 @@ class CommandArbiter:
             driven = driving.tick(mailbox, target, now_s, dt, self.speed, posture, v)
         for execution in self.underway.executions:
             execution.limit_speed(self.speed)
-        refusals = tuple(self._refusals)
-        self._refusals = []
         return ArbiterOutput(
             target.q.copy(),
             driving.gripper.copy(),
             self.state,
             self.source if driven else None,
             switched_to,
-            refusals,
+            self._refusals.take(),
             self.underway.executions,
             halted,
             self.speed,
@@ -244,7 +247,7 @@ class CommandArbiter:
             return False
         for execution in self.underway.executions:
             if execution.why is not None:
-                self._refuse(self.source or HOLD, *execution.why)
+                self._refusals.note(self.source or HOLD, *execution.why)
                 execution.why = None
         target.q, ended = self.underway.follow(target.q)
         return ended
@@ -259,7 +262,7 @@ class CommandArbiter:
         if self._switch is not None:
             if mode == self._switch.mode:
                 return
-            self._supersede(self._switch.mode, f"'{mode}' was requested while settling")
+            self._refusals.supersede(self._switch.mode, f"'{mode}' was requested while settling")
         elif mode == self.source and self.state in _DRIVING:
             return
         self._driving.source = None
@@ -292,7 +295,7 @@ class CommandArbiter:
             self._driving.state = ArbiterState.STOPPED
             fastest = f"fastest joint {speed:.3f} rad/s after {waited_s:.3f} s"
             detail = f"{fastest}; still means below {still_speed} rad/s"
-            self._refuse(switch.mode, "not_still", detail)
+            self._refusals.note(switch.mode, "not_still", detail)
         return None
 
     def _begin_halt(self, target: JointTarget, now_s: float, q: Array, v: Array) -> bool:
@@ -304,9 +307,9 @@ class CommandArbiter:
             self._driving.gripper = halt.gripper
         elif halt.gripper is not None:
             detail = "only the source that drives may move the hands"
-            self._refuse(halt.source, "not_driving", detail)
+            self._refusals.note(halt.source, "not_driving", detail)
         if self._switch is not None:
-            self._supersede(self._switch.mode, "the arms were halted while settling")
+            self._refusals.supersede(self._switch.mode, "the arms were halted while settling")
             self._switch = None
         self.underway.executions = ()
         self._flush(HOLD, now_s)
@@ -322,17 +325,6 @@ class CommandArbiter:
         for listener in self.on_flush:
             listener(mode)
 
-    # Refusals ------------------------------------------------------------------------------------------------
-
     def _mailbox(self, source: str) -> Mailbox:
         check_name("command source", source, SOURCES)
         return self._mailboxes[source]
-
-    def _supersede(self, mode: str | None, detail: str) -> None:
-        if mode is not None:
-            self._refuse(mode, "superseded", detail)
-
-    def _refuse(self, source: str, name: str, detail: str) -> Refusal:
-        refusal = Refusal(source, name, detail)
-        self._refusals.append(refusal)
-        return refusal

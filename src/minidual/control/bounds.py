@@ -26,6 +26,7 @@ _WIDTH_M = 0.1
 """Lateral extent of a link or hand."""
 
 
+# One array an argument: numba unpacks a structure at a cost of a microsecond a call.
 @kernel(types.float64(VIEW, VIEW, VIEW, VECTOR, VIEW, types.boolean, ROWS, ROWS, ROWS))
 def excess(
     q: Array,

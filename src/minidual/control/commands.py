@@ -93,7 +93,7 @@ class ObjectCommand:
 TimedCommand = TrajectoryCommand | ObjectCommand
 Command = JointCommand | TimedCommand
 Reason = tuple[str, str]
-"""Why something is refused: stable name (docs/control.md), and detail with value and bound."""
+"""Why something is refused: stable name (docs/refusals.md), and detail with value and bound."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,30 @@ class Refusal:
     source: str
     name: str
     detail: str
+
+
+class RefusalLog:
+    """Refusals since they were taken last."""
+
+    def __init__(self) -> None:
+        self._refusals: list[Refusal] = []
+
+    def note(self, source: str, name: str, detail: str) -> Refusal:
+        """Add a refusal and return it."""
+        refusal = Refusal(source, name, detail)
+        self._refusals.append(refusal)
+        return refusal
+
+    def supersede(self, mode: str | None, detail: str) -> None:
+        """Add that a requested mode, if any, was overridden by a later request or a halt."""
+        if mode is not None:
+            self.note(mode, "superseded", detail)
+
+    def take(self) -> tuple[Refusal, ...]:
+        """Return the refusals and forget them."""
+        refusals = tuple(self._refusals)
+        self._refusals = []
+        return refusals
 
 
 class ArbiterState(StrEnum):

@@ -52,6 +52,7 @@ class Driving:
         """Return whether the source has been silent for longer than `stale_s`."""
         return now_s - self.alive_s > self._config.stale_s + 1e-9
 
+    # All that one tick knows; none of it is kept.
     def tick(
         self,
         mailbox: Mailbox,

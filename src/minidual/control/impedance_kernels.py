@@ -74,6 +74,7 @@ def hand_wrenches(
     return (plus(half, press), share), (minus(half, press), share)
 
 
+# One array an argument: a structure would cost half of the law's time.
 @kernel(
     types.boolean(
         *(types.Array(from_dtype(LAW), 1, "C"), ROWS, VIEW, ROWS, VIEW, VIEW, _REAL, _REAL),
@@ -156,6 +157,7 @@ def impedance(
     return math.isfinite(push.sum() + qdd.sum())
 
 
+# One array an argument: see `impedance`.
 @kernel(
     types.boolean(
         *(types.Array(from_dtype(HAND_LAW), 1, "C"), HANDS, types.intp, ROWS),

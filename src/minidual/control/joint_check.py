@@ -40,6 +40,7 @@ _DISAGREES = 2
 _FROZEN = 4
 
 
+# One array an argument: see `bounds.excess`.
 @kernel(types.intp(VECTOR, VECTOR, VECTOR, VECTOR, types.float64, VECTOR, ROWS, VECTOR))
 def compare(
     q: Array,

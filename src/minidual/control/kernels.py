@@ -168,6 +168,7 @@ def minimum_jerk(s: float) -> tuple[float, float, float]:
     )
 
 
+# One array an argument: see `bounds.excess`.
 @kernel(types.boolean(POSE, VIEW, VIEW, VIEW, ROWS, VECTOR, VECTOR))
 def adopt(
     T: Array,
@@ -199,6 +200,7 @@ def adopt(
     return True
 
 
+# One array an argument: see `bounds.excess`.
 @kernel(types.void(*[VIEW] * 5, _REAL, VECTOR))
 def servo(q: Array, v: Array, q_ref: Array, v_ref: Array, a_ref: Array, w: float, a: Array) -> None:
     """Fill a (n,) with a_ref + 2 w (v_ref - v) + w^2 (q_ref - q)."""

@@ -92,6 +92,7 @@ def halfway(q: Array, v: Array, step_s: float, last: Array, mean: Array) -> None
 _EXTERNAL, _STEADY, _AWAY, _LATE_S = range(4)
 
 
+# One array an argument: see `bounds.excess`.
 @kernel(types.void(VECTOR, ROWS, VECTOR, VECTOR, VECTOR, VECTOR, ROWS))
 def observe(
     needed: Array,

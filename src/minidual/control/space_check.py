@@ -39,6 +39,7 @@ class Clearance(Protocol):
 class SpaceCheck:
     """Checks that need kinematics; `update` in each tick decides which are due."""
 
+    # Parts that the supervisor shares with its other checks.
     def __init__(
         self,
         config: SupervisorConfig,

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from minidual import emergency
-from minidual.config.control import SPEED_OVERRIDE_MIN, ArbiterConfig
+from minidual.config.control import ArbiterConfig
 from minidual.control.arbiter import ArbiterOutput, CommandArbiter
 from minidual.control.commands import HOLD, ArbiterState, Command, JointCommand, Refusal
 from minidual.control.controller_manager import ControllerSwitchError
@@ -41,6 +41,7 @@ class ControlStack[P: Plant](StackState):
         output: Last output of the arbiter.
     """
 
+    # A plant and its kinematics; the others are options.
     def __init__(
         self,
         plant: P,
@@ -189,24 +190,6 @@ class ControlStack[P: Plant](StackState):
             keeps = np.repeat(keeps_arm, self._robot.dof_per_arm)
             self.arbiter.stand(np.where(keeps, self.output.q_target, q), np.where(keeps, 0.0, v))
         self.manager.switch(names, q, v)
-        self._due = True
-
-    @property
-    def speed_override(self) -> float:
-        """Share of full speed, 0.1 to 1, also in motion.
-
-        Raises:
-            UsageError: When set outside its range.
-        """
-        return self._speed
-
-    @speed_override.setter
-    def speed_override(self, share: float) -> None:
-        if not SPEED_OVERRIDE_MIN <= share <= 1.0:
-            bounds = f"it may be {SPEED_OVERRIDE_MIN} to 1.0"
-            raise UsageError(f"a speed override of {share} is refused; {bounds}")
-        self._speed = float(share)
-        self.arbiter.speed = self._speed
         self._due = True
 
     def halt(self, source: str, gripper: Array | None = None) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from minidual.config.control import ArbiterConfig
+from minidual.config.control import SPEED_OVERRIDE_MIN, ArbiterConfig
 from minidual.control.arbiter import CommandArbiter
 from minidual.control.commands import ArbiterState, Refusal
 from minidual.control.controller_manager import ControllerManager
@@ -10,6 +10,7 @@ from minidual.control.execution import START_RAD_PER_S
 from minidual.control.loop import ControlLoop
 from minidual.control.measurement import Measurement
 from minidual.control.reflexes import ReflexError
+from minidual.errors import UsageError
 from minidual.robot.pair import Array
 
 
@@ -26,6 +27,8 @@ class StackState:
     _stop_ticks: int
     _pending: bool
     _countdown: int
+    _speed: float
+    _due: bool
     arbiter: CommandArbiter
     refusals: list[Refusal]
     refused_n: int
@@ -94,3 +97,21 @@ class StackState:
     def tick_next(self) -> bool:
         """Whether the next `step` has a regular arbiter tick."""
         return self._countdown == 0
+
+    @property
+    def speed_override(self) -> float:
+        """Share of full speed, 0.1 to 1, also in motion.
+
+        Raises:
+            UsageError: When set outside its range.
+        """
+        return self._speed
+
+    @speed_override.setter
+    def speed_override(self, share: float) -> None:
+        if not SPEED_OVERRIDE_MIN <= share <= 1.0:
+            bounds = f"it may be {SPEED_OVERRIDE_MIN} to 1.0"
+            raise UsageError(f"a speed override of {share} is refused; {bounds}")
+        self._speed = float(share)
+        self.arbiter.speed = self._speed
+        self._due = True

@@ -43,6 +43,7 @@ class Supervisor:
             emergency stop still stop the arms.
     """
 
+    # All are options.
     def __init__(
         self,
         config: SupervisorConfig | None = None,
