@@ -1,4 +1,7 @@
-"""The carry stage: what it refuses, what its result depends on, and that the number of processes is not among it."""
+"""The carry stage: its checks, what it refuses, and what its result depends on.
+
+The number of processes does not change the result.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,8 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
 
     context: Any = SimpleNamespace(folder=tmp_path, progress=Progress())
     trials: list[Any] = [0, 1, 2]
-    record_trials(context, Records(), trials, results, {"median": 0, "worst": 0})  # type: ignore[arg-type]
+    bench: Any = Records()
+    record_trials(context, bench, trials, results, {"median": 0, "worst": 0})
     assert written == [
         (1, "trial001.npz"),
         (2, "trial002.npz"),
@@ -93,7 +97,7 @@ def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Pat
         (0, "worst.npz"),
     ]
     written.clear()
-    record_trials(context, Records(), trials, results, {"median": 1, "worst": 2})  # type: ignore[arg-type]
+    record_trials(context, bench, trials, results, {"median": 1, "worst": 2})
     assert written == [(1, "median.npz"), (2, "worst.npz")]
 
 
@@ -121,7 +125,7 @@ def released() -> Iterator[None]:
 
 @pytest.mark.usefixtures("released")
 class TestEmergencyStop:
-    """A trial that it cut short has no result: the command ends as interrupted, not with a failed trial."""
+    """A trial that it cut short has no result: the command ends as interrupted."""
 
     CONFIG = Config()
     INPUTS = MethodInputs(CONFIG, 3)

@@ -135,7 +135,7 @@ def test_held_out_starts_are_none_of_the_demonstrations(monkeypatch: pytest.Monk
         starts.training[0].start
         == make_task(config).trial(7, PURPOSE, 4, widen=config.teleop.widen).start
     )
-    # The control: drawn from the demonstrations' stream, the starts 0 and 1 were seen, whatever their width.
+    # The control: drawn from the demonstrations' stream, the starts 0 and 1 are seen at any width.
     monkeypatch.setattr(deploy_stage, "HELD_OUT", PURPOSE)
     assert deploy_starts(config, 7, [4, 0, 1]).seen_n == 2
 

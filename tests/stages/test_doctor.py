@@ -1,4 +1,4 @@
-"""`minidual doctor` names each fault with its remedy, looks at every part whatever the others say, and can say no."""
+"""`minidual doctor` names each fault with its remedy, and looks at every part."""
 
 from __future__ import annotations
 

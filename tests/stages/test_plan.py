@@ -245,7 +245,10 @@ def test_repeats_tells_the_difference(outcomes):
 
 
 def test_whether_the_line_is_blocked_is_measured(outcomes):
-    """Of one query with and without its obstacles; and towards the posture that the planner reached, not the drawn one."""
+    """Of one query with and without its obstacles.
+
+    The line leads to the posture that the planner reached, not to the drawn one.
+    """
     planner = Planner()
     query = outcomes[0].query
     assert query.kind == "past_obstacle"
@@ -327,7 +330,10 @@ def test_queries_are_what_they_say(group):
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_queries_are_hard_as_their_kind_says(group):
-    """Asked of coal, which the generator does not use: without what makes the query hard the line is freer."""
+    """Without what makes the query hard, the line is freer.
+
+    Coal is asked, which the generator does not use.
+    """
     generator = QueryGenerator(12)
     for index in range(2):
         query = generator.query(group, index)
@@ -366,7 +372,10 @@ def test_stored_queries_are_those_of_the_generator():
 
 @pytest.mark.parametrize("seed", [20260, 20261])
 def test_stored_witnesses_prove_their_queries_feasible(seed):
-    """A way exists: every 0.002 rad along the witness both engines see nothing. A spoiled witness does not pass."""
+    """Every 0.002 rad along the witness both engines see no contact.
+
+    A spoiled witness does not pass.
+    """
     known = stored_set(seed)
     assert all(len(known[group][0]) == 100 for group in GROUPS)
     for group, index in (("left_arm", 1), ("right_arm", 50), ("both_arms", 99)):

@@ -1,6 +1,7 @@
 """The limits that depend on how fast or busy the machine is: baselines that a slow machine meets.
 
-Every other wall time and rate (`replan_p99_s`, `latency.wall_median_us`, `train_s`, ...) is reported without a limit.
+Every other wall time and rate is reported without a limit: `replan_p99_s`, `train_s`,
+`latency.wall_median_us` and others.
 """
 
 import pytest

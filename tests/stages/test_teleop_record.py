@@ -1,4 +1,7 @@
-"""Recording to files: the checks can fail, the files repeat, and a killed recording leaves whole episodes only."""
+"""Recording to files: its checks can fail, and the files repeat.
+
+A killed recording leaves whole episodes only.
+"""
 
 from __future__ import annotations
 
@@ -139,7 +142,10 @@ def test_episodes_take_turns_in_the_rooms(
     shared_model: None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Each episode is led in a room of its own, the same for the same trial; afterwards the model is as before."""
+    """Each episode is led in a room of its own, the same for the same trial.
+
+    Afterwards the model has its own look again.
+    """
     job = dataclasses.replace(_job(tmp_path), rooms=rooms(["clean", "room"]))
     rig = Rig(job, ())
     look = lambda: (rig.world.model.geom_rgba.copy(), rig.world.model.cam_pos.copy())  # noqa: E731
@@ -561,8 +567,8 @@ def test_a_recording_of_other_inputs_is_set_aside_and_named(tmp_path: Path, toys
     left.touch()
     note = claim(folder, {"seed": 1, "code": {"a": "2"}}, "old")
     assert (
-        "demonstrations so far: 0; removed .episode_000009.hdf5.999999999.partial, which is half-written"
-        in note
+        "demonstrations so far: 0; "
+        "removed .episode_000009.hdf5.999999999.partial, which is half-written" in note
     )
     assert not left.exists()
 
@@ -593,7 +599,10 @@ def test_a_recording_depends_on_the_planner_of_its_leader(tmp_path: Path) -> Non
     assert "with other inputs (plan.planner)" in claim(tmp_path, recording_inputs(other), "old")
 
 
-_TYPED = "teleop-record --profile smoke --episodes 3 --workers 1 --set teleop.episodes_per_min=0 --waive-gate toy --runs-dir"
+_TYPED = (
+    "teleop-record --profile smoke --episodes 3 --workers 1 "
+    "--set teleop.episodes_per_min=0 --waive-gate toy --runs-dir"
+)
 
 
 def _wait_for(folder: Path, pattern: str) -> None:

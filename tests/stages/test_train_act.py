@@ -131,7 +131,10 @@ def test_a_checkpoint_is_judged_as_it_predicts(
 
 
 class Stage:
-    """Runs of train-act in one run folder, interrupted when training number `stop_in` is exercised (0: not)."""
+    """Runs of train-act in one run folder.
+
+    A run is interrupted when training number `stop_in` is exercised (0: not).
+    """
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder = folder
@@ -193,7 +196,7 @@ def test_every_interrupted_seed_goes_on_and_nothing_is_left(stage: Stage) -> Non
 
 @pytest.mark.torch
 def test_progress_of_other_settings_is_kept_in_the_run_for_every_seed(stage: Stage) -> None:
-    """That of the second seed was moved into a folder that the stage deletes, or moved with that of the first."""
+    """The progress of each seed is a file of its own in `set-aside`."""
     with pytest.raises(KeyboardInterrupt):
         stage.run(stop_in=2, seeds_n=2)
     notes = stage.run(seeds_n=2, learning_rate=0.01).notes

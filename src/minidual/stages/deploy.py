@@ -96,7 +96,7 @@ def recorded_task(recorded: Path) -> str:
 
 
 def run(context: StageContext) -> StageResult:
-    """Run every trained policy on held-out and training starts; film one success and one failure."""
+    """Run every trained policy on every set of trials; film one success and one failure."""
     config = context.config
     trained = context.upstream["train-act"]
     checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
@@ -219,7 +219,7 @@ def _goal_error_checks(task: Task, results: Sequence[TrialMetrics]) -> list[Chec
 
 
 def _looks_check(context: StageContext, checkpoint: Path, trial: Trial) -> Check:
-    """Cover patches of each picture, draw how far the joint targets change, and return the check."""
+    """Cover patches of each picture, and draw how far the joint targets change."""
     config = context.config
     bench = Bench(METHOD, MethodInputs(config, context.seed, checkpoint))
     runtime = load_runtime(checkpoint, config.deploy, bench.world.robot)

@@ -1,7 +1,7 @@
 """Functions of stages and tools, imported when a command needs them.
 
-`minidual status` reads the table of stages in a fraction of a second. Planner, simulator and learning
-take seconds to import.
+`minidual status` reads the table of stages in a fraction of a second. Planner, simulator and
+learning take seconds to import.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""`minidual plan`: seeded queries for three groups, planned, timed and proven, and moves of a held object."""
+"""`minidual plan`: seeded queries for three groups, and moves of a held object.
+
+All are planned, timed and proven.
+"""
 
 import dataclasses
 from collections.abc import Sequence

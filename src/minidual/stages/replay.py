@@ -105,7 +105,7 @@ def _pictures(options: Mapping[str, Any]) -> _Pictures:
     """Return what the options ask for.
 
     Raises:
-        UsageError: A value is out of bounds, a file cannot be written, or options do not go together.
+        UsageError: A value is out of bounds, a file cannot be written, or an option needs another.
     """
     camera = options.get("camera", "overview")
     check_name("camera", camera, CAMERAS)

@@ -218,7 +218,7 @@ def _record_dataset(
         if note:
             context.progress.note(note)
     with closing(demonstrations.paths()) as coming:  # an interruption ends the workers here
-        # A person does not wait between two episodes: all are recorded before the first is converted.
+        # A person does not wait between two episodes: conversion begins after the last.
         paths = iter(list(coming)) if leader.realtime else coming
         first = next(paths, None)
         if first is None:

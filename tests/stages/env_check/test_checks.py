@@ -1,4 +1,4 @@
-"""The checks of `env-check`: sound measurements pass, and each that is broken fails its own check."""
+"""The checks of `env-check`: sound measurements pass, a broken one fails its own check."""
 
 from dataclasses import replace
 
