@@ -76,6 +76,15 @@ def test_a_plan_prints_its_summary_and_writes_its_files(run, tmp_path):
     assert np.allclose(document["q_goal_rad"], HOME)
 
 
+def test_a_plan_timed_by_toppra_says_what_is_not_limited(run):
+    words = ("--to", "ready", "--set", "plan.planner.timing=toppra")
+    code, out, _ = run(*words)
+    assert code == 0
+    assert "not limited   jerk, torque rate" in out
+    _, out, _ = run(*words, "--json")
+    assert json.loads(out)["proof"]["reported_only"] == ["jerk", "torque_rate"]
+
+
 def test_the_same_seed_gives_the_same_plan(run):
     words = (
         "--scene",
@@ -96,6 +105,7 @@ def test_the_same_seed_gives_the_same_plan(run):
     ("words", "says"),
     [
         (("--to", "redy"), "did you mean 'ready'?"),
+        (("--to", "ready", "--set", "plan.planner.timing=topra"), "did you mean 'toppra'?"),
         (("--to", "ready", "--group", "both"), "no group 'both'"),
         (("--to", "ready", "--from", "nowhere.yaml"), "there is no file nowhere.yaml"),
         (("--to", "ready", "--scene", "nowhere.yaml"), "nowhere.yaml"),

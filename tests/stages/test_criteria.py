@@ -38,6 +38,7 @@ REPORTED = {
         "replan_p99_s",
         "core_share",
         "line_blocked_rate",
+        "timing.own_to_toppra",
         "closed_chain.time_median_s",
     ],
     "carry": [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from minidual.collision.engines import CoalEngine, MujocoEngine
-from minidual.collision.errors import PlanningError
+from minidual.collision.errors import PlanningError, TimingError
 from minidual.collision.scene import PlanningScene
 from minidual.config.loader import load_config
 from minidual.config.planning import HeldMovesConfig, PlanConfig, PlannerConfig
@@ -33,6 +33,7 @@ from minidual.trials.planning.queries import (
     stored_query,
     stored_set,
 )
+from minidual.trials.planning.retiming import retime
 from scripts.make_query_set import is_free, witness
 from tests.support.panda import GROUPS
 
@@ -84,6 +85,10 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
         "proof.audit_collisions",
         "left_arm.replan_p99_s",
     } <= names
+    ratio = next(c for c in result.checks if c.name == "timing.own_to_toppra")
+    assert ratio.limit is None
+    assert 1.0 < ratio.observed < 1.5
+    assert "median duration of 6 planned paths" in ratio.why
     assert len((folder / "queries_second_seed.csv").read_text().splitlines()) == 4
     for row in rows:
         assert int(row["audited_n"]) > 100
@@ -226,6 +231,19 @@ def test_common_checks_can_fail(outcomes):
     assert common(audited, agreement=float("nan")) == {"engines.agreement"}
     assert common(audited, repeatable=False) == {"repeatable"}
     assert common(audited, failed_n=1) == {"closed_chain.carries_rate"}
+
+
+def test_paths_that_no_engine_can_time_are_named(outcomes, monkeypatch):
+    done = {"left_arm": [outcomes[0]]}
+    assert len(retime(CONFIG, done).ratios) == 1
+
+    def fails(*_):
+        raise TimingError("no time law")
+
+    monkeypatch.setattr("minidual.trials.planning.retiming.duration_ratio", fails)
+    retiming = retime(CONFIG, done)
+    assert np.isnan(retiming.median)
+    assert retiming.failures == ["a path of left_arm could not be timed again: no time law"]
 
 
 def test_failed_query_keeps_its_reason(outcomes):

@@ -20,6 +20,7 @@ from minidual.show.planning import Outcomes, play_queries, write_paths
 from minidual.show.view.overlay import Overlay
 from minidual.show.watch import watched
 from minidual.skills.held_execution import DrivenMove, execute
+from minidual.stages import plan_criteria as criteria
 from minidual.stages.plan_checks import (
     CARRIES_N,
     Moves,
@@ -30,6 +31,7 @@ from minidual.stages.plan_checks import (
 from minidual.trials.planning import evaluate, held_evaluate
 from minidual.trials.planning.evaluate import QueryOutcome
 from minidual.trials.planning.held_evaluate import MoveOutcome
+from minidual.trials.planning.retiming import retime
 
 _JSON_EVERY = 10
 """Samples of a trajectory between two in its JSON."""
@@ -45,6 +47,7 @@ def run(context: StageContext) -> StageResult:
     agreement = evaluate.engine_agreement(scene, config.agreement_states_n, context.seed)
     repeatable = all(evaluate.repeats(config, outcomes[0]) for outcomes in first.values())
     failed_carries = evaluate.failed_carries(context.config, CARRIES_N)
+    retiming = retime(context.config, first)
     held = run_held(context)
     robot = robot_from(context.config.robot)
     _write_queries(context, first, second)
@@ -62,6 +65,7 @@ def run(context: StageContext) -> StageResult:
             len(failed_carries),
             config,
         ),
+        criteria.OWN_TO_TOPPRA.report(retiming.median, paths_n=len(retiming.ratios)),
         *held_checks(held.outcomes, held.driven, config),
     ]
     executions = [dataclasses.asdict(drive) for drive in held.driven]
@@ -72,6 +76,7 @@ def run(context: StageContext) -> StageResult:
             *failure_notes("first", first),
             *failure_notes("second", second),
             *failed_carries,
+            *retiming.failures,
             *held.notes,
         ],
     )

@@ -88,6 +88,11 @@ REPEATABLE = Criterion(
     why="the same query and seed must give the same trajectory, bit for bit",
     remedy="set OMP_NUM_THREADS=1; a planner or optimiser that reads the clock cannot be repeated",
 )
+OWN_TO_TOPPRA = Criterion(
+    "timing.own_to_toppra",
+    why="median duration of {paths_n} planned paths by `own`, in shares of toppra's, which limits "
+    "neither jerk nor the rate of torque",
+)
 CARRIES_RATE = Criterion(
     "closed_chain.carries_rate",
     ">=",

@@ -183,6 +183,10 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
     }
     of_limits = ", ".join(f"{name} {ratio:.0%}" for name, ratio in ratios.items())
     motion = f"{result.trajectory.duration_s:.3f} s of motion"
+    not_limited: list[str] = []
+    if proof.reported_only:
+        names = ", ".join(name.replace("_", " ") for name in proof.reported_only)
+        not_limited = [f"  not limited   {names}: the timing engine does not keep them"]
     return [
         f"{title}: {motion}, planned and proven in {planned_ms:.1f} ms",
         "  (the first plan of a process loads compiled code; a planner that stays needs milliseconds)",
@@ -190,6 +194,7 @@ def _lines(title: str, result: PlanResult, clearance: str) -> list[str]:
         f"  way           {way}, {attempts}",
         f"  clearance     {clearance}",
         f"  of limits     {of_limits}",
+        *not_limited,
         f"  joint margin  {proof.limit_margin_rad:.3f} rad",
     ]
 
