@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from minidual.config.control import ImpedanceConfig
 from minidual.config.scene import SceneConfig
-from minidual.control import kernels
+from minidual.control import impedance_kernels
 from minidual.control.gripper import pinch_force
 from minidual.control.impedance import (
     HeldObject,
@@ -250,7 +250,7 @@ class TestGrasp:
         G = oracle.grasp_matrix(r_l, r_r)
         plain = np.linalg.pinv(G) @ w + oracle.split(G, f_int)[1]
         f = np.ravel(
-            kernels.hand_wrenches(
+            impedance_kernels.hand_wrenches(
                 tuple(force),
                 tuple(moment),
                 tuple(r_l),
@@ -270,7 +270,9 @@ class TestGrasp:
         squeeze: np.ndarray,
     ) -> None:
         f = np.ravel(
-            kernels.hand_wrenches((0.0,) * 3, (0.0,) * 3, tuple(r_l), tuple(r_r), tuple(squeeze)),
+            impedance_kernels.hand_wrenches(
+                (0.0,) * 3, (0.0,) * 3, tuple(r_l), tuple(r_r), tuple(squeeze)
+            ),
         )
         assert np.abs(oracle.grasp_matrix(r_l, r_r) @ f).max() < 1e-9
 

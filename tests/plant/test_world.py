@@ -198,7 +198,8 @@ class TestContacts:
             for _ in range(400):
                 stiff = loop.controller.torque(world.q, world.v, q, zero, zero)
                 # Joint stiffness holds the pose; it shares the push with the rod.
-                world.command(stiff + tau, loop.grippers.step(np.zeros(2)))
+                fingers_m = loop.grippers.step(np.zeros(2), world.fingers, world.grip)
+                world.command(stiff + tau, fingers_m)
                 world.step()
             readings[push] = world.truth().internal_force()
         assert readings[15.0] > 3.0
