@@ -42,9 +42,8 @@ def freeze(plant: Arms, joints: Array, *, velocities: str) -> None:
     plant.lies["v"] = lambda true: np.where(joints, v, true)
 
 
-@pytest.mark.parametrize("velocities", ["zero", "kept"])
+@pytest.mark.parametrize(("velocities", "pressed"), [("zero", True), ("kept", False)])
 @pytest.mark.parametrize("joints", FROZEN)
-@pytest.mark.parametrize("pressed", [True, False])
 def test_joints_that_freeze_in_motion_come_to_rest_nearby(
     scene: SceneConfig,
     joints: str,
@@ -61,12 +60,12 @@ def test_joints_that_freeze_in_motion_come_to_rest_nearby(
         stack.supervisor.estop()
     fastest = 0.0
     farthest = 0.0
-    for _ in range(3000):
+    for _ in range(2000):
         run(stack, 1)
-        fastest = max(fastest, float(np.abs(plant.__dict__["v"]).max()))
-        farthest = max(farthest, float(np.abs(plant.__dict__["q"] - began).max()))
+        fastest = max(fastest, float(np.abs(plant.true_v).max()))
+        farthest = max(farthest, float(np.abs(plant.true_q - began).max()))
     assert stack.reflex is not None
-    assert np.abs(plant.__dict__["v"]).max() < 0.05
+    assert np.abs(plant.true_v).max() < 0.05
     assert fastest < speed + 0.5
     assert farthest < 0.25
 
@@ -83,7 +82,7 @@ def test_without_brakes_frozen_joints_would_drift(
     freeze(plant, FROZEN["both arms"], velocities="zero")
     stack.supervisor.estop()
     run(stack, 3000)
-    assert np.abs(plant.__dict__["q"] - began).max() > 0.25
+    assert np.abs(plant.true_q - began).max() > 0.25
 
 
 def test_readings_that_return_in_a_stop_are_not_used_before_a_recovery(scene: SceneConfig) -> None:

@@ -197,7 +197,6 @@ def test_a_clock_that_fails_is_a_soft_stop(plant: FailingPlant, what: str) -> No
 def test_a_dead_source_is_noticed_on_a_clock_below_zero(scene: SceneConfig) -> None:
     plant = Arms(scene)
     plant.lies["time"] = lambda t: t - 100.0
-    plant.lies["stamp_s"] = lambda t: t - 100.0
     stack = supervised(plant)
     hand_over(stack, "moveit")
     stack.propose("moveit", trajectory(stack, move(HOME, HOME + 0.4, 0.8)))

@@ -187,7 +187,7 @@ class Driver:
     @property
     def v(self) -> Array:
         """What the sensors do not tell: the true velocities."""
-        return self.plant.__dict__["v"]
+        return self.plant.true_v
 
     def excuse(self, arm: int) -> None:
         """Let an arm pass its speed limits for a while."""
@@ -301,7 +301,7 @@ class Driver:
             self.plant.lies.clear()
             self.distance = lambda q: ("a with b", 1.0)
             refused = self._try(self.stack.recover)
-            if refused:  # so that no joint loses a second sensor: then only the model holds it
+            if refused:
                 self.plant.lies.update(broken)
         else:
             refused = self._try(self.stack.recover)
@@ -352,16 +352,16 @@ class Driver:
             stack.affirm(stack.source)
             self.tick()
             if k % 20 == 0:
-                pair, distance, bound = self.clearance(self.plant.__dict__["q"])
+                pair, distance, bound = self.clearance(self.plant.true_q)
                 assert distance > bound - 0.004, f"{pair}: {distance:.4f} m"
 
     def grip(self) -> None:
         """Both hands feel something between their fingers; then it is gone, or their drives fail."""
         plant = self.plant
-        for plant.grip, plant.limp in (
-            (np.full(2, 60.0), False),
-            (np.zeros(2), self.rng.random() < 0.7),
-        ):
+        fails = self.rng.random() < 0.7
+        for grip_n, limp in ((60.0, False), (0.0, fails)):
+            plant.grip = np.full(2, grip_n)
+            plant.limp = limp
             for _ in range(30):
                 self.tick()
         plant.limp = False
@@ -432,7 +432,7 @@ class Driver:
         )
 
     def freeze(self) -> None:
-        """Freeze all positions, or all velocities: an arm that has lost both can only be held by its model."""
+        """Freeze all positions, or all velocities."""
         row = "qv"[self.rng.integers(2)]
         if not self.plant.lies:  # one sensor at a time
             kept = getattr(self.plant, row).copy()
@@ -469,28 +469,22 @@ class Driver:
         return False
 
 
+def _named(*names: str) -> dict[str, Any]:
+    return {name: getattr(Driver, name) for name in names}
+
+
 RARE: dict[str, Any] = {
-    **{name: getattr(Driver, name) for name in ("request", "switch", "halt", "estop", "recover")},
-    **{
-        name: getattr(Driver, name)
-        for name in ("blind", "freeze", "clock", "fail", "silence", "listener")
-    },
-    **{name: getattr(Driver, name) for name in ("push", "grip", "bias")},
-    **{name: getattr(Driver, name) for name in ("override", "dive")},
+    **_named("request", "switch", "halt", "estop", "recover"),
+    **_named("blind", "freeze", "clock", "fail", "silence", "listener"),
+    **_named("push", "grip", "bias", "override", "dive"),
     "dive again": Driver.dive,
     "push again": Driver.push,
     "ask": Driver.request,
     "ask again": Driver.request,
     "recover again": Driver.recover,
 }
-FAST: dict[str, Any] = {
-    name: getattr(Driver, name) for name in ("dive", "override", "request", "halt", "recover")
-}
-WRONG: dict[str, Any] = {
-    name: getattr(Driver, name) for name in ("glitch", "request", "recover", "override", "halt")
-}
+FAST = _named("dive", "override", "request", "halt", "recover")
+WRONG = _named("glitch", "request", "recover", "override", "halt")
 WRONG |= {"glitch again": Driver.glitch, "glitch anew": Driver.glitch}
-FLAKY: dict[str, Any] = {
-    name: getattr(Driver, name) for name in ("flaky", "request", "recover", "override", "halt")
-}
+FLAKY = _named("flaky", "request", "recover", "override", "halt")
 FLAKY |= {"flaky again": Driver.flaky, "flaky anew": Driver.flaky}
