@@ -56,9 +56,15 @@ STILL_TICKS = 100
 EXCUSED_S = 0.2
 HANDS = ("left_hand", "right_hand")
 SETS = (
-    *(("both_arms",), ("left_arm", "right_arm"), OBJECT_CONTROLLERS, OBJECT_CONTROLLERS),
-    *(HANDS, ("left_arm", "right_hand"), ("left_hand", "right_arm")),
-    *(("left_arm",), ("left_arm", "left_hand", "right_arm")),  # refused
+    ("both_arms",),
+    ("left_arm", "right_arm"),
+    OBJECT_CONTROLLERS,
+    OBJECT_CONTROLLERS,
+    HANDS,
+    ("left_arm", "right_hand"),
+    ("left_hand", "right_arm"),
+    ("left_arm",),  # refused, as the next one
+    ("left_arm", "left_hand", "right_arm"),
 )
 GROUPS = ("both_arms", "both_arms", "left_arm", "right_arm")
 
