@@ -102,6 +102,19 @@ def test_readings_that_return_in_a_stop_are_not_used_before_a_recovery(scene: Sc
     assert run(stack, 200) == []
 
 
+def test_a_recovery_that_is_refused_trusts_no_blind_joint(scene: SceneConfig) -> None:
+    plant = Arms(scene)
+    stack = in_motion(plant, 350)
+    freeze(plant, FROZEN["one joint"], velocities="kept")
+    run(stack, 20)
+    assert stack.measurement.blind[1]
+    plant.lies.clear()
+    with pytest.raises(UsageError, match="while they move"):
+        stack.recover()
+    run(stack, 1)
+    assert stack.measurement.blind[1]
+
+
 def test_arms_without_new_readings_stop_and_are_braked(scene: SceneConfig) -> None:
     plant = Arms(scene)
     stack = in_motion(plant, 350)

@@ -91,8 +91,9 @@ class ControlLoop:
         Raises:
             UsageError: The arms move, or are not measured.
         """
-        measurement = self.reader.reset()
+        measurement = self.reader.first()
         self._check_rest(measurement, "control starts at rest", remedy="stop them first")
+        self.reader.begin(measurement)
         self._measurement: Measurement | None = measurement
         self._v_last = measurement.v
         self.grippers.reset(measurement.fingers_m, measurement.grip_n)
@@ -120,15 +121,16 @@ class ControlLoop:
         Raises:
             UsageError: The arms move or are not measured, or the plant reports a fault.
         """
-        measurement = self.reader.reset()
+        measurement = self.reader.first()
         remedy = "go on with step() until they rest"
         self._check_rest(measurement, "the arms may not recover while they move", remedy=remedy)
-        self._measurement = measurement
-        self._v_last = measurement.v
         active = DEFAULT_CONTROLLERS if self.grippers.fault else self.manager.active
         self.manager.switch(active, measurement.q, measurement.v)
         for name in self.manager.active:  # first: what fails leaves the stop latched
             self.manager[name].activate(measurement.q, measurement.v)
+        self.reader.begin(measurement)
+        self._measurement = measurement
+        self._v_last = measurement.v
         self._plant.brake(())
         self.manager.fade_left = 0  # from torques that were never applied
         if self.reflex is not None and self.reflex.reflex.name == "gripper_opened":

@@ -92,7 +92,7 @@ def _array(x: Array, n: int) -> Array:
 
 
 class Reader:
-    """Makes the measurements of a plant; `reset` comes first."""
+    """Makes the measurements of a plant; `begin` comes first."""
 
     def __init__(self, plant: Plant, config: SupervisorConfig) -> None:
         self._plant = plant
@@ -105,8 +105,8 @@ class Reader:
         """Ticks that came more than half a period late."""
         self._last: Measurement
 
-    def reset(self) -> Measurement:
-        """Forget the past; return the first measurement.
+    def first(self) -> Measurement:
+        """Return a measurement to begin with; it changes nothing before `begin`.
 
         Raises:
             UsageError: The plant is ill, or its joints or hands are not measured.
@@ -129,15 +129,27 @@ class Reader:
         if not abs(time_s - stamp_s) <= self.age_max_s + 1e-9:
             age = f"the measurements are {time_s - stamp_s:.3f} s old; limit {self.age_max_s} s"
             raise UsageError(age, remedy="see that the plant delivers its state")
-        self._check.reset()
-        self._check.begin(q, v)
-        self._hands_silent_s = 0.0
-        blind = self._check.blind
+        blind = np.zeros(self._dof, dtype=bool)
         period_s = 0.0
-        self._last = Measurement(
-            time_s, period_s, stamp_s, self._plant.dt, q, v, fingers_m, grip_n, blind, None
-        )
-        return self._last
+        fresh_s = self._plant.dt
+        return Measurement(time_s, period_s, stamp_s, fresh_s, q, v, fingers_m, grip_n, blind, None)
+
+    def begin(self, first: Measurement) -> None:
+        """Forget the past, and all blind joints; go on from a first measurement."""
+        self._check.reset()
+        self._check.begin(first.q, first.v)
+        self._hands_silent_s = 0.0
+        self._last = first
+
+    def reset(self) -> Measurement:
+        """Begin now; return the first measurement.
+
+        Raises:
+            UsageError: See `first`.
+        """
+        first = self.first()
+        self.begin(first)
+        return first
 
     def read(self, applied: Array, needed: Array) -> Measurement:
         """Return the measurement of this tick.
