@@ -83,7 +83,7 @@ def test_a_repeated_request_of_who_drives_takes_back_no_hold(plant: Arms) -> Non
     assert stack.source is None
 
 
-@pytest.mark.parametrize("wrong", [np.nan, 2.0, 1000.0])
+@pytest.mark.parametrize("wrong", [np.nan, 1000.0])
 def test_one_wrong_velocity_at_a_switch_sends_the_arms_nowhere(plant: Arms, wrong: float) -> None:
     stack = supervised(plant)
     hand_over(stack, "teleop", HANDS)
