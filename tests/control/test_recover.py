@@ -349,14 +349,17 @@ def test_an_emergency_stop_stops_fingers_on_their_way_until_a_recovery(
         hand_over(stack, "moveit")
     openings = np.full(2, 0.0 if closes else 1.0)
     assert stack.propose("moveit", trajectory(stack, still, 2, gripper=openings)) is None
-    run(stack, 200)
+    run(stack, 200 if closes else 400)
     began_m = world.fingers.copy()
-    assert (began_m > 0.01).all()
-    assert (began_m < 0.039).all()
+    assert (began_m > 0.005).all()
+    assert (began_m < 0.035).all()
     stack.supervisor.estop()
     assert run(stack, 800) == ["emergency_stop"]
     assert np.abs(world.fingers - began_m).max() < 0.003
     assert world.grip.max() < 5.0
     stack.recover()
     run(stack, 800)
-    assert np.abs(world.fingers - 0.04 * openings).max() < 0.0011, "what was commanded goes on"
+    if closes:  # what was commanded goes on
+        assert world.fingers.max() < 0.001
+    else:
+        assert world.fingers.min() > 0.039
