@@ -12,10 +12,15 @@ from minidual.tasks.judge import Judge
 from minidual.tasks.task import Task, Trial
 from minidual.trials.metrics import TrialMetrics
 
-_SENSED = (
-    "pose_noise_m pose_noise_rad pose_rate_hz force_noise_n delay_s force_filter_s grasp_memory_s"
+PERFECT_SENSING = SensingConfig(
+    pose_noise_m=0.0,
+    pose_noise_rad=0.0,
+    pose_rate_hz=1000.0,
+    force_noise_n=0.0,
+    delay_s=0.0,
+    force_filter_s=0.0,
+    grasp_memory_s=0.0,
 )
-PERFECT_SENSING = SensingConfig(**dict.fromkeys(_SENSED.split(), 0.0) | {"pose_rate_hz": 1000.0})
 
 
 def carry_task(scene: SceneConfig) -> Task:

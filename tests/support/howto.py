@@ -20,16 +20,20 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def blocks(page: str, language: str = "python") -> list[str]:
-    """Return the fenced blocks of one language in docs/<page>, in order; none is an error."""
+    """Return the fenced blocks of one language in docs/<page>, in order.
+
+    Raises:
+        ValueError: There is none.
+    """
     text = (DOCS / page).read_text(encoding="utf-8")
-    found = re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    if not found:
+    texts = re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    if not texts:
         raise ValueError(f"docs/{page} holds no {language} block")
-    return found
+    return texts
 
 
 def distribution(folder: Path, name: str, modules: dict[str, str], toml: str) -> dict[str, str]:
-    """Lay out an installed distribution in a folder and return the environment in which Python finds it.
+    """Lay out an installed distribution, and return the environment in which Python finds it.
 
     Args:
         folder: Empty folder.
@@ -57,7 +61,10 @@ def distribution(folder: Path, name: str, modules: dict[str, str], toml: str) ->
 
 @contextmanager
 def program(page: str, table: Registry[Any], folder: Path) -> Iterator[dict[str, Any]]:
-    """Install the module that a page prints first as its pyproject.toml says, run the program after it; its names."""
+    """Install the module that a page prints first, run the program after it; yield its names.
+
+    It is installed as the page's pyproject.toml says.
+    """
     (module, text) = blocks(page)
     (toml,) = blocks(page, "toml")
     name = tomllib.loads(toml)["project"]["name"].replace("-", "_")
@@ -75,7 +82,7 @@ def installed(
     modules: dict[str, str],
     toml: str,
 ) -> Iterator[None]:
-    """Install a distribution in this process: its row is in the table, found by its entry point, until the end."""
+    """Install a distribution in this process: until the end its entry point adds a row."""
     distribution(folder, name, modules, toml)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))

@@ -10,7 +10,7 @@ from minidual.plant.world import World
 
 def put_at(world: World, name: str | None, pose: ObjectPose) -> None:
     """Put an object at a pose, at rest."""
-    found = world.truth(name)
-    found.put(pose)
-    found.qvel[:] = 0.0
+    item = world.truth(name)
+    item.put(pose)
+    item.qvel[:] = 0.0
     mujoco.mj_forward(world.model, world.data)
