@@ -1,4 +1,4 @@
-"""What surrounds the law: a tick of the supervisor alone, and a whole step of a trial of each task."""
+"""What surrounds the law: a tick of measurement and supervisor alone, and a whole step of a trial of each task."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from minidual.config.root import changed
 from minidual.control.joint_control import ComputedTorque
+from minidual.control.measurement import Reader
 from minidual.control.supervisor import Supervisor
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -27,7 +28,7 @@ BLOCK = 50
 STEP_RATIO_MAX = 3.0
 """A whole step of a trial over bare physics."""
 TICK_RATIO_MAX = 0.5
-"""A tick of the supervisor over bare physics, its median."""
+"""A tick of measurement and supervisor over bare physics, its median."""
 MEAN_RATIO_MAX = 0.75
 """The same, its mean: some ticks look at distances, which takes longer."""
 WATCHED_RATIO_MAX = 1.0
@@ -66,14 +67,14 @@ def measure(inputs: BenchInputs) -> BenchTable:
     watched = trial_supervisor(inputs.config.supervisor, world.dt, world.robot)
     rows = [
         tick(
-            "supervisor: joints and hands",
+            "measurement and supervisor: joints and hands",
             world,
             Supervisor(),
             {"ratio": TICK_RATIO_MAX, "mean_ratio": MEAN_RATIO_MAX},
             inputs.repeats_n,
         ),
         tick(
-            "supervisor: and stopping distances",
+            "measurement and supervisor: and stopping distances",
             world,
             watched,
             {"mean_ratio": WATCHED_RATIO_MAX},
@@ -85,7 +86,7 @@ def measure(inputs: BenchInputs) -> BenchTable:
     for task, method in itertools.product(TASKS, _METHODS):
         rows += trial_rows(task, method, inputs)
     return BenchTable(
-        f"The supervisor's tick and a trial's whole step beside bare mj_step, in turns of {BLOCK}",
+        f"The tick of measurement and supervisor, and a trial's whole step beside bare mj_step, in turns of {BLOCK}",
         COLUMNS,
         tuple(rows),
         (
@@ -103,21 +104,26 @@ def tick(
     limits: dict[str, float],
     steps_n: int,
 ) -> BenchRow:
-    """Time `guard` on arms that swing."""
+    """Time the checks of measurement and torques on arms that swing."""
     controller = ComputedTorque(Kinematics(world.robot))
     bare = _BarePhysics(world)
     world.reset(sine_reference(world.robot, _SWING_RAD, _SWING_HZ, 0.0)[0])
+    reader = Reader(world, supervisor.config)
+    measurement = reader.reset()
+    applied = np.zeros(world.robot.dof)
     times = Times()
     for k in range(steps_n):
-        q = world.q
-        v = world.v
         reference = sine_reference(world.robot, _SWING_RAD, _SWING_HZ, world.time)
-        tau = controller.torque(q, v, *reference)
+        tau = controller.torque(measurement.q, measurement.v, *reference)
         began = time.perf_counter_ns()
-        tau = supervisor.guard(world.time, q, v, tau)
-        times.own.append(time.perf_counter_ns() - began)
-        world.command(tau, _FINGERS_M)
+        applied = supervisor.guard(measurement, tau, applied)
+        guard_ns = time.perf_counter_ns() - began
+        world.command(applied, _FINGERS_M)
         world.step()
+        began = time.perf_counter_ns()
+        measurement = reader.read(applied, supervisor.observer.needed)
+        read_ns = time.perf_counter_ns() - began
+        times.own.append(guard_ns + read_ns)
         if k % BLOCK == BLOCK - 1:
             times.bare += bare.block()
     return _row(name, times.own, times.bare, limits)

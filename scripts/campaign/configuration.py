@@ -6,7 +6,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -19,15 +19,54 @@ from minidual.config.loader import SHIPPED_FOLDER, LoadedConfig, load_config
 from minidual.config.root import Config
 from minidual.errors import ExitCode, MinidualError
 from minidual.stages.registry import STAGES
-from scripts.campaign.case import Case, Place, Result, command, judge
+from scripts.campaign.case import (
+    Case,
+    Place,
+    Result,
+    command,
+    has_control_characters,
+    has_escapes,
+    judge,
+)
+from scripts.campaign.values import dotted, numbers, places
 
 LIMIT_S = 1.0
 VALUES = (
-    "-1", "0", "-0.0", "1", "2", "0.5", "-1e-9", "1e-300", "1e-30", "1e12", "1e300", "1e999", ".nan", ".inf", "-.inf",
-    "9223372036854775808", "1" * 400, "text", "", "'1'", "null", "true", "[]", "[1, 2]", "[null]", "{}", "{a: 1}",
-    "äöü\u202e\U0001f916", "\x1b[2J", "!!python/object/apply:os.getcwd []",
-)  # fmt: skip
+    "-1",
+    "0",
+    "-0.0",
+    "1",
+    "2",
+    "0.5",
+    "-1e-9",
+    "1e-300",
+    "1e-30",
+    "1e12",
+    "1e300",
+    "1e999",
+    ".nan",
+    ".inf",
+    "-.inf",
+    "9223372036854775808",
+    "1" * 400,
+    "text",
+    "",
+    "'1'",
+    "null",
+    "true",
+    "[]",
+    "[1, 2]",
+    "[null]",
+    "{}",
+    "{a: 1}",
+    "äöü\u202e\U0001f916",
+    "\x1b[2J",
+    "!!python/object/apply:os.getcwd []",
+)
 """What `--set FIELD=` is followed by."""
+_EXTREME = ("1e300", "1e-300", "1e-30")
+_TRACE = Path("/tmp/campaign-was-here")
+"""Exists if a hostile file ran a program."""
 
 
 class _TooLongError(Exception):
@@ -38,48 +77,59 @@ def _too_long(number: int, frame: FrameType | None) -> None:
     raise _TooLongError
 
 
-def leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted path of each value and of each section."""
-    if path:
-        yield ".".join(path)
-    for key, inner in value.items() if isinstance(value, dict) else ():
-        yield from leaves(inner, (*path, key))
-
-
 def override_cases(source: Path) -> Iterator[Case]:
     """One case a field; it tries every value."""
-    for path in leaves(Config().model_dump(mode="json")):
-        yield Case(path, partial(_overrides, path), limit_s=LIMIT_S * len(VALUES) + 10.0)
+    for where in places(Config().model_dump(mode="json")):
+        if all(isinstance(key, str) for key in where):  # items of a list have no name for --set
+            limit_s = LIMIT_S * len(VALUES) + 10.0
+            yield Case(dotted(where), partial(_overrides, dotted(where)), limit_s)
 
 
-def _overrides(path: str, place: Place, result: Result) -> None:
+def _overrides(field: str, place: Place, result: Result) -> None:
     result.count = 0
-    taken: dict[str, LoadedConfig] = {}
+    accepted: dict[str, LoadedConfig] = {}
     for value in VALUES:
         result.count += 1
-        loaded = _load(f"--set {path}={value[:30]}", "standard", [f"{path}={value}"], result)
+        action = f"--set {field}={value[:30]}"
+        loaded = _load(action, "standard", [f"{field}={value}"], result)
         if loaded is not None:
-            taken[value] = loaded
-            _check_taken(f"--set {path}={value[:30]}", loaded, place, result)
-    for value in ("1e300", "1e-300", "1e-30"):
-        if value in taken and isinstance(_value(taken[value], path), float):
-            divisor = value != "1e300" and "0" not in taken and "1" in taken
-            if divisor or value == "1e300":
-                result.forbidden.append(f"a silent pass: {path}={value} is taken")
-    if path.rsplit("_", 1)[-1] in ("share", "fraction") or "rate_min" in path:
-        result.forbidden += [
-            f"a silent pass: {path}={value}, of a rate" for value in ("-1", "2") if value in taken
-        ]
+            accepted[value] = loaded
+            _check_accepted(action, loaded, place, result)
+    for value in _EXTREME:
+        if value in accepted and _must_refuse(field, value, accepted):
+            result.forbidden.append(f"a silent pass: {field}={value} is taken")
+    if _is_rate(field):
+        for value in ("-1", "2"):
+            if value in accepted:
+                result.forbidden.append(f"a silent pass: {field}={value}, of a rate")
 
 
-def _value(loaded: LoadedConfig, path: str) -> Any:
+def _must_refuse(field: str, value: str, accepted: Mapping[str, LoadedConfig]) -> bool:
+    """Return whether an extreme value of a float makes no sense: a huge one, or a tiny divisor."""
+    if not isinstance(_value(accepted[value], field), float):
+        return False
+    is_divisor = "0" not in accepted and "1" in accepted
+    return value == "1e300" or is_divisor
+
+
+def _is_rate(field: str) -> bool:
+    last_word = field.rsplit("_", 1)[-1]
+    return last_word in ("share", "fraction") or "rate_min" in field
+
+
+def _value(loaded: LoadedConfig, field: str) -> Any:
     value: Any = loaded.config
-    for part in path.split("."):
+    for part in field.split("."):
         value = value[part] if isinstance(value, dict) else getattr(value, part)
     return value
 
 
-def _load(what: str, profile: str, overrides: list[str], result: Result) -> LoadedConfig | None:
+def _load(
+    action: str,
+    profile: str,
+    overrides: list[str],
+    result: Result,
+) -> LoadedConfig | None:
     """Load under a time limit; note what is not the loader's own error."""
     signal.signal(signal.SIGALRM, _too_long)
     signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
@@ -91,48 +141,38 @@ def _load(what: str, profile: str, overrides: list[str], result: Result) -> Load
         return loaded
     except MinidualError as error:
         if error.exit_code != ExitCode.USAGE:
-            result.forbidden.append(f"{what}: exit code {error.exit_code}")
-        if not overrides and any(ord(sign) < 32 and sign not in "\n\t" for sign in str(error)):
-            result.forbidden.append(f"{what}: an escape sequence reaches the terminal")
+            result.forbidden.append(f"{action}: exit code {error.exit_code}")
+        if not overrides and has_control_characters(str(error)):
+            result.forbidden.append(f"{action}: an escape sequence reaches the terminal")
         result.saw("refused")
     except _TooLongError:
-        result.forbidden.append(f"{what}: a hang: longer than {LIMIT_S:g} s")
+        result.forbidden.append(f"{action}: a hang: longer than {LIMIT_S:g} s")
     except (Exception, RecursionError) as error:
-        result.forbidden.append(f"{what}: a traceback: {type(error).__name__}: {str(error)[:120]}")
+        message = f"{type(error).__name__}: {str(error)[:120]}"
+        result.forbidden.append(f"{action}: a traceback: {message}")
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     return None
 
 
-def _check_taken(what: str, loaded: LoadedConfig, place: Place, result: Result) -> None:
-    """What was taken is finite, and the file that the run keeps says the same."""
-    if not all(math.isfinite(number) for number in _numbers(loaded.config.model_dump(mode="json"))):
-        result.forbidden.append(f"{what}: a silent pass: a number is not finite")
+def _check_accepted(action: str, loaded: LoadedConfig, place: Place, result: Result) -> None:
+    """Check that what was taken is finite, and that the file which a run keeps says the same."""
+    values = loaded.config.model_dump(mode="json")
+    if not all(math.isfinite(number) for number in numbers(values)):
+        result.forbidden.append(f"{action}: a silent pass: a number is not finite")
     file = place.folder / "kept.yaml"
     file.write_text(loaded.to_yaml(), encoding="utf-8")
-    kept = _load(f"{what}, kept and read again", str(file), [], result)
-    if kept is not None and kept.config != loaded.config:
-        result.forbidden.append(f"{what}: a silent pass: the kept file says something else")
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    if isinstance(value, float | int):
-        yield value
-    for inner in (
-        value.values()
-        if isinstance(value, dict)
-        else value
-        if isinstance(value, list | tuple)
-        else ()
-    ):
-        yield from _numbers(inner)
+    read_again = _load(f"{action}, kept and read again", str(file), [], result)
+    if read_again is not None and read_again.config != loaded.config:
+        result.forbidden.append(f"{action}: a silent pass: the kept file says something else")
 
 
 def profile_cases(source: Path) -> Iterator[Case]:
     """Profile files that are no profiles, and shipped ones that are broken at random."""
     for name in HOSTILE_FILES:
         for words in (("config", "show"), ("status",)):
-            yield Case(f"{words[0]} {name}", partial(_hostile, name, words), limit_s=8.0)
+            command_name, *_ = words
+            yield Case(f"{command_name} {name}", partial(_hostile, name, words), limit_s=8.0)
     for number in range(400):
         yield Case(f"broken {number}", _broken)
     for number in range(200):
@@ -201,21 +241,20 @@ HOSTILE_FILES: dict[str, Callable[[Path], object]] = {
 
 
 def _hostile(name: str, words: tuple[str, ...], place: Place, result: Result) -> None:
+    """Use a file that is no profile."""
     file = place.folder / "case.yaml"
     HOSTILE_FILES[name](file)
     began = time.monotonic()
-    ran = command(place, *words, "--profile", str(file), "--runs-dir", str(place.folder / "none"))
+    ran = command(place, *words, "--profile", str(file), "--runs-dir", str(place.no_runs))
+    took_s = time.monotonic() - began
     judge(result, " ".join(words), ran, [ExitCode.PASS, ExitCode.USAGE])
-    if time.monotonic() - began > 4.0:
-        result.forbidden.append(f"{name}: took {time.monotonic() - began:.1f} s")
-    if (
-        any(ord(sign) < 32 and sign not in "\n\t" for sign in ran.out + ran.err)
-        or "\u202e" in ran.out + ran.err
-    ):
+    if took_s > 4.0:
+        result.forbidden.append(f"{name}: took {took_s:.1f} s")
+    if has_escapes(ran.out + ran.err):
         result.forbidden.append("an escape sequence of the file reaches the terminal")
-    if Path("/tmp/campaign-was-here").exists():
+    if _TRACE.exists():
         result.forbidden.append("the file ran a program")
-    if (place.folder / "none").exists():
+    if place.no_runs.exists():
         result.forbidden.append("a refused profile left a folder")
     result.saw("taken" if ran.code == 0 else "refused")
 
@@ -223,30 +262,30 @@ def _hostile(name: str, words: tuple[str, ...], place: Place, result: Result) ->
 def _broken(place: Place, result: Result) -> None:
     """Change bytes of a shipped profile."""
     rng = place.rng
-    content = bytearray(
-        (
-            SHIPPED_FOLDER / str(rng.choice(["standard.yaml", "smoke.yaml", "gpu.yaml"]))
-        ).read_bytes(),
-    )
+    name = str(rng.choice(["standard.yaml", "smoke.yaml", "gpu.yaml"]))
+    content = bytearray((SHIPPED_FOLDER / name).read_bytes())
     for _ in range(int(rng.integers(1, 8))):
-        at = int(rng.integers(len(content)))
-        kind = int(rng.integers(4))
-        if kind == 0:
-            content[at] ^= 1 << int(rng.integers(8))
-        elif kind == 1:
-            content[at:at] = bytes(
-                rng.choice(list(b"{}[]:&*!|>'\"%@`#,-? \n\t0e."), size=3).tolist(),
-            )
-        elif kind == 2:
-            del content[at : at + int(rng.integers(1, 30))]
-        else:
-            begin = int(rng.integers(len(content)))
-            content[at:at] = content[begin : begin + int(rng.integers(1, 60))]
+        _change_bytes(content, rng)
     file = place.folder / "case.yaml"
     file.write_bytes(bytes(content))
-    loaded = _load("a broken profile", str(file), [], result)
-    if loaded is not None:
-        _check_taken("a broken profile", loaded, place, result)
+    _try_profile("a broken profile", file, place, result)
+
+
+def _change_bytes(content: bytearray, rng: np.random.Generator) -> None:
+    """Flip a bit, insert signs of YAML, delete a stretch, or repeat one."""
+    at = int(rng.integers(len(content)))
+    match int(rng.integers(4)):
+        case 0:
+            content[at] ^= 1 << int(rng.integers(8))
+        case 1:
+            signs = rng.choice(list(b"{}[]:&*!|>'\"%@`#,-? \n\t0e."), size=3)
+            content[at:at] = bytes(signs.tolist())
+        case 2:
+            del content[at : at + int(rng.integers(1, 30))]
+        case _:
+            begin = int(rng.integers(len(content)))
+            end = begin + int(rng.integers(1, 60))
+            content[at:at] = content[begin:end]
 
 
 def _shuffled(place: Place, result: Result) -> None:
@@ -257,20 +296,26 @@ def _shuffled(place: Place, result: Result) -> None:
         _change_one(tree, rng)
     file = place.folder / "case.yaml"
     file.write_text(yaml.safe_dump(tree), encoding="utf-8")
-    loaded = _load("a shuffled profile", str(file), [], result)
+    _try_profile("a shuffled profile", file, place, result)
+
+
+def _try_profile(action: str, file: Path, place: Place, result: Result) -> None:
+    loaded = _load(action, str(file), [], result)
     if loaded is not None:
-        _check_taken("a shuffled profile", loaded, place, result)
+        _check_accepted(action, loaded, place, result)
 
 
 def _change_one(tree: dict[str, Any], rng: np.random.Generator) -> None:
-    place = tree
+    """Replace a random value, and sometimes rename its key."""
+    parent = tree
     while True:
-        key = list(place)[int(rng.integers(len(place)))]
-        if isinstance(place[key], dict) and place[key] and rng.random() < 0.8:
-            place = place[key]
-            continue
-        others = [None, [], {}, -1, 0, 1e-300, 1e300, "text", True, [[]], {"a": {"b": 1}}, 10**30]
-        place[key] = others[int(rng.integers(len(others)))]
-        if rng.random() < 0.2:
-            place[f"{key}x"] = place.pop(key)
-        return
+        key = list(parent)[int(rng.integers(len(parent)))]
+        value = parent[key]
+        goes_deeper = isinstance(value, dict) and value and rng.random() < 0.8
+        if not goes_deeper:
+            break
+        parent = value
+    others = [None, [], {}, -1, 0, 1e-300, 1e300, "text", True, [[]], {"a": {"b": 1}}, 10**30]
+    parent[key] = others[int(rng.integers(len(others)))]
+    if rng.random() < 0.2:
+        parent[f"{key}x"] = parent.pop(key)

@@ -37,16 +37,13 @@ def disk_cases(source: Path) -> Iterator[Case]:
 
 
 def _full(name: str, room: int, place: Place, result: Result) -> None:
-    def typed(*words: str) -> str:
-        selecting = ("--profile", "smoke", "--run", "smoke", "--runs-dir", "disk")
-        return shlex.join([sys.executable, "-m", "minidual.cli", *words, *selecting])
-
-    stage = typed(name, "--force", "--yes", *STAGES_S[name][1])
+    """Run a stage on a disk with `room` KiB of free space."""
+    _, options = STAGES_S[name]
     script = _SCRIPT.format(
         runs=shlex.quote(str(place.runs)),
         room=room,
-        stage=stage,
-        status=typed("status", "--json"),
+        stage=_typed(name, "--force", "--yes", *options),
+        status=_typed("status", "--json"),
     )
     with (place.folder / ".stdout").open("wb") as out, (place.folder / ".stderr").open("wb") as err:
         process = subprocess.Popen(
@@ -62,19 +59,26 @@ def _full(name: str, room: int, place: Place, result: Result) -> None:
     if code is None:
         result.forbidden.append("a hang")
         return
-    if code in (1, _NO_MOUNT) and not (place.folder / "status.json").exists():
+    status_file = place.folder / "status.json"
+    if code in (1, _NO_MOUNT) and not status_file.exists():
         result.saw("not tried: this machine lets no user mount")
         return
     if left:
         result.forbidden.append(f"orphans: {left}")
-    enough = () if room == 0 else (ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED)
-    judge(result, name, said(place, code), [ExitCode.ENVIRONMENT, *enough])
+    allowed: list[int] = [ExitCode.ENVIRONMENT]
+    if room > 0:
+        allowed += [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED]  # perhaps it was enough
+    judge(result, name, said(place, code), allowed)
     result.saw(f"exit {code}")
-    rows = {
-        row["name"]: row
-        for row in json.loads((place.folder / "status.json").read_bytes())["stages"]
-    }
-    if code == ExitCode.ENVIRONMENT and rows[name]["state"] != "pass":
+    stages = json.loads(status_file.read_bytes())["stages"]
+    row = next(row for row in stages if row["name"] == name)
+    if code == ExitCode.ENVIRONMENT and row["state"] != "pass":
         result.forbidden.append(
-            f"a lost finished result: {name} is {rows[name]['state']} {rows[name]['reasons']}",
+            f"a lost finished result: {name} is {row['state']} {row['reasons']}",
         )
+
+
+def _typed(*words: str) -> str:
+    """Return a command on the run of the small disk, as one types it."""
+    selecting = ("--profile", "smoke", "--run", "smoke", "--runs-dir", "disk")
+    return shlex.join([sys.executable, "-m", "minidual.cli", *words, *selecting])

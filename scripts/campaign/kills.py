@@ -27,6 +27,7 @@ _EVENTS = {
     "shutil.rmtree",
 }
 _FILES = 6
+_LINES = 500
 STEPS = 110
 """Steps of publishing at which a process is killed; past the last one it ends by itself."""
 
@@ -39,170 +40,196 @@ def warm(place: Place) -> None:
 def publish_cases(source: Path) -> Iterator[Case]:
     """A toy stage killed before its n-th access to a file, and at random instants."""
     for again in (False, True):
+        label = "replace" if again else "first"
         for step in range(1, STEPS):
-            yield Case(
-                f"{'replace' if again else 'first'} step {step}",
-                partial(_publish, again, step),
-            )
+            yield Case(f"{label} step {step}", partial(_publish, again, step))
         for number in range(25):
-            yield Case(
-                f"{'replace' if again else 'first'} random {number}",
-                partial(_publish, again, None),
-            )
+            yield Case(f"{label} random {number}", partial(_publish, again, None))
     for step in range(1, 400, 4):
         yield Case(f"recording step {step}", partial(_recording, step))
 
 
-def _dies(body: Callable[[], object], step: int | None, seconds: float) -> bool:
-    """Run `body` in a child that is killed before its n-th access or after a time; return whether it ended before."""
+def _survives(body: Callable[[], object], step: int | None, seconds: float) -> bool:
+    """Run `body` in a child that is killed before its n-th access to a file, or after a time.
+
+    Args:
+        body: What the child does.
+        step: Access before which it is killed; None: `seconds` count.
+        seconds: Time after which it is killed.
+
+    Returns:
+        Whether it ended before.
+
+    Raises:
+        ChildProcessError: The body failed before it was killed.
+    """
     child = os.fork()
     if child == 0:
-        if step is not None:
-            left = [step]
-
-            def watch(event: str, _: tuple[Any, ...]) -> None:
-                if event in _EVENTS:
-                    left[0] -= 1
-                    if left[0] == 0:
-                        os.kill(os.getpid(), signal.SIGKILL)
-
-            sys.addaudithook(watch)
-        code = 1  # an error of the body is no ending
-        try:
-            body()
-            code = 0
-        finally:
-            os._exit(code)
+        _run_and_leave(body, step)
     if step is None:
         time.sleep(seconds)
         os.kill(child, signal.SIGKILL)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
     if code not in (0, -signal.SIGKILL):
         raise ChildProcessError(f"the program failed before it was killed: exit {code}")
     return code == 0
 
 
+def _run_and_leave(body: Callable[[], object], step: int | None) -> None:
+    """Run `body` in a forked child, which kills itself before its n-th access to a file."""
+    if step is not None:
+        left = step
+
+        def watch(event: str, _: tuple[Any, ...]) -> None:
+            nonlocal left
+            if event in _EVENTS:
+                left -= 1
+                if left == 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+        sys.addaudithook(watch)
+    code = 1  # an error of the body is no ending
+    try:
+        body()
+        code = 0
+    finally:
+        os._exit(code)
+
+
 def _publish(again: bool, step: int | None, place: Place, result: Result) -> None:
+    """Kill a stage that publishes its first result, or replaces one."""
     from tests.support.pipeline_toys import Bench
 
-    round_of = [0]
+    current_round = 0
 
     def write(context: Any) -> None:
         for number in range(_FILES):
-            (context.folder / "out" / f"{number}.txt").write_text(f"{round_of[0]}\n" * 500)
+            path = context.folder / "out" / f"{number}.txt"
+            path.write_text(f"{current_round}\n" * _LINES)
 
     bench = Bench(place.folder / "runs")
     bench.first.behaviour = write
     if again:
         bench.runner().run("first")
-        round_of[0] = 1
-    finished = _dies(
+        current_round = 1
+    survived = _survives(
         lambda: bench.runner().run("first", force=True),
         step,
         float(place.rng.uniform(0.0, 0.03)),
     )
-    result.saw("ended before" if finished else "killed")
+    result.saw("ended before" if survived else "killed")
     state = Bench(place.folder / "runs").gate().state("first")
-    if state.state == "pass" and not _whole(bench.store):
+    if state.state == "pass" and not _is_of_one_round(bench.store):
         result.forbidden.append("a half-written result passes")
     if again and state.state != "pass":
         result.forbidden.append(f"a lost finished result: {state.state} {state.reasons}")
     result.saw(f"then {state.state}")
-    round_of[0] = 2
+    current_round = 2
     bench.runner().run("first", force=True)
-    if bench.states()[0] != "pass" or not _whole(bench.store):
+    if bench.states()[0] != "pass" or not _is_of_one_round(bench.store):
         result.forbidden.append("the command typed again does not mend it")
-    left = [path.name for path in bench.store.folder.glob(".first.*")]
-    if left:
-        result.forbidden.append(f"left behind: {', '.join(left)}")
+    left_behind = [path.name for path in bench.store.folder.glob(".first.*")]
+    if left_behind:
+        result.forbidden.append(f"left behind: {', '.join(left_behind)}")
 
 
-def _whole(store: RunStore) -> bool:
-    """Return whether all files are of one round."""
-    texts = {(store.stage_folder("first") / "out" / f"{n}.txt").read_text() for n in range(_FILES)}
-    return len(texts) == 1 and texts.pop().count("\n") == 500
+def _is_of_one_round(store: RunStore) -> bool:
+    """Return whether all files are complete and of one round."""
+    folder = store.stage_folder("first") / "out"
+    texts = {(folder / f"{number}.txt").read_text() for number in range(_FILES)}
+    return len(texts) == 1 and texts.pop().count("\n") == _LINES
 
 
 def _recording(step: int, place: Place, result: Result) -> None:
+    """Kill a recording; the same command goes on from the finished episodes."""
     from minidual.demos import recording
     from tests.support import recording_toys
 
     recording.Rig = recording_toys.ToyRig  # type: ignore[misc]
-    task = recording_toys.job(place.folder / "rec", episodes_n=3)
-    task.folder.mkdir()
-    recording.claim(task.folder, {"seed": 1}, "old")
-    finished = _dies(lambda: recording.record(task, workers=1), step, 0.0)
-    result.saw("ended before" if finished else "killed")
-    kept = {p: (p.stat().st_ino, p.stat().st_mtime_ns) for p in task.folder.rglob("[!.]*.hdf5")}
-    recording.claim(task.folder, {"seed": 1}, "old")
-    recorded = recording.record(task, workers=1)
-    now = {p: (p.stat().st_ino, p.stat().st_mtime_ns) for p in task.folder.rglob("[!.]*.hdf5")}
-    if not kept.items() <= now.items():
+    job = recording_toys.job(place.folder / "rec", episodes_n=3)
+    job.folder.mkdir()
+    recording.claim(job.folder, {"seed": 1}, "old")
+    survived = _survives(lambda: recording.record(job, workers=1), step, 0.0)
+    result.saw("ended before" if survived else "killed")
+    episodes_before = _identities(job.folder)
+    recording.claim(job.folder, {"seed": 1}, "old")
+    recorded = recording.record(job, workers=1)
+    if not episodes_before.items() <= _identities(job.folder).items():
         result.forbidden.append("a lost finished episode")
-    if [attempt.trial.index for attempt in recorded.kept] != [0, 2, 3]:
-        result.forbidden.append(
-            f"other episodes than without the kill: {[a.trial.index for a in recorded.kept]}",
-        )
-    if left := [path.name for path in task.folder.rglob("*.partial")]:
-        result.forbidden.append(f"left behind: {', '.join(left)}")
+    indices = [attempt.trial.index for attempt in recorded.kept]
+    if indices != [0, 2, 3]:
+        result.forbidden.append(f"other episodes than without the kill: {indices}")
+    left_behind = [path.name for path in job.folder.rglob("*.partial")]
+    if left_behind:
+        result.forbidden.append(f"left behind: {', '.join(left_behind)}")
 
 
+def _identities(folder: Path) -> dict[Path, tuple[int, int]]:
+    """Return {episode: (inode, time of the last change)}."""
+    identities: dict[Path, tuple[int, int]] = {}
+    for path in folder.rglob("[!.]*.hdf5"):
+        stat = path.stat()
+        identities[path] = (stat.st_ino, stat.st_mtime_ns)
+    return identities
+
+
+_TWO_CORES = ("--set", "train.threads=1")
+"""Two trainings at once on two cores: more threads wait for each other."""
 STAGES_S = {
     "report": (3.0, ()),
     "env-check": (11.0, ()),
     "plan": (14.0, ("--queries", "2")),
     "teleop-record": (20.0, ("--episodes", "2")),
-    "train-act": (
-        20.0,
-        ("--set", "train.threads=1"),
-    ),  # two at once on two cores: more threads wait for each other
+    "train-act": (20.0, _TWO_CORES),
     "deploy": (20.0, ("--trials", "2")),
 }
 """Stages that are killed: how long they take at most [s] and their options."""
+_KILLS_N = {
+    "report": 30,
+    "env-check": 14,
+    "plan": 10,
+    "teleop-record": 8,
+    "train-act": 5,
+    "deploy": 5,
+}
 
 
 def stage_cases(source: Path) -> Iterator[Case]:
     """A real stage replaces its result and is killed at a random instant."""
-    for name, times in (
-        ("report", 30),
-        ("env-check", 14),
-        ("plan", 10),
-        ("teleop-record", 8),
-        ("train-act", 5),
-    ):
-        for number in range(times):
+    for name, kills_n in _KILLS_N.items():
+        for number in range(kills_n):
             yield Case(f"{name} {number}", partial(_stage, name), limit_s=90.0)
-    for number in range(5):
-        yield Case(f"deploy {number}", partial(_stage, "deploy"), limit_s=90.0)
 
 
 def _stage(name: str, place: Place, result: Result) -> None:
-    longest, options = STAGES_S[name]
-    words = [name, "--force", "--yes", *options, *place.options()]
-    process = start(place, words)
-    time.sleep(float(place.rng.uniform(0.3, longest)))
+    longest_s, options = STAGES_S[name]
+    process = start(place, [name, "--force", "--yes", *options, *place.options()])
+    time.sleep(float(place.rng.uniform(0.3, longest_s)))
     result.saw("killed" if process.poll() is None else "ended before")
     process.kill()
     ended(process)
-    if left := orphans(process.pid, patience_s=3.0):
+    left = orphans(process.pid, patience_s=3.0)
+    if left:
         result.forbidden.append(f"orphans 3 s after the kill: {left}")
     ran = command(place, "status", "--json", *place.options())
     if not judge(result, "status", ran, [ExitCode.PASS]):
         return
-    rows = {row["name"]: row for row in ran.document()["stages"]}
-    # The options differ from those of the smoke run, so a finished replacement makes the stages above it stale.
-    if rows[name]["state"] not in ("pass", "fail"):
+    row = next(row for row in ran.document()["stages"] if row["name"] == name)
+    # The options differ from those of the smoke run: a finished replacement makes the stages above
+    # it stale.
+    if row["state"] not in ("pass", "fail"):
         result.forbidden.append(
-            f"a lost finished result: {name} is {rows[name]['state']} {rows[name]['reasons']}",
+            f"a lost finished result: {name} is {row['state']} {row['reasons']}",
         )
-    result.saw(f"then {rows[name]['state']}")
+    result.saw(f"then {row['state']}")
     if name == "report" and place.rng.random() < 0.5:
-        again = command(place, name, "--force", *place.options())
-        judge(
-            result,
-            "typed again",
-            again,
-            [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED],
-        )  # 1: results of other code
-        if (place.runs / "smoke" / f".{name}.tmp").exists():
-            result.forbidden.append("the command typed again leaves a temporary folder")
+        _type_again(name, place, result)
+
+
+def _type_again(name: str, place: Place, result: Result) -> None:
+    ran = command(place, name, "--force", *place.options())
+    allowed = [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED]  # results of other code fail
+    judge(result, "typed again", ran, allowed)
+    if (place.runs / "smoke" / f".{name}.tmp").exists():
+        result.forbidden.append("the command typed again leaves a temporary folder")

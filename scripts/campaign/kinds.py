@@ -6,8 +6,24 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from minidual.registry import load_target
+from scripts.campaign import (
+    broken,
+    caches,
+    configuration,
+    disks,
+    kills,
+    links,
+    processes,
+    readers,
+    recordings,
+    scene_files,
+    tampering,
+)
 from scripts.campaign.case import Case, Place
+
+
+def _nothing(_place: Place) -> None:
+    pass
 
 
 @dataclass(frozen=True)
@@ -15,72 +31,32 @@ class Kind:
     """A family of cases.
 
     Attributes:
-        target: "module:function" from the source run to all cases.
+        cases: From the source run to all cases.
         small: How many of them run for every build.
         most: How many the whole campaign runs; None for all.
-        warm: "module:function" that does once, before the first fork, what every case would load again.
+        warm: Does once, before the first fork, what every case would load again.
     """
 
-    target: str
+    cases: Callable[[Path], Iterable[Case]]
     small: int
     most: int | None = None
-    warm: str = ""
-
-    def load(self) -> Callable[[Path], Iterable[Case]]:
-        """Return the function."""
-        return load_target(self.target)
-
-    def prepare(self, place: Place) -> None:
-        """Import and cache what every case needs."""
-        if self.warm:
-            load_target(self.warm)(place)
+    warm: Callable[[Place], None] = _nothing
 
 
 KINDS = {
-    "links": Kind("scripts.campaign.links:link_cases", 10, warm="scripts.campaign.links:warm"),
-    "recordings": Kind(
-        "scripts.campaign.files:recording_cases",
-        15,
-        600,
-        warm="scripts.campaign.files:warm_recordings",
-    ),
-    "scenes": Kind(
-        "scripts.campaign.files:scene_cases",
-        15,
-        300,
-        warm="scripts.campaign.files:warm_scenes",
-    ),
-    "readers": Kind(
-        "scripts.campaign.files:library_cases",
-        10,
-        300,
-        warm="scripts.campaign.files:warm_readers",
-    ),
-    "broken-files": Kind(
-        "scripts.campaign.broken:broken_cases",
-        6,
-        warm="scripts.campaign.files:warm_readers",
-    ),
-    "caches": Kind(
-        "scripts.campaign.files:cache_cases",
-        2,
-        warm="scripts.campaign.files:warm_caches",
-    ),
-    "publish-kills": Kind(
-        "scripts.campaign.kills:publish_cases",
-        25,
-        warm="scripts.campaign.kills:warm",
-    ),
-    "stage-kills": Kind("scripts.campaign.kills:stage_cases", 3),
-    "full-disks": Kind("scripts.campaign.disks:disk_cases", 1),
-    "signals": Kind("scripts.campaign.processes:signal_cases", 4),
-    "streams": Kind("scripts.campaign.processes:stream_cases", 4, 120),
-    "configuration": Kind("scripts.campaign.configuration:override_cases", 17),
-    "profiles": Kind("scripts.campaign.configuration:profile_cases", 60),
-    "tampering": Kind(
-        "scripts.campaign.tampering:tamper_cases",
-        60,
-        warm="scripts.campaign.links:warm",
-    ),
-    "verdicts": Kind("scripts.campaign.tampering:verdict_cases", 10, 600),
+    "links": Kind(links.link_cases, 10, warm=links.warm),
+    "recordings": Kind(recordings.recording_cases, 15, 600, warm=recordings.warm),
+    "scenes": Kind(scene_files.scene_cases, 15, 300, warm=scene_files.warm),
+    "readers": Kind(readers.library_cases, 10, 300, warm=readers.warm),
+    "broken-files": Kind(broken.broken_cases, 6, warm=readers.warm),
+    "caches": Kind(caches.cache_cases, 2, warm=caches.warm),
+    "publish-kills": Kind(kills.publish_cases, 25, warm=kills.warm),
+    "stage-kills": Kind(kills.stage_cases, 3),
+    "full-disks": Kind(disks.disk_cases, 1),
+    "signals": Kind(processes.signal_cases, 4),
+    "streams": Kind(processes.stream_cases, 4, 120),
+    "configuration": Kind(configuration.override_cases, 17),
+    "profiles": Kind(configuration.profile_cases, 60),
+    "tampering": Kind(tampering.tamper_cases, 60, warm=links.warm),
+    "verdicts": Kind(tampering.verdict_cases, 10, 600),
 }

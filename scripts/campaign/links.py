@@ -1,4 +1,4 @@
-"""Links, files and pipes where folders are expected: named before work starts, never after, and never for ever."""
+"""Links, files and pipes where folders are expected: named before work starts, and no hang."""
 
 from __future__ import annotations
 
@@ -63,9 +63,10 @@ def warm(place: Place) -> None:
 
 def link_cases(source: Path) -> Iterator[Case]:
     """Each strange thing in each place of a run."""
-    for where in PLACES:
-        for what in STRANGE:
-            yield Case(f"{what} as {where}", partial(_strange, where, what), limit_s=20.0)
+    for place_name in PLACES:
+        for thing in STRANGE:
+            body = partial(_strange, place_name, thing)
+            yield Case(f"{thing} as {place_name}", body, limit_s=20.0)
     for name in ("run", "runs", "stage", "upstream"):
         yield Case(f"{name} linked from elsewhere", partial(_elsewhere, name), limit_s=20.0)
 
@@ -77,42 +78,54 @@ def _toys(place: Place) -> tuple[Path, Callable[..., Ran]]:
     bench = Bench(place.folder / "runs")
     bench.run_all()
     selecting = ("--run", "toys", "--runs-dir", str(bench.root))
-    return bench.store.folder, lambda *words: command(place, *words, *selecting, table=bench.table)
+
+    def run(*words: str) -> Ran:
+        return command(place, *words, *selecting, table=bench.table)
+
+    return bench.store.folder, run
 
 
-def _strange(where: str, what: str, place: Place, result: Result) -> None:
-    run, toys = _toys(place)
-    path = run / PLACES[where]
+def _strange(place_name: str, thing: str, place: Place, result: Result) -> None:
+    """Put a strange thing in a place of a run, and run commands."""
+    run_folder, toys = _toys(place)
+    path = run_folder / PLACES[place_name]
     path.parent.mkdir(parents=True, exist_ok=True)
     remove(path)
-    STRANGE[what](path)
-    for words in (("status",), ("explain", "third")):
-        judge(result, words[0], toys(*words), [ExitCode.PASS, ExitCode.USAGE])
-    codes = []
-    for time_ in ("first", "second"):
+    STRANGE[thing](path)
+    judge(result, "status", toys("status"), [ExitCode.PASS, ExitCode.USAGE])
+    judge(result, "explain", toys("explain", "third"), [ExitCode.PASS, ExitCode.USAGE])
+    allowed = [ExitCode.PASS, ExitCode.USAGE, ExitCode.ENVIRONMENT]
+    if "upstream" in place_name or place_name == "old of another":
+        allowed.append(ExitCode.GATE_CLOSED)
+    codes: list[int] = []
+    for repetition in ("first", "second"):
         ran = toys("third", "--force")
-        allowed = [ExitCode.PASS, ExitCode.USAGE, ExitCode.ENVIRONMENT]
-        allowed += (
-            [ExitCode.GATE_CLOSED] if "upstream" in where or where == "old of another" else []
-        )
-        judge(result, f"{time_} time", ran, allowed)
+        judge(result, f"{repetition} time", ran, allowed)
         codes.append(ran.code)
-        if where in ("upstream", "upstream verdict") and ran.code == ExitCode.PASS:
+        if place_name in ("upstream", "upstream verdict") and ran.code == ExitCode.PASS:
             result.forbidden.append("a silent pass: the gate is open without the upstream stage")
-    if codes[0] == ExitCode.PASS and codes[1] != ExitCode.PASS:
-        result.forbidden.append(f"it passes the first time, the second ends with {codes[1]}")
-    if what == "link to a folder" and not (place.folder / "elsewhere" / "mine.txt").is_file():
+    first_code, second_code = codes
+    if first_code == ExitCode.PASS and second_code != ExitCode.PASS:
+        result.forbidden.append(
+            f"it passes the first time, the second ends with {second_code}",
+        )
+    behind_link = place.folder / "elsewhere" / "mine.txt"
+    if thing == "link to a folder" and not behind_link.is_file():
         result.forbidden.append("a file behind a link was deleted")
-    result.saw("refused" if codes[1] else "passes")
+    result.saw("refused" if second_code else "passes")
     judge(result, "status", toys("status"), [ExitCode.PASS, ExitCode.USAGE])
 
 
 def _elsewhere(name: str, place: Place, result: Result) -> None:
-    """Results on another disk: what is linked works as if it lay here, and the link stays."""
-    run, toys = _toys(place)
-    path = {"run": run, "runs": run.parent, "stage": run / "third", "upstream": run / "second"}[
-        name
-    ]
+    """Move a folder to another disk and link it: it works as if it lay here, and the link stays."""
+    run_folder, toys = _toys(place)
+    folders = {
+        "run": run_folder,
+        "runs": run_folder.parent,
+        "stage": run_folder / "third",
+        "upstream": run_folder / "second",
+    }
+    path = folders[name]
     target = place.folder / "other disk" / path.name
     target.parent.mkdir()
     path.rename(target)

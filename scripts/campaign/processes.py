@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 
 from minidual.errors import ExitCode
@@ -44,20 +45,23 @@ def ended(
     idle_s: float = 30.0,
     busy_s: float = 90.0,
 ) -> int | None:
-    """Return the exit code, or None after killing what hangs: no CPU time in `idle_s`, or more than `busy_s` of it."""
+    """Return the exit code of a process, or None after killing one that hangs.
+
+    It hangs if it uses no processor time in `idle_s`, or more than `busy_s` of it.
+    """
     used_s = 0.0
-    moved = time.monotonic()
-    while (code := process.poll()) is None:
-        now_s = _cpu_s(process.pid)
-        if now_s > used_s:
-            used_s = now_s
-            moved = time.monotonic()
-        if time.monotonic() - moved > idle_s or used_s > busy_s:
+    progress_at_s = time.monotonic()
+    while process.poll() is None:
+        cpu_s = _cpu_s(process.pid)
+        if cpu_s > used_s:
+            used_s = cpu_s
+            progress_at_s = time.monotonic()
+        if time.monotonic() - progress_at_s > idle_s or used_s > busy_s:
             process.kill()
             process.wait()
             return None
         time.sleep(0.05)
-    return code
+    return process.returncode
 
 
 def _cpu_s(session: int) -> float:
@@ -72,37 +76,39 @@ def _cpu_s(session: int) -> float:
 
 def said(place: Place, code: int) -> Ran:
     """Return what a process from `start` wrote."""
-    texts = [
-        (place.folder / f".{name}").read_bytes().decode("utf-8", errors="replace")
-        for name in ("stdout", "stderr")
-    ]
-    return Ran(code, *texts)
+    out = (place.folder / ".stdout").read_bytes().decode("utf-8", errors="replace")
+    err = (place.folder / ".stderr").read_bytes().decode("utf-8", errors="replace")
+    return Ran(code, out, err)
 
 
 def orphans(session: int, patience_s: float = 2.0) -> list[str]:
     """Return the processes of a session that live on after a while, and end them."""
-    deadline = time.monotonic() + patience_s
-    while (left := _members(session)) and time.monotonic() < deadline:
+    deadline_s = time.monotonic() + patience_s
+    left = _members(session)
+    while left and time.monotonic() < deadline_s:
         time.sleep(0.1)
-    named = []
+        left = _members(session)
+    names: list[str] = []
     for process in left:
         try:
-            named.append(f"{process.pid} {' '.join(process.cmdline())[:120]}")
+            names.append(f"{process.pid} {' '.join(process.cmdline())[:120]}")
             process.kill()
         except psutil.NoSuchProcess:
             continue
-    return named
+    return names
 
 
 def _members(session: int) -> list[psutil.Process]:
-    found = []
+    """Return the living processes of a session."""
+    members: list[psutil.Process] = []
     for process in psutil.process_iter():
         try:
-            if os.getsid(process.pid) == session and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process)
+            is_member = os.getsid(process.pid) == session
+            if is_member and process.status() != psutil.STATUS_ZOMBIE:
+                members.append(process)
         except (ProcessLookupError, psutil.NoSuchProcess):
             continue
-    return found
+    return members
 
 
 SIGNALLED = {
@@ -125,65 +131,70 @@ def signal_cases(source: Path) -> Iterator[Case]:
     """Each command, each signal, at random times; sometimes twice."""
     for name in SIGNALLED:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            for time_ in range(6):
-                yield Case(
-                    f"{name} {number.name} {time_}",
-                    partial(_signalled, name, number),
-                    limit_s=60.0,
-                )
+            for repetition in range(6):
+                body = partial(_signalled, name, number)
+                yield Case(f"{name} {number.name} {repetition}", body, limit_s=60.0)
 
 
 def _signalled(name: str, number: signal.Signals, place: Place, result: Result) -> None:
-    longest, words = SIGNALLED[name]
+    """Send a signal to a command at a random time."""
+    longest_s, words = SIGNALLED[name]
     selecting = () if words[0] in ("--help", "config") else place.options()
     process = start(place, [*words, *selecting])
-    delay = float(
-        place.rng.uniform(0.02, longest)
-        if place.rng.random() < 0.6
-        else place.rng.uniform(0.02, 0.8),
-    )
-    time.sleep(delay)
+    delay_s = _random_delay_s(longest_s, place.rng)
+    time.sleep(delay_s)
     was_running = process.poll() is None
     process.send_signal(number)
     twice = place.rng.random() < 0.25
     if twice:
         time.sleep(float(place.rng.uniform(0.0, 0.2)))
         process.send_signal(number)
-    began = time.monotonic()
+    event = f"{number.name} at {delay_s:.2f} s"
+    began_s = time.monotonic()
     code = ended(process)
     if code is None:
-        result.forbidden.append(f"a hang after {number.name} at {delay:.2f} s")
+        result.forbidden.append(f"a hang after {event}")
         return
-    if time.monotonic() - began > 20.0:
-        result.forbidden.append(
-            f"ends {time.monotonic() - began:.1f} s after {number.name} at {delay:.2f} s",
-        )
+    took_s = time.monotonic() - began_s
+    if took_s > 20.0:
+        result.forbidden.append(f"ends {took_s:.1f} s after {event}")
     ran = said(place, code)
+    died_of_signal = ran.code in (1, -number) and "/minidual/" not in ran.err
+    if delay_s < BEFORE_PYTHON_S and died_of_signal:
+        result.saw("before the program began")
+        return
     allowed: list[int] = [ExitCode.PASS, ExitCode.INTERRUPTED]
     if twice and "minidual: interrupted" in ran.err:
         allowed.append(-number)
-    if delay < BEFORE_PYTHON_S and ran.code in (1, -number) and "/minidual/" not in ran.err:
-        result.saw("before the program began")
-        return
-    judge(result, f"{number.name} at {delay:.2f} s", ran, allowed)
+    judge(result, event, ran, allowed)
     result.saw(f"exit {code}" if was_running else "ended before")
-    if left := orphans(process.pid):
-        result.forbidden.append(f"orphans 2 s after {number.name} at {delay:.2f} s: {left}")
+    left = orphans(process.pid)
+    if left:
+        result.forbidden.append(f"orphans 2 s after {event}: {left}")
     if "--force" in words:
-        ran = command(place, "status", "--json", *place.options())
-        if judge(result, "status", ran, [ExitCode.PASS]):
-            row = next(row for row in ran.document()["stages"] if row["name"] == words[0])
-            if row["state"] not in ("pass", "fail"):
-                result.forbidden.append(
-                    f"a lost finished result: {words[0]} is {row['state']} {row['reasons']}",
-                )
-            warned = any("interrupted" in text for text in row["warnings"])
-            if (
-                code == ExitCode.INTERRUPTED
-                and (place.runs / "smoke" / f".{words[0]}.tmp").exists()
-                and not warned
-            ):
-                result.forbidden.append("an attempt was interrupted and status does not say so")
+        _check_stage(words[0], code, place, result)
+
+
+def _random_delay_s(longest_s: float, rng: np.random.Generator) -> float:
+    """Return a time at which a command of `longest_s` is interrupted, more often an early one."""
+    anywhere = rng.random() < 0.6
+    return float(rng.uniform(0.02, longest_s if anywhere else 0.8))
+
+
+def _check_stage(stage: str, code: int, place: Place, result: Result) -> None:
+    """Check that the stage's finished result is still there, and that its attempt is named."""
+    ran = command(place, "status", "--json", *place.options())
+    if not judge(result, "status", ran, [ExitCode.PASS]):
+        return
+    row = next(row for row in ran.document()["stages"] if row["name"] == stage)
+    if row["state"] not in ("pass", "fail"):
+        result.forbidden.append(
+            f"a lost finished result: {stage} is {row['state']} {row['reasons']}",
+        )
+    warned = any("interrupted" in warning for warning in row["warnings"])
+    left_attempt = (place.runs / "smoke" / f".{stage}.tmp").exists()
+    if code == ExitCode.INTERRUPTED and left_attempt and not warned:
+        result.forbidden.append("an attempt was interrupted and status does not say so")
 
 
 ENVIRONMENTS = {
@@ -234,7 +245,28 @@ def stream_cases(source: Path) -> Iterator[Case]:
             yield Case(f"{name}, {environment}", partial(_streams, name, environment), limit_s=60.0)
 
 
+_CANNOT_WORK = (
+    "stdout full",
+    "both full",
+    "few files",
+    "no file may grow",
+    "TMPDIR nowhere",
+    "no environment",
+)
+"""Environments in which a command may refuse to work."""
+_MAY_WORK = (
+    "few files",
+    "no file may grow",
+    "TMPDIR nowhere",
+    "no environment",
+    "folder deleted",
+    "stderr full",
+)
+"""Environments in which a command may work or refuse to."""
+
+
 def _streams(name: str, environment: str, place: Place, result: Result) -> None:
+    """Run a command in a poor environment."""
     options = " ".join(place.options())
     line = f"{sys.executable} -m minidual.cli {COMMANDS[name].format(options)}"
     script = f"set -o pipefail; {ENVIRONMENTS[environment].format(line)}"
@@ -252,34 +284,27 @@ def _streams(name: str, environment: str, place: Place, result: Result) -> None:
         result.forbidden.append("a hang")
         return
     ran = said(place, code)
-    allowed = [ExitCode.USAGE] if name == "wrong" else [ExitCode.PASS]
-    if environment in (
-        "stdout full",
-        "both full",
-        "few files",
-        "no file may grow",
-        "TMPDIR nowhere",
-        "no environment",
-    ):
-        allowed = [ExitCode.USAGE, ExitCode.ENVIRONMENT]
-    if environment in (
-        "few files",
-        "no file may grow",
-        "TMPDIR nowhere",
-        "no environment",
-        "folder deleted",
-        "stderr full",
-    ):
-        allowed += [ExitCode.PASS, ExitCode.USAGE, ExitCode.ENVIRONMENT]
-    if environment == "no environment":
-        allowed.append(ExitCode.ACCEPTANCE_FAILED)
-    if environment == "runs in a file":
-        allowed.append(ExitCode.USAGE)
-    if environment == "both full" and name == "wrong":
-        allowed = [ExitCode.USAGE]
-    judge(result, f"{name}, {environment}", ran, allowed)
+    judge(result, f"{name}, {environment}", ran, _allowed_codes(name, environment))
     if "Exception ignored" in ran.err:
-        result.forbidden.append(f"noise at the end: {ran.err.strip().splitlines()[-1][:120]}")
+        last_line = ran.err.strip().splitlines()[-1]
+        result.forbidden.append(f"noise at the end: {last_line[:120]}")
     result.saw(f"exit {code}")
-    if left := orphans(process.pid, 2.0):
+    left = orphans(process.pid, 2.0)
+    if left:
         result.forbidden.append(f"orphans: {left}")
+
+
+def _allowed_codes(name: str, environment: str) -> list[int]:
+    """Return the exit codes that a command may have in an environment."""
+    if environment == "both full" and name == "wrong":
+        return [ExitCode.USAGE]
+    codes: list[int] = [ExitCode.USAGE] if name == "wrong" else [ExitCode.PASS]
+    if environment in _CANNOT_WORK:
+        codes = [ExitCode.USAGE, ExitCode.ENVIRONMENT]
+    if environment in _MAY_WORK:
+        codes += [ExitCode.PASS, ExitCode.USAGE, ExitCode.ENVIRONMENT]
+    if environment == "no environment":
+        codes.append(ExitCode.ACCEPTANCE_FAILED)
+    if environment == "runs in a file":
+        codes.append(ExitCode.USAGE)
+    return codes

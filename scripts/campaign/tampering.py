@@ -14,9 +14,12 @@ import numpy as np
 from minidual.errors import ExitCode
 from minidual.gate.canonical import digest, dumps
 from minidual.stages.registry import STAGES
-from scripts.campaign.case import Case, Place, Result, command, judge
+from scripts.campaign.case import Case, Place, Ran, Result, command, judge
+from scripts.campaign.values import Where, dotted, parent_of, replace
 
 Change = Callable[[Path, np.random.Generator], None]
+"""Changes a file, with random numbers."""
+_BURST_BYTES = 64
 
 
 def rewrite(path: Path, content: bytes) -> None:
@@ -28,16 +31,18 @@ def rewrite(path: Path, content: bytes) -> None:
 def flip(path: Path, rng: np.random.Generator) -> None:
     """Flip one bit."""
     content = bytearray(path.read_bytes())
-    content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+    index = int(rng.integers(len(content)))
+    content[index] ^= 1 << int(rng.integers(8))
     rewrite(path, bytes(content))
 
 
 def burst(path: Path, rng: np.random.Generator) -> None:
-    """Overwrite up to 64 bytes with random ones."""
+    """Change up to 64 bytes in a row."""
     content = bytearray(path.read_bytes())
     begin = int(rng.integers(len(content)))
-    length = min(64, len(content) - begin)
-    content[begin : begin + length] = bytes(b ^ 0x5A for b in content[begin : begin + length])
+    end = min(begin + _BURST_BYTES, len(content))
+    for index in range(begin, end):
+        content[index] ^= 0x5A
     rewrite(path, bytes(content))
 
 
@@ -77,7 +82,8 @@ def loop(path: Path, rng: np.random.Generator) -> None:
 def foreign(path: Path, rng: np.random.Generator) -> None:
     """Put a symbolic link to another file in its place."""
     path.unlink()
-    path.symlink_to("/etc/hostname" if rng.random() < 0.5 else "/no/such/file")
+    target = "/etc/hostname" if rng.random() < 0.5 else "/no/such/file"
+    path.symlink_to(target)
 
 
 def pipe(path: Path, rng: np.random.Generator) -> None:
@@ -93,19 +99,29 @@ def device(path: Path, rng: np.random.Generator) -> None:
 
 
 CHANGES: tuple[Change, ...] = (
-    flip, burst, truncate, append, noise, delete, folder, loop, foreign, pipe, device,
-)  # fmt: skip
+    flip,
+    burst,
+    truncate,
+    append,
+    noise,
+    delete,
+    folder,
+    loop,
+    foreign,
+    pipe,
+    device,
+)
+BYTE_CHANGES = tuple(change for change in CHANGES if change is not delete)
+"""Changes after which there still is something to read."""
+_STRAYS = ("stray.txt", ".hidden", "out/of/place.csv", "verdict.json.bak", "zz.hdf5")
+_FIELDS_N = 2
+"""Fields that are replaced in a nested list or mapping."""
 
 
 def sealed(source: Path) -> list[str]:
     """Return the files of the stages, relative to the run."""
-    stages = [source / name for name in STAGES]
-    return sorted(
-        p.relative_to(source).as_posix()
-        for stage in stages
-        for p in stage.rglob("*")
-        if p.is_file()
-    )
+    paths = (path for stage in STAGES for path in (source / stage).rglob("*"))
+    return sorted(path.relative_to(source).as_posix() for path in paths if path.is_file())
 
 
 def tamper_cases(source: Path) -> Iterator[Case]:
@@ -113,54 +129,65 @@ def tamper_cases(source: Path) -> Iterator[Case]:
     for name in sealed(source):
         for change in CHANGES:
             yield Case(f"{change.__name__} {name}", partial(_tamper, name, change))
-    for name in STAGES:
-        for stray in ("stray.txt", ".hidden", "out/of/place.csv", "verdict.json.bak", "zz.hdf5"):
-            yield Case(f"add {name}/{stray}", partial(_stray, name, stray))
+    for stage in STAGES:
+        for stray in _STRAYS:
+            yield Case(f"add {stage}/{stray}", partial(_stray, stage, stray))
 
 
 def _tamper(name: str, change: Change, place: Place, result: Result) -> None:
-    stage = name.split("/")[0]
+    """Change a file; `status` must name it."""
+    stage, *_ = name.split("/")
     path = place.runs / "smoke" / name
-    is_verdict = path.name == "verdict.json"
-    before = json.loads(path.read_bytes()) if is_verdict else None
+    original = json.loads(path.read_bytes()) if path.name == "verdict.json" else None
     change(path, place.rng)
-    if is_verdict and _same_json(path, before):
+    if original is not None and _same_json(path, original):
         result.saw("harmless: the same JSON")
         return
     ran = command(place, "status", "--json", *place.options())
     if not judge(result, "status", ran, [ExitCode.PASS]):
         return
-    states = {row["name"]: row for row in ran.document()["stages"]}
-    if states[stage]["state"] == "pass":
+    row = _row(ran, stage)
+    if row["state"] == "pass":
         result.forbidden.append(
             f"a silent pass: status of {stage} after {change.__name__} of {name}",
         )
         return
-    said = " ".join(states[stage]["reasons"])
-    if path.name not in said and states[stage]["state"] not in ("missing", "blocked", "incomplete"):
-        result.forbidden.append(f"not named: {said[:160]}")
-    result.saw(f"named: {states[stage]['state']}")
+    reasons = " ".join(row["reasons"])
+    if path.name not in reasons and row["state"] not in ("missing", "blocked", "incomplete"):
+        result.forbidden.append(f"not named: {reasons[:160]}")
+    result.saw(f"named: {row['state']}")
     if int(place.rng.integers(4)) == 0:
-        gate = command(place, "report", *place.options())
-        own = [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED]  # 1: results of other code
-        allowed = own if stage == "report" else [ExitCode.GATE_CLOSED]
-        judge(result, "report", gate, allowed)
+        _try_report(stage, place, result)
 
 
-def _same_json(path: Path, before: Any) -> bool:
+def _try_report(changed_stage: str, place: Place, result: Result) -> None:
+    """Run `report` behind a changed stage; its gate must be closed."""
+    allowed = [ExitCode.GATE_CLOSED]
+    if changed_stage == "report":
+        allowed = [ExitCode.PASS, ExitCode.ACCEPTANCE_FAILED]  # results of other code fail
+    judge(result, "report", command(place, "report", *place.options()), allowed)
+
+
+def _row(ran: Ran, stage: str) -> dict[str, Any]:
+    """Return the row of a stage in the document of `status`."""
+    return next(row for row in ran.document()["stages"] if row["name"] == stage)
+
+
+def _same_json(path: Path, original: Any) -> bool:
     try:
-        return path.is_file() and json.loads(path.read_bytes()) == before
+        return path.is_file() and json.loads(path.read_bytes()) == original
     except (OSError, ValueError):
         return False
 
 
 def _stray(stage: str, stray: str, place: Place, result: Result) -> None:
+    """Add a file to a finished stage; `status` must name it."""
     path = place.runs / "smoke" / stage / stray
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(place.rng.bytes(64))
     ran = command(place, "status", "--json", *place.options())
     if judge(result, "status", ran, [ExitCode.PASS]):
-        row = next(row for row in ran.document()["stages"] if row["name"] == stage)
+        row = _row(ran, stage)
         if path.name not in " ".join([*row["reasons"], *row["warnings"]]):
             result.forbidden.append(f"a silent pass: {stage}/{stray} is not named")
         result.saw(f"named: {row['state']}")
@@ -184,15 +211,16 @@ STRANGE: dict[str, Any] = {
 
 
 def verdict_cases(source: Path) -> Iterator[Case]:
-    """Each field of each verdict replaced by each strange value; the digest made right, so that the type is what fails."""
+    """Each field of each verdict replaced by each strange value.
+
+    The digest is made right, so that the type is what fails.
+    """
     for stage in STAGES:
         record = json.loads((source / stage / "verdict.json").read_bytes())
-        for path in _fields(record):
+        for where in _fields(record):
             for kind in STRANGE:
-                yield Case(
-                    f"{stage} {'.'.join(map(str, path))} = {kind}",
-                    partial(_strange, stage, path, kind),
-                )
+                body = partial(_strange, stage, where, kind)
+                yield Case(f"{stage} {dotted(where)} = {kind}", body)
     for stage in STAGES:
         for kind, text in HOSTILE_JSON.items():
             yield Case(f"{stage} {kind}", partial(_hostile, stage, text))
@@ -212,74 +240,76 @@ HOSTILE_JSON: dict[str, Callable[[str], bytes]] = {
 }
 
 
-def _fields(record: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the places of values; of a list or a large mapping only the first two."""
-    if path:
-        yield path
-    items = (
-        record.items()
-        if isinstance(record, dict)
-        else enumerate(record)
-        if isinstance(record, list)
-        else ()
-    )
-    chosen = list(items)
-    for key, value in chosen if len(path) == 0 else chosen[:2]:
-        yield from _fields(value, (*path, key))
+def _fields(tree: Any, where: Where = ()) -> Iterator[Where]:
+    """Yield the places of values; of a nested list or mapping only the first two."""
+    if where:
+        yield where
+    children: list[tuple[Any, Any]] = []
+    if isinstance(tree, dict):
+        children = list(tree.items())
+    elif isinstance(tree, list):
+        children = list(enumerate(tree))
+    if where:
+        children = children[:_FIELDS_N]
+    for key, value in children:
+        yield from _fields(value, (*where, key))
 
 
-def _strange(stage: str, path: tuple[Any, ...], kind: str, place: Place, result: Result) -> None:
+def _strange(stage: str, where: Where, kind: str, place: Place, result: Result) -> None:
     file = place.runs / "smoke" / stage / "verdict.json"
     record = json.loads(file.read_bytes())
-    inner = record
-    for key in path[:-1]:
-        inner = inner[key]
-    if inner[path[-1]] == STRANGE[kind] and type(inner[path[-1]]) is type(STRANGE[kind]):
+    original = parent_of(record, where)[where[-1]]
+    strange = STRANGE[kind]
+    if original == strange and type(original) is type(strange):
         result.saw("harmless: the same JSON")
         return
-    inner[path[-1]] = STRANGE[kind]
-    if path != ("digest",):
+    replace(record, where, strange)
+    if where != ("digest",):
         record["digest"] = digest({key: record[key] for key in record if key != "digest"})
     try:
         text = dumps(record)
     except ValueError:
         text = json.dumps(record)
     rewrite(file, text.encode())
-    _judged(stage, place, result)
+    _check_reading(stage, place, result, forged=True)
 
 
 def _hostile(stage: str, text: Callable[[str], bytes], place: Place, result: Result) -> None:
     file = place.runs / "smoke" / stage / "verdict.json"
     rewrite(file, text(file.read_text(encoding="utf-8")))
-    _judged(stage, place, result, forged=False)
+    _check_reading(stage, place, result, forged=False)
 
 
-def _judged(stage: str, place: Place, result: Result, *, forged: bool = True) -> None:
-    """Look at a changed verdict. A forgery with the right digest may pass in the last stage alone, as documented."""
+def _check_reading(stage: str, place: Place, result: Result, *, forged: bool) -> None:
+    """Look at a changed verdict with the commands that read it.
+
+    A forgery with the right digest may pass in the last stage alone, as documented.
+    """
     file = place.runs / "smoke" / stage / "verdict.json"
-    there = file.read_bytes()
+    content = file.read_bytes()
     ran = command(place, "status", "--json", *place.options())
     if not judge(result, "status", ran, [ExitCode.PASS]):
         return
     states = {row["name"]: row["state"] for row in ran.document()["stages"]}
-    below = list(STAGES)[list(STAGES).index(stage) + 1 :]
-    if states[stage] == "pass" and any(
-        states[name] == "pass" for name in below if stage in STAGES.upstream(name)
-    ):
+    passes = states[stage] == "pass"
+    if passes and any(states[name] == "pass" for name in _downstream(stage)):
         result.forbidden.append(
             f"a silent pass: the changed verdict of {stage} is believed downstream",
         )
-    if states[stage] == "pass" and not forged:
+    if passes and not forged:
         result.forbidden.append(f"a silent pass: status of {stage}")
     result.saw(
-        "forged with its digest, passes alone"
-        if states[stage] == "pass"
-        else f"named: {states[stage]}",
+        "forged with its digest, passes alone" if passes else f"named: {states[stage]}",
     )
     judge(result, "explain", command(place, "explain", stage, *place.options()), [ExitCode.PASS])
-    text = command(place, "status", *place.options())
-    judge(result, "status as text", text, [ExitCode.PASS])
-    if "\x1b[2J" in text.out + text.err or "\u202e" in text.out + text.err:
+    ran = command(place, "status", *place.options())
+    judge(result, "status as text", ran, [ExitCode.PASS])
+    if "\x1b[2J" in ran.out + ran.err or "\u202e" in ran.out + ran.err:
         result.forbidden.append("an escape sequence of the file reaches the terminal")
-    if file.read_bytes() != there:
+    if file.read_bytes() != content:
         result.forbidden.append("reading changed the verdict")
+
+
+def _downstream(stage: str) -> list[str]:
+    """Return the stages that require a stage, directly or not."""
+    return [name for name in STAGES if stage in STAGES.upstream(name)]
