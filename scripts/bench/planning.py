@@ -78,6 +78,7 @@ _NOTES = (
     f"solved: a timed path within about {_BUDGET_S:g} s of processor time; minidual's are proven",
     "free: of the solved, those on which dense sampling (0.002 rad, both engines) sees no contact",
     "where a goal is hand poses, minidual finds the posture too; the others are given it",
+    "timed by toppra: plan.planner.timing: toppra; proven but for jerk and the rate of torque",
     "bare: minidual's own RRTConnect without padding, shortcuts or proof",
     "OMPL: RRTConnect asks MuJoCo every 0.03 rad, OMPL's simplification, toppra",
     "roboplan: its defaults",
@@ -154,10 +155,16 @@ def measure(inputs: BenchInputs) -> BenchTable:
 def _warm_up(config: PlannerConfig, queries: Sequence[Query]) -> None:
     """Load compiled code and libraries, which the first plans of a process wait for."""
     planner = Planner(config=config)
+    toppra_planner = _timed_by_toppra(config)
     for query in queries:
         _proven(query, planner)
+        _proven(query, toppra_planner)
         _bare(query, planner)
         plan_ompl(_motion(query), planner, _BUDGET_S)
+
+
+def _timed_by_toppra(config: PlannerConfig) -> Planner:
+    return Planner(config=config.model_copy(update={"timing": "toppra"}))
 
 
 def _group_rows(
@@ -166,17 +173,21 @@ def _group_rows(
     planner: Planner,
     roboplan: Roboplan | None,
 ) -> Iterator[BenchRow]:
-    """Yield a row per planner, minidual's first."""
+    """Yield a row per planner, minidual's with its own timing first."""
+    toppra_planner = _timed_by_toppra(planner.config)
     proven = _Tally()
+    toppra_timed = _Tally()
     bare = _Tally()
     ompl = _Tally()
     for query in queries:
         engines = planner.engines(query.scene)
         proven.add(_proven(query, planner), engines)
+        toppra_timed.add(_proven(query, toppra_planner), engines)
         bare.add(_bare(query, planner), engines)
         ompl.add(plan_ompl(_motion(query), planner, _BUDGET_S), engines)
     own = proven.numbers()
     yield BenchRow(f"{group}: minidual, proven", own, {})
+    yield BenchRow(f"{group}: minidual, timed by toppra", toppra_timed.numbers(), {})
     yield BenchRow(f"{group}: bare rrtconnect, unproven", bare.numbers(), {})
     yield _peer_row(f"{group}: OMPL, MuJoCo, toppra", ompl, own)
     if roboplan is not None:
@@ -232,7 +243,7 @@ def _bare_path(query: Query, planner: Planner, config: PlannerConfig) -> Traject
     if curve is None:
         return None
     try:
-        return time_path(curve, query.group, config, planner.kinematics)[0]
+        return time_path(curve, query.group, config, planner.kinematics).trajectory
     except TimingError:
         return None
 

@@ -29,7 +29,7 @@ def test_every_planner_plans_the_queries_and_ratios_are_of_one_run(
     monkeypatch.setattr(planning, "_warm_up", lambda config, queries: None)
     table = planning.measure(BenchInputs(Config(), 20261, 1, roboplan=tmp_path / "python"))
     rows = {row.name: row for row in table.rows}
-    assert len(rows) == 3 * 3 + 2
+    assert len(rows) == 3 * 4 + 2
     for row in table.rows:
         for column, number in row.numbers.items():
             assert np.isfinite(number)
@@ -37,6 +37,8 @@ def test_every_planner_plans_the_queries_and_ratios_are_of_one_run(
     for group in ("left_arm", "right_arm", "both_arms"):
         own = rows[f"{group}: minidual, proven"]
         assert own.numbers["solved_pct"] == own.numbers["free_pct"] == 100.0
+        by_toppra = rows[f"{group}: minidual, timed by toppra"]
+        assert by_toppra.numbers["solved_pct"] == by_toppra.numbers["free_pct"] == 100.0
         peer = rows[f"{group}: {OMPL}"]
         ratio = own.numbers["median_ms"] / peer.numbers["median_ms"]
         assert peer.numbers["median_ratio"] == pytest.approx(ratio)
