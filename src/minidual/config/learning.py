@@ -51,7 +51,8 @@ class TeleopConfig(StrictModel):
     jerk_max_rad_s3: AtMost[float] = Field(default=200.0, gt=0.0, le=1e6)
     """Episodes with a larger RMS jerk are rejected."""
     latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0, le=60.0)
-    episodes_per_min: AtLeast[float] = Field(default=3.0, ge=0.0, le=1e4)
+    episodes_per_min: AtLeast[float | None] = Field(default=3.0, ge=0.0, le=1e4)
+    """None reports the rate: a few episodes say more of the start of processes than of recording."""
     person_time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
