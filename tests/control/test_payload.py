@@ -25,7 +25,6 @@ from tests.support.stacks import (
     hand_height_m,
     hand_over,
     run,
-    stack_on,
     supervised,
 )
 
@@ -171,25 +170,6 @@ def test_a_told_load_is_borne_while_the_hand_is_driven_until_it_opens(world: Wor
     loaded.assert_smooth()
 
 
-def test_a_hold_learns_the_load_of_a_hand_and_an_opening_hand_lets_go_of_it(
-    world: World,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The load hangs on the hand, not between its fingers."""
-    loaded = Loaded(world, 2.0)
-    stack = loaded.stack
-    monkeypatch.setattr(stack._loop, "holds", lambda hand: hand == 0)
-    assert loaded.sag_mm(300) > 5.0
-    stack.request("hold")
-    assert abs(loaded.sag_mm(2500)) < 0.5
-    hand_over(stack, "teleop")
-    monkeypatch.undo()
-    pull(world, 0.0)
-    loaded.tell(np.ones(2))
-    assert abs(loaded.sag_mm(1000)) < 0.5
-    loaded.assert_smooth()
-
-
 @pytest.mark.parametrize("how", ["halt", "estop"])
 def test_a_stop_bears_the_load_that_was_told(world: World, how: str) -> None:
     loaded = Loaded(world, 2.0)
@@ -215,26 +195,6 @@ def test_a_hand_that_opens_in_a_stop_lets_go_of_its_load(world: World, how: str)
         loaded.stack.supervisor.estop()
     assert abs(loaded.sag_mm(1200)) < 3.0
     assert loaded.stack.payload.force_n == [0.0, 0.0]
-
-
-@pytest.mark.parametrize(("mass_kg", "kept"), [(2.0, True), (-2.0, False)])
-def test_repeated_holds_do_not_creep_under_a_load(
-    world: World,
-    mass_kg: float,
-    kept: bool,
-) -> None:
-    """What presses a hand up is no load: the hold gives way to it."""
-    stack = stack_on(world)
-    hand_over(stack, "teleop")
-    pull(world, mass_kg * 9.81)
-    run(stack, 300)
-    heights_mm = []
-    for mode in ("hold", "teleop") * 2:
-        stack.request(mode)
-        run(stack, 300)
-        heights_mm.append(hand_mm(world))
-    crept_mm = (heights_mm[0] - heights_mm[-1]) * np.sign(mass_kg)
-    assert (crept_mm < 0.01) == kept
 
 
 @pytest.mark.parametrize("ticks", [0, 2])
@@ -331,11 +291,9 @@ def test_a_soft_hand_that_is_jammed_in_a_hold_is_not_thrown_when_it_comes_free(
 # Arms alone -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["halt", "emergency_stop", "silence"])
-def test_a_stop_learns_what_a_driven_hand_lifts(
+def test_a_hold_after_silence_learns_what_a_driven_hand_lifts(
     scene: SceneConfig,
     kinematics: Kinematics,
-    how: str,
 ) -> None:
     """20 N in a teleoperated hand, of which nobody told."""
     plant = Arms(scene)
@@ -355,14 +313,9 @@ def test_a_stop_learns_what_a_driven_hand_lifts(
         assert step(speaks=True) == []
     assert stack.payload.force_n == [0.0, 0.0], "a driven hand learns none"
     before_m = hand_height_m(plant, 0)
-    if how == "halt":
-        stack.halt("teleop")
-    elif how == "emergency_stop":
-        stack.supervisor.estop()
     names = [name for _ in range(2000) for name in step(speaks=False)]
-    assert names == (["emergency_stop"] if how == "emergency_stop" else [])
-    bound_m = 0.012 if how == "silence" else 0.005
-    assert abs(hand_height_m(plant, 0) - before_m) < bound_m
+    assert names == []
+    assert abs(hand_height_m(plant, 0) - before_m) < 0.012
 
 
 @pytest.mark.parametrize("how", ["halt", "estop"])
