@@ -81,8 +81,8 @@ class Payload:
             opens = self.closed[arm] and opening > OPEN_ABOVE
             if lost[arm] or opens:
                 self._goal_n[arm] = 0.0
-                if stopped:
-                    self.force_n[arm] = 0.0
+            if stopped and self._goal_n[arm] == 0.0:
+                self.force_n[arm] = 0.0
             stays_closed = self.closed[arm] and opening <= OPEN_ABOVE
             self.closed[arm] = opening < CLOSE_BELOW or stays_closed
 
