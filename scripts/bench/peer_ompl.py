@@ -52,7 +52,7 @@ def _search(query: PeerQuery, planner: Planner, spent: Callable[[], bool]) -> Ar
     seeded(query.seed)
     space = bounded_space(robot.q_lower[joints], robot.q_upper[joints])
     keeps_grasp = query.T_left_right is not None
-    if keeps_grasp:
+    if query.T_left_right is not None:
         grasp = GraspConstraint(query.T_left_right, planner.kinematics)
         space = ob.ProjectedStateSpace(space, grasp)
         information = ob.ConstrainedSpaceInformation(space)
