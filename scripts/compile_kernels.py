@@ -14,8 +14,9 @@ def main() -> None:
     goal = planner.robot.home.copy()
     goal[0] += 0.4
     planner.plan_to_joints("both_arms", planner.robot.home, goal, seed=1)
+    cpu_s = time.process_time()
     print(
-        f"kernels of {kernels.__name__}, proof and motion: ready, {time.process_time():.0f} s of processor time",
+        f"kernels of {kernels.__name__}, proof and motion: ready, {cpu_s:.0f} s of processor time",
     )
 
 

@@ -1,17 +1,19 @@
 """Make a stored query set: `python scripts/make_query_set.py SEED [QUERIES]` (minutes to an hour).
 
-For every query the generator's scenes are tried in turn until one is of the wanted kind and a way through it is
-found by a search that is several times longer than the planner's own, with several planners' seeds and less padding.
+For every query the generator's scenes are tried in turn until one is of the required kind and a way
+through it is found by a search that is several times longer than the planner's own, with several
+planners' seeds and less padding.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,11 +52,10 @@ def witness(seed: int, group: str, index: int) -> Array:
     query = stored_query(seed, group, index)
     assert query is not None
     with np.load(FOLDER / f"seed-{seed}.npz") as arrays:
-        corners = np.split(
-            arrays[f"{group}.corners"].astype(float),
-            np.cumsum(arrays[f"{group}.corners_n"])[:-1],
-        )
-    return np.vstack([query.q_start, corners[index], query.q_goal])
+        corners = arrays[f"{group}.corners"].astype(float)
+        ends = np.cumsum(arrays[f"{group}.corners_n"])
+    of_query = np.split(corners, ends[:-1])[index]
+    return np.vstack([query.q_start, of_query, query.q_goal])
 
 
 def find_way(query: Query) -> Array | None:
@@ -75,51 +76,73 @@ def find_way(query: Query) -> Array | None:
     return None
 
 
-def _solve(job: tuple[int, str, int]) -> tuple[Query, Array, int]:
+class Solved(NamedTuple):
+    """A query with its way.
+
+    Attributes:
+        query: The query.
+        path: Polyline (k, n) from start to goal.
+        left_out_n: Scenes of the required kind before it in which no way was found.
+    """
+
+    query: Query
+    path: Array
+    left_out_n: int
+
+
+def _solve(job: tuple[int, str, int]) -> Solved:
+    """Return query `index` of a group, for (seed, group, index)."""
     seed, group, index = job
     generator = QueryGenerator(seed, OBSTACLES_N)
     attempt = 0
-    left_out = 0
+    left_out_n = 0
     while True:
         query = generator.query(group, index, attempt)
         query = replace(query, q_start=stored(query.q_start), q_goal=stored(query.q_goal))
         path = find_way(query)
         if path is not None:
-            return query, path, left_out
-        left_out += 1
+            return Solved(query, path, left_out_n)
+        left_out_n += 1
         attempt = query.attempt + 1
 
 
 def make(seed: int, queries_n: int, workers_n: int) -> dict[str, Any]:
     """Return the arrays of a new set.
 
-    They are `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n) start and goal,
-    `G.corners`, `G.corners_n` witnesses, `G.left_out`.
+    They are `seed`, and by group G of k queries `G.attempts`, `G.seeds` (k,), `G.ends` (k, 2, n)
+    start and goal, `G.corners`, `G.corners_n` witnesses, `G.left_out`.
     """
     jobs = [(seed, group, index) for group in ROBOT.groups for index in range(queries_n)]
-    found: dict[str, list[tuple[Query, Array, int]]] = {group: [] for group in ROBOT.groups}
+    solved: dict[str, list[Solved]] = {group: [] for group in ROBOT.groups}
     with ProcessPoolExecutor(workers_n) as pool:
-        for done, (job, result) in enumerate(zip(jobs, pool.map(_solve, jobs), strict=True)):
-            found[job[1]].append(result)
+        results = pool.map(_solve, jobs)
+        for number, ((_, group, index), result) in enumerate(zip(jobs, results, strict=True), 1):
+            solved[group].append(result)
             print(
-                f"{done + 1} of {len(jobs)}: {job[1]} {job[2]}, attempt {result[0].attempt}",
+                f"{number} of {len(jobs)}: {group} {index}, attempt {result.query.attempt}",
                 file=sys.stderr,
             )
     arrays: dict[str, Any] = {"seed": np.array(seed)}
-    for group, rows in found.items():
-        corners = [path[1:-1] for _, path, _ in rows]
-        arrays |= {
-            f"{group}.attempts": np.array([q.attempt for q, _, _ in rows], dtype=np.int32),
-            f"{group}.seeds": np.array([q.seed for q, _, _ in rows], dtype=np.int64),
-            f"{group}.ends": np.array(
-                [(q.q_start, q.q_goal) for q, _, _ in rows],
-                dtype=np.float32,
-            ),
-            f"{group}.corners_n": np.array([len(c) for c in corners], dtype=np.int32),
-            f"{group}.corners": np.vstack([np.zeros((0, ROBOT.dof)), *corners]).astype(np.float32),
-            f"{group}.left_out": np.array(sum(left for _, _, left in rows)),
-        }
+    for group, of_group in solved.items():
+        arrays |= _group_arrays(group, of_group)
     return arrays
+
+
+def _group_arrays(group: str, solved: Sequence[Solved]) -> dict[str, Any]:
+    queries_of_group = [each.query for each in solved]
+    corners = [each.path[1:-1] for each in solved]
+    ends = [(query.q_start, query.q_goal) for query in queries_of_group]
+    attempts = [query.attempt for query in queries_of_group]
+    seeds = [query.seed for query in queries_of_group]
+    no_corners = np.zeros((0, ROBOT.dof))
+    return {
+        f"{group}.attempts": np.array(attempts, dtype=np.int32),
+        f"{group}.seeds": np.array(seeds, dtype=np.int64),
+        f"{group}.ends": np.array(ends, dtype=np.float32),
+        f"{group}.corners_n": np.array([len(each) for each in corners], dtype=np.int32),
+        f"{group}.corners": np.vstack([no_corners, *corners]).astype(np.float32),
+        f"{group}.left_out": np.array(sum(each.left_out_n for each in solved)),
+    }
 
 
 def main(seed: int, queries_n: int = 100, workers_n: int = 2) -> None:

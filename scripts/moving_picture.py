@@ -4,6 +4,7 @@ minidual carry
 python scripts/moving_picture.py runs/standard/carry/carry.mp4 docs/carry.webp
 """
 
+import itertools
 import sys
 
 import av
@@ -18,9 +19,8 @@ def main(film: str, target: str) -> None:
     with av.open(film) as container:
         stream = container.streams.video[0]
         period_ms = round(1000.0 * EVERY / float(stream.average_rate or 0))
-        frames = [
-            frame.to_image() for k, frame in enumerate(container.decode(stream)) if k % EVERY == 0
-        ]
+        decoded = itertools.islice(container.decode(stream), 0, None, EVERY)
+        frames = [frame.to_image() for frame in decoded]
     for frame in frames:
         frame.thumbnail((WIDTH_PX, WIDTH_PX))
     frames[0].save(
