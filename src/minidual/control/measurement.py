@@ -88,7 +88,8 @@ class Readings(NamedTuple):
 
 def _array(x: Array, n: int) -> Array:
     """Return a copy of x as floats (n,): plants may keep, or write-protect, what they return."""
-    return np.array(x, dtype=float, order="C").reshape(n)
+    copied = np.array(x, dtype=float, order="C")
+    return copied if copied.shape == (n,) else copied.reshape(n)
 
 
 class Reader:
@@ -192,7 +193,7 @@ class Reader:
         check.coast(period_s)
         if check.why:
             fault = fault or MeasurementFault("measurement", check.detail, check.why)
-        if not math.isfinite(fingers_m.sum() + grip_n.sum()):
+        if not math.isfinite(sum(fingers_m.tolist()) + sum(grip_n.tolist())):
             fingers_m = np.where(np.isfinite(fingers_m), fingers_m, last.fingers_m)
             grip_n = np.where(np.isfinite(grip_n), grip_n, last.grip_n)
             fault = fault or self._hands_silent(period_s)

@@ -7,7 +7,6 @@ import numpy as np
 from minidual.config.control import SupervisorConfig
 from minidual.control.bounds import QUANTITIES, SATURATED, TORQUE_TOLERANCE, TickBounds, excess
 from minidual.control.measurement import Measurement
-from minidual.robot.compiled import floats
 from minidual.robot.pair import Array, Robot
 
 
@@ -83,7 +82,7 @@ class TickCheck:
         largest = excess(
             measurement.q,
             measurement.v,
-            floats(tau),
+            tau,
             applied,
             self._no_reference if a_ref is None else a_ref,
             follows,

@@ -247,7 +247,7 @@ class World:
 
     def command(self, tau: Array, fingers: Array) -> None:
         """See `Plant`; torques are clipped at the motor limits."""
-        if self._braked.any():
+        if self._brakes:
             tau = np.where(self._braked, self._brake_torque(), tau)
         self._ctrl[self.joints.ctrl] = tau
         self._ctrl[self._first_fingers] = fingers
@@ -255,6 +255,7 @@ class World:
 
     def brake(self, arms: tuple[int, ...]) -> None:
         """See `Plant`: a damper on the true motion, in place of the commanded torques."""
+        self._brakes = bool(arms)
         braked = [arm in arms for arm in range(len(SIDES))]
         self._braked = np.repeat(braked, self.robot.dof_per_arm)
 
