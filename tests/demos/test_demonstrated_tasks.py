@@ -122,8 +122,7 @@ def test_the_option_task_is_that_of_the_configuration(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (option,) = (o for o in STAGES[stage].options if o.name == "task")
-    assert option.path == "task"
+    assert STAGES[stage].settings["task"] == "task"
     assert (
         run_command_line([stage, "--task", "handovr", "--runs-dir", str(tmp_path)], STAGES, TOOLS)
         == 2

@@ -62,9 +62,9 @@ def test_joints_and_pictures_bear_the_times_of_their_reading(
 ) -> None:
     _, ticks = _run(_session(world), 0, length=5)
     assert ticks[0].image_timestamps == ticks[0].timestamps
-    monkeypatch.setattr(World, "stamp_s", property(lambda world: world.time - 0.025))
+    monkeypatch.setattr(World, "stamp_s", property(lambda world: world.time - 0.015))
     _, ticks = _run(_session(world), 0, length=5)
-    assert ticks[0].image_timestamps - ticks[0].timestamps == pytest.approx(0.025)
+    assert ticks[0].image_timestamps - ticks[0].timestamps == pytest.approx(0.015)
 
 
 def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World) -> None:
