@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from minidual.config.scene import ObjectConfig
-from minidual.plant.bodies import lie
+from minidual.plant.bodies import HAND_FORCES, INTERNAL_FORCE, PINCHES, YAW, lie
 from minidual.robot.pair import Array
 
 if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
@@ -52,11 +52,11 @@ class ObjectTruth:
         # Plain floats: conditions that compute with arrays take four times as long.
         numbers: list[float] = reading.tolist()
         self.xyz = (numbers[0], numbers[1], numbers[2])
-        self._left_force = numbers[6:9]
-        self._right_force = numbers[9:12]
-        self.pinch = (numbers[12], numbers[13])
-        self.squeeze_n = numbers[14]
-        self.yaw_rad = numbers[15]
+        self._left_force = numbers[HAND_FORCES : HAND_FORCES + 3]
+        self._right_force = numbers[HAND_FORCES + 3 : PINCHES]
+        self.pinch = (numbers[PINCHES], numbers[PINCHES + 1])
+        self.squeeze_n = numbers[INTERNAL_FORCE]
+        self.yaw_rad = numbers[YAW]
 
     def _attach(self, world: World) -> None:
         """Find the object in a world, with its sizes there: a condition may have changed them."""
