@@ -19,8 +19,8 @@ from minidual.demos.session import TeleopSession, Tick
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.operator import ScriptedOperator
-from minidual.skills.phases import Segment, still
 from minidual.skills.pipeline.drive import Drive
+from minidual.skills.states import Segment, still
 from minidual.trials.modes import ModesDemo
 from minidual.trials.modes_turns import SwitchError, Turn
 from tests.support.carry_trials import carry_task, sample_trial

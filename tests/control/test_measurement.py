@@ -183,7 +183,6 @@ def test_a_clock_that_began_anew_is_one_fault(read: Read) -> None:
         ("q", breaks),
         ("q", HOME[:13]),
         ("q", np.array(["x"] * DOF)),
-        ("v", np.array([None] * DOF)),
         ("v", NOTHING[:7]),
         ("fingers", lambda: None),
         ("grip", np.zeros(1)),

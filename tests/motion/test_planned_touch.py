@@ -117,7 +117,9 @@ def test_dry_joints_are_hardly_a_touch(world: World, planner: Planner) -> None:
         drive(carry, "descend")
         for _ in range(600):
             carry.step()
-            felt.append((np.abs(supervisor._contact.torque).max(), np.abs(supervisor.touch).max()))
+            felt.append(
+                (np.abs(supervisor.observer.external).max(), np.abs(supervisor.touch).max())
+            )
     finally:
         world.model.dof_frictionloss[world.joints.qvel] = 0.0
     assert carry.phase == "descend"
@@ -146,7 +148,7 @@ def test_after_three_tries_the_reflex_ends_the_trial(
     assert drive(carry, "close").count("descend") == 4
     assert carry.done
     assert carry.aborted.startswith("phase 'descend': ")
-    assert "_contact" in carry.aborted
+    assert "reflex contact." in carry.aborted
     assert np.abs(world.v).max() < 0.05
 
 
@@ -160,7 +162,7 @@ def test_a_plan_that_is_not_found_leaves_the_arms_stopped(
     carry = seen(world, planner, -0.018 * axis)
     assert drive(carry, "close") == ["approach", "descend", "done"]
     assert carry.done
-    assert "_contact" in carry.aborted
+    assert "reflex contact." in carry.aborted
     assert carry.stack.reflex is not None
     assert carry.stack.source is None
 
@@ -182,7 +184,7 @@ def test_a_halt_in_the_stop_of_a_touch_is_not_overridden(
     for _ in range(600):
         carry.step()
     assert carry.done
-    assert "_contact" in carry.aborted
+    assert "reflex contact." in carry.aborted
     assert carry.stack.source is None
     assert np.abs(world.q - stopped).max() < 0.1
 
@@ -204,7 +206,7 @@ def test_arms_that_are_not_measured_grasp_nothing_again(
     for _ in range(600):
         carry.step()
     assert carry.done
-    assert "_contact" in carry.aborted
+    assert "reflex contact." in carry.aborted
     assert carry.stack.reflex is not None
 
 
@@ -265,9 +267,9 @@ def test_only_a_press_on_one_finger_says_where_the_object_is(
 @pytest.mark.parametrize(
     ("name", "phase", "goes_on"),
     [
-        ("joint_contact", "descend", True),
-        ("cartesian_contact", "descend", True),
-        ("joint_contact", "approach", False),
+        ("contact.joint", "descend", True),
+        ("contact.hand", "descend", True),
+        ("contact.joint", "approach", False),
         ("tracking_error", "descend", False),
         ("emergency_stop", "descend", False),
     ],
@@ -282,6 +284,7 @@ def test_only_a_touch_on_the_way_down_is_tried_again(
     carry = seen(world, planner)
     while carry.phase != phase:
         carry._left.pop(0)
-    carry._stopped(ReflexError(Reflex(name, 0.0, "a joint", 1.0, None), np.zeros(14)))
+    family, _, detail = name.partition(".")
+    carry._stopped(ReflexError(Reflex(family, detail, 0.0, "a joint"), np.zeros(14)))
     assert (carry._touch is not None) == goes_on
     assert carry.aborted.startswith(f"phase '{phase}': reflex {name}")

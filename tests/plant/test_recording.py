@@ -15,6 +15,7 @@ from minidual.cli.app import run_command_line
 from minidual.config.control import SupervisorConfig
 from minidual.config.scene import ObstacleConfig
 from minidual.control.joint_control import JointLoop
+from minidual.control.measurement import Reader
 from minidual.control.reflexes import ReflexError
 from minidual.control.supervisor import Supervisor, dumping
 from minidual.errors import DataError, UsageError
@@ -23,6 +24,7 @@ from minidual.plant.recorder import Recorder
 from minidual.plant.recording import read_recording, write_recording
 from minidual.plant.replay import replay
 from minidual.plant.world import SimulationDivergedError, World
+from minidual.robot.kinematics import Kinematics
 from minidual.robot.models import ARM_MODELS
 from minidual.robot.pair import Robot
 from minidual.stages.registry import STAGES, TOOLS
@@ -269,7 +271,9 @@ class TestDumps:
         loop = JointLoop(world, kinematics)
         world_command = world.command
         world.command = lambda tau, fingers: world_command(
-            supervisor.guard(world.time, world.q, world.v, tau),
+            supervisor.guard(
+                Reader(world, supervisor.config).reset(), tau, Kinematics().gravity(world.q)
+            ),
             fingers,
         )
         with pytest.raises(ReflexError) as caught:
@@ -664,7 +668,9 @@ class TestCommand:
         tau = np.full(14, 0.25)
         tau[4] = np.nan
         with pytest.raises(ReflexError) as caught:
-            supervisor.guard(world.time, world.q, world.v, tau)
+            supervisor.guard(
+                Reader(world, supervisor.config).reset(), tau, Kinematics().gravity(world.q)
+            )
         supervisor.tell(caught.value)
         assert "FILE" not in caught.value.remedy
         assert str(caught.value.dump) in caught.value.remedy

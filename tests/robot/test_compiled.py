@@ -8,11 +8,11 @@ import pytest
 from numba.core.errors import NumbaError
 
 from minidual.collision.scene import PlanningScene
-from minidual.control import kernels
 from minidual.motion.search import EdgeChecker
 from minidual.proof import planes
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot import compiled
+from minidual.skills import object_kernels
 from tests.support.panda import HOME
 
 
@@ -62,11 +62,11 @@ def test_a_kernel_that_counts_no_references_checks_its_arguments_all_the_same():
     b = np.array([0.0, 3.0, 2.0])
     before = sys.getrefcount(a)
     for _ in range(1000):
-        assert kernels.farthest(a, b) == 2.0
+        assert object_kernels.farthest(a, b) == 2.0
     assert sys.getrefcount(a) == before
     for wrong in (b.astype(np.float32), b.reshape(1, 3), np.zeros(6)[::2], b.tolist()):
         with pytest.raises(TypeError):
-            kernels.farthest(a, wrong)
+            object_kernels.farthest(a, wrong)
 
 
 def test_a_kernel_that_makes_arrays_must_say_so():

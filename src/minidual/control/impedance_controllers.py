@@ -43,12 +43,6 @@ _IN_HAND = 0.04, 0.5
 """Largest distance [m] and angle [rad] by which an object may move in a hand; it turns between two pads."""
 _FORGET_S = 0.5
 """How long the object's twist may differ from the motion of its pose, by as much as it may move in a hand."""
-_HANGS_M = 0.003
-_RAISE_PER_S = 3.0
-_RAISED_MAX_M = 0.06
-_LEVEL_M_PER_S = 0.01
-"""An object that hangs farther than this from its height is raised or lowered at this rate, by at most this much, while
-its path is level."""
 _BACK_TO_M = 0.01
 _BACK_M_PER_S = 0.1
 """A path that left the object behind draws its end back to within this distance, at this speed."""
@@ -157,7 +151,6 @@ class ObjectImpedanceController(Controller):
         ]
         self._T_seen = self.desired.T_world_object
         self._back = False
-        self._raised_m = 0.0
         self._updates = 0
         self._twists, self._off = np.zeros((2, 6))
         self._squeeze = self._squeeze_wanted = float(np.clip(internal_force, 0.0, SQUEEZE_MAX_N))
@@ -287,28 +280,7 @@ class ObjectImpedanceController(Controller):
             step = _BACK_M_PER_S * self._dt_s / max(ahead_m, _BACK_TO_M)
             self._back = ahead_m > _BACK_TO_M
             self.desired = desired = ObjectState(towards(ahead, there, step)[0])
-        raised = self._raise(desired, measured)
-        return law.torque(q, v, measured, raised, wanted_n=self._squeeze, felt_n=felt_n)
-
-    def _raise(self, desired: ObjectState, measured: ObjectState) -> ObjectState:
-        """Return the desired state, raised by what an object hangs too low or too high.
-
-        An object that is heavier than told, or motors that are weaker, hang by their spring. Errors of less than
-        `_HANGS_M` are left: noise and acceleration make them, too.
-        """
-        error_m = desired.T_world_object[2, 3] - measured.T_world_object[2, 3]
-        beyond_m = error_m - within(error_m, -_HANGS_M, _HANGS_M)
-        level = (
-            abs(desired.twist[2]) < _LEVEL_M_PER_S
-        )  # friction lets it lag on the way up and down
-        if beyond_m != 0.0 and level:
-            raised_m = self._raised_m + _RAISE_PER_S * self._dt_s * beyond_m
-            self._raised_m = within(raised_m, -_RAISED_MAX_M, _RAISED_MAX_M)
-        if self._raised_m == 0.0:
-            return desired
-        T = desired.T_world_object.copy()
-        T[2, 3] += self._raised_m
-        return desired._replace(T_world_object=T)
+        return law.torque(q, v, measured, desired, wanted_n=self._squeeze, felt_n=felt_n)
 
     def _ready(self) -> tuple[ObjectImpedance, ObjectSensor]:
         if self._law is None or self._sensor is None:

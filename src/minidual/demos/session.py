@@ -179,8 +179,9 @@ class TeleopSession:
             HandoverError: The arbiter refused.
             Exception: What failed in a leader, a camera or `on_tick`, once the arms have stopped.
         """
+        judge = self._start(task, trial, leader)
         try:
-            return self._run(task, trial, leader, on_tick)
+            return self._run(judge, leader, on_tick)
         except Exception as error:
             with contextlib.suppress(ReflexError):
                 self.stack.fail(error)
@@ -189,18 +190,21 @@ class TeleopSession:
                 self.stack.advance()
             raise
 
-    def _run(
-        self,
-        task: Task,
-        trial: Trial,
-        leader: Leader,
-        on_tick: Callable[[Tick], None],
-    ) -> SessionResult:
+    def _start(self, task: Task, trial: Trial, leader: Leader) -> Judge:
+        """Set up the trial, with the leader at the arms' posture; nothing moves."""
         judge = begin(self.world, task, trial)
         self.stack.reset()
         first_reading = leader.read(0.0)
         if first_reading is not None:
             check_start(self.world.robot, self.config.mirror, first_reading[0], self.world.q)
+        return judge
+
+    def _run(
+        self,
+        judge: Judge,
+        leader: Leader,
+        on_tick: Callable[[Tick], None],
+    ) -> SessionResult:
         self._hand_over(judge)
         drive = self._drive(judge, leader, on_tick)
         self._come_to_rest(judge)
