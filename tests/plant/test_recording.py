@@ -281,7 +281,7 @@ class TestDumps:
         supervisor.tell(caught.value)
         path = caught.value.dump
         assert path is not None
-        assert path.name.startswith("joint_velocity-")
+        assert path.name.startswith("speed.joint-")
         dump = read_recording(path)
         assert dump.reason == caught.value.reflex.text
         assert replay(dump).exact

@@ -25,7 +25,6 @@ SHAPING = {
 EXCUSED = {
     "plant/bodies.py": 1,  # position and quaternion of an object
     "show/view/scene.py": 1,  # position and quaternion of a body
-    "tasks/truth.py": 1,  # place of the squeeze in a reading
 }
 """Files with such a number that is no count of joints, and how many."""
 
