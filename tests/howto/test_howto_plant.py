@@ -29,11 +29,11 @@ def test_the_same_plant_and_stack_drive_other_arms(page, arm):
     assert page["reach"](plant, 0.08, 1.0) < 1e-3
 
 
-def test_its_health_stops_the_arms(page):
-    from minidual.control.reflexes import ReflexError
+def test_a_plant_that_is_ill_is_not_driven(page):
+    from minidual.errors import UsageError
     from minidual.robot.pair import DUAL_PANDA
 
     plant = page["RigidArms"](DUAL_PANDA)
     plant.health = "the brakes are closed"
-    with pytest.raises(ReflexError, match="brakes are closed"):
+    with pytest.raises(UsageError, match="brakes are closed"):
         page["reach"](plant, 0.08, 0.1)

@@ -102,7 +102,7 @@ def test_a_reflex_ends_a_planned_trial(world: World, trial: Trial) -> None:
     )
     carry = PlannedCarry(stack, planner, TASK, trial, SEED)
     assert _steps(carry, 2000) < 2000
-    assert "phase 'approach': reflex joint_velocity" in (carry.aborted or "")
+    assert "phase 'approach': reflex speed.joint" in (carry.aborted or "")
 
 
 def test_a_planned_trial_keeps_the_distance_that_the_supervisor_watches(
@@ -159,7 +159,7 @@ def test_a_reflex_ends_a_demonstration(
         ScriptedLeader(ScriptedOperator(world.scene).plan(trial, seed=SEED)),
     )
     assert result.ended_by == ended_by
-    assert result.reason.startswith("reflex joint_velocity" if ended_by == "reflex" else "")
+    assert result.reason.startswith("reflex speed.joint" if ended_by == "reflex" else "")
     assert result.outcome.success == (ended_by == "leader")
 
 

@@ -111,7 +111,8 @@ def _fastest_profile(
         gridpoints=grid,
         solver_wrapper="seidel",
     )
-    _, speeds, _ = solver.compute_parameterization(0.0, 0.0)
+    parameterization = solver.compute_parameterization(0.0, 0.0)
+    speeds = parameterization[1]
     if speeds is None:
         raise TimingError("toppra finds no time law within the limits")
     check_speeds(speeds)
