@@ -227,7 +227,7 @@ def test_a_second_press_outlives_the_recovery_from_the_first(scene: SceneConfig)
     hand_over(stack, "teleop")
 
 
-def test_a_press_ends_arms_without_a_supervisor_and_further_work(scene: SceneConfig) -> None:
+def test_a_press_stops_arms_whose_supervisor_bounds_nothing_and_ends_further_work(scene: SceneConfig) -> None:
     stack = stack_on(ArmsPlant(scene))
     stack.step()
     work = in_workers(lambda item: item, [1, 2, 3], 1)
@@ -235,8 +235,8 @@ def test_a_press_ends_arms_without_a_supervisor_and_further_work(scene: SceneCon
     emergency.press("red button")
     with pytest.raises(emergency.EmergencyStop):
         next(work)
-    with pytest.raises(emergency.EmergencyStop):
-        stack.arbitrate()
+    with pytest.raises(ReflexError, match="emergency_stop"):
+        stack.step()
 
 
 def test_the_button_of_the_view_presses(capsys: pytest.CaptureFixture[str]) -> None:

@@ -219,9 +219,9 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     verify = verifier.verify
     calls = []
 
-    def refuse_first(trajectory):
+    def refuse_first(trajectory, unlimited):
         calls.append(trajectory)
-        report = verify(trajectory)
+        report = verify(trajectory, unlimited)
         return report if len(calls) > 1 else report._replace(ok=False, reason="made up")
 
     monkeypatch.setattr(verifier, "verify", refuse_first)
@@ -233,7 +233,11 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
     )
     assert result.attempts_n == 2
     assert result.notes == ("proof failed: made up",)
-    monkeypatch.setattr(verifier, "verify", lambda t: verify(t)._replace(ok=False, reason="no"))
+
+    def refuse_always(trajectory, unlimited):
+        return verify(trajectory, unlimited)._replace(ok=False, reason="no")
+
+    monkeypatch.setattr(verifier, "verify", refuse_always)
     with pytest.raises(NoPathInTimeError, match="proof failed: no"):
         post_planner.plan_to_joints(
             "left_arm",

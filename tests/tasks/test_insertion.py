@@ -19,7 +19,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_x, rot_z
 from minidual.skills.cycle import solve
-from minidual.skills.pipeline import hands
+from minidual.skills.pipeline import inserting
 from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
 from minidual.skills.states import State
 from minidual.skills.supervised import SceneClearance
@@ -588,7 +588,7 @@ def test_a_peg_that_lies_further_back_than_it_seems_is_pushed_deep_enough(
     trial = TASK.trial(TASK.config.seed, "benchmark", 2)
     found, _ = bench.run(trial)
     assert found.success, found.text
-    monkeypatch.setattr(hands, "_DRIVEN_M", 0.006)
+    monkeypatch.setattr(inserting, "_DRIVEN_M", 0.006)
     missed, _ = bench.run(trial)
     assert (missed.failure, missed.measured["depth_m"]) == (
         "mated",
@@ -619,7 +619,7 @@ def test_the_search_finds_a_bore_that_a_straight_move_misses(
     trial = TASK.trial(TASK.config.seed, "benchmark", 40)
     found, _ = bench.run(trial)
     assert found.success, found.text
-    monkeypatch.setattr(hands, "_spiral", lambda T: ())
+    monkeypatch.setattr(inserting, "_spiral", lambda T: ())
     missed, _ = bench.run(trial)
     assert not missed.success
     assert missed.measured["depth_m"] == 0.0
