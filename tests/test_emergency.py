@@ -227,7 +227,9 @@ def test_a_second_press_outlives_the_recovery_from_the_first(scene: SceneConfig)
     hand_over(stack, "teleop")
 
 
-def test_a_press_stops_arms_whose_supervisor_bounds_nothing_and_ends_further_work(scene: SceneConfig) -> None:
+def test_a_press_stops_arms_whose_supervisor_bounds_nothing_and_ends_further_work(
+    scene: SceneConfig,
+) -> None:
     stack = stack_on(ArmsPlant(scene))
     stack.step()
     work = in_workers(lambda item: item, [1, 2, 3], 1)

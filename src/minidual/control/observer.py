@@ -93,25 +93,33 @@ _EXTERNAL, _STEADY, _AWAY, _LATE_S = range(4)
 
 
 # One array an argument: see `bounds.excess`.
-@kernel(types.void(VECTOR, ROWS, VECTOR, VECTOR, VECTOR, VECTOR, ROWS))
+@kernel(
+    types.intp(VECTOR, ROWS, ROWS, types.intp, types.intp, VECTOR, VECTOR, VECTOR, VECTOR, ROWS)
+)
 def observe(
     needed: Array,
     mean: Array,
     applied: Array,
+    newest: int,
+    ticks: int,
     expected: Array,
     reference: Array,
     constants: Array,
+    torque_max: Array,
     state: Array,
-) -> None:
-    """Update the observer.
+) -> int:
+    """Update the observer; return the number of joints beyond a bound.
 
     Args:
         needed: M dv/dt + h (n,) [Nm].
         mean: (3, n), see `halfway`.
-        applied: Mean torque of the step (n,) [Nm].
+        applied: Ring of applied torques (rows, n) [Nm].
+        newest, ticks: Row of the step's last torque, and the number of its torques.
         expected: External torque (n,) [Nm].
         reference: (n,) [rad].
-        constants: Damping [Nm s/rad], dry friction [Nm], gain, step [s], allowed deviation [rad].
+        constants: Damping [Nm s/rad], dry friction [Nm], gain, step [s], allowed deviation [rad] and for how
+            long [s].
+        torque_max: Bounds of the unexplained torque (n,) [Nm].
         state: (4, n), updated: unexplained torque, its mean of 0.1 s, distance from the reference [rad], and
             the time for which that is too far [s].
     """
@@ -120,18 +128,26 @@ def observe(
     gain = constants[2]
     step_s = constants[3]
     slowly = min(1.0, step_s / _STEADY_S)
+    beyond_n = 0
     for j in range(len(needed)):
+        total = applied[newest, j]
+        for k in range(1, ticks):
+            total += applied[(newest - k) % len(applied), j]
         v = mean[1, j]
         friction = damping * v + (dry * math.tanh(v / 0.02) if dry != 0.0 else 0.0)
         change = 0.5 * step_s * mean[2, j]
         stopped = abs(v + change) < STILL_RAD_S and abs(v - change) > _MOVED_RAD_S
         follow = 1.0 if stopped else gain  # at once: the torque that stopped it is soon over
-        unexplained = needed[j] + friction - applied[j] - expected[j]
+        unexplained = needed[j] + friction - total / ticks - expected[j]
         state[_EXTERNAL, j] += follow * (unexplained - state[_EXTERNAL, j])
         state[_STEADY, j] += slowly * (state[_EXTERNAL, j] - state[_STEADY, j])
         state[_AWAY, j] = mean[0, j] - reference[j]
         late = abs(state[_AWAY, j]) > constants[4]
         state[_LATE_S, j] = state[_LATE_S, j] + step_s if late else 0.0
+        within = abs(state[_EXTERNAL, j]) <= torque_max[j]  # false for NaN
+        if not within or state[_LATE_S, j] > constants[5]:
+            beyond_n += 1
+    return beyond_n
 
 
 class ContactObserver:
@@ -164,7 +180,7 @@ class ContactObserver:
         self._last = np.zeros((2, robot.dof))
         self._mean = np.zeros((3, robot.dof))
         self._nothing = np.zeros(robot.dof)
-        self._constants = np.zeros(5)
+        self._constants = np.zeros(6)
         self._constants[:2] = robot.arm.damping, robot.arm.friction
         self._state = np.zeros((4, robot.dof))
         self.external, self.steady, self.away, self.late_s = self._state
@@ -194,38 +210,36 @@ class ContactObserver:
         """Whether the next new measurement is for an update; measurements may come in any phase."""
         return self._ticks >= self._due_tick
 
-    def update(self, measurement: Measurement, expected: Expected) -> bool:
-        """Update all attributes; return False where there is nothing to compare with yet."""
+    def update(self, measurement: Measurement, expected: Expected) -> int:
+        """Update all attributes; return the number of joints beyond a bound."""
         self._due_tick = (self._ticks // self._every + 1) * self._every
         lag = max(0, round((measurement.age_s + self._delay_s) / self._dt))
         if self._ticks <= lag + self._every or lag + _WINDOW_MAX >= _APPLIED_N:
-            return False  # torques before the start are not known
+            return 0  # torques before the start are not known
         step_s = measurement.stamp_s - self._stamp_s
         self._stamp_s = measurement.stamp_s
         if not 0.5 * self._dt < step_s < _WINDOW_MAX * self._dt:  # the first, or after a silence
             self._last[:] = measurement.q, measurement.v
-            return False
+            return 0
         halfway(measurement.q, measurement.v, step_s, self._last, self._mean)
         self.bounds = self.modes[expected.mode]
         self._constants[2] = -math.expm1(-step_s / _FILTER_S)
         self._constants[3] = step_s
         self._constants[4] = self.bounds.deviation_rad
+        self._constants[5] = self.bounds.deviation_s
         needed = self._kinematics.rnea(*self._mean)
         torque = self._nothing if expected.torque is None else expected.torque
-        observe(
+        beyond_n = observe(
             needed,
             self._mean,
-            self._mean_applied(lag, round(step_s / self._dt)),
+            self._applied,
+            (self._ticks - 1 - lag) % _APPLIED_N,
+            round(step_s / self._dt),
             torque,
             self._mean[0] if expected.reference is None else expected.reference,
             self._constants,
+            self.bounds.torques,
             self._state,
         )
         self.needed = needed - torque
-        return True
-
-    def _mean_applied(self, lag: int, ticks: int) -> Array:
-        """Return the mean torque (n,) [Nm] of `ticks` ticks that ended `lag` ticks ago."""
-        newest = self._ticks - 1 - lag
-        rows = [(newest - k) % _APPLIED_N for k in range(ticks)]
-        return self._applied[rows].sum(axis=0) / ticks
+        return beyond_n

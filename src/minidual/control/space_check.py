@@ -126,17 +126,18 @@ class SpaceCheck:
         self._hands.update(q)
         hand_look(self._hands.views, v, external, self._ahead_s, self._looks)
         speed_max = self._config.tcp_speed_max_m_per_s
-        lower, upper = np.transpose(self._config.workspace_m)
-        for arm, (force_n, speed, x, y, z) in enumerate(self._looks.tolist()):
+        ranges_m = self._config.workspace_m
+        for arm, (force_n, speed, *place_m) in enumerate(self._looks.tolist()):
             side = SIDES[arm]
             if not force_n <= force_max_n:
                 return Violation("contact", "hand", f"the {side} hand", force_n, force_max_n)
             if not speed <= speed_max:
                 return Violation("speed", "hand", self._robot.tcp_names[arm], speed, speed_max)
-            place = np.array([x, y, z])
-            if not ((lower <= place) & (place <= upper)).all():
+            inside = [low <= x <= high for x, (low, high) in zip(place_m, ranges_m, strict=True)]
+            if not all(inside):
                 axes = tuple(f"{axis} of the {side} hand" for axis in "xyz")
-                return beyond("clearance", "workspace", axes, place, lower, upper)
+                lower, upper = np.transpose(ranges_m)
+                return beyond("clearance", "workspace", axes, np.array(place_m), lower, upper)
         return None
 
     def _of_a_stop(self, q: Array, v: Array, a_ref: Array) -> Violation | None:

@@ -220,9 +220,9 @@ class Supervisor:
             return _failed(error)
         if expected.hand_fault:
             return Violation("gripper_opened", "", expected.hand_fault)
-        if not self.observer.update(measurement, expected):
-            return None
         observer = self.observer
+        if not observer.update(measurement, expected):
+            return None
         bounds = observer.bounds
         names = self._robot.joint_names
         ratio = np.abs(observer.external) / bounds.torques
@@ -237,11 +237,14 @@ class Supervisor:
                 float(bounds.torques[joint]),
             )
         joint = int(np.argmax(observer.late_s))
-        if observer.late_s[joint] > bounds.deviation_s:
-            where = f"{names[joint]}, {expected.mode}"
-            away_rad = float(observer.away[joint])
-            return Violation("tracking_error", "", where, away_rad, bounds.deviation_rad)
-        return None
+        where = f"{names[joint]}, {expected.mode}"
+        return Violation(
+            "tracking_error",
+            "",
+            where,
+            float(observer.away[joint]),
+            bounds.deviation_rad,
+        )
 
     def _near(self, measurement: Measurement, a_ref: Array | None) -> Violation | None:
         force_max_n = self.observer.modes[self._contact.mode].force_n
