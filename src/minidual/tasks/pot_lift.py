@@ -1,4 +1,4 @@
-"""Pot: both hands lift it by its handles and stand it on a plate."""
+"""Pot: both hands lift it by its handles and stand it on a painted mark."""
 
 from minidual.config.root import Config, preset
 from minidual.config.scene import PartConfig
@@ -57,5 +57,5 @@ _VALUES = with_pinch(
 
 def pot_lift(config: Config) -> Task:
     """Return the task."""
-    instruction = "Lift the pot by both handles and put it on the green plate."
+    instruction = "Lift the pot by both handles and put it on the green mark."
     return carry_task("pot_lift", instruction, preset(config, _VALUES), "pot-trial")

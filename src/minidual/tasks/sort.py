@@ -1,4 +1,4 @@
-"""Sort: four cubes into two bins, each within one arm's reach.
+"""Sort: four cubes onto two painted fields, each within one arm's reach.
 
 Cubes of the wrong side are passed by the middle.
 """
@@ -32,14 +32,14 @@ from minidual.tasks.truth import Truth
 
 COLOURS = {"red": (0.80, 0.16, 0.14, 1.0), "blue": (0.13, 0.33, 0.78, 1.0)}
 SIDE_OF = dict(zip(COLOURS, SIDES, strict=True))
-"""Arm that reaches the bin of a colour."""
+"""Arm that reaches the field of a colour."""
 _SIGN_OF = dict(zip(SIDES, (1.0, -1.0), strict=True))  # sign of y on an arm's side
 _CUBE_M = 0.04
 _APART_M = 0.10
 _START_X_M = (0.38, 0.58)
 _START_Y_M = (-0.42, 0.42)
 _WRONG_M = 0.15
-# Size and centre of a bin, and its places along y. However it stretches, the other arm ends 3 cm
+# Size and centre of a field, and its places along y. However it stretches, the other arm ends 3 cm
 # before it.
 _BIN_M = (0.16, 0.18)
 _BIN_XY_M = (0.50, 0.65)
@@ -55,7 +55,7 @@ _VALUES = {
     "scene.task.lift_height_m": 0.10,
     "scene.task.tilt_max_rad": 0.20,
     "scene.task.time_limit_s": 48.0,
-    # The bins stand far to the sides.
+    # The fields lie far to the sides.
     "scene.camera.width_px": 192,
 }
 
@@ -71,10 +71,10 @@ def sort(config: Config) -> Task:
     config = preset(config, {**bodies, **_VALUES})
     check_objects("sort", config.scene, names)
     grasps = dict.fromkeys(SIDES, pose(DOWN, (0.0, 0.0, config.scene.object.grasp_height_m)))
-    put = "Put the red cubes into the red bin on the left"
+    put = "Put the red cubes on the red field on the left"
     return Task(
         name="sort",
-        instruction=f"{put} and the blue ones into the blue bin on the right.",
+        instruction=f"{put} and the blue ones on the blue field on the right.",
         config=config,
         objects={
             name: TaskObject(body, grasps, symmetry=4)
@@ -104,7 +104,7 @@ def _cube(name: str, xy_m: _Xy) -> ObjectConfig:
 
 
 def _bin(colour: str) -> tuple[MarkConfig, MarkConfig]:
-    """Return the rim and the floor of a colour's bin."""
+    """Return the border and the inner area of a colour's field, painted on the table."""
     x, y = _BIN_XY_M
     xy_m = (x, _SIGN_OF[SIDE_OF[colour]] * y)
     length_m, width_m = _BIN_M
@@ -130,17 +130,17 @@ def colour_of(name: str) -> str:
 
 
 def bin_of(name: str) -> str:
-    """Return the name of the bin of a cube or colour."""
+    """Return the name of the mark of a cube or colour."""
     return f"{colour_of(name)}_bin"
 
 
 def side_of(name: str) -> str:
-    """Return the arm that reaches a cube's bin."""
+    """Return the arm that reaches a cube's field."""
     return SIDE_OF[colour_of(name)]
 
 
 def draw_cubes(task: Task, rng: np.random.Generator, widen: float = 1.0) -> tuple[Poses, Poses]:
-    """Draw starts, one or more on the wrong side, and places in the bins; `widen` acts on x.
+    """Draw starts, one or more on the wrong side, and places on the fields; `widen` acts on x.
 
     Raises:
         UsageError: No such start was found.
@@ -178,12 +178,12 @@ def _keep_apart(xy: Mapping[str, _Xy]) -> bool:
 
 
 def _on_the_wrong_side(name: str, y: float) -> bool:
-    """Return whether the arm that reaches the cube's bin does not reach the cube."""
+    """Return whether the arm that reaches the cube's field does not reach the cube."""
     return _SIGN_OF[side_of(name)] * y < -_WRONG_M
 
 
 def _nearest_first(xy: Mapping[str, _Xy]) -> dict[str, _Xy]:
-    """Return the same places; of one colour, the first cube has the one nearest its bin.
+    """Return the same places; of one colour, the first cube has the one nearest its field.
 
     A picture then shows which cube goes where.
     """
@@ -220,7 +220,7 @@ def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition
 
 @dataclass
 class _Inside(success.OfObject):
-    """The cube lies inside its bin's floor, whatever its yaw."""
+    """The cube lies inside its field, whatever its yaw."""
 
     name = "inside"
     mark: MarkConfig
@@ -244,7 +244,7 @@ class _Inside(success.OfObject):
         if self.holds(truth):
             return ""
         x, y, _ = truth[self.object].xyz
-        return f"at ({x:.3f}, {y:.3f}) m, not inside the {self.mark.name}"
+        return f"at ({x:.3f}, {y:.3f}) m, not inside the {colour_of(self.object)} field"
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"goal_error_m": truth[self.object].distance_m(self.goal)}
@@ -341,7 +341,7 @@ def _places_of(jobs: Sequence[_Job]) -> tuple[dict[str, Array], ...]:
 
 
 def _job(task: Task, trial: Trial, name: str, at: Mapping[str, Array]) -> _Job | None:
-    """Return the next job of a cube: into its bin, or to the middle; None if that is full."""
+    """Return the next job of a cube: onto its field, or to the middle; None if that is full."""
     owner = side_of(name)
     rest_m = task.objects[name].body.rest_height_m
     y = at[name].item(1, 3)

@@ -66,7 +66,7 @@ FAULTS: Mapping[str, str] = {
     "exchanged": "not handed over",
     "carried": "slid on the table",
     "stood": "slid on the table between lifts",
-    "inside": "not wholly in its bin",
+    "inside": "not wholly on its field",
     "aloft": "too low over the table at the end",
     "mated": "the peg did not enter the bore deep enough, or did not stay",
 }
