@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from minidual.demos.session import (
     follower_target,
 )
 from minidual.errors import UsageError
+from minidual.plant.render import StampedImage
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
@@ -31,9 +33,14 @@ from tests.support.panda import HOME
 SEED = 7
 
 
-def _session(world: World, **teleop: float) -> TeleopSession:
+def _session(
+    world: World,
+    pictures: Callable[[], dict[str, StampedImage]] = dict,
+    **teleop: float,
+) -> TeleopSession:
     config = TeleopConfig(**teleop)
-    return TeleopSession(ControlStack(world, Kinematics(), rate_hz=config.rate_hz), config)
+    stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz)
+    return TeleopSession(stack, config, pictures)
 
 
 def _run(
@@ -60,11 +67,30 @@ def test_joints_and_pictures_bear_the_times_of_their_reading(
     world: World,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _, ticks = _run(_session(world), 0, length=5)
-    assert ticks[0].image_timestamps == ticks[0].timestamps
+    """The camera whose picture is furthest from the joints in time counts."""
+
+    def pictures() -> dict[str, StampedImage]:
+        nothing = np.zeros((2, 2, 3), np.uint8)
+        fresh = StampedImage(nothing, world.time)
+        late = StampedImage(nothing, world.time - 0.01)
+        return {"high": fresh, "left": late, "right": fresh}
+
+    _, ticks = _run(_session(world, pictures), 0, length=5)
+    assert _image_delays_s(ticks) == pytest.approx([-0.01] * 5)
+    assert ticks[0].timestamps == pytest.approx(0.02), "the arbiter hands over in the first tick"
     monkeypatch.setattr(World, "stamp_s", property(lambda world: world.time - 0.015))
-    _, ticks = _run(_session(world), 0, length=5)
-    assert ticks[0].image_timestamps - ticks[0].timestamps == pytest.approx(0.015)
+    _, ticks = _run(_session(world, pictures), 0, length=5)
+    assert _image_delays_s(ticks) == pytest.approx([0.015] * 5)
+
+
+def test_a_tick_without_pictures_has_no_stamp_of_them(world: World) -> None:
+    _, ticks = _run(_session(world), 0, length=2)
+    assert [tick.image_timestamps for tick in ticks] == [None, None]
+
+
+def _image_delays_s(ticks: list[Tick]) -> list[float]:
+    """Return the time from joints to pictures of each tick."""
+    return [(tick.image_timestamps or np.nan) - tick.timestamps for tick in ticks]
 
 
 def test_an_episode_succeeds_and_its_actions_lead_to_the_next_state(world: World) -> None:

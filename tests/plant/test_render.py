@@ -37,6 +37,21 @@ def test_the_same_state_gives_the_same_picture(visual_world):
         assert np.array_equal(camera.picture(visual_world.data, "high"), first)
 
 
+def test_a_picture_bears_the_time_of_the_state_that_it_shows(visual_world):
+    """The stamp is that of the rendered state, not of the moment at which somebody asks."""
+    past = mujoco.MjData(visual_world.model)
+    past.qpos[:] = visual_world.data.qpos
+    past.time = visual_world.time
+    mujoco.mj_forward(visual_world.model, past)
+    for _ in range(25):
+        visual_world.step()
+    with Camera(visual_world.model, 64, 48) as camera:
+        now = camera.stamped(visual_world.data, "high")
+        late = camera.stamped(past, "high")
+    assert now.stamp_s == visual_world.time
+    assert now.stamp_s - late.stamp_s == pytest.approx(0.025)
+
+
 def test_supersampling_keeps_the_size_and_smooths(visual_world):
     with (
         Camera(visual_world.model, 64, 48) as plain,

@@ -34,6 +34,7 @@ from minidual.demos.rig import Attempt, Job, Rig
 from minidual.demos.writer import EpisodeWriter
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.gate.stage import StageContext
+from minidual.plant.render import Camera, StampedImage
 from minidual.plant.world import World
 from minidual.robot.pair import DUAL_PANDA, Robot
 from minidual.stages.registry import STAGES, TOOLS
@@ -287,6 +288,68 @@ def test_faults_of_a_recording_reach_its_numbers(recorded: tuple[Job, RecordedAt
     assert numbers["episodes_per_min"] == pytest.approx(2.0), (
         "the time before an interruption counts, too"
     )
+
+
+class _LateCamera(Camera):
+    """Delivers the picture of 25 ms ago."""
+
+    delay_s = 0.025
+
+    def follow(self, world: World) -> None:
+        """Keep each state of the world from here on."""
+        self._states: list[tuple[float, np.ndarray]] = []
+        self._past = mujoco.MjData(world.model)
+
+        def keep(world: World) -> None:
+            self._states.append((world.time, world.data.qpos.copy()))
+
+        world.observer = keep
+
+    def stamped(self, data: mujoco.MjData, camera: str) -> StampedImage:
+        due_s = data.time - self.delay_s
+        due = self._states[0]
+        for state in self._states:
+            if state[0] <= due_s + 1e-9:
+                due = state
+        time_s, qpos = due
+        self._past.time = time_s
+        self._past.qpos[:] = qpos
+        mujoco.mj_forward(self._model, self._past)
+        return super().stamped(self._past, camera)
+
+
+@pytest.mark.parametrize(
+    ("camera", "error_s", "failing"),
+    [(Camera, 0.0, set()), (_LateCamera, 0.025, {"sync_error_max_s"})],
+)
+def test_a_camera_that_delivers_a_picture_of_25_ms_ago_fails_the_stage(
+    recorded: tuple[Job, RecordedAttempts],
+    tmp_path: Path,
+    shared_model: None,
+    monkeypatch: pytest.MonkeyPatch,
+    camera: type[Camera],
+    error_s: float,
+    failing: set[str],
+) -> None:
+    """The beginning of an episode through the real renderer, session, writer and reader."""
+    monkeypatch.setattr(teleop_rig, "Camera", camera)
+    config = changed(SMALL, {"scene.task.time_limit_s": 1.2})
+    settings = CONFIG.teleop.model_copy(update={"episodes_n": 1})
+    rig = Rig(Job(tmp_path, make_task(config), settings, CONFIG.arbiter, seed=11), ("high",))
+    if isinstance(rig._eye, _LateCamera):
+        rig._eye.follow(rig.world)
+    attempt = rig.record(0)
+    rig.close()
+    assert attempt.sync_error_max_s == pytest.approx(error_s)
+    assert any("out_of_sync" in fault for fault in attempt.faults) == bool(failing)
+    assert not attempt.kept, "the episode is cut"
+    sound = recorded[1].kept[0]
+    numbers = RecordedAttempts((sound, attempt), 1).numbers()
+    checks = record_checks(
+        GOOD | {"sync_error_max_s": numbers["sync_error_max_s"]},
+        TeleopConfig(),
+    )
+    assert {c.name for c in checks if c.passed is False} == failing
 
 
 def test_images_taken_after_the_joints_are_counted_and_refused(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from minidual.demos.quality import episode_quality, rms_jerk
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.writer import EpisodeWriter
-from minidual.plant.render import Camera, Image
+from minidual.plant.render import Camera, StampedImage
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
 from minidual.skills.supervised import trial_supervisor
@@ -213,10 +213,10 @@ class Rig:
             extra=extra,
         )
 
-    def _pictures(self) -> dict[str, Image]:
+    def _pictures(self) -> dict[str, StampedImage]:
         if self._eye is None:
             return {}
-        return {name: self._eye.picture(self.world.data, name).copy() for name in self._cameras}
+        return {name: self._eye.stamped(self.world.data, name) for name in self._cameras}
 
 
 def _measures(outcome: Outcome) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -14,7 +14,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.demos.leader import Leader
 from minidual.errors import MinidualError, UsageError
-from minidual.plant.render import Image
+from minidual.plant.render import Image, StampedImage
 from minidual.plant.world import World
 from minidual.robot.pair import Array, Robot
 from minidual.tasks.judge import Judge, Outcome, begin
@@ -76,16 +76,26 @@ class Tick(NamedTuple):
     """What was measured at one tick, and the command that followed.
 
     Names and shapes are those of the schema.
+
+    Attributes:
+        image_timestamps: Stamp of the picture that is furthest from the joints in time; None
+            without pictures.
     """
 
     timestamps: float
-    image_timestamps: float
+    image_timestamps: float | None
     qpos: Array
     qvel: Array
     gripper: Array
     images: dict[str, Image]
     action: Array
     action_gripper: Array
+
+
+def _furthest_stamp(pictures: Mapping[str, StampedImage], joints_stamp_s: float) -> float | None:
+    """Return the stamp furthest from that of the joints [s], or None without pictures."""
+    stamps_s = [picture.stamp_s for picture in pictures.values()]
+    return max(stamps_s, key=lambda stamp_s: abs(stamp_s - joints_stamp_s), default=None)
 
 
 @dataclass
@@ -150,14 +160,14 @@ class _Drive:
 class TeleopSession:
     """Runs episodes in the stack's world, at its rate; a reflex ends the episode.
 
-    `pictures` returns the images by camera, as recorded.
+    `pictures` returns the stamped images by camera, as recorded.
     """
 
     def __init__(
         self,
         stack: ControlStack[World],
         config: TeleopConfig,
-        pictures: Callable[[], dict[str, Image]] = dict,
+        pictures: Callable[[], dict[str, StampedImage]] = dict,
     ) -> None:
         self.stack = stack
         self.world = stack.plant
@@ -268,11 +278,10 @@ class TeleopSession:
         """Measure, read the leader, command, and run the first physics step."""
         world = self.world
         stamp_s = world.stamp_s
-        image_stamp_s = world.time
         q = world.q
         v = world.v
         gripper = world.gripper
-        images = self._pictures()
+        pictures = self._pictures()
         started = time.perf_counter()
         reading = leader.read(elapsed_s)
         if reading is not None:
@@ -282,11 +291,11 @@ class TeleopSession:
         output = self.stack.arbitrate()
         tick = Tick(
             timestamps=stamp_s,
-            image_timestamps=image_stamp_s,
+            image_timestamps=_furthest_stamp(pictures, stamp_s),
             qpos=q,
             qvel=v,
             gripper=gripper,
-            images=images,
+            images={name: picture.image for name, picture in pictures.items()},
             action=output.q_target,
             action_gripper=output.gripper,
         )

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import mujoco
 import numpy as np
@@ -16,6 +16,14 @@ from minidual.errors import EnvironmentMissingError, check_name
 from minidual.plant.contact import GROUP_COLLISION
 
 Image = npt.NDArray[np.uint8]
+
+
+class StampedImage(NamedTuple):
+    """An image (H, W, 3), and the simulated time [s] of the state that it shows."""
+
+    image: Image
+    stamp_s: float
+
 
 _CLOSE_UP_M = 0.9
 _CLOSE_UP_AZIMUTH_DEG = 150.0
@@ -88,8 +96,15 @@ class Camera(AbstractContextManager["Camera"]):
 
     def picture(self, data: mujoco.MjData, camera: str) -> Image:
         """Return the image (H, W, 3) of `camera`."""
+        return self.stamped(data, camera).image
+
+    def stamped(self, data: mujoco.MjData, camera: str) -> StampedImage:
+        """Return the image (H, W, 3) of `camera` with the time of the rendered state."""
         self._update(data, camera)
-        return _shrunk(self._renderer.render(), self._supersample)
+        # Rendering shows the state of the last update, whatever the clock says by then.
+        stamp_s = data.time
+        image = _shrunk(self._renderer.render(), self._supersample)
+        return StampedImage(image, stamp_s)
 
     def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
         """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""

@@ -16,7 +16,7 @@ from minidual.gate.progress import ProgressTask
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.motion.api import Planner
 from minidual.plant.recorder import Recorder
-from minidual.plant.render import Camera, Image, write_video
+from minidual.plant.render import Camera, StampedImage, write_video
 from minidual.plant.world import World
 from minidual.policies.pilot import load_runtime
 from minidual.robot.kinematics import Kinematics
@@ -136,8 +136,8 @@ def _demo(
     planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
 
-    def picture(name: str) -> tuple[Image, float]:
-        return eyes.picture(world.data, name), world.time
+    def picture(name: str) -> StampedImage:
+        return eyes.stamped(world.data, name)
 
     turns: list[Turn] = []
     for number, mode in enumerate(names, start=1):

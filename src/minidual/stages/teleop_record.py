@@ -73,8 +73,8 @@ SYNC_ERROR_MAX = Criterion(
     "sync_error_max_s",
     "<=",
     unit="s",
-    why="images against joints of a tick, each stamped when read",
-    remedy="read both in one tick",
+    why="images against joints of a tick: a camera stamps the state that it shows",
+    remedy="read both in one tick, from cameras without delay",
 )
 DATASET_ROWS = Criterion(
     "dataset_rows",

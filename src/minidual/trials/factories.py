@@ -11,7 +11,7 @@ from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.plant.render import Camera, Image
+from minidual.plant.render import Camera, StampedImage
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot, load_runtime
@@ -172,8 +172,8 @@ def policy(inputs: MethodInputs) -> Factory:
             supervisor=supervisor,
         )
 
-        def picture(name: str) -> tuple[Image, float]:
-            return camera(world.model).picture(world.data, name), world.time
+        def picture(name: str) -> StampedImage:
+            return camera(world.model).stamped(world.data, name)
 
         return PolicyPilot(stack, runtime, picture)
 
