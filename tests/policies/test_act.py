@@ -35,6 +35,7 @@ def test_stock_resnet_act_loads_with_plain_lerobot(demos: Demonstrations, tmp_pa
     config = TrainConfig(**{**SMALL, "policy": "act", "steps": 2, "use_vae": True})
     result = train(demos, config, 0, tmp_path / "a")
     assert result.parameters > 11e6
+    assert result.architecture == "stock_act"
     assert json.loads((tmp_path / "a" / "config.json").read_text())["type"] == "act"
     theirs = ACTPolicy.from_pretrained(tmp_path / "a")
     ours = act.ACT_KIND.read(tmp_path / "a").policy
@@ -55,7 +56,8 @@ def test_spatial_checkpoint_is_labelled_and_lerobot_reads_it(
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
-    train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    result = train(demos, TrainConfig(**SMALL), 0, tmp_path / "a")
+    assert result.architecture == "keyframe_act"
     record = json.loads((tmp_path / "a" / "config.json").read_text())
     assert record["type"] == "spatial_act"
     assert record["pretrained_backbone_weights"] is None, "nothing is to be downloaded"

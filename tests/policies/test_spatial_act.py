@@ -12,6 +12,7 @@ import pytest
 
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import camera_key
+from minidual.policies.architectures import KEYFRAME_ACT, KEYPOINT_ACT
 from minidual.policies.demonstrations import Demonstrations
 from tests.support.late import late
 from tests.support.training_samples import SMALL, tiny, train
@@ -106,6 +107,33 @@ def test_keypoints_do_not_depend_on_the_light_of_the_maps() -> None:
     encoder.heads.bias.data.add_(1.0)
     assert (encoder.maps(image) - maps).abs().max() > 1.0
     assert (encoder(image) - before).abs().max() < 1e-3
+
+
+def test_a_network_without_keyframes_has_another_name(demos: Demonstrations) -> None:
+    """Its transformer sees image keypoints, which that of `keyframe_act` does not."""
+    policy = _policy(demos)
+    assert act.SPATIAL_ACT.architecture(policy.config) is KEYFRAME_ACT
+    policy.config.keyframes = 0
+    assert act.SPATIAL_ACT.architecture(policy.config) is KEYPOINT_ACT
+
+
+def test_the_transformer_of_keyframe_act_sees_no_image_feature(demos: Demonstrations) -> None:
+    """Of a picture only the keyframes reach it: with these held, another picture changes nothing."""
+    policy = _policy(demos)
+    policy.eval()
+    batch = _batch(demos, 0)
+    other = {key: value.clone() for key, value in batch.items()}
+    camera = policy.model.backbone.cameras[0]
+    other[camera] = torch.rand_like(batch[camera])
+    flat = torch.ones(1, policy.model.backbone.shape[0] * policy.model.backbone.shape[1])
+
+    def held(_: torch.Tensor) -> torch.Tensor:
+        return flat
+
+    with torch.no_grad():
+        assert not torch.equal(policy.model(batch).keyframes, policy.model(other).keyframes)
+        assert torch.equal(policy.model(batch, held).actions, policy.model(other, held).actions)
+        assert not torch.equal(policy.model(batch).actions, policy.model(other).actions)
 
 
 def test_a_prediction_ends_training_once(

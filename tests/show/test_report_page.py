@@ -66,6 +66,21 @@ class Page(HTMLParser):
             self.before_heading += data
 
 
+def test_the_page_names_the_network_and_stock_act_beside_it(tmp_path: Path) -> None:
+    """`act` names the method; what was trained has a name of its own."""
+    given = samples.make_run(tmp_path)
+    _, page = built(given, tmp_path)
+    assert '<th scope="col">act (keyframe_act)</th>' in page
+    assert "and no image feature" in page
+    assert "stock ACT, trained for an equal time on the same pictures, carried 8 of 100" in page
+    trained = replace(given.verdicts["train-act"], data={"architecture": "nearest"})
+    (tmp_path / "other").mkdir()
+    other = replace(given, verdicts={**given.verdicts, "train-act": trained})
+    _, page = built(other, tmp_path / "other")
+    assert '<th scope="col">act (nearest)</th>' in page
+    assert "stock ACT" not in page
+
+
 def test_a_passing_run_passes(tmp_path: Path) -> None:
     report, page = built(samples.make_run(tmp_path), tmp_path)
     assert report.state == "pass"

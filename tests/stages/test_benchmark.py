@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+import json
+from pathlib import Path
 
-from minidual.config.root import BenchmarkConfig
-from minidual.stages.benchmark import benchmark_checks
+import numpy as np
+import pytest
+
+from minidual.config.root import BenchmarkConfig, Config
+from minidual.gate.stage import StageContext
+from minidual.stages.benchmark import benchmark_checks, network_notes
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 from tests.support.trial_results import BAD, failing, result, results
 
@@ -38,3 +43,33 @@ def test_benchmark_reports_every_indicator_of_every_method() -> None:
         "path_length_m",
     ):
         assert f"impedance.{indicator}" in names
+
+
+@pytest.mark.parametrize(
+    ("record", "note"),
+    [
+        ({"architecture": "keyframe_act"}, "act drives keyframe_act: a supervised head reads"),
+        ({"architecture": "stock_act"}, "act drives stock_act: LeRobot's ACT"),
+        ({"architecture": "nearest"}, "act drives nearest"),
+        ({}, "act drives unknown"),
+    ],
+)
+def test_the_network_behind_act_is_named(
+    record: dict[str, str],
+    note: str,
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "train.json").write_text(json.dumps(record))
+    config = Config()
+    upstream = {"train-act": tmp_path}
+    context = StageContext(
+        folder=tmp_path,
+        config=config,
+        seed=config.seed,
+        profile="standard",
+        upstream=upstream,
+    )
+    notes = network_notes(context, ("moveit", "act"))
+    assert len(notes) == 1
+    assert notes[0].startswith(note)
+    assert network_notes(context, ("moveit",)) == []

@@ -32,7 +32,7 @@ STAGES = (
     ("plan", "Plan collision-free motions for left_arm, right_arm and both_arms"),
     ("carry", "Carry an object with both arms under object impedance control"),
     ("teleop-record", "Teleoperate, record demonstrations, convert and grade the dataset"),
-    ("train-act", "Train the ACT policy on the recorded dataset"),
+    ("train-act", "Train the policy on the recorded dataset"),
     ("deploy", "Let the policy drive the arms on seeds it never saw"),
     ("benchmark", "Compare the methods on the same task, seeds and success test"),
 )
@@ -275,6 +275,8 @@ def make_run(root: Path, trials: Sequence[TrialMetrics] | None = None) -> StageC
         folder.mkdir(parents=True)
         checks = _CHECKS.get(stage, [])
         data = {**_DEPLOY, "room": _ROOM} if stage == "deploy" else {}
+        if stage == "train-act":
+            data = {"architecture": "keyframe_act"}
         if stage == "benchmark":
             write_csv(folder / "benchmark.csv", [{"task": TASK, **t.to_row()} for t in trials])
             data = {"tasks": {TASK: benchmark_data(trials)}}

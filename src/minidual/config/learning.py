@@ -96,7 +96,7 @@ class TrainConfig(StrictModel):
 
     # Architecture
     policy: str = Field(default="spatial_act", min_length=1)
-    """Row of POLICIES: spatial_act (keypoints, then ACT) or act (LeRobot's stock ACT)."""
+    """Row of POLICIES: spatial_act (keyframes, then ACT) or act (LeRobot's stock ACT)."""
     chunk_size: int = Field(default=50, ge=1, le=500)
     """Ticks predicted by one inference."""
     dim_model: int = Field(default=128, ge=16, le=1024, multiple_of=16)

@@ -16,6 +16,12 @@ from minidual import durable
 from minidual.config.learning import TrainConfig
 from minidual.demos.lerobot_reader import ACTION, STATE, camera_key
 from minidual.errors import DataError, EnvironmentMissingError
+from minidual.policies.architectures import (
+    KEYFRAME_ACT,
+    KEYPOINT_ACT,
+    STOCK_ACT,
+    Architecture,
+)
 from minidual.policies.batches import Stats
 from minidual.policies.checkpoint import CONFIG, WEIGHTS, check_files, check_sizes, read_tensors
 from minidual.policies.demonstrations import Demonstrations
@@ -35,6 +41,10 @@ class ActKind(PolicyKind):
     def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
         """Return a new policy; torch's generator draws the weights."""
         return ACTPolicy(_policy_config(ACTConfig, config, demos))
+
+    def architecture(self, policy_config: PreTrainedConfig) -> Architecture:
+        """Return what the network of this configuration is."""
+        return STOCK_ACT
 
     def require(self, device: str) -> None:
         """Raise EnvironmentMissingError for a missing device."""
@@ -62,6 +72,7 @@ class ActKind(PolicyKind):
             return Trained(policy, *make_pre_post_processors(policy.config, dataset_stats=stats))
 
         result, trained = train(build, job)
+        result.architecture = self.architecture(trained.policy.config).name
         with durable.replacing(folder) as partial:
             partial.mkdir(parents=True)
             for part in trained:
@@ -106,10 +117,15 @@ class ActKind(PolicyKind):
 
 
 class SpatialActKind(ActKind):
-    """ACT with a keypoint encoder."""
+    """Keypoints of each picture, then keyframes, then ACT's transformer."""
 
     config_class = SpatialActConfig
     policy_class = SpatialActPolicy
+
+    def architecture(self, policy_config: PreTrainedConfig) -> Architecture:
+        """See `ActKind.architecture`; without keyframes the transformer gets the keypoints."""
+        assert isinstance(policy_config, SpatialActConfig)
+        return KEYFRAME_ACT if policy_config.keyframes else KEYPOINT_ACT
 
     def make(self, config: TrainConfig, demos: Demonstrations) -> PreTrainedPolicy:
         """See `ActKind.make`; convolutions use bfloat16 where the device has it."""

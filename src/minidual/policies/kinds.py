@@ -81,6 +81,8 @@ class TrainResult:
     validation_l1: float | None = None
     validation_keyframe_rad: float | None = None
     bf16: bool = False
+    architecture: str = ""
+    """Name of the network in tables and reports; empty: that of the kind."""
     resumed_from_step: int = 0
     set_aside: Path | None = None
     """Damaged progress or that of another training, moved here."""

@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from minidual.demos.quality import JERK_FILTER
-from minidual.durable import write_csv
+from minidual.durable import read_json, write_csv
 from minidual.gate.check import Check
 from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
+from minidual.policies.architectures import architecture
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
 from minidual.stages.deploy import recorded_task
@@ -238,7 +239,18 @@ def run(context: StageContext) -> StageResult:
     for name, rows in results.tables.items():
         write_csv(context.folder / f"{name}.csv", rows, missing="does not apply")
     data = {"tasks": results.data, "captions": results.captions}
-    return StageResult(checks=results.checks, data=data)
+    return StageResult(checks=results.checks, data=data, notes=network_notes(context, methods))
+
+
+def network_notes(context: StageContext, methods: Sequence[str]) -> list[str]:
+    """Name the network behind each method that drives the trained policy."""
+    trained = context.upstream.get("train-act")
+    learned = [name for name in methods if METHODS[name].learned]
+    if trained is None or not learned:
+        return []
+    network = architecture(read_json(trained / "train.json").get("architecture", "unknown"))
+    summary = f": {network.summary}" if network.summary else ""
+    return [f"{name} drives {network.name}{summary}" for name in learned]
 
 
 def _method_inputs(context: StageContext, methods: Sequence[str]) -> dict[str, MethodInputs]:

@@ -102,7 +102,7 @@ TRAIN_ACT = StageEntry(
     "train-act",
     functions.train_act,
     requires=("teleop-record",),
-    summary="Train the ACT policy on the recorded dataset",
+    summary="Train the policy on the recorded dataset",
     reads=("robot", "train"),
     check=functions.check_policy,
     settings={"seeds": "train.seeds_n"},

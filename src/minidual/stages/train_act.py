@@ -127,7 +127,8 @@ def run(context: StageContext) -> StageResult:
         ]
         if k == 0:
             precision = "bfloat16" if result.bf16 else "float32"
-            notes.append(f"policy: {config.policy}, {precision} image encoder")
+            name = records[0]["architecture"]
+            notes.append(f"policy: {name}, {precision} image encoder")
         notes += _interruption_notes(result, prefix)
     if config.seeds_n == 1:
         notes.append("one training is one draw; `make learn` trains three seeds and compares them")
@@ -203,6 +204,7 @@ def _write_records(
     cameras = {name: list(demos.images[name].shape[1:3]) for name in demos.cameras}
     extra = {
         "policy": context.config.train.policy,
+        "architecture": result.architecture or context.config.train.policy,
         "seed": seed,
         "cameras": cameras,
         "inference_hz": emitted.inference_hz,

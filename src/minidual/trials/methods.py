@@ -104,6 +104,7 @@ class MethodSpec(NamedTuple):
         senses_apart: The same where the hands do not hold one object all the way, if others.
         cannot: (task, trained) -> why it cannot do a task, or "".
         settings: {dotted path: value} of the configuration that it changes.
+        learned: Whether it drives the policy of train-act.
     """
 
     build: Build
@@ -114,6 +115,7 @@ class MethodSpec(NamedTuple):
     senses_apart: Collection[str] | None = None
     cannot: Cannot = _can_any_task
     settings: Mapping[str, Any] = MappingProxyType({})
+    learned: bool = False
 
     def reads(self, task: Task) -> Collection[str]:
         """Return the rows of SENSES that it reads in a task."""
@@ -188,6 +190,7 @@ ACT = MethodSpec(
     needs_images=True,
     senses=("picture",),
     cannot=_can_the_task_it_is_trained_on,
+    learned=True,
 )
 REPLAY = MethodSpec(_replayed, "the plan of one demonstration, driven blind", senses=())
 HOLD = MethodSpec(_resting, "the arms rest", senses=())

@@ -197,4 +197,4 @@ def policy(
             "inference_hz": runtime.inference_hz,
         }
 
-    return Turn("policy", "ACT policy: carries the object to the goal", drive)
+    return Turn("policy", "trained policy: carries the object to the goal", drive)

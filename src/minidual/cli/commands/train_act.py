@@ -19,7 +19,7 @@ def train_act(
     gate_options: GateOptions,
     session: Session,
 ) -> ExitCode:
-    """Train the ACT policy on the recorded dataset.
+    """Train the policy on the recorded dataset.
 
     Examples:
         minidual train-act

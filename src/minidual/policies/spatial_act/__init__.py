@@ -1,4 +1,4 @@
-"""ACT with a spatial-softmax encoder, as a LeRobot plug-in.
+"""The network `keyframe_act` as a LeRobot plug-in.
 
 Importing it registers `spatial_act` with LeRobot's factories.
 """

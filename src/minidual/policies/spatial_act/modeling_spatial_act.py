@@ -1,7 +1,8 @@
-"""The policy `spatial_act`: keypoints per camera, then LeRobot's ACT transformer.
+"""The policy `spatial_act`: keypoints per camera, keyframes, then LeRobot's ACT transformer.
 
-Keyframes form ACT's environment-state token: the actions at the gripper switches to come, learned
-from images alone (docs/train-act.md). Where demonstrations have none, keypoints do.
+A supervised head predicts the keyframes, the actions at the gripper switches to come, from the
+keypoints. They are ACT's environment-state token, the only one that depends on a picture
+(docs/train-act.md). Where demonstrations have no keyframes, the keypoints are this token.
 
 Source: Finn et al., Deep Spatial Autoencoders for Visuomotor Learning, 2016. Coordinates stay
 float32: over 128 pixels bfloat16 resolves a quarter pixel.

@@ -7,13 +7,14 @@ is read.
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 
 from minidual.errors import DataError
 from minidual.gate.canonical import dumps
 from minidual.gate.stage import StageContext
+from minidual.policies.architectures import Architecture, architecture
 from minidual.show.report import wording
 from minidual.show.report.analysis import Analysis
 from minidual.show.report.bench import BENCH_FILE, read_bench
@@ -125,15 +126,51 @@ def _write_figures(report: Report, folder: Path) -> None:
 
 def render_page(report: Report) -> str:
     """Return one self-contained HTML page."""
-    methods = report.context.config.benchmark.methods
     return _PAGES.get_template("report.html.j2").render(
         report=report,
         indicators=INDICATORS,
         measures=MEASURES,
         digits=three_digits,
         certain=CERTAIN,
-        summaries={name: METHODS[name].summary for name in methods if name in METHODS},
+        described={name: _described(report.context, name) for name in _methods(report.context)},
     )
+
+
+class MethodDescription(NamedTuple):
+    """A method in words.
+
+    Attributes:
+        title: Its name; of one that drives the trained policy, with the name of the network.
+        summary: What drives the arms, or "".
+        beside: What was measured of its network beside another one, or "".
+    """
+
+    title: str
+    summary: str = ""
+    beside: str = ""
+
+
+def _methods(context: StageContext) -> tuple[str, ...]:
+    return tuple(context.config.benchmark.methods)
+
+
+def _described(context: StageContext, method: str) -> MethodDescription:
+    """Return a method in words; one that the table of methods does not have is named only."""
+    if method not in METHODS:
+        return MethodDescription(method)
+    spec = METHODS[method]
+    network = _network(context)
+    if not spec.learned or network is None:
+        return MethodDescription(method, spec.summary)
+    summary = f"{spec.summary}: {network.summary}" if network.summary else spec.summary
+    return MethodDescription(f"{method} ({network.name})", summary, network.beside)
+
+
+def _network(context: StageContext) -> Architecture | None:
+    """Return the network that train-act trained, or None without its verdict."""
+    trained = context.verdicts.get("train-act")
+    name = trained.data.get("architecture", "") if trained else ""
+    return architecture(name) if name else None
 
 
 def document(report: Report) -> dict[str, Any]:
