@@ -21,19 +21,22 @@ def summaries(rows: list[TrialMetrics]) -> list[MethodSummary]:
 
 def test_benchmark_fails_a_method_below_its_rate_and_a_method_that_ran_too_little() -> None:
     asked = BenchmarkConfig().success_rate_min, 10
-    assert failing(benchmark_checks(summaries(results()), *asked)) == set()
+    all_read = {"impedance": 10}
+    assert failing(benchmark_checks(summaries(results()), *asked, all_read)) == set()
     rows = results(**BAD)
     rows[:2] = [result(i, **BAD) for i in range(2)]
-    assert failing(benchmark_checks(summaries(rows), *asked)) == {"impedance.success_rate"}
-    assert failing(benchmark_checks(summaries(results(9)), *asked)) == {"trials_per_method"}
-    assert failing(benchmark_checks([], *asked)) == {"trials_per_method"}
+    checks = benchmark_checks(summaries(rows), *asked, all_read)
+    assert failing(checks) == {"impedance.success_rate"}
+    for read in ({"impedance": 9}, {"moveit": 10}):
+        checks = benchmark_checks(summaries(results()), *asked, read)
+        assert failing(checks) == {"trials_per_method"}
+    assert failing(benchmark_checks([], *asked, all_read)) == {"trials_per_method"}
 
 
 def test_benchmark_reports_every_indicator_of_every_method() -> None:
-    names = {
-        check.name
-        for check in benchmark_checks(summaries(results()), BenchmarkConfig().success_rate_min, 10)
-    }
+    limits = BenchmarkConfig().success_rate_min
+    checks = benchmark_checks(summaries(results()), limits, 10, {"impedance": 10})
+    names = {check.name for check in checks}
     for indicator in (
         "success_rate",
         "duration_median_s",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +17,7 @@ from minidual.config.learning import DeployConfig
 from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.demos.rig import PURPOSE
+from minidual.durable import write_csv
 from minidual.errors import ConfigError, UsageError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
@@ -46,7 +49,6 @@ def deploy(
         (deploy(missed(5)), {"success_rate"}),
         (deploy(missed(0), 29.0), {"inference_hz"}),
         (deploy(missed(0), math.nan), {"inference_hz"}),
-        (deploy(missed(0)[:9]), {"trials"}),
         (deploy(missed(0), seen_n=1), {"held_out_starts_seen"}),
     ],
 )
@@ -55,6 +57,59 @@ def test_deploy_fails_below_half_when_slow_and_on_demonstrated_starts(
     names: set[str],
 ) -> None:
     assert failing(checks) == names
+
+
+def drop_last(rows: list[Any]) -> list[Any]:
+    return rows[:-1]
+
+
+def duplicate_last(rows: list[Any]) -> list[Any]:
+    return [*rows, rows[-1]]
+
+
+def duplicate_in_place(rows: list[Any]) -> list[Any]:
+    return [*rows[:-1], rows[-2]]
+
+
+def blank_duration(rows: list[Any]) -> list[Any]:
+    return [*rows[:-1], {**rows[-1], "duration_s": "nan"}]
+
+
+@pytest.mark.parametrize("fault", [drop_last, duplicate_last, duplicate_in_place, blank_duration])
+@pytest.mark.parametrize(
+    ("damaged_set", "names"),
+    [("held_out", {"trials", "sets_complete"}), ("room", {"sets_complete"})],
+)
+def test_deploy_fails_if_its_table_loses_or_repeats_a_trial(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: Callable[[list[Any]], list[Any]],
+    damaged_set: str,
+    names: set[str],
+) -> None:
+    """The fault is in the file; the results in memory are complete."""
+    results = {
+        name: [replace(row, condition=name) for row in missed(4)] for name in ("held_out", "room")
+    }
+    asked_n = {"held_out": 10, "room": 10}
+    path = tmp_path / "trials.csv"
+    assert failing(deploy_stage.write_table(path, results, asked_n)) == set()
+
+    def write(path: Path, rows: list[Any]) -> Path:
+        damaged = [row for row in rows if row["condition"] == damaged_set]
+        others = [row for row in rows if row["condition"] != damaged_set]
+        return write_csv(path, [*others, *fault(damaged)])
+
+    monkeypatch.setattr(deploy_stage, "write_csv", write)
+    assert failing(deploy_stage.write_table(path, results, asked_n)) == names
+
+
+def test_deploy_asks_for_the_trials_of_every_training_seed(tmp_path: Path) -> None:
+    results = {"held_out": [replace(row, condition="held_out") for row in missed(0)]}
+    checks = deploy_stage.write_table(tmp_path / "trials.csv", results, {"held_out": 30})
+    assert failing(checks) == {"trials", "sets_complete"}
+    (complete,) = [check for check in checks if check.name == "sets_complete"]
+    assert complete.why.endswith("trials.csv: held_out 10 of 30")
 
 
 @pytest.mark.parametrize(

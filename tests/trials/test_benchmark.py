@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import Factory, MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench, run_trials
+from minidual.trials.trial_table import Series
 from tests.support.carry_trials import same_row, sample_trial
 
 SEED = 7
@@ -125,8 +126,13 @@ def table(methods: tuple[str, ...] = METHODS, **other: Any) -> dict[tuple[str, s
 
 
 def failing(cells: Any, conditions: tuple[str, ...] = tuple(ASKED)) -> set[str]:
-    checks = condition_checks(list(cells), METHODS, conditions)
+    checks = condition_checks(list(cells), METHODS, conditions, read_back(cells))
     return {check.name for check in checks if check.passed is False}
+
+
+def read_back(cells: Any) -> dict[Series, int]:
+    """Return the results of a table that holds all trials of these cells."""
+    return {Series(c.method, c.condition): c.summary.trials_n for c in cells if c.summary}
 
 
 def test_all_methods_and_conditions_have_the_same_starts(asked: list[Any]) -> None:
@@ -201,7 +207,9 @@ def test_a_cell_depends_on_neither_the_order_nor_the_company(asked: list[Any]) -
 def test_good_cells_pass_and_success_under_a_disturbance_is_reported(asked: list[Any]) -> None:
     cells = table().values()
     assert failing(cells) == set()
-    checks = {c.name: c for c in condition_checks(list(cells), METHODS, tuple(ASKED))}
+    checks = {
+        c.name: c for c in condition_checks(list(cells), METHODS, tuple(ASKED), read_back(cells))
+    }
     push = checks["act.push_+x.success_rate"]
     assert (push.observed, push.op) == (0.75, None)
     assert "3 of 4 trials, 95 % Wilson interval 0.301 to 0.954" in push.why
@@ -237,7 +245,10 @@ def test_a_success_that_nothing_pushed_leaves_its_cell_open(
     cells = table()
     assert failing(cells.values()) == {"cells_settled"}
     assert cells["act", "push +x"].undisturbed == (2,)
-    checks = {c.name: c for c in condition_checks(list(cells.values()), METHODS, tuple(ASKED))}
+    results_n = read_back(cells.values())
+    checks = {
+        c.name: c for c in condition_checks(list(cells.values()), METHODS, tuple(ASKED), results_n)
+    }
     assert "act under push +x (trial 2 succeeded undisturbed)" in checks["cells_settled"].why
 
 
@@ -253,11 +264,9 @@ def test_a_number_that_is_none_fails(asked: list[Any], name: str) -> None:
     bad = dataclasses.replace(summary, numbers={**summary.numbers, name: math.nan})
     broken = {**cells, key: cells[key]._replace(summary=bad)}
     assert failing(broken.values()) == {"cells_not_finite"}
-    (check,) = [
-        c
-        for c in condition_checks(list(broken.values()), METHODS, tuple(ASKED))
-        if not c.passed and c.op
-    ]
+    results_n = read_back(broken.values())
+    checks = condition_checks(list(broken.values()), METHODS, tuple(ASKED), results_n)
+    (check,) = [c for c in checks if not c.passed and c.op]
     assert f"impedance under push +x: {name}" in check.why
 
 
@@ -284,7 +293,12 @@ def test_who_never_succeeds_has_no_time_and_that_is_no_hole(asked: list[Any]) ->
 def test_limits_hold_on_clean_trials_alone(asked: list[Any]) -> None:
     clean = [c.summary for c in table().values() if c.condition == CLEAN and c.summary is not None]
     assert [(s.method, s.condition, s.trials_n) for s in clean] == [(m, CLEAN, 6) for m in METHODS]
-    checks = benchmark_checks(clean, BenchmarkConfig().success_rate_min, 6)
+    checks = benchmark_checks(
+        clean,
+        BenchmarkConfig().success_rate_min,
+        6,
+        dict.fromkeys(METHODS, 6),
+    )
     assert {c.name for c in checks if c.op} == {
         *(f"{m}.success_rate" for m in METHODS),
         "trials_per_method",
@@ -393,6 +407,53 @@ def test_several_tasks_are_grouped_by_name(asked: list[Any], tmp_path: Path) -> 
     assert rows == [("rod_carry", m) for m in METHODS for _ in range(5)] + shared
 
 
+def drop(rows: list[Any]) -> list[Any]:
+    return rows[:-1]
+
+
+def repeat(rows: list[Any]) -> list[Any]:
+    return [*rows, rows[-1]]
+
+
+def repeat_another(rows: list[Any]) -> list[Any]:
+    return [*rows[:-1], rows[-2]]
+
+
+@pytest.mark.parametrize("fault", [drop, repeat, repeat_another])
+@pytest.mark.parametrize(
+    ("condition", "names"),
+    [
+        ("clean", {"handover.trials_per_method", "handover.cells_settled"}),
+        ("mass +50 %", {"handover.cells_settled"}),
+    ],
+)
+def test_the_stage_fails_if_its_table_loses_or_repeats_a_trial(
+    asked: list[Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: Callable[[list[Any]], list[Any]],
+    condition: str,
+    names: set[str],
+) -> None:
+    """The fault is in benchmark.csv, in the rows of one method, task and condition."""
+    damaged = ("handover", "moveit", condition)
+
+    def write(path: Path, rows: list[Any], **options: Any) -> Path:
+        if path.name != "benchmark.csv":
+            return write_csv(path, rows, **options)
+        mine = [r for r in rows if (r["task"], r["method"], r["condition"]) == damaged]
+        others = [r for r in rows if (r["task"], r["method"], r["condition"]) != damaged]
+        return write_csv(path, [*others, *fault(mine)], **options)
+
+    monkeypatch.setattr("minidual.stages.benchmark.write_csv", write)
+    few = {"methods": ["moveit", "impedance"], "trials_n": 3, "perturbed_trials_n": 2}
+    conditions = ["clean", "mass +50 %"]
+    tasks = ["rod_carry", "handover"]
+    config = Config.model_validate({"benchmark": {**few, "tasks": tasks, "conditions": conditions}})
+    result = run_benchmark_stage(tmp_path, config, "rod_carry")
+    assert {c.name for c in result.checks if c.passed is False} == names
+
+
 def test_planned_methods_are_compared_without_a_policy(asked: list[Any], tmp_path: Path) -> None:
     few = {"methods": ["moveit", "impedance"], "conditions": ["clean"], "trials_n": 2}
     config = STAGES["benchmark"].resolved(Config.model_validate({"benchmark": few}))
@@ -429,7 +490,7 @@ def test_further_tasks_run_undisturbed_beside_the_runs_own(
     assert result.data["tasks"]["handover"]["conditions"] == {}
     one_less = [cell for cell in table().values() if cell.summary][:1]
     assert one_less[0].summary is not None
-    checks = benchmark_checks([one_less[0].summary], {}, 7, "handover.")
+    checks = benchmark_checks([one_less[0].summary], {}, 7, {"moveit": 6}, "handover.")
     assert [c.name for c in checks if c.passed is False] == ["handover.trials_per_method"]
     with pytest.raises(UsageError, match="no task 'potlift'"):
         check_benchmark(changed(config, {"benchmark.further_tasks": {"potlift": 2}}))

@@ -1,7 +1,7 @@
 """`minidual benchmark`: all methods on the same task, with and without disturbances."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from minidual.demos.quality import JERK_FILTER
 from minidual.durable import read_json, write_csv
@@ -17,6 +17,7 @@ from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics
+from minidual.trials.trial_table import Series, count_results
 
 _NAMES_SHOWN = 6
 """Most names of missing cells or numbers in a message."""
@@ -50,13 +51,14 @@ REPORTED = (
 TRIALS_PER_METHOD = Criterion(
     "trials_per_method",
     ">=",
-    why="every method must have run every trial, or the rows cannot be compared",
+    why="results in benchmark.csv, each index once, of the method that has the fewest; "
+    "rows of different lengths cannot be compared",
     remedy="minidual benchmark --force runs them all",
 )
 CELLS_SETTLED = Criterion(
     "cells_settled",
     "==",
-    why="every method has all its trials under every condition, each push and move took place "
+    why="benchmark.csv holds all trials of every method and condition, each push and move took place "
     "in those that succeeded, or there is a reason why it does not apply{holes}",
     remedy="minidual benchmark --force",
 )
@@ -72,6 +74,7 @@ def benchmark_checks(
     summaries: Sequence[MethodSummary],
     success_rate_min: Mapping[str, float],
     trials_n: int,
+    results_n: Mapping[str, int],
     prefix: str = "",
 ) -> list[Check]:
     """Return the checks of the undisturbed trials.
@@ -80,6 +83,7 @@ def benchmark_checks(
         summaries: One of each method.
         success_rate_min: {method: limit}; rates of other methods are reported.
         trials_n: Trials that each method was asked for.
+        results_n: {method: results read back}.
         prefix: Prefix of the checks' names.
     """
     checks: list[Check] = []
@@ -95,7 +99,7 @@ def benchmark_checks(
         checks += [
             criterion.report(summary[criterion.name], prefix=own_prefix) for criterion in REPORTED
         ]
-    least_n = min((summary.trials_n for summary in summaries), default=0)
+    least_n = min((results_n.get(summary.method, 0) for summary in summaries), default=0)
     checks.append(TRIALS_PER_METHOD.check(least_n, trials_n, prefix=prefix))
     return checks
 
@@ -104,13 +108,21 @@ def condition_checks(
     cells: Sequence[benchmark.BenchmarkCell],
     methods: Sequence[str],
     conditions: Sequence[str],
+    results_n: Mapping[Series, int],
     prefix: str = "",
 ) -> list[Check]:
     """Return the checks of the methods-by-conditions table.
 
     It must be complete and finite; disturbed success has no limit.
+
+    Args:
+        cells: Of one task.
+        methods: Rows of the table.
+        conditions: Columns of the table.
+        results_n: Results of the task that were read back; without its name.
+        prefix: Prefix of the checks' names.
     """
-    holes = _holes(cells, methods, conditions)
+    holes = _holes(cells, methods, conditions, results_n)
     missing = [
         f"{cell.method} under {cell.condition}: {name}"
         for cell in cells
@@ -134,6 +146,7 @@ def _holes(
     cells: Sequence[benchmark.BenchmarkCell],
     methods: Sequence[str],
     conditions: Sequence[str],
+    results_n: Mapping[Series, int],
 ) -> list[str]:
     """Return the cells of the table that are missing or not settled, in words."""
     table = {(cell.method, cell.condition): cell for cell in cells}
@@ -141,20 +154,50 @@ def _holes(
     for method in methods:
         for condition in conditions:
             cell = table.get((method, condition))
-            if cell is not None and cell.settled:
+            if cell is None:
+                holes.append(f"{method} under {condition}")
                 continue
-            undisturbed = cell.undisturbed if cell is not None else ()
-            detail = f" (trial {undisturbed[0]} succeeded undisturbed)" if undisturbed else ""
-            holes.append(f"{method} under {condition}{detail}")
+            read_n = results_n.get(Series(method, condition), 0)
+            complete = cell.summary is None or read_n >= cell.asked_n
+            if not cell.settled or not complete:
+                holes.append(f"{method} under {condition}{_hole(cell, read_n)}")
     return holes
+
+
+def _hole(cell: benchmark.BenchmarkCell, read_n: int) -> str:
+    """Return what a cell that is not settled lacks."""
+    if cell.undisturbed:
+        return f" (trial {cell.undisturbed[0]} succeeded undisturbed)"
+    if cell.summary is not None and read_n < cell.asked_n:
+        return f" ({read_n} of {cell.asked_n} results)"
+    return ""
 
 
 def _listed(names: Sequence[str]) -> str:
     return f": {', '.join(names[:_NAMES_SHOWN])}" if names else ""
 
 
+class _TaskCells(NamedTuple):
+    """The cells of a task.
+
+    Attributes:
+        trials_n: {condition: trials of each method}.
+        prefix: Prefix of the names of its checks.
+    """
+
+    task: str
+    trials_n: Mapping[str, int]
+    cells: Sequence[benchmark.BenchmarkCell]
+    prefix: str
+
+    @property
+    def clean(self) -> list[MethodSummary]:
+        """Summaries of the undisturbed trials."""
+        return [c.summary for c in self.cells if c.condition == CLEAN and c.summary is not None]
+
+
 class _Results:
-    """Checks, rows of the tables and records of the tasks so far.
+    """Rows of the tables and records of the tasks so far.
 
     Attributes:
         data: {task: record}.
@@ -164,7 +207,7 @@ class _Results:
 
     def __init__(self, context: StageContext) -> None:
         self._context = context
-        self.checks: list[Check] = []
+        self._tasks: list[_TaskCells] = []
         self.data: dict[str, Any] = {}
         self.captions: dict[str, str] = {}
         self.tables: dict[str, list[dict[str, Any]]] = {
@@ -182,17 +225,54 @@ class _Results:
         prefix: str,
     ) -> None:
         """Add the results of a task; `trials_n`: {condition: trials of each method}."""
-        config = self._context.config.benchmark
         task = inputs.config.task
-        clean = [c.summary for c in cells if c.condition == CLEAN and c.summary is not None]
-        methods = METHODS.names(config.methods)
-        self.checks += benchmark_checks(clean, config.success_rate_min, trials_n[CLEAN], prefix)
-        self.checks += condition_checks(cells, methods, tuple(trials_n), prefix)
+        task_cells = _TaskCells(task, trials_n, cells, prefix)
+        self._tasks.append(task_cells)
         self.data[task] = benchmark.benchmark_data(cells, trials, self._context.seed)
         self._draw_failures(inputs, trials)
         self.tables["benchmark"] += [{"task": task, **t.to_row()} for t in trials]
-        self.tables["methods"] += [{"task": task, **s.to_row()} for s in clean]
+        self.tables["methods"] += [{"task": task, **s.to_row()} for s in task_cells.clean]
         self.tables["conditions"] += [{"task": task, **c.row()} for c in cells]
+
+    def write(self) -> list[Check]:
+        """Write the tables; return the checks of all tasks, with what benchmark.csv holds."""
+        folder = self._context.folder
+        for name, rows in self.tables.items():
+            write_csv(folder / f"{name}.csv", rows, missing="does not apply")
+        written = count_results(folder / "benchmark.csv")
+        checks: list[Check] = []
+        for task_cells in self._tasks:
+            checks += self._task_checks(task_cells, written)
+        return checks
+
+    def _task_checks(self, task_cells: _TaskCells, written: Mapping[Series, int]) -> list[Check]:
+        config = self._context.config.benchmark
+        results_n = {
+            Series(series.method, series.condition): count
+            for series, count in written.items()
+            if series.task == task_cells.task
+        }
+        clean_n = {
+            series.method: count for series, count in results_n.items() if series.condition == CLEAN
+        }
+        trials_n = task_cells.trials_n
+        prefix = task_cells.prefix
+        return [
+            *benchmark_checks(
+                task_cells.clean,
+                config.success_rate_min,
+                trials_n[CLEAN],
+                clean_n,
+                prefix,
+            ),
+            *condition_checks(
+                task_cells.cells,
+                METHODS.names(config.methods),
+                tuple(trials_n),
+                results_n,
+                prefix,
+            ),
+        ]
 
     def _draw_failures(self, inputs: MethodInputs, trials: Sequence[TrialMetrics]) -> None:
         """Draw the first failed trial of each kind, if there are any."""
@@ -236,10 +316,9 @@ def run(context: StageContext) -> StageResult:
             )
             prefix = f"{task}." if len(inputs) > 1 else ""
             results.add(task_inputs, trials_n[task], cells, trials, prefix)
-    for name, rows in results.tables.items():
-        write_csv(context.folder / f"{name}.csv", rows, missing="does not apply")
+    checks = results.write()
     data = {"tasks": results.data, "captions": results.captions}
-    return StageResult(checks=results.checks, data=data, notes=network_notes(context, methods))
+    return StageResult(checks=checks, data=data, notes=network_notes(context, methods))
 
 
 def network_notes(context: StageContext, methods: Sequence[str]) -> list[str]:

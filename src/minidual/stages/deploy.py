@@ -33,6 +33,7 @@ from minidual.stages.deploy_checks import (
     deploy_checks,
     seed_rates,
     set_checks,
+    table_checks,
 )
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Task, Trial, placement
@@ -40,6 +41,7 @@ from minidual.trials.conditions import CLEAN, CONDITIONS
 from minidual.trials.methods import MethodInputs, check_able
 from minidual.trials.metrics import TrialMetrics, summarise
 from minidual.trials.runner import Bench, run_trials
+from minidual.trials.trial_table import count_results
 
 METHOD = "act"
 HELD_OUT = "deploy"
@@ -108,8 +110,9 @@ def run(context: StageContext) -> StageResult:
     sets = _trial_sets(config, context.seed, starts)
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
     results = _run_sets(context, inputs, sets)
-    rows = [r.to_row() for set_results in results.values() for r in set_results]
-    write_csv(context.folder / "trials.csv", rows)
+    asked_n = {name: len(inputs) * len(trials) for name, (_, trials) in sets.items()}
+    asked_n[HELD_OUT_SET] = len(inputs) * config.deploy.trials
+    table = write_table(context.folder / "trials.csv", results, asked_n)
     rng = stream(context.seed, "bootstrap/deploy")
     summaries = {
         name: summarise(set_results, rng) for name, set_results in results.items() if set_results
@@ -118,6 +121,7 @@ def run(context: StageContext) -> StageResult:
     inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
     held_out = summaries[HELD_OUT_SET]
     checks = deploy_checks(held_out, starts.seen_n, inference_hz, config.deploy)
+    checks += table
     data: dict[str, Any] = {}
     for name, summary in summaries.items():
         record = summary.record()
@@ -178,6 +182,18 @@ def _run_sets(
                     successes_n = sum(r.success for r in set_results)
                     bar.advance(note=f"{name} {successes_n}/{len(set_results)}")
     return results
+
+
+def write_table(
+    path: Path,
+    results: Mapping[str, Sequence[TrialMetrics]],
+    asked_n: Mapping[str, int],
+) -> list[Check]:
+    """Write the trials of all sets; return the checks of what the file holds then."""
+    write_csv(path, [r.to_row() for set_results in results.values() for r in set_results])
+    written = count_results(path)
+    results_n = {series.condition: count for series, count in written.items()}
+    return table_checks(results_n, asked_n)
 
 
 def farthest(trials: Sequence[Trial], n: int) -> list[Trial]:

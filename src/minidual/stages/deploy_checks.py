@@ -1,6 +1,6 @@
 """Checks of `deploy`: the held-out trials, and the sets beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -28,7 +28,13 @@ SUCCESS_HIGH = Criterion("success_high", why="upper end of its 95 % Wilson inter
 TRIALS = Criterion(
     "trials",
     ">=",
-    why="every held-out trial was run",
+    why="results of held-out trials in trials.csv, each index once",
+    remedy="minidual deploy --force runs them all",
+)
+SETS_COMPLETE = Criterion(
+    "sets_complete",
+    "==",
+    why="sets of trials whose results are all in trials.csv{missing}",
     remedy="minidual deploy --force runs them all",
 )
 STARTS_SEEN = Criterion(
@@ -84,18 +90,31 @@ def deploy_checks(
     settings: DeployConfig,
 ) -> list[Check]:
     """Return the checks of the held-out trials; `seen_n` of them were demonstrated."""
-    trials_n = held_out.trials_n
     return [
         SUCCESS_RATE.check(
             held_out["success_rate"],
             settings.success_rate_min,
-            trials_n=trials_n,
+            trials_n=held_out.trials_n,
         ),
         SUCCESS_LOW.report(held_out["success_low"]),
         SUCCESS_HIGH.report(held_out["success_high"]),
-        TRIALS.check(trials_n, settings.trials),
         STARTS_SEEN.check(seen_n, 0),
         INFERENCE_RATE.check(inference_hz, settings.inference_hz_min),
+    ]
+
+
+def table_checks(results_n: Mapping[str, int], asked_n: Mapping[str, int]) -> list[Check]:
+    """Return the checks of the table of trials; both: {set: results} of all training seeds."""
+    missing = [
+        f"{name} {results_n.get(name, 0)} of {count}"
+        for name, count in asked_n.items()
+        if results_n.get(name, 0) != count
+    ]
+    complete_n = len(asked_n) - len(missing)
+    text = f": {', '.join(missing)}" if missing else ""
+    return [
+        TRIALS.check(results_n.get(HELD_OUT_SET, 0), asked_n[HELD_OUT_SET]),
+        SETS_COMPLETE.check(complete_n, len(asked_n), missing=text),
     ]
 
 
