@@ -347,6 +347,7 @@ def test_the_stage_refuses_unknown_conditions_before_anything_runs() -> None:
 def run_benchmark_stage(folder: Path, config: Config, recorded: str) -> StageResult:
     """Run the stage where demonstrations of this task were recorded."""
     (folder / "config.yaml").write_text(f"task: {recorded}\n", encoding="utf-8")
+    (folder / "train.json").write_text("{}", encoding="utf-8")
     given = StageContext(
         folder=folder,
         config=STAGES["benchmark"].resolved(config),
