@@ -8,7 +8,6 @@ planners' seeds and less padding.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -19,6 +18,7 @@ import numpy as np
 
 from minidual.collision.shapes import ENGINES
 from minidual.config.seeds import stream, subseed
+from minidual.motion.budget import Budget
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.shortcut import shortcut
 from minidual.proof.scene_engines import SceneEngines
@@ -37,7 +37,6 @@ from minidual.trials.planning.queries import (
 _CHECKS_N = 250_000
 _ROUNDS = ((0.004, 0.03), (0.002, 0.03), (0.001, 0.02), (0.001, 0.02))
 """Padding [m] and step [rad] of the searches, one after the other: 1,000,000 state checks in all."""
-_DEADLINE_S = 3600.0
 FOLDER = Path(queries.__file__).with_name("query_sets")
 
 
@@ -63,7 +62,7 @@ def find_way(query: Query) -> Array | None:
     engines = SceneEngines(query.scene)
     for attempt, (padding, step) in enumerate(_ROUNDS):
         checker = EdgeChecker(engines, padding, (query.q_start, query.q_goal), step)
-        checker.allow(_CHECKS_N, time.perf_counter() + _DEADLINE_S)
+        checker.allow(_CHECKS_N, Budget())
         ends = np.array([query.q_start, query.q_goal])
         seed = subseed(query.seed, "witness/search", attempt)
         path = search(checker, ends, ROBOT.groups[query.group], seed=seed)

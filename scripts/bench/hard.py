@@ -81,8 +81,7 @@ class PathFaults:
 
 def measure(inputs: BenchInputs) -> BenchTable:
     """Plan `repeats_n` draws of every set."""
-    config = inputs.config.plan.planner.model_copy(update={"budget_s": BUDGET_S})
-    planner = Planner(config=config)
+    planner = Planner(config=inputs.config.plan.planner)
     planner.plan_to_joints(GROUP, planner.robot.home, planner.robot.home + 0.05)  # compiles
     planners: dict[str, PlanAll] = {
         "minidual": plan_minidual,
@@ -259,7 +258,7 @@ def _run(query: PosedQuery, planner: Planner, wall_s: float, *, to_poses: bool) 
                 drawn.scene,
                 drawn.seed,
             )
-            return held.plan(request, wall_s)
+            return held.plan(request, budget_s=wall_s)
         if to_poses:
             return planner.plan_to_poses(
                 GROUP,

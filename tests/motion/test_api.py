@@ -208,6 +208,12 @@ def test_no_path_in_time_names_budget_attempts_and_reason():
         match=r"no proven path for left_arm in 0.05 s: \d+ attempts, the last one: (rrtconnect|kpiece) found no path",
     ):
         planner.plan_to_joints("left_arm", start, goal, budget_s=0.05)
+    with pytest.raises(
+        NoPathInTimeError, match=r"for left_arm in 20000 state checks: \d+ attempts"
+    ):
+        planner.plan_to_joints("left_arm", start, goal, budget_checks_n=20_000)
+    with pytest.raises(UsageError, match="budget_checks_n = 0"):
+        planner.plan_to_joints("left_arm", start, goal, budget_checks_n=0)
     for bad in (0.0, -1.0, float("nan")):
         with pytest.raises(UsageError, match="budget_s"):
             planner.plan_to_joints("left_arm", start, goal, budget_s=bad)
@@ -243,7 +249,7 @@ def test_a_failed_proof_is_planned_again(post_planner, monkeypatch):
             "left_arm",
             beside_the_post(1),
             beside_the_post(1)[:7] + 0.1,
-            budget_s=0.3,
+            budget_checks_n=5000,
         )
 
 

@@ -1,7 +1,6 @@
 """Shortcuts, rounded corners, timing and the trajectory itself."""
 
 import json
-import time
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +13,7 @@ from minidual.collision.shapes import Box
 from minidual.config.planning import MotionLimits
 from minidual.errors import DataError, UsageError
 from minidual.motion.blend import blended_path, rounded
+from minidual.motion.budget import Budget
 from minidual.motion.search import EdgeChecker, search
 from minidual.motion.shortcut import shortcut
 from minidual.motion.speed_profile import sample_parameters
@@ -66,7 +66,7 @@ def test_shortcut_goes_round_what_stands_between():
     right[0] = -0.8
     checker = EdgeChecker(engine, 0.01, (), 0.02)
     assert not checker.edge_free(left, right)
-    checker.allow(100_000, time.perf_counter() + 60.0)
+    checker.allow(100_000, Budget())
     path = search(checker, np.array([left, right]), slice(0, 7), seed=1)
     short = shortcut(path, checker, np.random.default_rng(0), 60)
     assert path_length(short) < path_length(path)

@@ -4,6 +4,7 @@ import itertools
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +17,7 @@ from minidual.control.bounds import Reach
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
+from minidual.motion.budget import Budget
 from minidual.motion.held.path import CarriedTrajectory
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, inverse, pose, rot_x, rot_z
@@ -123,7 +125,12 @@ def carried(planner):
 
 
 class Idle:
+    """Tools of stages that plan nothing."""
+
     gap = None
+
+    def __init__(self):
+        self.planner = SimpleNamespace(work=Budget())
 
 
 class Numbers:
@@ -199,8 +206,10 @@ def test_limits_end_the_search_and_say_so():
     pipeline = Pipeline("t", [Numbers("make", 10_000), Only("last", -1)])
     with pytest.raises(TaskFailedError, match="gave up after 40 candidates"):
         pipeline.solve(NOTHING, Idle(), tries_max=40)
-    with pytest.raises(TaskFailedError, match="gave up after"):
-        pipeline.solve(NOTHING, Idle(), budget_s=1e-9)
+    with pytest.raises(TaskFailedError, match="gave up after 3 candidates and 6000 state checks"):
+        pipeline.solve(NOTHING, Idle(), budget_checks_n=5000)
+    with pytest.raises(TaskFailedError, match="gave up after 0 candidates"):
+        pipeline.solve(NOTHING, Idle(), budget_checks_n=0)
 
 
 def test_a_pipeline_without_stages_or_with_a_name_twice_is_refused():

@@ -29,7 +29,7 @@ class OutOfLimitsError(PlanningError, reason="out_of_limits"):
 
 
 class NoPathInTimeError(PlanningError, reason="no_path_in_time"):
-    """No verified path within the time budget."""
+    """No verified path within the budget of work or time."""
 
 
 class TimingError(PlanningError, reason="timing_failed"):

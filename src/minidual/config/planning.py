@@ -45,7 +45,13 @@ class PlannerConfig(MotionLimits):
     """Joint solutions tried for a pose goal, nearest first."""
     verify_step_rad: float = Field(default=0.002, ge=1e-4, le=0.002)
     """Largest joint step between audit samples."""
+    budget_checks_n: int = Field(default=400_000, ge=1, le=1_000_000_000)
+    """Work of a query until it gives up, in state checks: about 20 s on a slow core.
+
+    It limits all queries of trials, demonstrations and query sets.
+    """
     budget_s: float = Field(default=10.0, ge=1e-6, le=3600.0)
+    """Wall time of `minidual plan --to`, which a person waits for, instead of counted work."""
 
 
 class GroupTimes(StrictModel):

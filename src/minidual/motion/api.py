@@ -4,7 +4,7 @@ import functools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from time import perf_counter
-from typing import NamedTuple, Self, TypedDict, Unpack
+from typing import NamedTuple, Self, Unpack
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from minidual.config.planning import PlannerConfig
 from minidual.config.seeds import stream, subseed
 from minidual.errors import UsageError
 from minidual.motion.blend import SmoothPath, blended_path
+from minidual.motion.budget import ATTEMPT_CHECKS_N, Budget, BudgetOptions
 from minidual.motion.checks import check_joints, goal_joints, require_free
 from minidual.motion.pose_goals import pose_goals
 from minidual.motion.search import EdgeChecker, search
@@ -112,21 +113,22 @@ def more_padding(padding_m: float) -> float:
     return max(padding_m, min(1.5 * padding_m, _PADDING_MAX_M))
 
 
-class QueryOptions(TypedDict, total=False):
+class QueryOptions(BudgetOptions, total=False):
     """Keyword arguments of every query."""
 
     scene: PlanningScene | None
     """By default the planner's."""
     seed: int
     """By default 0."""
-    budget_s: float | None
-    """By default the configuration's."""
 
 
 class Planner:
     """Plans for left_arm, right_arm and both_arms. One instance per process.
 
     `scene` is the default one. Equal queries with equal seeds give equal trajectories.
+
+    Attributes:
+        work: What all queries so far have spent.
     """
 
     _kernels_loaded = False
@@ -143,6 +145,7 @@ class Planner:
         self.robot = self.scene.robot
         self.kinematics = Kinematics(self.robot)
         self.timing = TIMING_ENGINES[self.config.timing]
+        self.work = Budget()
         self._engines = functools.lru_cache(_SCENES_KEPT)(self._built)
 
     def engines(self, scene: PlanningScene | None = None) -> SceneEngines:
@@ -163,7 +166,7 @@ class Planner:
         engines = SceneEngines(scene, self.config.verify_step_rad, self.kinematics)
         home = self.robot.home
         if not Planner._kernels_loaded:
-            # Load the planes' machine code (0.3 s; 30 s if compiled) outside planning budgets.
+            # Load the planes' machine code (0.3 s; 30 s if compiled) outside the times of queries.
             EdgeChecker(engines, 0.0, [home], 0.1).edge_free(home, home + 0.1)
             certify(engines.solids, resting(home, DT_S, "both_arms"))
             Planner._kernels_loaded = True
@@ -174,16 +177,24 @@ class Planner:
         if not Planner._kernels_loaded:
             self.engines(scene)
 
-    def budget(self, budget_s: float | None) -> float:
-        """Return a time budget [s], by default the configuration's.
+    def budget(self, **limits: Unpack[BudgetOptions]) -> Budget:
+        """Return the budget of a query that begins now.
 
         Raises:
-            UsageError: Not finite and > 0.
+            UsageError: A limit is not finite and > 0.
         """
-        budget = self.config.budget_s if budget_s is None else budget_s
-        if not (np.isfinite(budget) and budget > 0.0):
-            raise UsageError(f"budget_s = {budget}; it must be a finite number > 0")
-        return budget
+        for name, limit in limits.items():
+            if limit is not None and not (np.isfinite(limit) and limit > 0):
+                raise UsageError(f"{name} = {limit}; it must be a finite number > 0")
+        checks_n = limits.get("budget_checks_n")
+        wall_s = limits.get("budget_s")
+        if checks_n is None and wall_s is None:
+            checks_n = self.config.budget_checks_n
+        return Budget(
+            np.inf if checks_n is None else checks_n,
+            np.inf if wall_s is None else wall_s,
+            within=self.work,
+        )
 
     def plan_to_joints(
         self,
@@ -195,7 +206,7 @@ class Planner:
         """Plan to all joints or the group's [rad]; the other arm stands still.
 
         Raises:
-            PlanningError: Bad start or goal, or nothing proven within `budget_s`
+            PlanningError: Bad start or goal, or nothing proven within the budget
                 (NoPathInTimeError).
             UsageError: Bad group or budget, or a goal that moves the other arm.
         """
@@ -241,14 +252,17 @@ class _Work:
     ) -> None:
         scene = options.get("scene")
         self.seed = options.get("seed", 0)
-        planner.load_kernels(scene)  # before the clock starts: no budget pays for it
+        planner.load_kernels(scene)  # before the clock starts: no query's time contains it
         self.arms = GROUP_ARMS[group]
         self.started = perf_counter()
         self.seconds = dict.fromkeys(PLAN_PHASES, 0.0)
         self.planner = planner
         self.config = planner.config
         self.group = group
-        self.budget_s = planner.budget(options.get("budget_s"))
+        self.budget = planner.budget(
+            budget_checks_n=options.get("budget_checks_n"),
+            budget_s=options.get("budget_s"),
+        )
         self.q_start = check_joints(q_start, "start", planner.robot)
         with self.phase("scene"):
             self.engines = planner.engines(scene)
@@ -296,7 +310,8 @@ class _Work:
         effort = Effort(config.padding_m, config.edge_step_rad, config.search_checks_n)
         notes: list[str] = []
         attempt = 0
-        while perf_counter() - self.started < self.budget_s:
+        while not self.budget.ended:
+            self.budget.spend(ATTEMPT_CHECKS_N)
             goal = goals[attempt % len(goals)]
             attempt += 1
             name = effort.planner(config.planner, config.fallback_planners)
@@ -326,8 +341,8 @@ class _Work:
             )
         last = notes[-1] if notes else "the budget ended before the first attempt"
         raise NoPathInTimeError(
-            f"no proven path for {self.group} in {self.budget_s:.2f} s: {attempt} attempts, the"
-            f" last one: {last}",
+            f"no proven path for {self.group} in {self.budget}: {attempt} attempts, the last one:"
+            f" {last}",
             remedy="raise the budget, make room in the scene, or choose another goal",
         )
 
@@ -355,7 +370,7 @@ class _Work:
         with self.phase("search"):
             if checker.edge_free(self.q_start, goal):
                 return ends
-            checker.allow(effort.checks_n, self.started + self.budget_s)
+            checker.allow(effort.checks_n, self.budget)
             return search(
                 checker,
                 ends,

@@ -139,7 +139,7 @@ class GoalPlanner:
     ) -> PlanResult:
         """Plan to a goal; see `Planner.plan_to_joints`.
 
-        Straight moves ignore `seed` and `budget_s`.
+        Straight moves ignore `seed` and budgets.
 
         Raises:
             LinearMoveError: A line ends before its fraction_min.

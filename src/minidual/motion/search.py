@@ -6,7 +6,6 @@ checks, so results do not depend on the machine.
 """
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
@@ -18,6 +17,7 @@ import ompl.util as ou
 from numpy.typing import ArrayLike
 
 from minidual.config.seeds import subseed
+from minidual.motion.budget import Budget
 from minidual.proof import planes
 from minidual.proof.layout import Padding
 from minidual.proof.scene_engines import SceneEngines
@@ -59,7 +59,7 @@ class EdgeChecker:
         self.step_rad = step_rad
         self.checks_n = 0
         self.checks_end = math.inf
-        self.deadline = math.inf
+        self.budget = Budget()
         self._geometry = solids.geometry
         self._rows = solids.of_arms(arms)
         ends = np.array(ends).reshape(-1, self.robot.dof)
@@ -73,15 +73,15 @@ class EdgeChecker:
         )
         self._work = solids.workspace()
 
-    def allow(self, checks_n: int, deadline: float) -> None:
-        """Bound what follows: state checks, and `deadline` by time.perf_counter()."""
+    def allow(self, checks_n: int, budget: Budget) -> None:
+        """Bound what follows: the state checks of one search, and all work by `budget`."""
         self.checks_end = self.checks_n + checks_n
-        self.deadline = deadline
+        self.budget = budget
 
     @property
     def spent(self) -> bool:
         """Whether a bound is reached."""
-        return self.checks_n >= self.checks_end or time.perf_counter() > self.deadline
+        return self.checks_n >= self.checks_end or self.budget.ended
 
     def free(self, q: Array) -> bool:
         """Return whether q (dof,) keeps the padding."""
@@ -90,7 +90,9 @@ class EdgeChecker:
     def all_free(self, Q: Array) -> bool:
         """Return whether all rows of Q (n, dof) keep it."""
         free_n = planes.survey(self._geometry, floats(Q), self._rows, self._padding, self._work)
-        self.checks_n += min(free_n + 1, len(Q))
+        made_n = min(free_n + 1, len(Q))
+        self.checks_n += made_n
+        self.budget.spend(made_n)
         return free_n == len(Q)
 
     def edge_free(self, a: Array, b: Array) -> bool:
@@ -185,7 +187,12 @@ def search(
     for state, q in zip(states, ends, strict=True):
         for i, value in enumerate(q[joints]):
             state[i] = float(value)
-    path = exact_path(PLANNERS[planner](si), range_rad, states, lambda: checker.spent)
+
+    def enough() -> bool:
+        checker.budget.spend(1)  # so that a planner which checks no state ends too
+        return checker.spent
+
+    path = exact_path(PLANNERS[planner](si), range_rad, states, enough)
     if path is None:
         return None
     return np.array([full(path.getState(i)) for i in range(path.getStateCount())])

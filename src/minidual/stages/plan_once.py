@@ -52,7 +52,7 @@ def plan_once(context: ToolContext) -> ToolResult:
     options = context.options
     targets = _targets(options)
     group = options.get("group", "both_arms")
-    budget_s = _budget(options.get("budget-s"))
+    budget_s = _budget(options.get("budget-s")) or context.config.plan.planner.budget_s
     query = _query(context, group)
     scene = query.scene
     goal = goal_of(options["to"], query.planner.states)

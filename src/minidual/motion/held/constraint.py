@@ -104,8 +104,12 @@ def search_manifold(
     # Most states may fail before the collision check, so constraint calls are limited too.
     checks_left = checker.checks_end - checker.checks_n
     calls_end = constraint.calls_n + _CALLS_A_CHECK * checks_left
+    charged_n = constraint.calls_n
 
     def enough() -> bool:
+        nonlocal charged_n
+        checker.budget.spend(1 + constraint.calls_n - charged_n)
+        charged_n = constraint.calls_n
         return checker.spent or constraint.calls_n >= calls_end
 
     path = exact_path(og.RRTConnect(si), _RANGE, ends, enough)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from minidual.config.planning import MotionLimits
 from minidual.config.seeds import stream, subseed
 from minidual.motion.api import Planner, more_padding
 from minidual.motion.blend import rounded
+from minidual.motion.budget import ATTEMPT_CHECKS_N, BudgetOptions
 from minidual.motion.checks import check_joints, check_pose, place_text, require_free
 from minidual.motion.held.constraint import GraspConstraint, search_manifold
 from minidual.motion.held.goals import GoalSearch
@@ -64,15 +64,15 @@ class HeldPlanner:
     def __init__(self, planner: Planner | None = None) -> None:
         self.planner = planner or Planner()
 
-    def plan(self, query: HeldQuery, budget_s: float | None = None) -> CarriedTrajectory:
+    def plan(self, query: HeldQuery, **limits: Unpack[BudgetOptions]) -> CarriedTrajectory:
         """Return a proven trajectory to the goal. Equal queries give equal trajectories.
 
         Raises:
-            PlanningError: Bad start or goal, or nothing proven within `budget_s`
+            PlanningError: Bad start or goal, or nothing proven within the budget
                 (NoPathInTimeError).
             UsageError: Bad query.
         """
-        return HeldWork(self.planner, query, budget_s).run()
+        return HeldWork(self.planner, query, **limits).run()
 
     def follow(
         self,
@@ -148,8 +148,12 @@ class Effort(NamedTuple):
 class HeldWork:
     """One query in progress; raises as `HeldPlanner.plan`."""
 
-    def __init__(self, planner: Planner, query: HeldQuery, budget_s: float | None = None) -> None:
-        budget_s = planner.budget(budget_s)
+    def __init__(
+        self,
+        planner: Planner,
+        query: HeldQuery,
+        **limits: Unpack[BudgetOptions],
+    ) -> None:
         self._kinematics = planner.kinematics
         self._config = planner.config
         q_start = check_joints(query.q_start, "start", planner.robot)
@@ -158,7 +162,7 @@ class HeldWork:
         self._hands = HandsIK(query.grasps, planner.robot)
         T_goal = check_pose(query.T_world_goal, "the goal of the object")
         self._engines = planner.engines(query.scene)
-        self._deadline = time.perf_counter() + budget_s
+        self._budget = planner.budget(**limits)
         self._T_start = self._object_at(q_start)
         self._hands.require_held(q_start, self._T_start)
         require_free(self._engines, q_start, "start")
@@ -177,8 +181,9 @@ class HeldWork:
         effort = Effort(self._config.padding_m)
         goals = self._first_goals(straight)
         for attempt, method in enumerate(itertools.cycle(METHODS)):
-            if time.perf_counter() > self._deadline:
+            if self._budget.ended:
                 break
+            self._budget.spend(ATTEMPT_CHECKS_N)
             if attempt in _MORE_GOALS:
                 goals = self._more_goals(straight, _MORE_GOALS[attempt], goals)
             try:
@@ -192,7 +197,7 @@ class HeldWork:
             self.notes.append(f"{method} found no path")
             effort = effort.after_no_path()
         raise NoPathInTimeError(
-            "no proven path for the held object within the budget; the straight way:"
+            f"no proven path for the held object in {self._budget}; the straight way:"
             f" {self.notes[0]}; {len(self.notes)} attempts, the last one: {self.notes[-1]}",
             remedy="raise the budget, make room in the scene, or choose another goal or grasp",
         )
@@ -272,7 +277,7 @@ class HeldWork:
         space = self._space(goals, effort)
         if method != "object_rrt":
             return self._search_manifold(space, method, goals, effort, attempt)
-        space.checker.allow(effort.checks_n, self._deadline)
+        space.checker.allow(effort.checks_n, self._budget)
         start = space.point(self._T_start, self._q_start)
         ends = [space.point(query.T_world_goal, q) for q in goals]
         return search_object(space, start, ends, stream(query.seed, "held/search", attempt))
@@ -291,9 +296,9 @@ class HeldWork:
         start = self._hands.solve(self._T_start, self._q_start)
         seed = subseed(self._query.seed, "held/manifold", attempt)
         for goal in goals[:_MANIFOLD_GOALS_N]:
-            if start is None or time.perf_counter() > self._deadline:
+            if start is None or self._budget.ended:
                 break
-            space.checker.allow(effort.checks_n, self._deadline)
+            space.checker.allow(effort.checks_n, self._budget)
             path = search_manifold(
                 constraint,
                 space.checker,

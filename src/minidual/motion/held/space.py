@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from minidual.motion.budget import SOLVE_CHECKS_N
 from minidual.motion.held.hands import HandsIK
 from minidual.motion.held.path import ObjectChart
 from minidual.motion.search import EdgeChecker, bisection_order
@@ -54,6 +55,7 @@ class HeldSpace:
 
     def solved_free(self, z: Array) -> Array | None:
         """Return z with projected joints, None unless free."""
+        self.checker.budget.spend(SOLVE_CHECKS_N)
         q = self.hands.solve(self.chart.pose(z[X]), z[Q])
         if q is None or not self.checker.free(q):
             return None

@@ -14,6 +14,9 @@ from minidual.skills.pipeline.record import Record, StageRecord
 from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Stage, Tools
 from minidual.skills.states import Segment, State
 
+_CANDIDATE_CHECKS_N = 2_000
+"""Charge for a candidate besides its searches: straight motions and their proof take 0.1 s."""
+
 
 class TaskFailedError(PlanningError, reason="task_failed"):
     """No way through all stages.
@@ -120,29 +123,34 @@ class Pipeline:
         start: State,
         tools: Tools,
         *,
-        budget_s: float = 300.0,
+        budget_checks_n: int = 12_000_000,
         tries_max: int = 2000,
     ) -> Solution:
-        """Return the first complete plan within the limits of wall time [s] and candidates.
+        """Return the first complete plan within the limits of work and candidates.
+
+        Work is counted as in `motion.budget`. It takes 5 to 10 minutes.
 
         Raises:
             TaskFailedError: All candidates failed, or a limit was reached.
         """
         record = Record([StageRecord(stage.name) for stage in self.stages])
         began_s = time.perf_counter()
+        work = tools.planner.work
+        spent_before_n = work.spent_n
         tries = 0
         frontier = _Frontier(self.keenness)
         frontier.push(_Node((), 0.0, self.stages[0].offers(start, tools)))
         while frontier:
-            record.took_s = time.perf_counter() - began_s
-            if record.took_s > budget_s or tries >= tries_max:
-                record.ended = f"gave up after {tries} candidates and {record.took_s:.1f} s"
+            checks_n = work.spent_n - spent_before_n
+            if checks_n >= budget_checks_n or tries >= tries_max:
+                record.ended = f"gave up after {tries} candidates and {checks_n} state checks"
                 break
             node = frontier.pop()
             offer = _next_offer(node, tools)
             if offer is None:
                 continue
             tries += 1
+            work.spend(_CANDIDATE_CHECKS_N)
             stage_record = record.stages[len(node.done)]
             if isinstance(offer, CandidateError):
                 stage_record.add_failure(offer.reason, offer.message)

@@ -118,8 +118,11 @@ class QueryOutcome(PlanAttempt[PlanResult]):
         }
 
 
-def plan_query(planner: Planner, query: Query) -> QueryOutcome:
-    """Plan one query, timed from goal to proven trajectory."""
+def plan_query(planner: Planner, query: Query, budget_s: float | None = None) -> QueryOutcome:
+    """Plan one query, timed from goal to proven trajectory.
+
+    `budget_s`: wall time, instead of the configuration's counted work.
+    """
     begin_s = perf_counter()
     engines = planner.engines(query.scene)
     scene_s = perf_counter() - begin_s
@@ -132,6 +135,7 @@ def plan_query(planner: Planner, query: Query) -> QueryOutcome:
                 query.targets,
                 scene=query.scene,
                 seed=query.seed,
+                budget_s=budget_s,
             )
         return planner.plan_to_joints(
             query.group,
@@ -139,6 +143,7 @@ def plan_query(planner: Planner, query: Query) -> QueryOutcome:
             query.q_goal,
             scene=query.scene,
             seed=query.seed,
+            budget_s=budget_s,
         )
 
     attempt = attempted(plan)
