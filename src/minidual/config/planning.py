@@ -45,8 +45,8 @@ class PlannerConfig(MotionLimits):
     """Joint solutions tried for a pose goal, nearest first."""
     verify_step_rad: float = Field(default=0.002, ge=1e-4, le=0.002)
     """Largest joint step between audit samples."""
-    budget_checks_n: int = Field(default=400_000, ge=1, le=1_000_000_000)
-    """Work of a query until it gives up, in state checks: about 20 s on a slow core.
+    budget_checks_n: int = Field(default=600_000, ge=1, le=1_000_000_000)
+    """Work of a query until it gives up, in state checks: 12 to 50 s of a core.
 
     It limits all queries of trials, demonstrations and query sets.
     """

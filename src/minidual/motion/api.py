@@ -183,11 +183,11 @@ class Planner:
         Raises:
             UsageError: A limit is not finite and > 0.
         """
-        for name, limit in limits.items():
-            if limit is not None and not (np.isfinite(limit) and limit > 0):
-                raise UsageError(f"{name} = {limit}; it must be a finite number > 0")
         checks_n = limits.get("budget_checks_n")
         wall_s = limits.get("budget_s")
+        for name, limit in (("budget_checks_n", checks_n), ("budget_s", wall_s)):
+            if limit is not None and not (np.isfinite(limit) and limit > 0):
+                raise UsageError(f"{name} = {limit}; it must be a finite number > 0")
         if checks_n is None and wall_s is None:
             checks_n = self.config.budget_checks_n
         return Budget(

@@ -7,7 +7,7 @@ from typing import TypedDict
 SOLVE_CHECKS_N = 4
 """Charge for the IK of both hands: it takes the time of four state checks."""
 ATTEMPT_CHECKS_N = 1_000
-"""Charge for what an attempt does besides its search: blend, timing and proof take about 50 ms."""
+"""Charge for what an attempt does besides its search: blend, timing and proof take 4 to 50 ms."""
 
 
 class BudgetOptions(TypedDict, total=False):
@@ -25,6 +25,8 @@ class Budget:
     A search charges its state checks, its IK at `SOLVE_CHECKS_N` each, its evaluations of a
     constraint and its looks at its end at one each. An attempt is charged `ATTEMPT_CHECKS_N`. So
     every loop ends, and without a `wall_s` it ends at the same point on every machine.
+
+    A core does 10 000 (held objects) to 50 000 (one arm) of these checks a second.
 
     Args:
         checks_n: Work; by default without limit.

@@ -18,8 +18,8 @@ from minidual.skills.pipeline.stage import Candidate, CandidateError, Offer, Too
 from minidual.skills.states import Segment, State, raised
 
 _OTHER_HEIGHTS_M = (0.06, 0.2)
-_BUDGET_CHECKS_N = 80_000
-"""Work of one free motion; a core makes 20 000 to 40 000 checks a second."""
+_BUDGET_CHECKS_N = 120_000
+"""Work of one free motion: 3 to 10 s of a core."""
 _TILT_EVERY = 10
 """Samples from one check of the tilt to the next."""
 

@@ -128,7 +128,7 @@ class Pipeline:
     ) -> Solution:
         """Return the first complete plan within the limits of work and candidates.
 
-        Work is counted as in `motion.budget`. It takes 5 to 10 minutes.
+        Work is counted as in `motion.budget`: the default takes 4 to 20 minutes.
 
         Raises:
             TaskFailedError: All candidates failed, or a limit was reached.
