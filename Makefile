@@ -17,7 +17,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 CAMPAIGN := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.campaign
 
-.PHONY: help all learn bench campaign campaign-small test test-slow lint format typecheck wheel setup egl clean
+.PHONY: help all learn bench results campaign campaign-small test test-slow lint format typecheck wheel setup egl clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
@@ -38,6 +38,9 @@ test-slow: $(READY) egl ## run the tests marked slow
 
 bench: $(READY) ## time control steps, planning, a new scene and a cold start
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m scripts.bench $(ARGS)
+
+results: $(READY) egl ## measure what is missing of docs/results.md, and fill its tables: hours
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.results $(ARGS)
 
 campaign: $(READY) egl ## kill, tamper, break and interrupt: 15 minutes; docs/reliability.md
 	@$(BIN)/minidual run --profile smoke

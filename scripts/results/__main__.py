@@ -1,0 +1,244 @@
+"""`make results`, or `python -m scripts.results [--only NAME,...] [--fill] [options]`.
+
+Makes the tables of docs/results.md from runs, and measures what is missing. Each measurement
+continues after an interruption: type the same command again. A table whose input is missing keeps
+its content, and a line says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from minidual.config.loader import load_config
+from minidual.durable import write_text
+from minidual.errors import MinidualError, UsageError
+from minidual.registry import Registry
+from minidual.stages.deploy import recorded_task
+from minidual.tasks.catalogue import TASKS
+from minidual.trials.methods import METHODS
+from minidual.trials.metrics import TrialMetrics
+from scripts.results import benches, five_tasks, standard, trainings
+from scripts.results.blocks import blocks, with_blocks
+from scripts.results.trials import Plan, run_cell
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "docs" / "results.md"
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+"""Pages that may quote blocks of RESULTS."""
+FOLDER = Path("runs/results")
+_MINIDUAL = (sys.executable, "-m", "minidual.cli")
+_BENCH = (sys.executable, "-m", "scripts.bench")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where blocks of the page come from.
+
+    Attributes:
+        contents: Returns {block: content}, or None while its input is missing.
+        measure: Makes the input, or continues to make it.
+        input: What the input is, in words.
+    """
+
+    contents: Callable[[], dict[str, str] | None]
+    measure: Callable[[], None]
+    input: str
+
+
+def main(words: list[str]) -> int:
+    """Measure what is missing, fill the blocks, and say which kept their content.
+
+    Returns:
+        1 if a block that was asked for kept its content, else 0.
+    """
+    options = _parser().parse_args(words)
+    try:
+        names = SOURCES.names(options.only) if options.only else tuple(SOURCES)
+        sources = {name: SOURCES[name](options) for name in names}
+        return _fill(sources, measures=not options.fill)
+    except MinidualError as error:
+        _say(error.message)
+        if error.remedy:
+            _say(f"type: {error.remedy}")
+        return int(error.exit_code)
+
+
+def _fill(sources: dict[str, Source], *, measures: bool) -> int:
+    """Fill the blocks of each source as soon as it is complete."""
+    kept = 0
+    for name, source in sources.items():
+        contents = source.contents()
+        if contents is None and measures:
+            source.measure()
+            contents = source.contents()
+        if contents is None:
+            _say(f"{name}: kept, because there is no {source.input}")
+            kept += 1
+        else:
+            fill_pages(contents)
+            _say(f"{name}: filled from {source.input}")
+    return 1 if kept else 0
+
+
+def fill_pages(contents: dict[str, str], pages: tuple[Path, ...] = PAGES) -> None:
+    """Write the contents into the blocks of their names in all pages."""
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        blocks(text)  # a damaged mark is refused before a page changes
+        filled = with_blocks(text, contents)
+        if filled != text:
+            write_text(page, filled)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="make results ARGS=", description=__doc__)
+    parser.add_argument(
+        "--only",
+        default="",
+        metavar="NAME,...",
+        help=f"some of {', '.join(SOURCES)} (default: all, in this order)",
+    )
+    parser.add_argument("--fill", action="store_true", help="measure nothing")
+    parser.add_argument(
+        "--first",
+        type=int,
+        help="number of the first start of the five-task table: at least 1000, and in no "
+        "earlier publication, such as 30000",
+    )
+    parser.add_argument("--trials", type=int, default=100, help="trials of each cell")
+    parser.add_argument("--tasks", default=",".join(TASKS), help="tasks of the five-task table")
+    parser.add_argument(
+        "--methods",
+        default="moveit,impedance,act",
+        help="its methods; act only for tasks with a policy",
+    )
+    parser.add_argument(
+        "--policy",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="RUN",
+        help="a run with a trained policy for the five-task table; several are allowed",
+    )
+    parser.add_argument("--workers", type=int, default=2, help="processes of the five-task table")
+    for name, default, what in (
+        ("--standard", Path("runs/standard"), "a finished standard run"),
+        ("--learn", Path("runs/learn"), "a finished run of `make learn`"),
+        ("--step", FOLDER / "step.json", "a record of the bench carry"),
+        ("--planning", FOLDER / "planning.json", "a record of the bench hard with peers"),
+    ):
+        parser.add_argument(name, type=Path, default=default, help=f"{what} ({default})")
+    return parser
+
+
+def _tasks(options: argparse.Namespace) -> Source:
+    plan = _plan(options)
+    five_tasks.check_fresh(plan, RESULTS.read_text(encoding="utf-8"))
+    return Source(
+        lambda: _one(five_tasks.NAME, five_tasks.block(plan)),
+        lambda: _measure_tasks(plan, options.workers),
+        f"{plan.trials_n} trials of each cell in {plan.folder}",
+    )
+
+
+def _step(options: argparse.Namespace) -> Source:
+    return Source(
+        lambda: _one(benches.STEP_BLOCK, benches.step_block(options.step)),
+        lambda: _run(*_BENCH, "carry", "--json", str(options.step)),
+        f"record {options.step}",
+    )
+
+
+def _planning(options: argparse.Namespace) -> Source:
+    return Source(
+        lambda: _one(benches.PLANNING_BLOCK, benches.planning_block(options.planning)),
+        lambda: _run(*_BENCH, "--peers", "--json", str(options.planning)),
+        f"record {options.planning}",
+    )
+
+
+def _standard(options: argparse.Namespace) -> Source:
+    return Source(
+        lambda: standard.blocks(options.standard),
+        lambda: _run(*_MINIDUAL, "run", *_run_words(options.standard)),
+        f"passing run {options.standard}",
+    )
+
+
+def _trainings(options: argparse.Namespace) -> Source:
+    several = ("--until", "deploy", "--set", "train.seeds_n=3")
+    return Source(
+        lambda: _one(trainings.NAME, trainings.block(options.learn)),
+        lambda: _run(*_MINIDUAL, "run", *_run_words(options.learn), *several),
+        f"passing run {options.learn} of several seeds",
+    )
+
+
+SOURCES: Registry[Callable[[argparse.Namespace], Source]] = Registry(
+    "results",
+    {
+        five_tasks.NAME: _tasks,
+        benches.STEP_BLOCK: _step,
+        benches.PLANNING_BLOCK: _planning,
+        standard.STAGES_BLOCK: _standard,
+        trainings.NAME: _trainings,
+    },
+)
+
+
+def _one(name: str, content: str | None) -> dict[str, str] | None:
+    return None if content is None else {name: content}
+
+
+def _plan(options: argparse.Namespace) -> Plan:
+    if options.first is None:
+        raise UsageError("the five-task table needs a first start", remedy="--first 30000")
+    policies: dict[str, Path] = {}
+    for run in options.policy:
+        policies[recorded_task(run / "teleop-record")] = run / "train-act" / "checkpoint"
+    return Plan(
+        config=load_config().config,
+        tasks=TASKS.names(options.tasks),
+        methods=METHODS.names(options.methods),
+        first=options.first,
+        trials_n=options.trials,
+        policies=policies,
+        folder=FOLDER,
+    )
+
+
+def _measure_tasks(plan: Plan, workers: int) -> None:
+    """Run every cell of the five-task table that is not complete."""
+    cells = plan.cells
+    for number, cell in enumerate(cells, start=1):
+        title = f"cell {number} of {len(cells)}, {cell}"
+
+        def on_trial(result: TrialMetrics, title: str = title) -> None:
+            _say(f"{title}, start {result.index}: {result.text}")
+
+        _say(title)
+        run_cell(plan, cell, workers, on_trial)
+
+
+def _run_words(run: Path) -> tuple[str, ...]:
+    return ("--runs-dir", str(run.parent), "--run", run.name)
+
+
+def _run(*command: str) -> None:
+    """Run a command that says on stderr why it fails; the block then keeps its content."""
+    _say(" ".join(command))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    subprocess.run(command, check=False)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
