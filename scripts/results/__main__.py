@@ -24,12 +24,18 @@ from minidual.trials.methods import METHODS
 from minidual.trials.metrics import TrialMetrics
 from scripts.results import benches, five_tasks, standard, trainings
 from scripts.results.blocks import blocks, with_blocks
+from scripts.results.quotes import stale_quotes
 from scripts.results.trials import Plan, run_cell
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results.md"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 """Pages that may quote blocks of RESULTS."""
+NO_RESULTS = {"85 of 100", "6 of 20", "15 of 20", "6 of 255"}
+"""Counts on pages that are no results.
+
+They are a limit of deploy, an example, an acceleration of a data sheet, and levels of a colour.
+"""
 FOLDER = Path("runs/results")
 _MINIDUAL = (sys.executable, "-m", "minidual.cli")
 _BENCH = (sys.executable, "-m", "scripts.bench")
@@ -54,13 +60,14 @@ def main(words: list[str]) -> int:
     """Measure what is missing, fill the blocks, and say which kept their content.
 
     Returns:
-        1 if a block that was asked for kept its content, else 0.
+        1 if a block that was asked for kept its content, or a page quotes another number; else 0.
     """
     options = _parser().parse_args(words)
     try:
         names = SOURCES.names(options.only) if options.only else tuple(SOURCES)
         sources = {name: SOURCES[name](options) for name in names}
-        return _fill(sources, measures=not options.fill)
+        kept_n = _fill(sources, measures=not options.fill)
+        return 1 if kept_n or _stale_quotes() else 0
     except MinidualError as error:
         _say(error.message)
         if error.remedy:
@@ -69,8 +76,8 @@ def main(words: list[str]) -> int:
 
 
 def _fill(sources: dict[str, Source], *, measures: bool) -> int:
-    """Fill the blocks of each source as soon as it is complete."""
-    kept = 0
+    """Fill the blocks of each source as soon as it is complete; return how many kept theirs."""
+    kept_n = 0
     for name, source in sources.items():
         contents = source.contents()
         if contents is None and measures:
@@ -78,16 +85,28 @@ def _fill(sources: dict[str, Source], *, measures: bool) -> int:
             contents = source.contents()
         if contents is None:
             _say(f"{name}: kept, because there is no {source.input}")
-            kept += 1
+            kept_n += 1
         else:
             fill_pages(contents)
             _say(f"{name}: filled from {source.input}")
-    return 1 if kept else 0
+    return kept_n
 
 
-def fill_pages(contents: dict[str, str], pages: tuple[Path, ...] = PAGES) -> None:
+def _stale_quotes() -> int:
+    """Say which numbers of other pages docs/results.md does not have; return how many."""
+    published = RESULTS.read_text(encoding="utf-8")
+    stale_n = 0
+    for page in PAGES:
+        for quote in stale_quotes(page.read_text(encoding="utf-8"), published):
+            if quote not in NO_RESULTS:
+                _say(f"{page.name} quotes {quote}, which docs/results.md does not say")
+                stale_n += 1
+    return stale_n
+
+
+def fill_pages(contents: dict[str, str]) -> None:
     """Write the contents into the blocks of their names in all pages."""
-    for page in pages:
+    for page in PAGES:
         text = page.read_text(encoding="utf-8")
         blocks(text)  # a damaged mark is refused before a page changes
         filled = with_blocks(text, contents)

@@ -27,7 +27,7 @@ def block(plan: Plan) -> str | None:
     header = [""]
     header += [f"{_title(name, plan)} {condition}" for name in methods for condition in CONDITIONS]
     if compares:
-        header += [f"only {_PAIR[0]}, only {_PAIR[1]} {CONDITIONS[-1]}"]
+        header += [f"only `{_PAIR[0]}`, only `{_PAIR[1]}` {CONDITIONS[-1]}"]
     rows: list[list[str]] = []
     for task in plan.tasks:
         row = [f"`{task}`"]
@@ -75,6 +75,8 @@ def _title(method: str, plan: Plan) -> str:
 
 def _line(origins: list[Origin], plan: Plan) -> str:
     words = f"--only {NAME} --first {plan.first} --trials {plan.trials_n}"
+    for checkpoint in plan.policies.values():
+        words += f" --policy {checkpoint.parents[1]}"
     return origin_line(origins, f'make results ARGS="{words}"')
 
 
