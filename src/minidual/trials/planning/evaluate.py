@@ -185,13 +185,14 @@ def run_queries(
     outcomes: dict[str, list[QueryOutcome]] = {group: [] for group in groups}
     for group in groups:
         for index in range(queries_n):
-            outcome = _audited(plan_query(planner, source(group, index)), planner)
+            outcome = audited(plan_query(planner, source(group, index)), planner)
             outcomes[group].append(outcome)
             on_query(outcome)
     return outcomes
 
 
-def _audited(outcome: QueryOutcome, planner: Planner) -> QueryOutcome:
+def audited(outcome: QueryOutcome, planner: Planner) -> QueryOutcome:
+    """Return the outcome with the audit of its trajectory, if it has one."""
     if outcome.result is None:
         return outcome
     engines = planner.engines(outcome.query.scene)
