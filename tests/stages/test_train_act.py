@@ -242,6 +242,22 @@ def test_a_training_does_not_go_on_under_other_code(
     assert all(path.is_file() for path in (stage.folder / "set-aside").iterdir())
 
 
+def failing_checks(result: StageResult) -> set[str]:
+    return {check.name for check in result.checks if check.passed is False}
+
+
+@pytest.mark.torch
+def test_a_training_that_hardly_moves_its_weights(stage: Stage) -> None:
+    result = stage.run(learning_rate=1e-8, backbone_learning_rate=1e-8)
+    assert failing_checks(result) == {"loss_ratio"}
+
+
+@pytest.mark.torch
+def test_a_training_on_a_machine_that_is_too_slow_for_its_time_limit(stage: Stage) -> None:
+    result = stage.run(steps=400, time_limit_s=0.05)
+    assert "steps_done" in failing_checks(result)
+
+
 @pytest.mark.torch
 def test_a_finished_training_survives_the_emergency_stop(
     stage: Stage,
