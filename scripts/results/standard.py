@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from minidual.errors import DataError
 from scripts.results.markdown import origin_line, table
 from scripts.results.verdicts import Numbers, numbers_of
 
@@ -106,12 +107,20 @@ def blocks(run: Path) -> dict[str, str] | None:
     """Return the blocks; None while a stage has no passing verdict.
 
     Raises:
-        DataError: A verdict lacks a number.
+        DataError: A verdict lacks a number, or does not count as acceptance.
     """
     of_stages = {stage: numbers_of(run, stage) for stage in _RESULTS}
     numbers = {stage: n for stage, n in of_stages.items() if n is not None}
     if len(numbers) < len(_RESULTS):
         return None
+    for stage, n in numbers.items():
+        if not n.verdict.acceptance:
+            profile = n.verdict.fingerprint.profile
+            raise DataError(
+                f"{run}: {stage} counts not as acceptance (profile {profile}, waivers or weaker "
+                "values)",
+                remedy="--standard RUN, with a run of the profile standard as it is shipped",
+            )
     line = origin_line([n.made for n in numbers.values()], COMMAND)
     rows = [
         [f"`{stage}`", f"{n.verdict.duration_s:.0f} s", _RESULTS[stage](n)]

@@ -315,11 +315,17 @@ _DATA: dict[str, dict[str, Any]] = {
 }
 
 
-def write_stage(run: Path, stage: str, checks: list[Check], data: dict[str, Any]) -> None:
+def write_stage(
+    run: Path,
+    stage: str,
+    checks: list[Check],
+    data: dict[str, Any],
+    **other: Any,
+) -> None:
     """Write the verdict of a stage."""
     folder = run / stage
     folder.mkdir(parents=True, exist_ok=True)
-    verdict: Verdict = replace(make_verdict("deploy", folder, checks, data), stage=stage)
+    verdict: Verdict = replace(make_verdict("deploy", folder, checks, data, **other), stage=stage)
     (folder / "verdict.json").write_text(dumps(verdict.to_json()), encoding="utf-8")
 
 
@@ -358,6 +364,13 @@ def test_a_run_that_does_not_pass_fills_nothing(run: Path) -> None:
     write_stage(run, "carry", [Check("holds", 0, "==", 1, why="made up")], {})
     assert standard.blocks(run) is None
     assert standard.blocks(run / "nowhere") is None
+
+
+def test_a_run_that_is_no_acceptance_is_refused(run: Path) -> None:
+    holds = [Check("holds", 1, "==", 1, why="made up")]
+    write_stage(run, "report", holds, {}, acceptance_profile=False)
+    with pytest.raises(DataError, match="report counts not as acceptance"):
+        standard.blocks(run)
 
 
 def test_a_verdict_without_the_number_is_named(run: Path) -> None:
