@@ -1,8 +1,8 @@
 """Numbers that pages quote from docs/results.md: they must stand there.
 
-A page quotes by a block of the same name, or by a link to the page whose text holds the number, such
-as `[8 of 100](results.md#policies)`: it must stand in that section. A count such as `8 of 100` that is
-no link must stand somewhere on the page.
+A page quotes by a block of the same name, or by a link whose text holds the number, such as
+`[8 of 100](results.md#policies)`: it must stand in that section. docs/results.md itself quotes its
+sections by `(#policies)`. A count such as `8 of 100` that is no link must stand somewhere there.
 """
 
 import re
@@ -12,7 +12,10 @@ from scripts.results.blocks import blocks
 _LINK = re.compile(
     r"\[(?P<text>[^\]]+)\]\((?:[\w./-]*/)?results\.md(?:#(?P<anchor>[\w-]+))?\)",
 )
-_NUMBER = re.compile(r"\d[\d.,]*(?:\s+of\s+\d[\d.,]*)?(?<![.,])")
+_OWN_LINK = re.compile(r"\[(?P<text>[^\]]+)\]\(#(?P<anchor>[\w-]+)\)")
+_NUMBER = re.compile(
+    r"\d[\d.,]*(?:\s+of\s+\d[\d.,]*)?(?:\s%)?(?<![.,])(?:\s\([\d.]+-[\d.]+\s%\))?",
+)
 _COUNT = re.compile(r"(?<![\d.,])\d[\d,]*\s+of\s+\d[\d,]*(?![\d,]*\.\d)")
 _CODE = re.compile(r"(?ms)^```.*?^```$|^ {4}.*?$")
 _SECTION = re.compile(r"^## +(?P<title>.+)$", re.MULTILINE)
@@ -36,7 +39,8 @@ def _other_blocks(page: str, results: str) -> list[str]:
 
 def _stale_links(page: str, results: str) -> list[str]:
     stale: list[str] = []
-    for match in _LINK.finditer(page):
+    link = _OWN_LINK if page == results else _LINK
+    for match in link.finditer(page):
         anchor = match["anchor"]
         section = _section(results, anchor) if anchor else results
         for number in _NUMBER.findall(match["text"]):

@@ -586,6 +586,15 @@ def test_another_number_is_found(page: str, stale: list[str]) -> None:
     assert stale_quotes(page, PAGE) == stale
 
 
+def test_the_results_quote_themselves() -> None:
+    """A summary at the end of the page must follow its tables."""
+    own = f"{PAGE}\n## Goals\n\n[87 of 100](#tasks), [8 of 100 (4-15 %)](#policies)\n"
+    assert stale_quotes(own, own) == ["8 of 100 (4-15 %) (section policies)"]
+    assert stale_quotes(own.replace(" (4-15 %)", ""), own.replace(" (4-15 %)", "")) == []
+    stale = own.replace("[87", "[86")
+    assert "86 of 100 (section tasks)" in stale_quotes(stale, stale)
+
+
 def test_a_stale_quote_fails_the_command(
     call: Call,
     bench: Path,
