@@ -61,6 +61,15 @@ def plan(folder: Path, **changes: Any) -> Plan:
 
 
 CELL = Cell("rod_carry", "moveit", "clean")
+_REAL_PAGES = results.PAGES
+
+
+@pytest.fixture(autouse=True)
+def real_pages_stay() -> Iterator[None]:
+    """Fail a test that writes its toys into README or docs."""
+    before = [page.read_bytes() for page in _REAL_PAGES]
+    yield
+    assert [page.read_bytes() for page in _REAL_PAGES] == before
 
 
 @pytest.fixture
