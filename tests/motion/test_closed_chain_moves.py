@@ -38,6 +38,7 @@ from minidual.skills.held_execution import execute
 from minidual.skills.things import thing_of
 from minidual.stages.plan_checks import held_checks
 from minidual.tasks.task import grasp_offsets
+from minidual.trials.planning import evaluate
 from minidual.trials.planning.held_evaluate import (
     plan_move,
     run_moves,
@@ -377,6 +378,62 @@ def test_every_check_can_fail(outcomes, driven):
         "closed_chain.residual_max_m",
         "closed_chain.success_rate",
     }
+
+
+class _LooseHand(HeldPlanner):
+    """Plans in which the right hand turns a milliradian in its grasp."""
+
+    def plan(self, *given, **options):
+        plan = super().plan(*given, **options)
+        return dataclasses.replace(plan, q=plan.q + 1e-3 * np.eye(14)[13])
+
+
+def test_faults_of_scene_planner_and_clock_fail_their_checks(
+    planner, outcomes, driven, monkeypatch
+):
+    config = PlanConfig(held=HeldMovesConfig(executed_n=2))
+
+    def names(first=outcomes, second=outcomes):
+        return failing(held_checks({"first": first, "second": second}, driven[2], config))
+
+    move = outcomes[0].move
+    block = Box("block", tuple(move.query.T_world_goal[:3, 3]), size_m=(0.1, 0.1, 0.1))
+    scene = move.query.scene.with_obstacles(block)
+    blocked = plan_move(
+        planner,
+        dataclasses.replace(move, query=move.query._replace(scene=scene)),
+    )
+    assert names(first=[blocked, *outcomes]) == {"closed_chain.success_rate"}
+    assert names(second=[blocked, *outcomes]) == {"closed_chain.second_seed_success_rate"}
+    loose = plan_move(_LooseHand(), move)
+    assert names(first=[loose, *outcomes]) == {"closed_chain.residual_max_rad"}
+    readings = iter([0.0, 5.0])
+    monkeypatch.setattr(evaluate, "process_time", lambda: next(readings))
+    slow = plan_move(planner, move)
+    assert names(first=[slow]) == {"closed_chain.cpu_time_median_s"}
+
+
+def test_faults_of_hands_and_scene_fail_the_checks_of_driven_moves(outcomes, driven):
+    """Hands that never closed, a rod that somebody turns, and a move that cannot be drawn."""
+    scene, plans, executions = driven
+    config = PlanConfig(held=HeldMovesConfig(executed_n=2))
+    sets = {"first": outcomes, "second": outcomes}
+    dropped = execute(plans[0], World(scene), close_s=0.001)
+    names = failing(held_checks(sets, [dropped, executions[1]], config))
+    assert "closed_chain.executed_error_max_m" in names
+    world = World(scene)
+    rod = world.model.body("rod").id
+    step = world.step
+
+    def turned():
+        world.data.xfrc_applied[rod, 3] = 6.0
+        step()
+
+    world.step = turned
+    turned_rod = execute(plans[0], world)
+    names = failing(held_checks(sets, [turned_rod, executions[1]], config))
+    assert "closed_chain.executed_error_max_rad" in names
+    assert failing(held_checks(sets, executions[:1], config)) == {"closed_chain.driven_n"}
 
 
 def test_moves_that_cannot_be_made_are_told_and_do_not_end_the_stage(monkeypatch):
