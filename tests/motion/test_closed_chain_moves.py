@@ -380,12 +380,14 @@ def test_every_check_can_fail(outcomes, driven):
     }
 
 
-class _LooseHand(HeldPlanner):
-    """Plans in which the right hand turns a milliradian in its grasp."""
+class _StrayingPlanner(HeldPlanner):
+    """Plans in which one joint strays by a milliradian."""
+
+    joint = 13
 
     def plan(self, *given, **options):
         plan = super().plan(*given, **options)
-        return dataclasses.replace(plan, q=plan.q + 1e-3 * np.eye(14)[13])
+        return dataclasses.replace(plan, q=plan.q + 1e-3 * np.eye(14)[self.joint])
 
 
 def test_faults_of_scene_planner_and_clock_fail_their_checks(
@@ -405,8 +407,12 @@ def test_faults_of_scene_planner_and_clock_fail_their_checks(
     )
     assert names(first=[blocked, *outcomes]) == {"closed_chain.success_rate"}
     assert names(second=[blocked, *outcomes]) == {"closed_chain.second_seed_success_rate"}
-    loose = plan_move(_LooseHand(), move)
-    assert names(first=[loose, *outcomes]) == {"closed_chain.residual_max_rad"}
+    straying = _StrayingPlanner()
+    turned = plan_move(straying, move)
+    assert names(first=[turned, *outcomes]) == {"closed_chain.residual_max_rad"}
+    straying.joint = 7
+    shifted = plan_move(straying, move)
+    assert "closed_chain.residual_max_m" in names(first=[shifted, *outcomes])
     readings = iter([0.0, 5.0])
     monkeypatch.setattr(evaluate, "process_time", lambda: next(readings))
     slow = plan_move(planner, move)

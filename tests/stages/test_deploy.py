@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +24,12 @@ from minidual.gate.stage import StageContext
 from minidual.stages import deploy as deploy_stage
 from minidual.stages.config_checks import check_deploy
 from minidual.stages.deploy import deploy_starts, farthest
-from minidual.stages.deploy_checks import deploy_checks, seed_rates, set_checks
+from minidual.stages.deploy_checks import (
+    LOOKS_AT_OBJECT,
+    deploy_checks,
+    seed_rates,
+    set_checks,
+)
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import placement
 from minidual.trials.metrics import TrialMetrics, summarise
@@ -102,6 +107,47 @@ def test_deploy_fails_if_its_table_loses_or_repeats_a_trial(
 
     monkeypatch.setattr(deploy_stage, "write_csv", write)
     assert failing(deploy_stage.write_table(path, results, asked_n)) == names
+
+
+@pytest.mark.parametrize(
+    ("fault", "names"),
+    [(list, set()), (drop_last, {"sets_complete"}), (duplicate_in_place, {"sets_complete"})],
+)
+def test_the_stage_counts_the_rows_of_its_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: Callable[[list[Any]], list[Any]],
+    names: set[str],
+) -> None:
+    """Two training seeds with made-up trials; the last set in the file is that of hidden objects."""
+
+    def run_trials(method: str, _: Any, trials: list[Any], **given: Any) -> Iterator[TrialMetrics]:
+        for trial in trials:
+            yield result(trial.index, method=method, condition=given["condition"])
+
+    def write(path: Path, rows: list[Any]) -> Path:
+        return write_csv(path, fault(rows))
+
+    monkeypatch.setattr(deploy_stage, "run_trials", run_trials)
+    monkeypatch.setattr(deploy_stage, "write_csv", write)
+    monkeypatch.setattr(deploy_stage, "film_outcomes", lambda *_: None)
+    monkeypatch.setattr(deploy_stage, "measure_inference", lambda *_: 200.0)
+    looks = LOOKS_AT_OBJECT.report(2.0)
+    monkeypatch.setattr(deploy_stage, "_looks_check", lambda *_: looks)
+    (tmp_path / "config.yaml").write_text("task: rod_carry\n", encoding="utf-8")
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "seed-2" / "checkpoint").mkdir(parents=True)
+    settings = {"trials": 6, "hidden_trials": 2, "hidden_rate_max": None}
+    context = StageContext(
+        config=Config.model_validate({"deploy": {**settings, "conditions": ["room"]}}),
+        seed=1,
+        profile="standard",
+        folder=tmp_path / "deploy",
+        upstream={"train-act": tmp_path, "teleop-record": tmp_path},
+    )
+    checks = {check.name: check for check in deploy_stage.run(context).checks}
+    assert failing(list(checks.values())) == names
+    assert (checks["trials"].observed, checks["trials"].limit) == (12, 12)
 
 
 def test_deploy_asks_for_the_trials_of_every_training_seed(tmp_path: Path) -> None:
