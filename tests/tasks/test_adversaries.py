@@ -6,7 +6,6 @@ two drives two real hands, whose contacts MuJoCo computes.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from functools import cache
 
@@ -33,6 +32,8 @@ BOTH = (GRIP, GRIP)
 LEFT = (GRIP, 0.0)
 RIGHT = (0.0, GRIP)
 NONE = (0.0, 0.0)
+STEP_M = 0.015
+"""Way of 10 ms at a speed that hands may have."""
 
 
 def rod_task(item: str = "rod", motion: str = "straight") -> Task:
@@ -94,14 +95,25 @@ class Script:
         )  # sunk in: a contact with the table
         self.go(NONE, steps=2)
 
-    def go(self, grips=None, *, xy=None, height=None, yaw=None, steps: int = 25) -> None:
-        """Move on a straight line, then judge."""
+    def go(
+        self,
+        grips=None,
+        *,
+        xy=None,
+        height=None,
+        yaw=None,
+        steps: int = 25,
+        step_m: float = STEP_M,
+    ) -> None:
+        """Move on a straight line, in as many steps more as no step is longer than `step_m`."""
         if grips is not None:
             self.world.truth().grips = grips
         end = np.array(self.now)
         for place, value in ((slice(0, 2), xy), (2, height), (3, yaw)):
             if value is not None:
                 end[place] = value
+        way_m = float(np.linalg.norm(end[:3] - self.now[:3]))
+        steps = max(steps, int(np.ceil(way_m / step_m)))
         for state in np.linspace(self.now, end, steps + 1)[1:]:
             x, y, height, yaw = state
             self.world.data.time += 0.01
@@ -118,7 +130,7 @@ class Script:
         middle = 0.5 * (self.now[:2] + self.goal[:2])
         self.go(xy=middle)
         if self.hand_over:
-            self.go(BOTH, steps=5)
+            self.go(BOTH, steps=12)
             self.go(RIGHT, steps=5)
         self.go(xy=self.goal[:2], yaw=self.goal[2] if yaw is None else yaw)
 
@@ -235,50 +247,89 @@ def pushed_the_last_four_centimetres(s: Script) -> None:
     s.go(xy=goal[:2])
 
 
+def hopped_then_carried_low(s: Script) -> None:
+    s.lift(0.06)
+    s.go(height=0.004)
+    s.transport()
+
+
+def dragged_at_both_ends(s: Script) -> None:
+    """47 mm on the table at the start, and as many at the goal."""
+    way = np.subtract(s.goal[:2], s.start[:2])
+    aside = 0.047 * way / np.linalg.norm(way)
+    grip = LEFT if s.hand_over else BOTH
+    s.go(grip, xy=s.start[:2] + aside)
+    s.lift()
+    goal = s.goal
+    s.goal = (*(np.array(goal[:2]) - aside), goal[2])
+    s.transport()
+    s.go(height=0.0)
+    s.go(xy=goal[:2])
+
+
+def pushed_19_mm_after_its_release(s: Script) -> None:
+    goal = s.goal
+    s.goal = (goal[0], goal[1] + 0.019, goal[2])
+    s.lift()
+    s.transport()
+    s.release()
+    s.go(xy=goal[:2])
+
+
+def let_go_2_mm_over_the_table(s: Script) -> None:
+    s.lift()
+    s.transport()
+    s.go(height=0.002)
+    s.go(NONE, steps=10)
+
+
+def moved_at_25_m_per_s(s: Script) -> None:
+    s.lift()
+    middle = 0.5 * (s.now[:2] + s.goal[:2])
+    s.go(xy=middle, step_m=0.25, steps=1)
+    s.transport()
+
+
+def one_hand_does_all_and_the_other_pinches_for_10_ms(s: Script) -> None:
+    s.go(LEFT, steps=5)
+    s.go(height=0.15)
+    s.go(xy=0.5 * (s.now[:2] + s.goal[:2]))
+    s.go(BOTH, steps=1)
+    s.go(LEFT, xy=s.goal[:2], yaw=s.goal[2])
+
+
+def taken_and_given_back(s: Script) -> None:
+    """Both hands carry it alone, but the one that fetched it puts it down."""
+    s.go(LEFT, steps=5)
+    s.go(height=0.15)
+    for share, grips in ((0.4, LEFT), (0.0, BOTH), (0.4, RIGHT), (0.0, BOTH), (1.0, LEFT)):
+        s.go(grips, xy=(1.0 - share) * s.now[:2] + share * np.array(s.goal[:2]))
+    s.go(yaw=s.goal[2])
+
+
 CHEATS: dict[Callable[[Script], None], tuple[str, str]] = {
-    pushed: ("carried", "stood"),
-    put_down_then_pushed: ("held", "held"),
-    one_hand_at_2_5_mm: ("held", "stood"),
+    pushed: ("carried", "carried"),
+    put_down_then_pushed: ("carried", "carried"),
+    one_hand_at_2_5_mm: ("carried", "carried"),
     one_hand_at_10_mm: ("held", "held"),
-    dragged: ("carried", "stood"),
-    dragged_then_lifted_at_the_goal: ("carried", "stood"),
+    dragged: ("carried", "carried"),
+    dragged_then_lifted_at_the_goal: ("carried", "carried"),
+    dragged_at_both_ends: ("carried", "carried"),
+    hopped_then_carried_low: ("carried", "carried"),
     thrown: ("held", "held"),
     turned_86_degrees: ("turned", ""),
-    turned_after_its_release: ("turned", ""),
+    turned_after_its_release: ("left", "left"),
     dropped_near_the_goal: ("held", "held"),
     one_arm_alone: ("held", "exchanged"),
     beside_the_goal: ("arrived", "arrived"),
-    pushed_the_last_four_centimetres: ("held", "held"),
+    pushed_the_last_four_centimetres: ("left", "left"),
+    pushed_19_mm_after_its_release: ("left", "left"),
+    let_go_2_mm_over_the_table: ("left", "left"),
+    moved_at_25_m_per_s: ("slow", "slow"),
+    one_hand_does_all_and_the_other_pinches_for_10_ms: ("held", "exchanged"),
+    taken_and_given_back: ("held", "exchanged"),
 }
 """First failure of a carry by both hands, and of a handover, where the bottle's yaw is free."""
-
-
-@pytest.mark.parametrize("name", ["rod straight", "pot_lift", "handover"])
-def test_with_one_arm_frozen_no_draw_succeeds(name: str) -> None:
-    """256 draws, each with one arm frozen, a handover from either side.
-
-    The script's free hand reaches everywhere.
-    """
-    task = TASKS[name]()
-    won = Counter[str]()
-    sides = Counter[bool]()
-    taken = (LEFT, RIGHT) if name == "handover" else (BOTH, BOTH)
-    for index in range(256):
-        trial = task.trial(3, "frozen", index)
-        sides[placement(trial.start[task.carried])[1] > 0.0] += 1
-        for free in ((LEFT, RIGHT)[index % 2], *((None,) if index < 32 else ())):
-            script = Script(name, trial)
-            first_hand, last_hand = (free, free) if free else taken
-            script.go(first_hand, steps=2)
-            script.go(height=0.15, steps=2)
-            for hands in () if free else (BOTH, last_hand):  # the exchange
-                script.go(hands, steps=2)
-            script.go(xy=script.goal[:2], yaw=script.goal[2], steps=2)
-            script.go(height=0.0, steps=2)
-            script.go(NONE, steps=12)
-            won["one" if free else "both"] += script.end().success
-    assert won == {"one": 0, "both": 32}
-    assert name != "handover" or min(sides.values()) > 90
 
 
 @pytest.mark.parametrize("cheat", CHEATS, ids=lambda cheat: cheat.__name__)
@@ -301,6 +352,8 @@ def test_a_scripted_cheat_is_refused(name: str, cheat: Callable[[Script], None])
 TRIAL = Trial("adversary", 0, {"rod": (0.5, 0.25, 0.0)}, {"rod": (0.5, -0.25, 0.0)})
 """Real hands carry from here to there."""
 POT = Trial("adversary", 0, {"pot": (0.48, 0.1, 0.0)}, {"pot": (0.48, -0.15, 0.0)})
+BOTTLE = Trial("adversary", 0, {"bottle": (0.45, 0.35, 0.0)}, {"bottle": (0.45, 0.35, 0.0)})
+NAMES = {"rod": "rod straight", "pot": "pot_lift", "bottle": "handover"}
 
 
 @cache
@@ -320,7 +373,8 @@ class Hands:
     frozen: tuple[int, ...] = ()
 
     def __init__(self, trial: Trial = TRIAL) -> None:
-        name = "pot_lift" if trial is POT else "rod straight"
+        (carried,) = trial.start
+        name = NAMES[carried]
         self.task = TASKS[name]()
         self.world = real_world(name)
         self.judge = begin(self.world, self.task, trial)
@@ -330,7 +384,8 @@ class Hands:
         self.q = self.world.q
         x, y, _ = placement(trial.start[self.task.carried])
         offset = self.task.scene.object.grasp_offset_m
-        self.at = [np.array([x, y + by, 0.15]) for by in (offset, -offset)]
+        above_m = 0.30 if trial is BOTTLE else 0.15
+        self.at = [np.array([x, y + by, above_m]) for by in (offset, -offset)]
         self.openings = np.ones(2)
         self.go(0.6)
 
@@ -392,6 +447,15 @@ def lifts_puts_down_and_pushes(h: Hands) -> None:
     h.both(0.4, 0.0, 0.0, -0.062)
     h.let_go()
     pushes(h)
+
+
+def lets_go_and_pushes(h: Hands) -> None:
+    """By 15 mm, to a goal that is near enough already."""
+    carries(h)
+    h.go(0.5, left=(0.0, 0.06, 0.0), right=(-0.1, -0.3, 0.2), grips=(0.0, 0.0))
+    h.go(0.4, left=(0.0, 0.0, 0.015 - h.at[0][2]))
+    h.go(0.5, left=(0.0, -0.035, 0.0))
+    h.go(0.3, left=(0.0, 0.03, 0.1))
 
 
 def carries_low_with_one_hand(h: Hands) -> None:
@@ -491,8 +555,9 @@ OPPOSITE = Trial("adversary", 0, TRIAL.start, {"rod": (0.5, -0.25, np.radians(-1
         (carries, OPPOSITE, ""),
         (carries, TURNED, "turned"),
         (pushes, TRIAL, "carried"),
-        (lifts_puts_down_and_pushes, TRIAL, "held"),
-        (carries_low_with_one_hand, TRIAL, "held"),
+        (lets_go_and_pushes, TRIAL, "left"),
+        (lifts_puts_down_and_pushes, TRIAL, "left"),
+        (carries_low_with_one_hand, TRIAL, "carried"),
         (drags, TRIAL, "carried"),
         (throws, TRIAL, "held"),
         (drops_near_the_goal, TRIAL, "held"),
@@ -516,3 +581,26 @@ def test_real_hands_succeed_only_by_carrying(
     outcome = hands.end()
     assert first(outcome) == failure, outcome.failures
     assert outcome.success == (failure == "")
+
+
+def lifts_the_bottle_and_stands_it(h: Hands) -> None:
+    """With the left hand alone, where it stood."""
+    h.frozen = (1,)
+    h.go(0.4, left=(0.0, -0.07, 0.0))
+    h.go(0.4, left=(0.0, 0.0, -0.13))
+    h.go(0.5, grips=(0.0, 1.0))
+    h.go(0.8, left=(0.0, 0.0, 0.1))
+    h.go(0.8, left=(0.0, 0.0, -0.1))
+    h.go(0.4, grips=(1.0, 1.0))
+
+
+@pytest.mark.parametrize("presses", [False, True])
+def test_a_palm_on_the_bottle_is_no_release(presses: bool) -> None:
+    """The open fingers stand beside it and touch nothing."""
+    hands = Hands(BOTTLE)
+    lifts_the_bottle_and_stands_it(hands)
+    hands.go(0.5, left=(0.0, 0.0, -0.02 if presses else 0.05))
+    outcome = hands.end()
+    assert failures(outcome) == {"exchanged", *(["released"] if presses else [])}
+    assert not hands.judge.truth["bottle"].in_fingers
+    assert hands.judge.truth["bottle"].at_an_arm == presses

@@ -174,6 +174,8 @@ def test_a_frozen_hand_is_away_from_its_object_wherever_the_task_is_done() -> No
 
 OWN = {SOCKET: (30.0, 0.0), PEG: (0.0, 30.0)}
 NONE = (0.0, 0.0)
+SPEED_M_PER_S = 1.5
+"""Hands may be so fast."""
 
 
 class Thing:
@@ -227,13 +229,18 @@ class Script:
     def truth(self, name: str) -> Thing:
         return self.things[name]
 
+    def at_an_arm(self, name: str) -> bool:
+        return False
+
     def wait(self, seconds: float) -> None:
         self.go({}, seconds)
 
     def go(self, ends: dict[str, np.ndarray], seconds: float = 0.2) -> None:
         """Move on straight lines; the last step has the end's rotation."""
         begin = {name: self.things[name].T for name in ends}
-        steps = max(1, round(seconds / self.step_s))
+        ways_m = [float(np.linalg.norm(T[:3, 3] - begin[name][:3, 3])) for name, T in ends.items()]
+        slow_s = max(ways_m, default=0.0) / SPEED_M_PER_S
+        steps = max(1, int(np.ceil(max(seconds, slow_s) / self.step_s)))
         for k in range(1, steps + 1):
             for name, T in ends.items():
                 now = T.copy()
@@ -318,8 +325,8 @@ def lifted_as_one(s: Script) -> None:
 
 def mated_low(s: Script) -> None:
     s.pinch()
-    s.both(0.06)
-    low = {name: pose(T[:3, :3], [*T[:2, 3], 0.06]) for name, T in s.at(0.0, -0.02, 0.0).items()}
+    s.both(0.075)
+    low = {name: pose(T[:3, :3], [*T[:2, 3], 0.075]) for name, T in s.at(0.0, -0.02, 0.0).items()}
     s.go(low)
     s.go({PEG: low[SOCKET] @ in_socket(y=AIM_M)})
     lifted_as_one(s)
@@ -430,16 +437,29 @@ def tipped(s: Script) -> None:
     s.wait(0.5)
 
 
+def turned_by_52_degrees(s: Script) -> None:
+    """Both, in the air: the peg stays in the bore."""
+    s.pinch()
+    s.both(0.2)
+    x, y, z = s.trial.goal[PEG][:3, 3]
+    turn = pose(np.eye(3), (x, y, z)) @ pose(rot_z(np.radians(52.0)), (0.0, 0.0, 0.0))
+    turn = turn @ pose(np.eye(3), (-x, -y, -z))
+    s.go({name: turn @ T for name, T in s.at(0.0, -0.02, 0.0).items()})
+    s.go({name: turn @ T for name, T in s.at(0.0, AIM_M, 0.0).items()})
+    s.wait(0.5)
+
+
 def late(s: Script) -> None:
     s.time += TASK.time_limit_s
     honest(s)
 
 
 CHEATS: dict[Callable[[Script], None], str] = {
-    pushed_together_on_the_table: "stood",
+    pushed_together_on_the_table: "carried",
     slid_together_within_two_centimetres: "mated",
     mated_low: "mated",
-    dragged: "stood",
+    dragged: "carried",
+    turned_by_52_degrees: "turned",
     one_hand_for_both: "held",
     peg_left_in_the_socket: "held",
     thrown: "held",
@@ -463,18 +483,6 @@ def test_a_cheat_is_refused(cheat: Callable[[Script], None]) -> None:
     outcome = script.end()
     assert not outcome.success
     assert outcome.reason.startswith(CHEATS[cheat]), outcome.failures
-
-
-def test_with_one_arm_frozen_no_draw_succeeds() -> None:
-    """256 draws; the free hand reaches everywhere, brings both objects together, and fails."""
-    for index, draw in enumerate(DRAWS):
-        free = (30.0, 0.0) if index % 2 else (0.0, 30.0)
-        script = Script(draw, step_s=0.05)
-        script.pinch(socket=free, peg=free)
-        script.go(script.at(0.0, -0.02, 0.0), 0.05)
-        script.go(script.at(0.0, AIM_M, 0.0), 0.05)
-        script.wait(0.5)
-        assert script.end().reason.startswith("held")
 
 
 # --- planned and driven

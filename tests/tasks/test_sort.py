@@ -224,6 +224,10 @@ TRIAL = Trial(
 )
 
 
+STEP_M = 0.015
+"""Way of 10 ms at a speed that hands may have."""
+
+
 class Cube:
     """What the judge reads of one cube."""
 
@@ -275,6 +279,9 @@ class Script:
     def truth(self, name: str) -> Cube:
         return self.cubes[name]
 
+    def at_an_arm(self, name: str) -> bool:
+        return False
+
     def on_table(self, name: str) -> bool:
         return self.cubes[name].height < 1e-3
 
@@ -283,6 +290,7 @@ class Script:
         cube.pinch = cube.pinch if pinch is None else pinch
         begin = np.array([cube.x, cube.y, cube.height])
         end = np.array([*(begin[:2] if xy is None else xy), begin[2] if height is None else height])
+        steps = max(steps, int(np.ceil(np.linalg.norm(end - begin) / STEP_M)))
         for cube.x, cube.y, cube.height in np.linspace(begin, end, steps + 1)[1:].tolist():
             self.time += 0.01
             self.judge.observe(self)
@@ -322,20 +330,6 @@ def test_an_honest_script_succeeds_and_counts_its_cubes() -> None:
     assert outcome.number("pinch_min_n") == 30.0
 
 
-def test_with_one_arm_frozen_no_draw_succeeds() -> None:
-    """256 draws; the free arm brings two cubes into its bin, the others as near as it can."""
-    for index in range(DRAWS):
-        hand = ("left", "right")[index % 2]
-        script = Script(TASK.trial(4, "frozen", index))
-        for name in TASK.objects:
-            x, y, _ = script.trial.goal[name]
-            script.fetch(name, hand, (x, y if side_of(name) == hand else 0.0))
-        outcome = script.end()
-        assert not outcome.success
-        assert script.judge.stages == ("placed_1", "placed_2")
-        assert outcome.reason.startswith("inside"), outcome.reason
-
-
 def pushed(s: Script) -> None:
     s.go("red_1", xy=TRIAL.goal["red_1"][:2])
 
@@ -352,8 +346,24 @@ def dragged_after_a_lift(s: Script) -> None:
 
 
 def hopped(s: Script) -> None:
-    """Lifted too little."""
-    s.fetch("red_1", "left", TRIAL.goal["red_1"][:2], height=0.02)
+    s.go("red_1", pinch=GRIP["left"], height=0.06)
+    s.go("red_1", height=0.004)
+    s.fetch("red_1", "left", TRIAL.goal["red_1"][:2], height=0.004)
+
+
+def lifted_too_little(s: Script) -> None:
+    s.fetch("red_1", "left", TRIAL.goal["red_1"][:2], height=0.035)
+
+
+def brought_by_the_wrong_hand(s: Script) -> None:
+    """As one arm that reached everywhere would sort."""
+    s.fetch("red_1", "right", TRIAL.goal["red_1"][:2])
+
+
+def let_go_and_pushed(s: Script) -> None:
+    x, y, _ = TRIAL.goal["red_1"]
+    s.fetch("red_1", "left", (x, y - 0.019))
+    s.go("red_1", xy=(x, y))
 
 
 def thrown(s: Script) -> None:
@@ -417,14 +427,17 @@ def tipped(s: Script) -> None:
 
 
 CHEATS: dict[Callable[[Script], None], str] = {
-    pushed: "stood",
-    dragged: "stood",
-    dragged_after_a_lift: "stood",
-    hopped: "rose",
+    pushed: "carried",
+    dragged: "carried",
+    dragged_after_a_lift: "carried",
+    hopped: "carried",
+    lifted_too_little: "rose",
+    brought_by_the_wrong_hand: "brought",
+    let_go_and_pushed: "left",
     thrown: "held",
     dropped: "held",
     over_the_rim: "inside",
-    in_the_other_bin: "inside",
+    in_the_other_bin: "brought",
     left_behind: "inside",
     still_held: "released",
     stacked: "held",

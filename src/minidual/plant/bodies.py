@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from numba.core import types
 
 from minidual.config.scene import PartConfig
@@ -114,6 +115,31 @@ def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
         if (first == a and second == b) or (first == b and second == a):
             return True
     return False
+
+
+@kernel(
+    types.boolean(
+        types.Array(types.int32, 2, "A"), types.int32[::1], types.boolean[::1], types.int64
+    )
+)
+def touching_any(geoms: Array, body_of: Array, members: Array, body: int) -> bool:
+    """Return whether contacts, pairs of geoms (k, 2), join a body with one of the members (nbody,)."""
+    for pair in geoms:
+        first = body_of[pair[0]]
+        second = body_of[pair[1]]
+        if (first == body and members[second]) or (second == body and members[first]):
+            return True
+    return False
+
+
+def bodies_below(model: mujoco.MjModel, joint_names: Sequence[str]) -> npt.NDArray[np.bool_]:
+    """Return which bodies (nbody,) any of these joints moves."""
+    moved = np.zeros(model.nbody, dtype=bool)
+    for name in joint_names:
+        moved[model.joint(name).bodyid] = True
+    for body, parent in enumerate(model.body_parentid):  # parents come first
+        moved[body] |= moved[parent]
+    return moved
 
 
 @kernel(types.void(VECTOR, types.int64[::1], types.float64, VECTOR))

@@ -10,7 +10,7 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.addresses import map_joints
-from minidual.plant.bodies import NamedObject, ObjectPose, halves, touching
+from minidual.plant.bodies import NamedObject, ObjectPose, bodies_below, halves, touching, touching_any
 from minidual.plant.marks import GOAL_MARK
 from minidual.plant.model import build_model
 from minidual.plant.protocol import PlantEndedError
@@ -92,6 +92,7 @@ class World:
         """Keep views: a lookup in MjData costs as much as reading three numbers."""
         data = self.data
         self._table = self.model.body("table").id
+        self._arm_bodies = bodies_below(self.model, self.robot.joint_names)
         self._warnings = data.warning.number  # counts by kind
         self._no_warnings = bytes(self._warnings.nbytes)
         self._qpos = data.qpos
@@ -196,6 +197,12 @@ class World:
         geoms = self.data.contact.geom[: self.data.ncon]
         body = self.truth(name).body
         return touching(geoms, self.model.geom_bodyid, self._table, body)
+
+    def at_an_arm(self, name: str | None = None) -> bool:
+        """Return whether an object touches any part of an arm."""
+        geoms = self.data.contact.geom[: self.data.ncon]
+        body = self.truth(name).body
+        return touching_any(geoms, self.model.geom_bodyid, self._arm_bodies, body)
 
     # Changes -----------------------------------------------------------------------------------
 

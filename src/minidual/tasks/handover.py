@@ -6,7 +6,7 @@ import numpy as np
 
 from minidual.config.root import Config, preset
 from minidual.robot.pair import SIDES, Array, pose, rot_z
-from minidual.tasks import success
+from minidual.tasks import movement, success
 from minidual.tasks.rod_carry import draw_on_table, transported
 from minidual.tasks.task import DOWN, Poses, Step, Task, TaskObject, Trial, placement
 
@@ -26,7 +26,7 @@ _VALUES = {
     "scene.object.friction": 0.8,
     "scene.object.grasp_offset_m": 0.07,
     "scene.object.colour": (0.16, 0.45, 0.36, 1.0),
-    # The widest ranges whose corners only one arm reaches.
+    # No wider: only one arm reaches the middle of either range.
     "scene.task.start_xy_m": (0.42, 0.62),
     "scene.task.start_range_m": 0.06,
     "scene.task.goal_xy_m": (0.50, -0.63),
@@ -159,11 +159,13 @@ def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...
     return (
         transport.level,
         transport.held,
-        success.Stood(task.carried),
+        transport.slow,
+        transport.carried,
         transport.rose,
-        success.Exchanged(task.carried, task.scene.task.pinch_min_n),
+        movement.Exchanged(task.carried, task.scene.task.pinch_min_n),
         transport.arrived,
         transport.released,
+        transport.left,
         transport.at_rest,
         transport.on_time,
     )

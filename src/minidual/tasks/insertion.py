@@ -11,7 +11,7 @@ from minidual.config.root import Config, preset
 from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import SIDES, Array, pose
-from minidual.tasks import success
+from minidual.tasks import movement, success
 from minidual.tasks.task import (
     DOWN,
     Poses,
@@ -62,6 +62,7 @@ _VALUES = {
     "scene.task.goal_range_m": 0.03,
     "scene.task.goal_range_rad": 0.26,
     "scene.task.clear_height_m": 0.10,
+    "scene.task.yaw_tolerance_rad": 0.2618,
     "scene.task.time_limit_s": 20.0,
 }
 
@@ -188,15 +189,18 @@ def inserted(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...]:
         success.Held(name, limits.pinch_min_n, hand=SIDES.index(side))
         for name, side in HAND_OF.items()
     ]
-    x, y, _ = placement(trial.goal[PEG])
+    high_m = movement.HIGH_SHARE * limits.clear_height_m
+    x, y, yaw = placement(trial.goal[PEG])
     return (
         success.Each(level),
         success.Each(whole),
         success.Each(held, stage=True),
-        success.Each([success.Stood(name) for name in bodies]),
+        success.Each([movement.Slow(name) for name in bodies]),
+        success.Each([movement.Carried(name, high_m) for name in bodies]),
         success.Each([_Aloft(name, limits.clear_height_m) for name in bodies], stage=True),
         _Mated(limits.clear_height_m),
         success.Arrived(PEG, (x, y), limits.goal_tolerance_m),
+        success.Turned(PEG, yaw, limits.yaw_tolerance_rad),
         success.OnTime(limits.time_limit_s),
     )
 

@@ -8,7 +8,7 @@ from minidual.config.root import Config, preset
 from minidual.config.scene import OBSTACLE
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES
-from minidual.tasks import success
+from minidual.tasks import movement, success
 from minidual.tasks.objects import MOTIONS, OBJECTS, with_pinch
 from minidual.tasks.task import (
     Poses,
@@ -98,11 +98,13 @@ class TransportConditions:
 
     level: success.Level
     held: success.Held
-    carried: success.Carried
+    slow: movement.Slow
+    carried: movement.Carried
     rose: success.Rose
     arrived: success.Arrived
     turned: success.Turned
     released: success.Released
+    left: movement.Left
     at_rest: success.AtRest
     on_time: success.OnTime
 
@@ -111,12 +113,13 @@ def transported(task: Task, trial: Trial, *, both: bool = True) -> TransportCond
     """Return the conditions of a transport by both hands, or by one."""
     limits = task.scene.task
     name = task.carried
-    x_start, y_start, _ = placement(trial.start[name])
     x, y, yaw = placement(trial.goal[name])
+    high_m = movement.HIGH_SHARE * limits.clear_height_m
     return TransportConditions(
         level=success.Level(name, limits.tilt_max_rad),
         held=success.Held(name, limits.pinch_min_n, both),
-        carried=success.Carried(name, (x_start, y_start), (x, y)),
+        slow=movement.Slow(name),
+        carried=movement.Carried(name, high_m),
         rose=success.Rose(name, limits.clear_height_m),
         arrived=success.Arrived(name, (x, y), limits.goal_tolerance_m),
         turned=success.Turned(
@@ -126,6 +129,7 @@ def transported(task: Task, trial: Trial, *, both: bool = True) -> TransportCond
             task.objects[name].symmetry,
         ),
         released=success.Released(name),
+        left=movement.Left(name, high_m),
         at_rest=success.AtRest(name, limits.rest_speed_m_per_s),
         on_time=success.OnTime(limits.time_limit_s),
     )
@@ -143,12 +147,14 @@ def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition,
         success.Whole(name, body.break_pinch_n, body.break_force_n),
         *clear,
         transport.held,
+        transport.slow,
         transport.carried,
         success.Squeezed(name, limits.internal_force_min_n),
         transport.rose,
         transport.arrived,
         transport.turned,
         transport.released,
+        transport.left,
         transport.at_rest,
         transport.on_time,
     )

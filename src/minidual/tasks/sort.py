@@ -15,7 +15,7 @@ from minidual.config.root import Config, preset
 from minidual.config.scene import MarkConfig, ObjectConfig
 from minidual.errors import UsageError
 from minidual.robot.pair import SIDES, Array, pose
-from minidual.tasks import success
+from minidual.tasks import movement, success
 from minidual.tasks.task import (
     DOWN,
     Placement,
@@ -202,16 +202,23 @@ def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition
     for name in names:
         x, y, _ = placement(trial.goal[name])
         inside.append(_Inside(name, marks[bin_of(name)], (x, y)))
+    high_m = movement.HIGH_SHARE * limits.clear_height_m
+    brought = [
+        movement.BroughtBy(name, SIDES.index(side_of(name)), limits.pinch_min_n) for name in names
+    ]
     released = [success.Released(name) for name in names]
     at_rest = [success.AtRest(name, limits.rest_speed_m_per_s) for name in names]
     final = list(zip(inside, released, at_rest, strict=True))
     return (
         success.Each([success.Level(name, limits.tilt_max_rad) for name in names]),
         success.Each([success.Held(name, limits.pinch_min_n, both=False) for name in names]),
-        success.Each([success.Stood(name) for name in names]),
+        success.Each([movement.Slow(name) for name in names]),
+        success.Each([movement.Carried(name, high_m) for name in names]),
         success.Each([success.Rose(name, limits.clear_height_m) for name in names]),
+        success.Each(brought),
         success.Each(inside),
         success.Each(released),
+        success.Each([movement.Left(name, high_m) for name in names]),
         success.Each(at_rest),
         *(_Placed(count, final) for count in range(1, len(names) + 1)),
         success.OnTime(limits.time_limit_s),

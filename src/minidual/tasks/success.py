@@ -12,12 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.robot.pair import SIDES
-from minidual.tasks.truth import AIRBORNE_M, ObjectTruth, Truth
+from minidual.tasks.truth import AIRBORNE_M, TOUCH_N, ObjectTruth, Truth
 
-NEAR_M = 0.05
-"""An object may be on the table this near to its start or goal."""
-TOUCH_N = 0.1
-"""Smaller forces do not count as touch."""
 _FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")
 """Measured numbers of which the least is the worst; of the others it is the largest."""
 
@@ -141,9 +137,7 @@ class Clear(SuccessCondition):
 
 @dataclass
 class Held(OfObject):
-    """Once lifted, the hands pinch the object while it is off the table or moves.
-
-    On the table it may slip or roll by `slip_m` after its release.
+    """The hands pinch the object while it is off the table.
 
     Attributes:
         both: Whether both hands must pinch it, or any one.
@@ -154,10 +148,8 @@ class Held(OfObject):
     stage = True
     limit_n: float
     both: bool = True
-    slip_m: float = 0.02
     hand: int | None = None
     _least_n: float = math.inf
-    _last_pinched_xyz: tuple[float, float, float] | None = None
 
     def _judged_pinch(self, item: ObjectTruth) -> tuple[int, float]:
         """Return the hand that decides and its pinch [N]: the weaker one, or the firmer."""
@@ -169,23 +161,15 @@ class Held(OfObject):
 
     def observe(self, truth: Truth) -> str:
         item = truth[self.object]
-        if not item.airborne and self._last_pinched_xyz is None:
+        if not item.airborne:
             return ""
         hand, pinch_n = self._judged_pinch(item)
-        if item.airborne and pinch_n < self._least_n:
+        if pinch_n < self._least_n:
             self._least_n = pinch_n
         if pinch_n > self.limit_n:
-            self._last_pinched_xyz = item.xyz
-            return ""
-        if self._last_pinched_xyz is None:
-            self._last_pinched_xyz = item.xyz
-        moved_m = item.distance_m(self._last_pinched_xyz)
-        slipped = moved_m > self.slip_m
-        if not (item.airborne or slipped):
             return ""
         who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
-        moving = "" if item.airborne else f" while it moves {1e3 * moved_m:.0f} mm on the table"
-        return f"{who} {pinch_n:.1f} N{moving}, needs > {self.limit_n:.0f}"
+        return f"{who} {pinch_n:.1f} N, needs > {self.limit_n:.0f}"
 
     def reached(self, truth: Truth) -> bool:
         _, pinch_n = self._judged_pinch(truth[self.object])
@@ -193,73 +177,6 @@ class Held(OfObject):
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"pinch_min_n": _zero_if_infinite(self._least_n)}
-
-
-@dataclass
-class Carried(OfObject):
-    """The object is off the table all the way between start and goal, (x, y) [m] each."""
-
-    name = "carried"
-    start: tuple[float, float]
-    goal: tuple[float, float]
-
-    def observe(self, truth: Truth) -> str:
-        item = truth[self.object]
-        if item.airborne:
-            return ""
-        from_start_m = item.distance_m(self.start)
-        from_goal_m = item.distance_m(self.goal)
-        if min(from_start_m, from_goal_m) < NEAR_M:
-            return ""
-        return (
-            f"on the table {1e3 * from_start_m:.0f} mm from its start"
-            f" and {1e3 * from_goal_m:.0f} mm from its goal"
-        )
-
-
-@dataclass
-class Stood(OfObject):
-    """On the table, the object stays where it came down: nothing pushes, drags or rolls it."""
-
-    name = "stood"
-    limit_m: float = 0.02
-    _landed_xy: tuple[float, float] | None = None
-
-    def observe(self, truth: Truth) -> str:
-        item = truth[self.object]
-        if item.airborne:
-            self._landed_xy = None
-            return ""
-        if self._landed_xy is None:
-            self._landed_xy = item.xyz[:2]
-        moved_m = item.distance_m(self._landed_xy)
-        if moved_m > self.limit_m:
-            return f"moved {1e3 * moved_m:.0f} mm on the table, limit {1e3 * self.limit_m:.0f}"
-        return ""
-
-    def disturbed(self) -> None:
-        self._landed_xy = None
-
-
-@dataclass
-class Exchanged(AtEnd):
-    """Both hands pinch the object off the table."""
-
-    name = "exchanged"
-    stage = True
-    limit_n: float
-    _took_place: bool = False
-
-    def observe(self, truth: Truth) -> str:
-        item = truth[self.object]
-        if item.airborne and min(item.pinch) > self.limit_n:
-            self._took_place = True
-        return ""
-
-    def end(self, truth: Truth) -> str:
-        if self._took_place:
-            return ""
-        return f"both hands never pinched it in the air with more than {self.limit_n:.0f} N"
 
 
 @dataclass
@@ -365,21 +282,21 @@ class Turned(OfObject):
 
 
 @dataclass
-class Released(OfObject):
-    """No finger touches it."""
+class Released(AtEnd):
+    """No part of an arm touches it."""
 
     name = "released"
     stage = True
 
     def holds(self, truth: Truth) -> bool:
         item = truth[self.object]
-        left_n, right_n = item.pinch
-        if not (left_n < TOUCH_N and right_n < TOUCH_N):
-            return False
-        return all(abs(force) <= TOUCH_N for hand in item.hand_forces for force in hand)
+        return not item.in_fingers and not item.at_an_arm
 
     def end(self, truth: Truth) -> str:
-        return "" if self.holds(truth) else f"a finger still touches the {self.object}"
+        item = truth[self.object]
+        if item.in_fingers:
+            return f"a finger still touches the {self.object}"
+        return f"an arm still touches the {self.object}" if item.at_an_arm else ""
 
 
 @dataclass

@@ -17,6 +17,8 @@ if TYPE_CHECKING:  # reading a configuration must not import MuJoCo
 
 AIRBORNE_M = 0.003
 """An object is off the table above this clearance."""
+TOUCH_N = 0.1
+"""Smaller forces do not count as touch."""
 
 
 class ObjectTruth:
@@ -28,6 +30,7 @@ class ObjectTruth:
         solids: (k, 8), for each part its place (3) and half extents (3) [m] in the object's frame,
             whether it is round, and its axis; with the sizes of this trial.
         half_m: Half extents [m] of the first part.
+        reach_m: Distance of its farthest end from its centre, horizontally.
         clearance_m: Height of its lowest point above the table.
         airborne: Whether it is off the table.
         pinch: Normal force of the weaker finger of the left and the right hand [N].
@@ -40,6 +43,7 @@ class ObjectTruth:
         self.body = body
         self._upright = body.upright
         self.half_m: Sequence[float] = body.solids[0].half_m
+        self.reach_m = 0.0
         self._world: World | None = None
 
     def refresh(self, world: World) -> None:
@@ -69,10 +73,35 @@ class ObjectTruth:
             rows.append([*position_m, *half_m, is_round, "xyz".index(part.axis)])
         self.solids = np.array(rows)
         self.half_m = rows[0][3:6]
+        ends_m = np.abs(self.solids[:, :2]) + self.solids[:, 3:5]
+        self.reach_m = float(ends_m.max())
 
     def distance_m(self, xy: Sequence[float]) -> float:
         """Return the horizontal distance of its centre from (x, y) [m]."""
         return math.hypot(self.xyz[0] - xy[0], self.xyz[1] - xy[1])
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Horizontal (x, y) [m] of its centre, and its yaw [rad]."""
+        return self.xyz[0], self.xyz[1], self.yaw_rad
+
+    def moved_m(self, place: tuple[float, float, float]) -> float:
+        """Return how far its centre or its ends are from where they were at a `place` [m]."""
+        x, y, yaw_rad = place
+        turned_rad = abs(math.remainder(self.yaw_rad - yaw_rad, math.tau))
+        return self.distance_m((x, y)) + self.reach_m * turned_rad
+
+    @property
+    def in_fingers(self) -> bool:
+        """Whether a finger presses on it."""
+        if max(self.pinch) >= TOUCH_N:
+            return True
+        return any(abs(force) > TOUCH_N for hand in self.hand_forces for force in hand)
+
+    @property
+    def at_an_arm(self) -> bool:
+        """Whether it has a contact with any part of an arm."""
+        return self._world is not None and self._world.at_an_arm(self.name)
 
     @property
     def hand_forces(self) -> tuple[list[float], list[float]]:
