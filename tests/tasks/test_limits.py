@@ -21,6 +21,7 @@ from minidual.config.root import Config, changed
 from minidual.robot.pair import SIDES
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.insertion import HAND_OF
+from minidual.tasks.sort import side_of
 from minidual.tasks.success import SuccessCondition
 from minidual.trials.methods import METHODS
 
@@ -173,8 +174,14 @@ CONSTANTS = (
     Limit("minidual.demos.schema.MAX_SYNC_S", AT_MOST, 0.020, "mission"),
     Limit("minidual.tasks.judge.REST_S", AT_LEAST, 0.1, "design"),
     Limit("minidual.tasks.truth.AIRBORNE_M", AT_MOST, 0.003, "design"),
-    Limit("minidual.tasks.success.NEAR_M", AT_MOST, 0.05, "design"),
-    Limit("minidual.tasks.success.TOUCH_N", AT_MOST, 0.1, "design"),
+    Limit("minidual.tasks.truth.TOUCH_N", AT_MOST, 0.1, "design"),
+    Limit("minidual.tasks.movement.HIGH_SHARE", AT_LEAST, 0.5, "design"),
+    Limit("minidual.tasks.movement.SHIFT_M", AT_MOST, 0.03, "design"),
+    Limit("minidual.tasks.movement.SETTLE_M", AT_MOST, 0.005, "design"),
+    Limit("minidual.tasks.movement.SET_DOWN_M", AT_MOST, 0.001, "design"),
+    Limit("minidual.tasks.movement.SPEED_M_PER_S", AT_MOST, 1.7, "design"),
+    Limit("minidual.tasks.movement.ALONE_M", AT_LEAST, 0.1, "design"),
+    Limit("minidual.tasks.movement.BOTH_S", AT_LEAST, 0.1, "design"),
     Limit("minidual.tasks.insertion.CLEARANCE_M", AT_MOST, 0.0015, "design"),
     Limit("minidual.tasks.insertion.DEPTH_M", AT_LEAST, 0.03, "design"),
     Limit("minidual.tasks.insertion.HOLD_S", AT_LEAST, 0.3, "design"),
@@ -183,13 +190,15 @@ CONSTANTS = (
 _ROD: dict[str, dict[str, Any]] = {
     "level": {"limit_rad": 0.08727},
     "whole": {"pinch_max_n": None, "force_max_n": None},
-    "held": {"limit_n": 20.0, "both": True, "slip_m": 0.02, "hand": None},
-    "carried": {},
+    "held": {"limit_n": 20.0, "both": True, "hand": None},
+    "slow": {"limit_m_per_s": 1.7},
+    "carried": {"height_m": 0.02, "limit_m": 0.03},
     "squeezed": {"limit_n": 20.0},
     "rose": {"limit_m": 0.04},
     "arrived": {"limit_m": 0.02},
     "turned": {"limit_rad": 0.08727, "symmetry": 2},
     "released": {},
+    "settled": {"height_m": 0.02, "limit_m": 0.005, "over_m": 0.001},
     "at_rest": {"limit_m_per_s": 0.02},
     "on_time": {"limit_s": 15.0},
 }
@@ -204,38 +213,47 @@ SUCCESS: dict[str, dict[str, dict[str, Any]]] = {
     "over": {**_ROD, "clear": {}},
     "pot_lift": {
         **_ROD,
+        "carried": {"height_m": 0.05, "limit_m": 0.03},
+        "settled": {"height_m": 0.05, "limit_m": 0.005, "over_m": 0.001},
         "rose": {"limit_m": 0.10},
         "arrived": {"limit_m": 0.03},
         "turned": {"limit_rad": 0.2618, "symmetry": 2},
     },
     "handover": {
         "level": {"limit_rad": 0.20},
-        "held": {"limit_n": 20.0, "both": False, "slip_m": 0.02, "hand": None},
-        "stood": {"limit_m": 0.02},
+        "held": {"limit_n": 20.0, "both": False, "hand": None},
+        "slow": {"limit_m_per_s": 1.7},
+        "carried": {"height_m": 0.02, "limit_m": 0.03},
         "rose": {"limit_m": 0.04},
-        "exchanged": {"limit_n": 20.0},
+        "exchanged": {"limit_n": 20.0, "alone_m": 0.1, "both_s": 0.1},
         "arrived": {"limit_m": 0.02},
         "released": {},
+        "settled": {"height_m": 0.02, "limit_m": 0.005, "over_m": 0.001},
         "at_rest": {"limit_m_per_s": 0.02},
         "on_time": {"limit_s": 25.0},
     },
     "insertion": {
         "level": {"limit_rad": 0.08727},
         "whole": {"pinch_max_n": None, "force_max_n": 40.0},
-        "held": {"limit_n": 20.0, "both": True, "slip_m": 0.02, "hand": "of the object"},
-        "stood": {"limit_m": 0.02},
+        "held": {"limit_n": 20.0, "both": True, "hand": "of the object"},
+        "slow": {"limit_m_per_s": 1.7},
+        "carried": {"height_m": 0.05, "limit_m": 0.03},
         "aloft": {"limit_m": 0.10},
         "mated": {"height_m": 0.10},
         "arrived": {"limit_m": 0.02},
+        "turned": {"limit_rad": 0.2618, "symmetry": 1},
         "on_time": {"limit_s": 20.0},
     },
     "sort": {
         "level": {"limit_rad": 0.20},
-        "held": {"limit_n": 20.0, "both": False, "slip_m": 0.02, "hand": None},
-        "stood": {"limit_m": 0.02},
+        "held": {"limit_n": 20.0, "both": False, "hand": None},
+        "slow": {"limit_m_per_s": 1.7},
+        "carried": {"height_m": 0.02, "limit_m": 0.03},
         "rose": {"limit_m": 0.04},
+        "brought": {"limit_n": 20.0, "hand": "of the object"},
         "inside": {"bin_m": (0.16, 0.18)},
         "released": {},
+        "settled": {"height_m": 0.02, "limit_m": 0.005, "over_m": 0.001},
         "at_rest": {"limit_m_per_s": 0.02},
         "placed_1": {},
         "placed_2": {},
@@ -350,7 +368,8 @@ def numbers_of(part: SuccessCondition) -> Iterator[tuple[str, Any]]:
         if field.name == "mark":
             yield "bin_m", value.size_m
         elif field.name == "hand" and value is not None:
-            assert value == SIDES.index(HAND_OF[part.object])
+            side = HAND_OF.get(part.object) or side_of(part.object)
+            assert value == SIDES.index(side)
             yield "hand", "of the object"
         else:
             yield field.name, value

@@ -433,7 +433,7 @@ CHEATS: dict[Callable[[Script], None], str] = {
     hopped: "carried",
     lifted_too_little: "rose",
     brought_by_the_wrong_hand: "brought",
-    let_go_and_pushed: "left",
+    let_go_and_pushed: "settled",
     thrown: "held",
     dropped: "held",
     over_the_rim: "inside",

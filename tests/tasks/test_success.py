@@ -16,7 +16,7 @@ from minidual.plant.world import World
 from minidual.robot.pair import pose, rot_x, rot_z
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge
-from minidual.tasks.movement import BroughtBy, Carried, Exchanged, Left, Slow
+from minidual.tasks.movement import BroughtBy, Carried, Exchanged, Settled, Slow
 from minidual.tasks.success import Held, Turned
 from minidual.tasks.truth import ObjectTruth
 from tests.support.carry_trials import carry_task, rod_judge, rod_trial
@@ -358,7 +358,7 @@ def test_an_object_faster_than_a_hand_is_too_fast(scene, speed, missed):
     assert {*judged(instants, scene, Slow("rod")).failures} == missed
 
 
-@pytest.mark.parametrize(("after_m", "missed"), [(0.004, set()), (0.006, {"left"})])
+@pytest.mark.parametrize(("after_m", "missed"), [(0.004, set()), (0.006, {"settled"})])
 def test_an_object_that_was_let_go_stays_where_it_is(scene, after_m, missed):
     instants = cycle()
     for k in range(len(instants) - 15, len(instants)):
@@ -377,7 +377,7 @@ def test_fingers_that_touch_again_at_once_have_not_let_go(scene):
     assert faults(judge(instants, scene)[1]) == set()
 
 
-@pytest.mark.parametrize(("over_m", "missed"), [(0.0009, set()), (0.0011, {"left"})])
+@pytest.mark.parametrize(("over_m", "missed"), [(0.0009, set()), (0.0011, {"settled"})])
 def test_an_object_is_let_go_where_it_stands(scene, over_m, missed):
     instants = cycle()
     down = [k for k, i in enumerate(instants) if i.xy == GOAL and i.height == 0.0]
@@ -393,7 +393,7 @@ def test_an_object_that_is_lifted_again_may_move_after_its_release(scene):
     offset = first[-1].time + DT
     again = [replace(i, time=i.time + offset, xy=(i.xy[0], i.xy[1] + 0.25)) for i in again]
     instants = [*first, *again]
-    assert {*judged(instants, scene, Left("rod", 0.02)).failures} == set()
+    assert {*judged(instants, scene, Settled("rod", 0.02)).failures} == set()
 
 
 def test_an_arm_that_leans_on_the_rod_has_not_released_it(scene):

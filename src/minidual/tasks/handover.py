@@ -165,7 +165,7 @@ def handed_over(task: Task, trial: Trial) -> tuple[success.SuccessCondition, ...
         movement.Exchanged(task.carried, task.scene.task.pinch_min_n),
         transport.arrived,
         transport.released,
-        transport.left,
+        transport.settled,
         transport.at_rest,
         transport.on_time,
     )

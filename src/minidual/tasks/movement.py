@@ -16,7 +16,7 @@ HIGH_SHARE = 0.5
 """Share of a task's clear height over which an object counts as carried."""
 SHIFT_M = 0.03
 """Hands that close on an object, or put it down, may shift it by this much."""
-LEFT_M = 0.005
+SETTLE_M = 0.005
 """An object that was let go may settle by this much."""
 SET_DOWN_M = 0.001
 """An object may be let go this high over the table."""
@@ -91,12 +91,12 @@ class Slow(OfObject):
 
 
 @dataclass
-class Left(OfObject):
+class Settled(OfObject):
     """Hands let go of the object on the table, and it stays there unless they lift it again."""
 
-    name = "left"
+    name = "settled"
     height_m: float
-    limit_m: float = LEFT_M
+    limit_m: float = SETTLE_M
     over_m: float = SET_DOWN_M
     _lifted: bool = False
     _free_since_s: float | None = None

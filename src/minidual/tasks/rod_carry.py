@@ -104,7 +104,7 @@ class TransportConditions:
     arrived: success.Arrived
     turned: success.Turned
     released: success.Released
-    left: movement.Left
+    settled: movement.Settled
     at_rest: success.AtRest
     on_time: success.OnTime
 
@@ -129,7 +129,7 @@ def transported(task: Task, trial: Trial, *, both: bool = True) -> TransportCond
             task.objects[name].symmetry,
         ),
         released=success.Released(name),
-        left=movement.Left(name, high_m),
+        settled=movement.Settled(name, high_m),
         at_rest=success.AtRest(name, limits.rest_speed_m_per_s),
         on_time=success.OnTime(limits.time_limit_s),
     )
@@ -154,7 +154,7 @@ def carried_by_both(task: Task, trial: Trial) -> tuple[success.SuccessCondition,
         transport.arrived,
         transport.turned,
         transport.released,
-        transport.left,
+        transport.settled,
         transport.at_rest,
         transport.on_time,
     )

@@ -218,7 +218,7 @@ def sorted_by_colour(task: Task, trial: Trial) -> tuple[success.SuccessCondition
         success.Each(brought),
         success.Each(inside),
         success.Each(released),
-        success.Each([movement.Left(name, high_m) for name in names]),
+        success.Each([movement.Settled(name, high_m) for name in names]),
         success.Each(at_rest),
         *(_Placed(count, final) for count in range(1, len(names) + 1)),
         success.OnTime(limits.time_limit_s),
