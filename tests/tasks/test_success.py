@@ -320,8 +320,7 @@ def test_the_error_of_a_direction_is_the_short_way_round(scene):
 def test_hands_may_shift_a_rod_on_the_table_by_three_centimetres(scene, off_m, missed):
     """Before its lift the rod lies there, held by both hands."""
     instants = [
-        replace(i, xy=(START[0] + off_m * min(1.0, k / 90), i.xy[1]))
-        for k, i in enumerate(cycle())
+        replace(i, xy=(START[0] + off_m * min(1.0, k / 90), i.xy[1])) for k, i in enumerate(cycle())
     ]
     away = rod_trial("test", 0, (*START, 0.0), (GOAL[0] + off_m, GOAL[1], 0.0))
     referee = rod_judge(scene, away)
@@ -492,7 +491,13 @@ def exchange(*parts: tuple[tuple[float, float], int]) -> list[Instant]:
         ([(BOTH_HOLD, 1)], "no hand carried it"),
         ([(LEFT_HOLDS, 180), (BOTH_HOLD, 20), (LEFT_HOLDS, 1)], "the right hand did not carry"),
         (
-            [(LEFT_HOLDS, 130), (BOTH_HOLD, 20), (RIGHT_HOLDS, 50), (BOTH_HOLD, 20), (LEFT_HOLDS, 1)],
+            [
+                (LEFT_HOLDS, 130),
+                (BOTH_HOLD, 20),
+                (RIGHT_HOLDS, 50),
+                (BOTH_HOLD, 20),
+                (LEFT_HOLDS, 1),
+            ],
             "both hands never pinched",
         ),
     ],

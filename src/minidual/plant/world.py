@@ -10,7 +10,14 @@ import numpy as np
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.addresses import map_joints
-from minidual.plant.bodies import NamedObject, ObjectPose, bodies_below, halves, touching, touching_any
+from minidual.plant.bodies import (
+    NamedObject,
+    ObjectPose,
+    bodies_below,
+    halves,
+    touching,
+    touching_any,
+)
 from minidual.plant.marks import GOAL_MARK
 from minidual.plant.model import build_model
 from minidual.plant.protocol import PlantEndedError

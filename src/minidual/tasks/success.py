@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.robot.pair import SIDES
-from minidual.tasks.truth import AIRBORNE_M, TOUCH_N, ObjectTruth, Truth
+from minidual.tasks.truth import AIRBORNE_M, ObjectTruth, Truth
 
 _FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")
 """Measured numbers of which the least is the worst; of the others it is the largest."""
