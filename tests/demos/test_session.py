@@ -38,7 +38,7 @@ def _session(
     pictures: Callable[[], dict[str, StampedImage]] = dict,
     **teleop: float,
 ) -> TeleopSession:
-    config = TeleopConfig(**teleop)
+    config = TeleopConfig.model_validate(teleop)
     stack = ControlStack(world, Kinematics(), rate_hz=config.rate_hz)
     return TeleopSession(stack, config, pictures)
 

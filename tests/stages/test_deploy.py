@@ -238,7 +238,9 @@ def test_held_out_starts_are_none_of_the_demonstrations(monkeypatch: pytest.Monk
     )
     # The control: drawn from the demonstrations' stream, the starts 0 and 1 are seen at any width.
     monkeypatch.setattr(deploy_stage, "HELD_OUT", PURPOSE)
-    assert deploy_starts(config, 7, [4, 0, 1]).seen_n == 2
+    seen_n = deploy_starts(config, 7, [4, 0, 1]).seen_n
+    assert seen_n == 2
+    assert failing(deploy(missed(0), seen_n=seen_n)) == {"held_out_starts_seen"}
 
 
 def test_deploy_refuses_conditions_that_the_policy_does_not_feel() -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,7 @@ from minidual.config.planning import PlanConfig
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig, TaskConfig
 from minidual.gate.check import Check
-from minidual.motion.api import Planner
+from minidual.motion.api import Planner, PlanResult
 from minidual.proof import scene_engines
 from minidual.proof.scene_engines import SceneEngines
 from minidual.robot.kinematics import Kinematics
@@ -134,7 +135,7 @@ def test_a_planner_that_draws_from_the_clock(
     seeds = iter(range(100, 200))
     real = Planner.plan_to_joints
 
-    def plan(self: Planner, *given: object, **options: object) -> object:
+    def plan(self: Planner, *given: Any, **options: Any) -> PlanResult:
         return real(self, *given, **{**options, "seed": next(seeds)})
 
     monkeypatch.setattr(Planner, "plan_to_joints", plan)

@@ -1,6 +1,7 @@
 """Results of trials, good and bad, for checks of stages."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from minidual.gate.check import Check
@@ -48,6 +49,6 @@ def missed(count: int, n: int = 10) -> list[TrialMetrics]:
     return [result(i, **(BAD if i < count else {})) for i in range(n)]
 
 
-def failing(checks: list[Check]) -> set[str]:
+def failing(checks: Sequence[Check]) -> set[str]:
     """Return the names of the checks that fail."""
     return {check.name for check in checks if check.passed is False}
