@@ -45,7 +45,7 @@ def clean_trials(run: Path) -> Iterator[tuple[str, str]]:
 
 def first_words(reason: str) -> str:
     """Return the name of the reflex, or the first word, of a reason."""
-    reflex = re.search(r"reflex (?!at )\w+", reason)
+    reflex = re.search(r"reflex (?!at )[\w.]+", reason)
     word = reflex or re.search(r"\w+", reason)
     return word[0] if word else ""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.test_docs import ROOT, printed_commands
+from tests.support.documents import ROOT, printed_commands
 from tests.support.late import late
 
 SEAMS = ("ur3", "wind", "sway", "open_loop", "gentle_carry", "nearest", "steadiness")

@@ -17,30 +17,10 @@ from minidual.cli.app import build_app
 from minidual.cli.options import CommonOptions, GateOptions
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support import howto
+from tests.support.documents import PAGES, ROOT, printed_commands
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")})
 OWN_STAGES = {"steadiness"}
 """Stages that a how-to adds; its own test types their commands."""
-
-
-def printed_commands() -> list[tuple[str, str]]:
-    """Return (page, command) of each line of a code block that types minidual; synopses with [...] left out."""
-    found = []
-    for page in PAGES:
-        text = re.sub(r" *\\\n *", " ", page.read_text(encoding="utf-8"))
-        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-        fenced = "\n".join(body for language, body in blocks if language in ("", "bash", "sh"))
-        indented = "\n".join(re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE))
-        for line in re.findall(
-            r"^(?:\.venv/bin/)?(minidual [^\n]*)$",
-            f"{fenced}\n{indented}",
-            re.MULTILINE,
-        ):
-            command = re.sub(r"\s+#.*$|\s{3,}\S.*$", "", line).strip()
-            if "[" not in command:
-                found.append((page.relative_to(ROOT).as_posix(), command))
-    return list(dict.fromkeys(found))
 
 
 def parse(words: list[str]) -> None:

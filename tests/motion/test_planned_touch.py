@@ -174,7 +174,7 @@ def test_a_halt_in_the_stop_of_a_touch_is_not_overridden(
     axis: np.ndarray,
     after: int,
 ) -> None:
-    """Before, the arms recovered and drove on: by 0.50 rad."""
+    """Arms that recovered would drive on, by 0.50 rad."""
     carry = seen(world, planner, -0.018 * axis)
     assert drive(carry, "done") == ["approach", "descend", "done"]
     for _ in range(after):
@@ -195,7 +195,7 @@ def test_arms_that_are_not_measured_grasp_nothing_again(
     axis: np.ndarray,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Before, `step` raised: the touch of NaN has no force."""
+    """The touch of NaN has no force; `step` must not raise."""
     carry = seen(world, planner, -0.018 * axis)
     assert drive(carry, "done") == ["approach", "descend", "done"]
     monkeypatch.setattr(

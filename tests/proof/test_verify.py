@@ -391,7 +391,7 @@ def zigzag(joint, dt_s, n):
 
 @pytest.mark.parametrize(("joint", "dt_s", "n"), [(5, 0.001, 200), (6, 0.001, 200), (0, 0.004, 80)])
 def test_what_a_cubic_accelerates_between_two_samples_counts(planner, joint, dt_s, n):
-    """Before, "0.999 of the limit" was certified for 1.6 to 2.1 times the limit."""
+    """Times that jump hide 1.6 to 2.1 times the limit."""
     motion, largest = zigzag(joint, dt_s, n)
     assert largest > 1.5 * A_MAX[joint]
     proof = planner.engines().verify(motion)
@@ -400,7 +400,7 @@ def test_what_a_cubic_accelerates_between_two_samples_counts(planner, joint, dt_
 
 
 def test_a_trajectory_of_another_robot_is_refused():
-    """Before, `certify` called a motion of two Pandas proven for two UR5, and a kernel wrote beyond its array."""
+    """Two UR5 have other joints: nothing is proven for them, and no kernel writes beyond its array."""
     engines = SceneEngines(PlanningScene(robot=Robot(ARM_MODELS["ur5"])))
     motion = timing.resting(HOME, 0.01, "both_arms")
     for check in (engines.verify, lambda m: certify(engines.solids, m)):

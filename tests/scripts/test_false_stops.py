@@ -10,14 +10,14 @@ from minidual.durable import write_csv
 from scripts.false_stops import stops
 
 STOPPED = (
-    "reflex at 3.10 s: reflex joint_contact at 3.100 s: an arm touches something: left_panda_joint2"
+    "reflex at 3.10 s: reflex contact.joint at 3.100 s: an arm touches something: left_panda_joint2"
 )
 CARRY = {"method": "impedance", "condition": "clean"}
 TABLES = {
     "carry/trials.csv": [{**CARRY, "aborted": ""}, {**CARRY, "aborted": STOPPED}],
     "teleop-record/quality.csv": [
         {"trial": 0, "reason": ""},
-        {"trial": 1, "reason": "reflex torque_rate at 2.000 s: a controller"},
+        {"trial": 1, "reason": "reflex torque.rate at 2.000 s: a controller"},
         {"trial": 2, "reason": "RMS jerk 900 rad/s^3, limit 800"},
     ],
     "deploy/trials.csv": [
@@ -52,7 +52,7 @@ def test_stops_of_clean_trials_are_counted_and_named(
         "benchmark/benchmark.csv handover impedance clean": (1, 1),
     }
     printed = capsys.readouterr().out
-    for name in ("reflex joint_contact", "reflex torque_rate", "oscillation", "slip"):
+    for name in ("reflex contact.joint", "reflex torque.rate", "oscillation", "slip"):
         assert f"'{name}': 1" in printed
 
 

@@ -318,7 +318,7 @@ def test_the_error_of_a_direction_is_the_short_way_round(scene):
 
 @pytest.mark.parametrize(("off_m", "missed"), [(0.029, set()), (0.031, {"carried"})])
 def test_hands_may_shift_a_rod_on_the_table_by_three_centimetres(scene, off_m, missed):
-    """Before its lift the rod lies there, held by both hands."""
+    """The rod lies there, held by both hands, until they lift it."""
     instants = [
         replace(i, xy=(START[0] + off_m * min(1.0, k / 90), i.xy[1])) for k, i in enumerate(cycle())
     ]
