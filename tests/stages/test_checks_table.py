@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from minidual.gate.stage import closing_checks
 from minidual.show.report.wording import CHECK_WORDS
-from tests.stages.test_criteria import MODULES, criteria_of
+from tests.support.stage_criteria import MODULES, criteria_of
 
 TESTS = Path(__file__).resolve().parents[1]
 PAGE = TESTS.parent / "docs" / "checks.md"
