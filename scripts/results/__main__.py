@@ -1,4 +1,4 @@
-"""`make results`, or `python -m scripts.results [--only NAME,...] [--fill] [options]`.
+"""`make results`, or `python -m scripts.results [--only NAME,...] [--fill] [--print] [options]`.
 
 Makes the tables of docs/results.md from runs, and measures what is missing. Each measurement
 continues after an interruption: type the same command again. A table whose input is missing keeps
@@ -41,6 +41,10 @@ _MINIDUAL = (sys.executable, "-m", "minidual.cli")
 _BENCH = (sys.executable, "-m", "scripts.bench")
 
 
+type Publish = Callable[[dict[str, str]], None]
+"""Takes {block: content}."""
+
+
 @dataclass(frozen=True)
 class Source:
     """Where blocks of the page come from.
@@ -66,7 +70,8 @@ def main(words: list[str]) -> int:
     try:
         names = SOURCES.names(options.only) if options.only else tuple(SOURCES)
         sources = {name: SOURCES[name](options) for name in names}
-        kept_n = _fill(sources, measures=not options.fill)
+        publish = _print if options.print else fill_pages
+        kept_n = _fill(sources, publish, measures=not options.fill)
         return 1 if kept_n or _stale_quotes() else 0
     except MinidualError as error:
         _say(error.message)
@@ -75,8 +80,8 @@ def main(words: list[str]) -> int:
         return int(error.exit_code)
 
 
-def _fill(sources: dict[str, Source], *, measures: bool) -> int:
-    """Fill the blocks of each source as soon as it is complete; return how many kept theirs."""
+def _fill(sources: dict[str, Source], publish: Publish, *, measures: bool) -> int:
+    """Publish the blocks of each source as soon as it is complete; return how many kept theirs."""
     kept_n = 0
     for name, source in sources.items():
         contents = source.contents()
@@ -87,8 +92,8 @@ def _fill(sources: dict[str, Source], *, measures: bool) -> int:
             _say(f"{name}: kept, because there is no {source.input}")
             kept_n += 1
         else:
-            fill_pages(contents)
-            _say(f"{name}: filled from {source.input}")
+            publish(contents)
+            _say(f"{name}: made from {source.input}")
     return kept_n
 
 
@@ -102,6 +107,12 @@ def _stale_quotes() -> int:
                 _say(f"{page.name} quotes {quote}, which docs/results.md does not say")
                 stale_n += 1
     return stale_n
+
+
+def _print(contents: dict[str, str]) -> None:
+    """Print the contents, and leave the pages."""
+    for name, content in contents.items():
+        print(f"{name}:\n\n{content}\n", flush=True)
 
 
 def fill_pages(contents: dict[str, str]) -> None:
@@ -123,6 +134,11 @@ def _parser() -> argparse.ArgumentParser:
         help=f"some of {', '.join(SOURCES)} (default: all, in this order)",
     )
     parser.add_argument("--fill", action="store_true", help="measure nothing")
+    parser.add_argument(
+        "--print",
+        action="store_true",
+        help="print the tables and leave the pages, to try the command with few trials",
+    )
     parser.add_argument(
         "--first",
         type=int,

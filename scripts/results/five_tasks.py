@@ -4,6 +4,7 @@ import re
 
 from minidual.durable import read_json
 from minidual.errors import UsageError
+from minidual.tasks.catalogue import TASKS
 from minidual.trials.methods import METHODS
 from minidual.trials.statistics import mcnemar_p_value, wilson_interval
 from scripts.results.blocks import blocks
@@ -75,6 +76,8 @@ def _title(method: str, plan: Plan) -> str:
 
 def _line(origins: list[Origin], plan: Plan) -> str:
     words = f"--only {NAME} --first {plan.first} --trials {plan.trials_n}"
+    if plan.tasks != tuple(TASKS):
+        words += f" --tasks {','.join(plan.tasks)}"
     for checkpoint in plan.policies.values():
         words += f" --policy {checkpoint.parents[1]}"
     return origin_line(origins, f'make results ARGS="{words}"')

@@ -203,7 +203,8 @@ def test_the_task_table_waits_for_every_cell(tmp_path: Path, drawn: list[int]) -
     run_cell(asked, last, 1, nothing)
     block = five_tasks.block(asked) or ""
     assert "Starts 2000 to 2002, successes of 3." in block
-    assert 'make results ARGS="--only tasks --first 2000 --trials 3"' in " ".join(block.split())
+    command = 'make results ARGS="--only tasks --first 2000 --trials 3 --tasks rod_carry"'
+    assert command in " ".join(block.split())
     rates = "2 (21-94 %) | 2 (21-94 %) | 2 (21-94 %) | 2 (21-94 %)"
     assert block.splitlines()[-1] == f"| `rod_carry` | {rates} | 0, 0 (p = 1) |"
 
@@ -465,21 +466,23 @@ type Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def call(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> Call:
-    """Return what calls the command on a page of its own; it returns (code, page, stderr)."""
+def own_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a page that stands for docs/results.md."""
     page = tmp_path / "results.md"
     page.write_text(PAGE, encoding="utf-8")
     monkeypatch.setattr(results, "RESULTS", page)
     monkeypatch.setattr(results, "PAGES", (page,))
     monkeypatch.setattr(results, "FOLDER", tmp_path / "made")
+    return page
+
+
+@pytest.fixture
+def call(own_page: Path, capsys: pytest.CaptureFixture[str]) -> Call:
+    """Return what calls the command; it returns (code, page, stderr)."""
 
     def called(*words: str) -> tuple[int, str, str]:
         code = results.main(list(words))
-        return code, page.read_text(encoding="utf-8"), capsys.readouterr().err
+        return code, own_page.read_text(encoding="utf-8"), capsys.readouterr().err
 
     return called
 
@@ -498,6 +501,17 @@ def test_the_command_measures_what_is_missing_and_fills_the_page(
     assert "cell 4 of 4, rod_carry, impedance, randomised, start 3001: success" in said
     assert call(*_TASK, "--first", "3000")[0] == 0
     assert len(drawn) == 8
+
+
+def test_tables_can_be_printed(
+    own_page: Path,
+    bench: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A trial of the command with few trials must not replace what was published."""
+    assert results.main(["--only", "step", "--step", str(bench), "--print"]) == 0
+    assert "| `sort`, `moveit` | 62.0 | 2.41 |" in capsys.readouterr().out
+    assert own_page.read_text(encoding="utf-8") == PAGE
 
 
 def test_a_missing_input_leaves_the_table(call: Call, drawn: list[int]) -> None:
