@@ -142,8 +142,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--first",
         type=int,
-        help="number of the first start of the five-task table: at least 1000, and in no "
-        "earlier publication, such as 30000",
+        help="number of the first start of the five-task table, of deploy and of the benchmark: "
+        "at least 1000, and in no earlier publication, such as 30000",
     )
     parser.add_argument("--trials", type=int, default=100, help="trials of each cell")
     parser.add_argument("--tasks", default=",".join(TASKS), help="tasks of the five-task table")
@@ -200,16 +200,17 @@ def _planning(options: argparse.Namespace) -> Source:
 def _standard(options: argparse.Namespace) -> Source:
     return Source(
         lambda: standard.blocks(options.standard),
-        lambda: _run(*_MINIDUAL, "run", *_run_words(options.standard)),
+        lambda: _run(*_MINIDUAL, "run", *_run_words(options.standard, options.first)),
         f"passing run {options.standard}",
     )
 
 
 def _trainings(options: argparse.Namespace) -> Source:
     several = ("--until", "deploy", "--set", "train.seeds_n=3")
+    words = _run_words(options.learn, options.first)
     return Source(
         lambda: _one(trainings.NAME, trainings.block(options.learn)),
-        lambda: _run(*_MINIDUAL, "run", *_run_words(options.learn), *several),
+        lambda: _run(*_MINIDUAL, "run", *words, *several),
         f"passing run {options.learn} of several seeds",
     )
 
@@ -235,6 +236,8 @@ def _plan(options: argparse.Namespace) -> Plan:
         raise UsageError("the five-task table needs a first start", remedy="--first 30000")
     policies: dict[str, Path] = {}
     for run in options.policy:
+        if not (run / "train-act" / "checkpoint").is_dir():
+            raise UsageError(f"--policy {run}: it has no train-act/checkpoint")
         policies[recorded_task(run / "teleop-record")] = run / "train-act" / "checkpoint"
     return Plan(
         config=load_config().config,
@@ -260,8 +263,13 @@ def _measure_tasks(plan: Plan, workers: int) -> None:
         run_cell(plan, cell, workers, on_trial)
 
 
-def _run_words(run: Path) -> tuple[str, ...]:
-    return ("--runs-dir", str(run.parent), "--run", run.name)
+def _run_words(run: Path, first: int | None) -> tuple[str, ...]:
+    """Return the words that name a run, and its first start if it is asked for."""
+    words = ("--runs-dir", str(run.parent), "--run", run.name)
+    if first is None:
+        return words
+    starts = (f"deploy.first_start={first}", f"benchmark.first_start={first}")
+    return (*words, "--set", starts[0], "--set", starts[1])
 
 
 def _run(*command: str) -> None:

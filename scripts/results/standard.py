@@ -76,7 +76,8 @@ def _train_act(n: Numbers) -> str:
 
 def _deploy(n: Numbers) -> str:
     return (
-        f"{_of(n.verdict.data)} held-out starts, {_of(n.data('room'))} in a changed room, "
+        f"{_of(n.verdict.data)} held-out starts from {n.setting('deploy', 'first_start')}, "
+        f"{_of(n.data('room'))} in a changed room, "
         f"{_of(n.data('object hidden'))} with the object hidden; "
         f"{n.observed('inference_hz'):.0f} inferences a second on one thread"
     )
@@ -88,7 +89,7 @@ def _benchmark(n: Numbers) -> str:
         cells = [of_task["methods"]]
         cells += [condition["methods"] for condition in of_task["conditions"].values()]
         trials_n += sum(record.get("trials", 0) for cell in cells for record in cell.values())
-    return f"{trials_n} trials"
+    return f"{trials_n} trials, starts from {n.setting('benchmark', 'first_start')}"
 
 
 _RESULTS: dict[str, Callable[[Numbers], str]] = {

@@ -21,9 +21,10 @@ def block(run: Path) -> str | None:
     records = dict(zip(_SETS, (deploy.verdict.data, deploy.data("room")), strict=True))
     rows = [_row(name, record) for name, record in records.items()]
     seeds_n = len(deploy.data("by_seed"))
+    first = deploy.setting("deploy", "first_start")
     header = [f"`{training.data('architecture')}`", *(f"seed {k + 1}" for k in range(seeds_n))]
     return (
-        f"{origin_line([deploy.made, training.made], COMMAND)}\n\n"
+        f"Starts from {first}.\n{origin_line([deploy.made, training.made], COMMAND)}\n\n"
         f"{table([*header, 'together'], rows)}"
     )
 

@@ -3,15 +3,23 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import yaml
+
+from minidual.durable import reading
 from minidual.errors import DataError
-from minidual.gate.verdict import VERDICT_FILE, Verdict, read_verdict
+from minidual.gate.verdict import CONFIG_FILE, VERDICT_FILE, Verdict, read_verdict
 from scripts.results.markdown import Origin, origin
 
 
 class Numbers(NamedTuple):
-    """Numbers of one stage."""
+    """Numbers of one stage.
+
+    Attributes:
+        folder: Of the stage.
+    """
 
     verdict: Verdict
+    folder: Path
 
     def observed(self, name: str) -> Any:
         """Return what a check observed.
@@ -38,6 +46,16 @@ class Numbers(NamedTuple):
             value = value[key]
         return value
 
+    def setting(self, section: str, name: str) -> Any:
+        """Return a value of the configuration that the stage ran with.
+
+        Raises:
+            DataError: There is none.
+        """
+        path = self.folder / CONFIG_FILE
+        with reading(path, "run the stage again"):
+            return yaml.safe_load(path.read_text(encoding="utf-8"))[section][name]
+
     @property
     def made(self) -> Origin:
         """Commit, machine and date."""
@@ -51,4 +69,4 @@ def numbers_of(run: Path, stage: str) -> Numbers | None:
     if not path.exists():
         return None
     verdict, _ = read_verdict(path)
-    return Numbers(verdict) if verdict.status == "pass" else None
+    return Numbers(verdict, path.parent) if verdict.status == "pass" else None

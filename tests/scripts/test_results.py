@@ -337,6 +337,8 @@ def write_stage(
     folder.mkdir(parents=True, exist_ok=True)
     verdict: Verdict = replace(make_verdict("deploy", folder, checks, data, **other), stage=stage)
     (folder / "verdict.json").write_text(dumps(verdict.to_json()), encoding="utf-8")
+    starts = "deploy: {first_start: 4000}\nbenchmark: {first_start: 5000}\n"
+    (folder / "config.yaml").write_text(starts, encoding="utf-8")
 
 
 @pytest.fixture
@@ -359,8 +361,8 @@ def test_the_tables_of_a_standard_run_hold_its_numbers(run: Path) -> None:
         "6 of them driven, within 1.3 mm",
         "200 of 200; tilt at most 0.04 deg; internal force at least 39.6 N",
         "`keyframe_act`, 7,000 steps; keyframe error 0.0068 rad",
-        "100 of 100 held-out starts, 99 of 100 in a changed room, 0 of 5 with the object hidden",
-        "120 trials",
+        "100 of 100 held-out starts from 4000, 99 of 100 in a changed room, 0 of 5 with the object hidden",
+        "120 trials, starts from 5000",
     ):
         assert words in stages
     methods = made["standard-methods"]
@@ -399,6 +401,7 @@ def test_trainings_are_shown_by_seed(run: Path) -> None:
     }
     write_stage(run, "deploy", [Check("holds", 1, "==", 1, why="made up")], deploy)
     block = trainings.block(run) or ""
+    assert block.startswith("Starts from 4000.")
     assert "| `keyframe_act` | seed 1 | seed 2 | seed 3 | together |" in block
     assert ("| room | 96 of 100 | 96 of 100 | 99 of 100 | 291 of 300 (94-98 %) |") in block
 
@@ -536,9 +539,25 @@ def test_a_bench_is_run_where_its_record_is_missing(
     assert commands[0][1:] == ("-m", "scripts.bench", "--peers", "--json", "nowhere.json")
 
 
+def test_a_missing_run_is_made_with_the_first_start(
+    call: Call,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    commands: list[str] = []
+    monkeypatch.setattr(results, "_run", lambda *command: commands.append(" ".join(command)))
+    learn = tmp_path / "runs" / "learn"
+    assert call("--only", "trainings", "--learn", str(learn), "--first", "3000")[0] == 1
+    assert "--run learn --set deploy.first_start=3000" in commands[0]
+    assert commands[0].endswith("--until deploy --set train.seeds_n=3")
+    assert call("--only", "standard", "--standard", str(learn))[0] == 1
+    assert commands[1].endswith("--run learn")
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
+        ((*_TASK, "--first", "3000", "--policy", "nowhere"), "has no train-act/checkpoint"),
         (("--only", "rates"), "no results 'rates'"),
         (("--only", "tasks"), "needs a first start"),
         ((*_TASK, "--first", "30"), "seen by development"),

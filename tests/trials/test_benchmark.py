@@ -145,6 +145,24 @@ def test_all_methods_and_conditions_have_the_same_starts(asked: list[Any]) -> No
     )
 
 
+def test_the_first_start_is_a_setting(asked: list[Any]) -> None:
+    """It moves the starts of the benchmark, and no others."""
+    inputs = MethodInputs(changed(Config(), {"benchmark.first_start": 2}), SEED)
+    _, of_two = run_benchmark(("moveit",), {CLEAN: 3}, inputs, workers=1)
+    _, of_nought = run_benchmark(("moveit",), {CLEAN: 5}, MethodInputs(Config(), SEED), workers=1)
+    assert [trial.index for trial in of_two] == [2, 3, 4]
+    assert str(asked[0][2]) == str(asked[1][2][2:])
+    assert [trial.index for trial in of_nought] == [0, 1, 2, 3, 4]
+    _, perturbed = run_benchmark(
+        ("moveit",),
+        {CLEAN: 3},
+        inputs,
+        workers=1,
+        purpose=benchmark.PERTURBED,
+    )
+    assert [trial.index for trial in perturbed] == [0, 1, 2]
+
+
 def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
     cells = table()
     assert {key for key, cell in cells.items() if cell.summary is None} == BLANK

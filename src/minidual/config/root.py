@@ -27,6 +27,8 @@ class BenchmarkConfig(StrictModel):
     """Undisturbed trials of each method, which have limits."""
     perturbed_trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     """Trials of each method under each other condition, on the first of the same starts."""
+    first_start: int = Field(default=0, ge=0, le=10_000_000)
+    """Number of the first start."""
     success_rate_min: AtLeast[dict[str, Rate]] = Field(
         default={"moveit": 0.8, "impedance": 0.8, "act": 0.5},
     )

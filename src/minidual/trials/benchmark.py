@@ -136,6 +136,7 @@ def run_benchmark(
         UsageError: A condition sets a value out of bounds; before the first trial.
     """
     draws = {name: draw_under(inputs, name, purpose) for name in trials_n}
+    first = inputs.config.benchmark.first_start if purpose == PURPOSE else 0
     cells: list[BenchmarkCell] = []
     results: list[TrialMetrics] = []
     for method in methods:
@@ -144,7 +145,7 @@ def run_benchmark(
             if reason:
                 cells.append(BenchmarkCell(method, name, count, None, reason))
                 continue
-            trials = [draws[name](index) for index in range(count)]
+            trials = [draws[name](index) for index in range(first, first + count)]
             rows: list[TrialMetrics] = []
             for result in run_trials(
                 method,
