@@ -13,6 +13,8 @@ PLANNING_BLOCK = "planning"
 STEP_COMMAND = "make bench ARGS=carry"
 PLANNING_COMMAND = "make bench ARGS=--peers"
 _STEP_COLUMNS = re.compile(r"ratio|^(median|mean|p99)_us$")
+_OWN = "minidual"
+"""How the names of the own planners begin."""
 _SOLVED = "solved"
 _TIME = "median_ms"
 _FAULTS = ("colliding", "over_jerk")
@@ -35,13 +37,15 @@ def step_block(path: Path) -> str | None:
 
 
 def planning_block(path: Path) -> str | None:
-    """Return solved queries of every planner; None without a record of the hard queries."""
+    """Return solved queries of every planner; None without a record of them with peers."""
     found = _read(path, "hard")
     if found is None:
         return None
     record, bench = found
     sets = [row for row in bench.rows if ": " not in row.name]
     planners = list(dict.fromkeys(_planner(row) for row in bench.rows if ": " in row.name))
+    if all(name.startswith(_OWN) for name in planners):
+        return None
     by_name = {row.name: row for row in bench.rows}
     rows: list[list[str]] = []
     for drawn in sets:
@@ -51,7 +55,7 @@ def planning_block(path: Path) -> str | None:
     header = ["set", "can be solved", *(f"{name}: solved, {_TIME}" for name in planners)]
     return (
         f"{_line(record, PLANNING_COMMAND)}\n\n{table(header, rows)}\n\n"
-        f"Paths with a fault: {'; '.join(faults)}."
+        f"{bench.title}. Paths with a fault: {'; '.join(faults)}."
     )
 
 

@@ -17,7 +17,7 @@ from minidual.gate.canonical import dumps
 from minidual.gate.check import Check
 from minidual.gate.code import Code
 from minidual.gate.verdict import Verdict
-from minidual.show.report.bench import BenchRecord, BenchRow, BenchTable, write_bench
+from minidual.show.report.bench import BenchRecord, BenchRow, BenchTable, read_bench, write_bench
 from minidual.tasks.task import Trial
 from minidual.trials.metrics import TrialMetrics
 from scripts.results import __main__ as results
@@ -423,7 +423,7 @@ def bench(tmp_path: Path) -> Path:
     )
     faults = {"colliding": 1, "over_jerk": 2}
     hard = BenchTable(
-        "hard",
+        "hard planning queries, WITHOUT roboplan",
         ("solved", "median_ms"),
         (
             BenchRow("shelf", {"drawn": 50, "infeasible": 30, "no_posture": 3}, {}),
@@ -456,6 +456,16 @@ def test_the_planning_table_has_a_column_for_each_planner(bench: Path) -> None:
     assert "| shelf | 17 | 17, 87.0 | 14, 1192 |" in block
     assert "| gate | 36 | 35, 51.0 | |" in block
     assert "minidual 2 colliding, 4 over_jerk of 52; OMPL 1 colliding, 2 over_jerk of 14." in block
+
+
+def test_a_missing_planner_is_said_and_a_record_without_peers_refused(bench: Path) -> None:
+    assert "queries, WITHOUT roboplan. Paths" in (benches.planning_block(bench) or "")
+    made = read_bench(bench)
+    assert made is not None
+    hard = made.tables["hard"]
+    own = replace(hard, rows=tuple(row for row in hard.rows if "OMPL" not in row.name))
+    write_bench(bench, replace(made, tables={"hard": own}))
+    assert benches.planning_block(bench) is None
 
 
 def test_without_a_record_there_is_no_table(tmp_path: Path) -> None:
