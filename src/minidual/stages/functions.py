@@ -104,6 +104,13 @@ def plan_task() -> ToolFunction:
 
 
 @Deferred
+def try_out() -> ToolFunction:
+    from minidual.stages.try_out import try_out
+
+    return try_out
+
+
+@Deferred
 def carry_perturb() -> ToolFunction:
     from minidual.stages.carry_tools import perturb
 

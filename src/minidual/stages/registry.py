@@ -160,6 +160,13 @@ STAGES = StageTable(
     LIBRARIES,
 )
 TOOLS = (
+    ToolEntry(
+        "try",
+        functions.try_out,
+        watchable=True,
+        moves=True,
+        settings={"task": "task"},
+    ),
     ToolEntry("doctor", functions.doctor, moves=True),
     ToolEntry(
         "view",

@@ -20,6 +20,7 @@ from minidual.cli.commands.status import status
 from minidual.cli.commands.stop import stop
 from minidual.cli.commands.teleop_record import teleop_record
 from minidual.cli.commands.train_act import train_act
+from minidual.cli.commands.try_out import try_out
 from minidual.cli.commands.view import view
 from minidual.cli.signature import Command
 
@@ -41,6 +42,7 @@ RUN_COMMANDS: dict[str, Command] = {
 }
 CONFIG_COMMANDS: dict[str, Command] = {"show": config_show}
 TOOL_COMMANDS: dict[str, Command] = {
+    "try": try_out,
     "doctor": doctor,
     "view": view,
     "replay": replay,

@@ -1,0 +1,169 @@
+"""`minidual try`: trials of any method on any task, without gate and verdict."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from minidual.durable import expanded, write_csv
+from minidual.errors import UsageError
+from minidual.gate.stage import ToolContext, ToolResult, markdown
+from minidual.show.figures.film import film_trial
+from minidual.show.watch import watch_trials
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Trial
+from minidual.trials.answers import answer, medians
+from minidual.trials.benchmark import draw_under
+from minidual.trials.conditions import CLEAN, condition
+from minidual.trials.methods import METHODS, MethodInputs, check_able
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.runner import run_trials
+
+PURPOSE = "try"
+"""Random stream of the starts, used by no stage."""
+_TRIALS = 5
+_TRIALS_MAX = 10_000
+_METHODS = "moveit,impedance"
+
+
+def try_out(context: ToolContext) -> ToolResult:
+    """Run trials; print a table, and for two methods which is better.
+
+    Raises:
+        UsageError: A name or number is wrong, or a method cannot do the task.
+    """
+    options = context.options
+    methods = METHODS.names(tuple(str(options.get("method", _METHODS)).split(",")))
+    name = condition(options.get("condition", CLEAN)).name
+    indices = _indices(options.get("trials", _TRIALS), options.get("first", 0))
+    task = make_task(context.config)
+    checkpoint = _checkpoint(context, methods)
+    inputs = MethodInputs(task.config, context.seed, checkpoint)
+    for method in methods:
+        check_able(method, [task], "")
+        reason = condition(name).why_not(method, inputs.config)
+        if reason:
+            raise UsageError(f"{method} has no trials under '{name}': {reason}")
+    draw = draw_under(inputs, name, PURPOSE)
+    trials = [draw(index) for index in indices]
+    results = _run(context, methods, inputs, name, trials)
+    rows = [trial.to_row() for trial in results]
+    write_csv(context.output / "trials.csv", rows, missing="does not apply")
+    lines = [*markdown([_row(method, results) for method in methods]), ""]
+    lines += _failures(results)
+    answers = _answers(methods, results, context.seed)
+    lines += answers
+    films = _film(context, methods, inputs, name, trials[0]) if options.get("video") else []
+    lines += [str(path) for path in films]
+    data = {
+        "task": task.name,
+        "condition": name,
+        "trials": rows,
+        "answers": answers,
+        "films": [str(path) for path in films],
+    }
+    return ToolResult(lines, ["trials of `try` count for no verdict"], data)
+
+
+def _indices(trials_n: int, first: int) -> range:
+    if not 1 <= trials_n <= _TRIALS_MAX:
+        raise UsageError(f"--trials is {trials_n}; 1 <= value <= {_TRIALS_MAX}")
+    if first < 0:
+        raise UsageError(f"--first is {first}; it must be 0 or more")
+    return range(first, first + trials_n)
+
+
+def _checkpoint(context: ToolContext, methods: Sequence[str]) -> Path | None:
+    """Return the policy of the methods that need one: the named one, or the run's own."""
+    learned = [name for name in methods if METHODS[name].learned]
+    if not learned:
+        return None
+    named = context.options.get("checkpoint")
+    folder = context.run_folder / "train-act" / "checkpoint" if named is None else expanded(named)
+    if (folder / "config.json").is_file():
+        return folder
+    raise UsageError(
+        f"{learned[0]} needs a trained policy, and there is none in {folder}",
+        remedy="name its folder with --checkpoint PATH, or train one: minidual run --until train-act",
+    )
+
+
+def _run(
+    context: ToolContext,
+    methods: Sequence[str],
+    inputs: MethodInputs,
+    name: str,
+    trials: Sequence[Trial],
+) -> list[TrialMetrics]:
+    results: list[TrialMetrics] = []
+    watch = watch_trials(context.view)
+    with context.progress.task("trials", len(methods) * len(trials)) as progress:
+        for method in methods:
+            for result in run_trials(
+                method,
+                inputs,
+                trials,
+                workers=context.workers,
+                condition=name,
+                watch=watch,
+            ):
+                results.append(result)
+                progress.advance(note=f"{method}, start {result.index}")
+    return results
+
+
+def _row(method: str, results: Sequence[TrialMetrics]) -> dict[str, str]:
+    """Return a method's row of the table; medians are over successful trials."""
+    trials = [trial for trial in results if trial.method == method]
+    successes_n = sum(trial.success for trial in trials)
+    return {
+        "method": method,
+        "success": f"{successes_n} of {len(trials)}",
+        "time [s]": _number(medians(trials, "duration_s"), 2),
+        "tilt [deg]": _number(math.degrees(medians(trials, "tilt_max_rad")), 2),
+        "torque [%]": _number(100.0 * medians(trials, "torque_ratio_max"), 0),
+        "jerk [rad/s^3]": _number(medians(trials, "jerk_rms"), 1),
+    }
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _failures(results: Sequence[TrialMetrics]) -> list[str]:
+    """Return a line for each way of failing, with one of its starts."""
+    counts = Counter((trial.method, trial.failure) for trial in results if not trial.success)
+    lines: list[str] = []
+    for (method, failure), count in counts.items():
+        example = next(
+            trial for trial in results if (trial.method, trial.failure) == (method, failure)
+        )
+        lines.append(f"{method}: {count} x {failure}; start {example.index}: {example.text}")
+    return [*lines, ""] if lines else []
+
+
+def _answers(methods: Sequence[str], results: Sequence[TrialMetrics], seed: int) -> list[str]:
+    """Return a sentence for each pair of methods."""
+    sentences: list[str] = []
+    for place, first in enumerate(methods):
+        for second in methods[place + 1 :]:
+            pair = [trial for trial in results if trial.method in (first, second)]
+            sentences.append(answer(pair, seed))
+    return sentences
+
+
+def _film(
+    context: ToolContext,
+    methods: Sequence[str],
+    inputs: MethodInputs,
+    name: str,
+    trial: Trial,
+) -> list[Path]:
+    """Film the first start; return the files' final paths."""
+    paths: list[Path] = []
+    for method in methods:
+        file = f"{inputs.config.task}-{method}.mp4"
+        context.progress.note(f"filming {method}, start {trial.index}")
+        film_trial(method, inputs, trial, context.output / file, condition=name)
+        paths.append(context.folder / file)
+    return paths
