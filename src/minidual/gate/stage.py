@@ -195,5 +195,16 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines + [_markdown_row(map(str, row.values())) for row in rows]
 
 
+def aligned(rows: Sequence[Mapping[str, str]]) -> list[str]:
+    """Return rows of equal keys as a table for a terminal, its columns two spaces apart."""
+    table = [list(rows[0]), *(list(row.values()) for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines: list[str] = []
+    for cells in table:
+        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
+        lines.append("  ".join(padded).rstrip())
+    return lines
+
+
 def _markdown_row(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cells) + " |"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from minidual.durable import expanded, write_csv
 from minidual.errors import UsageError
-from minidual.gate.stage import ToolContext, ToolResult, markdown
+from minidual.gate.stage import ToolContext, ToolResult, aligned
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
 from minidual.tasks.catalogue import make_task
@@ -49,7 +49,7 @@ def try_out(context: ToolContext) -> ToolResult:
     results = _run(context, methods, inputs, name, trials)
     rows = [trial.to_row() for trial in results]
     write_csv(context.output / "trials.csv", rows, missing="does not apply")
-    lines = [*markdown([_row(method, results) for method in methods]), ""]
+    lines = [*aligned([_row(method, results) for method in methods]), ""]
     lines += _failures(results)
     answers = _answers(methods, results, context.seed)
     lines += answers
