@@ -18,7 +18,7 @@ PAGES = sorted(
 )
 WORDS_MAX = 1600
 """Of one page; a page that needs more has two jobs."""
-WORDS_ALL_MAX = 38_500
+WORDS_ALL_MAX = 36_500
 """Of all pages in docs/ together, counted as `wc -w` does. docs/checks.md has a row for each check."""
 CODE = ("src", "scripts", "tests", "examples", "configs", "Makefile", "pyproject.toml")
 """Where a page may be named by its path, such as docs/control.md."""
