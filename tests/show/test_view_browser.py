@@ -165,7 +165,7 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
 ) -> None:
     browser.requests.clear()
     browser.go(address)
-    picture = browser.wait(shows_scene, limit_s=60.0)
+    picture = browser.wait(shows_scene, limit_s=180.0)
     assert shows_scene(picture)
     words = browser.text()
     for text in (

@@ -58,6 +58,10 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up():
     assert "slip" in result.aborted
 
 
+IN_THE_AIR_M = 0.02
+"""Height of a frame that is no longer near the table."""
+
+
 @pytest.mark.parametrize(
     ("task", "purpose", "index", "name"),
     [
@@ -69,14 +73,18 @@ def test_a_grip_that_slips_at_any_squeeze_is_given_up():
     ],
 )
 def test_a_firm_grip_never_loses_contact(task, purpose, index, name):
-    """Stiffer contacts let a pad lose what it pinches with 60 N, for single steps."""
+    """Stiffer contacts let a pad lose what it pinches with 60 N, for single steps.
+
+    In the air: where the object lands, the table pushes it for an instant.
+    """
     config = Config(task=task)
     bench = Bench("impedance", MethodInputs(config, config.seed), name)
     pinch = []
 
     def watch(world, driven):
-        if driven.phase == "carry":
-            pinch.append(min(world.truth(bench.task.carried).look()[12:14]))
+        look = world.truth(bench.task.carried).look()
+        if driven.phase == "carry" and look[2] > IN_THE_AIR_M:
+            pinch.append(min(look[12:14]))
 
     result, _ = bench.run(bench.task.trial(config.seed, purpose, index), on_step=watch)
     assert not result.aborted, result.text  # the drawn camera may cost the last millimetre

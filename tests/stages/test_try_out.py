@@ -63,8 +63,7 @@ def test_starts_are_those_of_no_stage() -> None:
         ({"first": -1}, "--first is -1"),
         ({"method": "moveit,x"}, "no method 'x'"),
         ({"condition": "windy"}, "no condition 'windy'"),
-        ({"method": "act"}, "act needs a trained policy"),
-        ({"method": "act", "checkpoint": "nowhere"}, "act needs a trained policy"),
+        ({"method": "act", "checkpoint": "nowhere"}, "there is no policy"),
     ],
 )
 def test_a_wrong_option_is_refused_before_the_first_trial(
@@ -76,25 +75,38 @@ def test_a_wrong_option_is_refused_before_the_first_trial(
         try_out(context(tmp_path, **options))
 
 
+def test_a_method_that_needs_a_policy_says_where_one_comes_from(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="act needs a policy that is trained on 'sort'") as refused:
+        try_out(context(tmp_path, "sort", method="act"))
+    assert "--checkpoint" in str(refused.value.remedy)
+
+
 def test_a_method_that_cannot_do_the_task_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="impedance_open"):
         try_out(context(tmp_path, "insertion", method="impedance_open"))
 
 
-def test_the_first_start_of_each_method_is_filmed(
+def test_the_first_start_of_all_methods_is_filmed_side_by_side(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    filmed: list[tuple[str, int, str, str]] = []
+    taken: list[tuple[str, int, str]] = []
+    filmed: list[tuple[int, str]] = []
 
-    def film(method: str, inputs: Any, trial: Any, path: Path, *, condition: str) -> None:
-        filmed.append((method, trial.index, condition, path.name))
+    def take(method: str, inputs: Any, trial: Any, *, condition: str) -> str:
+        taken.append((method, trial.index, condition))
+        return method
 
-    monkeypatch.setattr("minidual.stages.try_out.film_trial", film)
+    def film(takes: list[str], path: Path) -> None:
+        filmed.append((len(takes), path.name))
+
+    monkeypatch.setattr("minidual.stages.try_out.take", take)
+    monkeypatch.setattr("minidual.stages.try_out.film_takes", film)
     tool = context(tmp_path, method="hold", trials=2, condition="mass +50 %", video=True)
     result = try_out(tool)
-    assert filmed == [("hold", 0, "mass +50 %", "rod_carry-hold.mp4")]
-    assert result.lines[-1] == str(tool.folder / "rod_carry-hold.mp4")
+    assert taken == [("hold", 0, "mass +50 %")]
+    assert filmed == [(1, "rod_carry.mp4")]
+    assert result.lines[-1] == str(tool.folder / "rod_carry.mp4")
 
 
 def test_columns_of_a_terminal_are_aligned() -> None:

@@ -10,28 +10,14 @@ import pytest
 from minidual.trials.answers import answer, medians, trials_needed
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.statistics import mcnemar_p_value
+from tests.support.trial_results import BAD, result
 
 
 def trial(method: str, index: int, duration_s: float | None) -> TrialMetrics:
     """Return a trial; it failed if it has no duration."""
-    success = duration_s is not None
-    return TrialMetrics(
-        method=method,
-        index=index,
-        condition="clean",
-        success=success,
-        failure="" if success else "held",
-        reason="" if success else "the rod fell",
-        failed_at_s=math.nan if success else 2.0,
-        duration_s=math.nan if duration_s is None else duration_s,
-        torque_ratio_max=0.5,
-        jerk_rms=50.0,
-        tilt_max_rad=0.01,
-        path_length_m=1.0,
-        internal_force_min_n=30.0,
-        pinch_force_min_n=50.0,
-        goal_error_m=0.001,
-    )
+    if duration_s is None:
+        return result(index, method=method, **BAD)
+    return result(index, method=method, duration_s=duration_s)
 
 
 def series(method: str, durations_s: list[float | None]) -> list[TrialMetrics]:

@@ -11,7 +11,7 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.architectures import architecture
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
-from minidual.stages.deploy import recorded_task
+from minidual.stages.checkpoint_choice import recorded_task
 from minidual.tasks.catalogue import tasks_of
 from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN

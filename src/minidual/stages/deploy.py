@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
@@ -15,7 +14,6 @@ from minidual.demos.rig import PURPOSE as TRAINING
 from minidual.durable import write_csv
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, StageResult
-from minidual.gate.verdict import CONFIG_FILE
 from minidual.plant.render import Camera, Image
 from minidual.policies.occlusion import occlusion, on_object
 from minidual.policies.pilot import load_runtime
@@ -24,6 +22,7 @@ from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
+from minidual.stages.checkpoint_choice import recorded_task
 from minidual.stages.deploy_checks import (
     GOAL_ERROR_MEDIAN,
     HELD_OUT_SET,
@@ -90,11 +89,6 @@ def deploy_starts(config: Config, seed: int, demonstrated: Sequence[int]) -> Sta
 
 def _poses(trial: Trial) -> list[object]:
     return [np.asarray(pose).tolist() for pose in (*trial.start.values(), *trial.goal.values())]
-
-
-def recorded_task(recorded: Path) -> str:
-    """Return the task of a recording: what policies are trained on."""
-    return yaml.safe_load((recorded / CONFIG_FILE).read_text("utf-8"))["task"]
 
 
 def run(context: StageContext) -> StageResult:

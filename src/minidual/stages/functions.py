@@ -104,6 +104,13 @@ def plan_task() -> ToolFunction:
 
 
 @Deferred
+def demo() -> ToolFunction:
+    from minidual.stages.demo import demo
+
+    return demo
+
+
+@Deferred
 def try_out() -> ToolFunction:
     from minidual.stages.try_out import try_out
 

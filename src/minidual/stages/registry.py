@@ -161,6 +161,13 @@ STAGES = StageTable(
 )
 TOOLS = (
     ToolEntry(
+        "demo",
+        functions.demo,
+        watchable=True,
+        moves=True,
+        settings={"task": "task"},
+    ),
+    ToolEntry(
         "try",
         functions.try_out,
         watchable=True,

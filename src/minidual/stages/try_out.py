@@ -5,11 +5,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from minidual.durable import expanded, write_csv
+from minidual.durable import write_csv
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult, aligned
-from minidual.show.figures.film import film_trial
+from minidual.show.figures.side_by_side import Take, film_takes, take
 from minidual.show.watch import watch_trials
+from minidual.stages.checkpoint_choice import chosen_checkpoint
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial
 from minidual.trials.answers import answer, medians
@@ -37,7 +38,7 @@ def try_out(context: ToolContext) -> ToolResult:
     name = condition(options.get("condition", CLEAN)).name
     indices = _indices(options.get("trials", _TRIALS), options.get("first", 0))
     task = make_task(context.config)
-    checkpoint = _checkpoint(context, methods)
+    checkpoint = _checkpoint(context, methods, task.name)
     inputs = MethodInputs(task.config, context.seed, checkpoint)
     for method in methods:
         check_able(method, [task], "")
@@ -53,14 +54,16 @@ def try_out(context: ToolContext) -> ToolResult:
     lines += _failures(results)
     answers = _answers(methods, results, context.seed)
     lines += answers
-    films = _film(context, methods, inputs, name, trials[0]) if options.get("video") else []
-    lines += [str(path) for path in films]
+    film = ""
+    if options.get("video"):
+        film = str(_film(context, methods, inputs, name, trials[0]))
+        lines += ["", film]
     data = {
         "task": task.name,
         "condition": name,
         "trials": rows,
         "answers": answers,
-        "films": [str(path) for path in films],
+        "film": film,
     }
     return ToolResult(lines, ["trials of `try` count for no verdict"], data)
 
@@ -73,17 +76,16 @@ def _indices(trials_n: int, first: int) -> range:
     return range(first, first + trials_n)
 
 
-def _checkpoint(context: ToolContext, methods: Sequence[str]) -> Path | None:
-    """Return the policy of the methods that need one: the named one, or the run's own."""
+def _checkpoint(context: ToolContext, methods: Sequence[str], task: str) -> Path | None:
+    """Return the policy of the methods that need one."""
     learned = [name for name in methods if METHODS[name].learned]
     if not learned:
         return None
-    named = context.options.get("checkpoint")
-    folder = context.run_folder / "train-act" / "checkpoint" if named is None else expanded(named)
-    if (folder / "config.json").is_file():
-        return folder
+    checkpoint = chosen_checkpoint(context, task)
+    if checkpoint is not None:
+        return checkpoint
     raise UsageError(
-        f"{learned[0]} needs a trained policy, and there is none in {folder}",
+        f"{learned[0]} needs a policy that is trained on '{task}', and there is none",
         remedy="name its folder with --checkpoint PATH, or train one: minidual run --until train-act",
     )
 
@@ -158,12 +160,12 @@ def _film(
     inputs: MethodInputs,
     name: str,
     trial: Trial,
-) -> list[Path]:
-    """Film the first start; return the files' final paths."""
-    paths: list[Path] = []
+) -> Path:
+    """Film the first start of all methods side by side; return the film's final path."""
+    takes: list[Take] = []
     for method in methods:
-        file = f"{inputs.config.task}-{method}.mp4"
         context.progress.note(f"filming {method}, start {trial.index}")
-        film_trial(method, inputs, trial, context.output / file, condition=name)
-        paths.append(context.folder / file)
-    return paths
+        takes.append(take(method, inputs, trial, condition=name))
+    file = f"{inputs.config.task}.mp4"
+    film_takes(takes, context.output / file)
+    return context.folder / file

@@ -7,6 +7,7 @@ its row (`minidual.cli.rows`).
 from minidual.cli.commands.benchmark import benchmark
 from minidual.cli.commands.carry import carry
 from minidual.cli.commands.config_show import config_show
+from minidual.cli.commands.demo import demo
 from minidual.cli.commands.deploy import deploy
 from minidual.cli.commands.doctor import doctor
 from minidual.cli.commands.env_check import env_check
@@ -42,6 +43,7 @@ RUN_COMMANDS: dict[str, Command] = {
 }
 CONFIG_COMMANDS: dict[str, Command] = {"show": config_show}
 TOOL_COMMANDS: dict[str, Command] = {
+    "demo": demo,
     "try": try_out,
     "doctor": doctor,
     "view": view,

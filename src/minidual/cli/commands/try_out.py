@@ -38,7 +38,7 @@ def try_out(
     ] = None,
     video: Annotated[
         bool | None,
-        typer.Option("--video", help="Film the first start of each method."),
+        typer.Option("--video", help="Film the first start, all methods side by side."),
     ] = None,
     view_options: ViewOptions,
     session: Session,

@@ -13,7 +13,6 @@ from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.show.figures.canvas import sheet
 from minidual.tasks.task import Trial
-from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench
@@ -28,16 +27,9 @@ after the trial its condition is undone."""
 _SHEET_COLUMNS_MAX = 4
 
 
-def film_trial(
-    method: str,
-    inputs: MethodInputs,
-    trial: Trial,
-    path: Path,
-    *,
-    condition: str = CLEAN,
-) -> TrialMetrics:
+def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialMetrics:
     """Film a new run of `trial`; return that run's result."""
-    bench = Bench(method, inputs, condition, visuals=True)
+    bench = Bench(method, inputs, visuals=True)
     postures = Postures(1.0 / FILM_FPS)
 
     def sample(world: World, _method: object) -> None:

@@ -1,0 +1,104 @@
+"""`minidual demo`: planner, force control and a trained policy on the same start."""
+
+import math
+
+from minidual.gate.stage import ToolContext, ToolResult
+from minidual.show.figures.side_by_side import Take, film_takes, take
+from minidual.show.watch import watch_trials
+from minidual.stages.checkpoint_choice import chosen_checkpoint
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Task, Trial
+from minidual.trials.benchmark import draw_under
+from minidual.trials.conditions import CLEAN
+from minidual.trials.methods import METHODS, MethodInputs
+from minidual.trials.metrics import TrialMetrics
+from minidual.trials.runner import run_trials
+
+PURPOSE = "demo"
+"""Random stream of the starts, used by no stage."""
+_METHODS = ("moveit", "impedance", "act")
+_SUMMARIES = {
+    "moveit": "a plan that is proven free of collisions, driven by position",
+    "impedance": "both hands squeeze the object by force and feel it",
+    "act": "a policy that learnt from demonstrations and sees camera pictures",
+}
+
+
+def demo(context: ToolContext) -> ToolResult:
+    """Run one start by each method; film them side by side, or show them in turn in the view.
+
+    Raises:
+        UsageError: The task is unknown, or the named policy is not there.
+    """
+    task = make_task(context.config)
+    checkpoint = chosen_checkpoint(context, task.name)
+    methods = [name for name in _METHODS if name != "act" or checkpoint is not None]
+    methods = [name for name in methods if not METHODS[name].cannot(task, "")]
+    inputs = MethodInputs(task.config, context.seed, checkpoint)
+    trial = draw_under(inputs, CLEAN, PURPOSE)(int(context.options.get("start", 0)))
+    notes = [f"{name}: {_SUMMARIES[name]}" for name in methods]
+    if checkpoint is None:
+        notes.append(f"no policy comes with the package for {task.name}; two methods are shown")
+    film = ""
+    if context.view is None:
+        takes = _takes(context, methods, inputs, trial)
+        results = [each.result for each in takes]
+        name = f"{task.name}.mp4"
+        context.progress.note("drawing the film")
+        film_takes(takes, context.output / name)
+        film = str(context.folder / name)
+    else:
+        results = _shown(context, methods, inputs, trial)
+    lines = [_line(result) for result in results]
+    lines += ["", film] if film else []
+    lines += ["", *_next_commands(context, task)]
+    data = {
+        "task": task.name,
+        "start": trial.index,
+        "results": [result.to_row() for result in results],
+        "film": film,
+    }
+    return ToolResult(lines, notes, data)
+
+
+def _takes(
+    context: ToolContext,
+    methods: list[str],
+    inputs: MethodInputs,
+    trial: Trial,
+) -> list[Take]:
+    takes: list[Take] = []
+    with context.progress.task("trials", len(methods)) as progress:
+        for method in methods:
+            takes.append(take(method, inputs, trial))
+            progress.advance(note=method)
+    return takes
+
+
+def _shown(
+    context: ToolContext,
+    methods: list[str],
+    inputs: MethodInputs,
+    trial: Trial,
+) -> list[TrialMetrics]:
+    """Run the methods in turn, in the view."""
+    watch = watch_trials(context.view)
+    results: list[TrialMetrics] = []
+    for method in methods:
+        results += run_trials(method, inputs, [trial], workers=1, condition=CLEAN, watch=watch)
+    return results
+
+
+def _line(result: TrialMetrics) -> str:
+    if result.success:
+        tilt_deg = math.degrees(result.tilt_max_rad)
+        return f"{result.method}: success in {result.duration_s:.2f} s, tilt {tilt_deg:.2f} deg"
+    return f"{result.method}: {result.text}"
+
+
+def _next_commands(context: ToolContext, task: Task) -> list[str]:
+    return [
+        "Next:",
+        f"  {context.command(f'try {task.name} --trials 10')}    compare the methods",
+        f"  {context.command(f'demo --task {task.name} --view web')}    watch them in a browser",
+    ]

@@ -1,0 +1,97 @@
+"""`minidual demo` shows the methods that can do a task on one start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from minidual.config.root import Config, changed
+from minidual.errors import UsageError
+from minidual.gate.stage import ToolContext
+from minidual.stages import demo as demo_module
+from minidual.stages.checkpoint_choice import chosen_checkpoint
+from minidual.stages.demo import demo
+from minidual.trials.metrics import TrialMetrics
+from tests.support import trial_results
+
+
+class FakeTake(NamedTuple):
+    """A take that was not run."""
+
+    result: TrialMetrics
+
+
+def context(tmp_path: Path, task: str, **options: Any) -> ToolContext:
+    config = changed(Config(), {"task": task})
+    return ToolContext(
+        config=config,
+        seed=config.seed,
+        profile="standard",
+        options=options,
+        run_folder=tmp_path / "run",
+        name="demo",
+    )
+
+
+@pytest.fixture
+def films(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the films that were asked for; no trial runs."""
+    names: list[str] = []
+
+    def film(takes: list[FakeTake], path: Path) -> None:
+        names.append(path.name)
+
+    def fake_take(method: str, inputs: Any, trial: Any) -> FakeTake:
+        return FakeTake(trial_results.result(trial.index, method=method))
+
+    monkeypatch.setattr(demo_module, "take", fake_take)
+    monkeypatch.setattr(demo_module, "film_takes", film)
+    monkeypatch.setattr(
+        "minidual.stages.checkpoint_choice.shipped_policy",
+        lambda task: tmp_policy if task == "rod_carry" else None,
+    )
+    return names
+
+
+tmp_policy = Path("policy")
+
+
+def test_all_methods_are_shown_where_there_is_a_policy(tmp_path: Path, films: list[str]) -> None:
+    result = demo(context(tmp_path, "rod_carry", start=7))
+    assert [row["method"] for row in result.data["results"]] == ["moveit", "impedance", "act"]
+    assert {row["index"] for row in result.data["results"]} == {7}
+    assert films == ["rod_carry.mp4"]
+    assert str(tmp_path / "run" / "demo" / "rod_carry.mp4") in result.lines
+    assert any("minidual try rod_carry" in line for line in result.lines)
+
+
+def test_where_no_policy_comes_with_the_package_it_says_so(
+    tmp_path: Path,
+    films: list[str],
+) -> None:
+    result = demo(context(tmp_path, "sort"))
+    assert [row["method"] for row in result.data["results"]] == ["moveit", "impedance"]
+    assert any("no policy comes with the package for sort" in note for note in result.notes)
+
+
+def test_a_named_policy_comes_first_then_that_of_the_run_if_it_is_of_the_task(
+    tmp_path: Path,
+    films: list[str],
+) -> None:
+    named = tmp_path / "named"
+    own = tmp_path / "run" / "train-act" / "checkpoint"
+    recorded = tmp_path / "run" / "teleop-record"
+    for folder in (named, own, recorded):
+        folder.mkdir(parents=True)
+    for folder in (named, own):
+        (folder / "config.json").write_text("{}")
+    (recorded / "config.yaml").write_text("task: pot_lift\n")
+    chosen = chosen_checkpoint(context(tmp_path, "pot_lift", checkpoint=str(named)), "pot_lift")
+    assert chosen == named
+    assert chosen_checkpoint(context(tmp_path, "pot_lift"), "pot_lift") == own
+    assert chosen_checkpoint(context(tmp_path, "rod_carry"), "rod_carry") == tmp_policy
+    assert chosen_checkpoint(context(tmp_path, "sort"), "sort") is None
+    with pytest.raises(UsageError, match="there is no policy"):
+        chosen_checkpoint(context(tmp_path, "sort", checkpoint=str(recorded)), "sort")
