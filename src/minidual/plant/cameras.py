@@ -27,8 +27,7 @@ def add_cameras(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     """Add `high`, `overview` and one camera a hand."""
     R_high = _facing(_HIGH_AT, _HIGH_TARGET)
     _add_camera(spec, "high", _HIGH_AT, R_high, _high_fovy_deg(scene, R_high))
-    R_overview = _facing(_OVERVIEW_AT, _OVERVIEW_TARGET)
-    _add_camera(spec, "overview", _OVERVIEW_AT, R_overview, _OVERVIEW_FOVY_DEG)
+    add_camera(spec, "overview", _OVERVIEW_AT, _OVERVIEW_TARGET, _OVERVIEW_FOVY_DEG)
     # The tilt about y, then a quarter turn about z.
     cos = np.cos(robot.hand.camera_tilt_rad / 2)
     sin = np.sin(robot.hand.camera_tilt_rad / 2)
@@ -41,6 +40,17 @@ def add_cameras(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
             quat=quat,
             fovy=_HAND_FOVY_DEG,
         )
+
+
+def add_camera(
+    spec: mujoco.MjSpec,
+    name: str,
+    at: Position,
+    target: Position,
+    fovy_deg: float,
+) -> None:
+    """Add an upright camera at a place [m] that faces another one."""
+    _add_camera(spec, name, at, _facing(at, target), fovy_deg)
 
 
 def _add_camera(spec: mujoco.MjSpec, name: str, at: Position, R: Array, fovy_deg: float) -> None:

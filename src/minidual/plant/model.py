@@ -20,7 +20,7 @@ from minidual.plant.contact import (
 from minidual.plant.surroundings import add_surroundings
 from minidual.robot.description import mujoco_urdf, never_touching
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
-from minidual.robot.visuals import arm_visuals
+from minidual.robot.visuals import FACES_PER_ARM, arm_visuals
 
 _BAND_M = 0.0006
 """Thickness of the coloured bands at the grasps."""
@@ -36,6 +36,7 @@ def build_spec(
     robot: Robot = DUAL_PANDA,
     *,
     visuals: bool = True,
+    faces_per_arm: int = FACES_PER_ARM,
 ) -> mujoco.MjSpec:
     """Return the editable model; it compiles faster without `visuals`."""
     spec = mujoco.MjSpec.from_string(mujoco_urdf(robot))
@@ -48,7 +49,7 @@ def build_spec(
     _set_joints(spec, robot)
     _set_arm_geoms(spec, scene, robot)
     if visuals:
-        _add_arm_visuals(spec, robot)
+        _add_arm_visuals(spec, robot, faces_per_arm)
     add_surroundings(spec, scene, robot)
     _add_objects(spec, scene)
     _add_actuators(spec, scene, robot)
@@ -99,8 +100,8 @@ def _set_arm_geoms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
             spec.add_exclude(bodyname1=f"{side}_{first}", bodyname2=f"{side}_{second}")
 
 
-def _add_arm_visuals(spec: mujoco.MjSpec, robot: Robot) -> None:
-    for index, visual in enumerate(arm_visuals(robot.arm)):
+def _add_arm_visuals(spec: mujoco.MjSpec, robot: Robot, faces_per_arm: int) -> None:
+    for index, visual in enumerate(arm_visuals(robot.arm, faces_per_arm)):
         name = f"visual{index}_{visual.link}"
         spec.add_mesh(
             name=name,

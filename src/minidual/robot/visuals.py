@@ -56,11 +56,11 @@ class _Part:
 
 
 @functools.cache
-def arm_visuals(arm: ArmModel) -> tuple[VisualMesh, ...]:
+def arm_visuals(arm: ArmModel, faces_per_arm: int = FACES_PER_ARM) -> tuple[VisualMesh, ...]:
     """Return the meshes of one arm; the first call takes about 1 s."""
     parts = _parts_of(arm)
     faces_n = sum(len(part.faces) for part in parts)
-    reduction = max(0.0, 1.0 - FACES_PER_ARM / faces_n)
+    reduction = max(0.0, 1.0 - faces_per_arm / faces_n)
     visuals: list[VisualMesh] = []
     for _, parts_of_link in itertools.groupby(parts, key=lambda part: part.link):
         visuals += _decimated(list(parts_of_link), reduction)

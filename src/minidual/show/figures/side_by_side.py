@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.show.figures.film import FILM_FPS
+from minidual.show.figures.film_model import CAMERA, film_model, paint_as
 from minidual.tasks.task import Trial
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import Method, MethodInputs
@@ -95,9 +97,16 @@ def take(
 ) -> Take:
     """Run a trial and keep what a film shows of it."""
     bench = Bench(method, inputs, condition, visuals=True)
+    model = copy(film_model(bench.world.scene, bench.world.robot))
     sampler = _Sampler()
-    result, _ = bench.run(trial, on_step=sampler)
-    return Take(method, bench.world.model, sampler.moments, result)
+
+    def watch(world: World, running: Method) -> None:
+        if not sampler.moments:  # the condition has changed its model by now
+            paint_as(model, world.model)
+        sampler(world, running)
+
+    result, _ = bench.run(trial, on_step=watch)
+    return Take(method, model, sampler.moments, result)
 
 
 def film_takes(takes: Sequence[Take], path: Path) -> int:
@@ -120,7 +129,7 @@ def _frames(takes: Sequence[Take]) -> Iterator[Image]:
             for each, camera, data in zip(takes, cameras, scenes, strict=True):
                 data.qpos[:] = each.at(time_s).qpos
                 mujoco.mj_forward(each.model, data)
-                picture = camera.picture(data, "overview")
+                picture = camera.picture(data, CAMERA)
                 panes.append(captioned(picture, each, time_s))
             yield np.concatenate(panes, axis=1)
 
