@@ -122,7 +122,12 @@ def touching(geoms: Array, body_of: Array, a: int, b: int) -> bool:
         types.Array(types.int32, 2, "A"), types.int32[::1], types.boolean[::1], types.int64
     )
 )
-def touching_any(geoms: Array, body_of: Array, members: Array, body: int) -> bool:
+def touching_any(
+    geoms: npt.NDArray[np.int32],
+    body_of: npt.NDArray[np.int32],
+    members: npt.NDArray[np.bool_],
+    body: int,
+) -> bool:
     """Return whether contacts, pairs of geoms (k, 2), join a body with one of the members (nbody,)."""
     for pair in geoms:
         first = body_of[pair[0]]

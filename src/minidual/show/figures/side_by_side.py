@@ -97,13 +97,14 @@ def take(
 ) -> Take:
     """Run a trial and keep what a film shows of it."""
     bench = Bench(method, inputs, condition, visuals=True)
-    model = copy(film_model(bench.world.scene, bench.world.robot))
+    world = bench.world
+    model = copy(film_model(world.scene, world.robot))  # type: ignore[arg-type]  # frozen: hashable
     sampler = _Sampler()
 
-    def watch(world: World, running: Method) -> None:
+    def watch(shown: World, running: Method) -> None:
         if not sampler.moments:  # the condition has changed its model by now
-            paint_as(model, world.model)
-        sampler(world, running)
+            paint_as(model, shown.model)
+        sampler(shown, running)
 
     result, _ = bench.run(trial, on_step=watch)
     return Take(method, model, sampler.moments, result)
