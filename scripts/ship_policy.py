@@ -13,7 +13,10 @@ import yaml
 from minidual.config.loader import load_config
 from minidual.config.root import changed
 from minidual.durable import read_json, remove, write_text
+from minidual.errors import UsageError
+from minidual.policies.act import ActKind
 from minidual.policies.halved import halve
+from minidual.policies.kinds import POLICIES
 from minidual.policies.shipped import BYTES_MAX, FOLDER, RECORD
 from minidual.tasks.catalogue import make_task
 from minidual.trials.benchmark import draw_under
@@ -40,24 +43,37 @@ def main() -> None:
     folder = FOLDER / task
     remove(folder)
     halve(run / "train-act" / "checkpoint", folder)
-    measured = {name: measure(task, folder, name, arguments.trials) for name in CONDITIONS}
     training = read_json(run / "train-act" / "train.json")
-    record = {
+    record: dict[str, object] = {
         "task": task,
         "made_by": "python -m scripts.ship_policy RUN",
-        "commit": git_commit(),
-        "network": training["architecture"],
+        "measured_at": git_commit(),
+        "training": read_json(run / "train-act" / "verdict.json")["digest"],
+        "network": network_of(folder),
         "parameters": training["parameters"],
         "training_steps": training["steps"],
         "episodes": len(training["training_episodes"]) + len(training["validation_episodes"]),
-        "success": measured,
     }
+    record["success"] = {name: measure(task, folder, name, arguments.trials) for name in CONDITIONS}
     write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
     size = sum(path.stat().st_size for path in folder.iterdir())
     print(json.dumps(record, indent=2))
     print(f"{folder}: {size} bytes; at most {BYTES_MAX}")
     if size > BYTES_MAX:
         raise SystemExit(1)
+
+
+def network_of(checkpoint: Path) -> str:
+    """Return the name of a checkpoint's network.
+
+    Raises:
+        UsageError: The policy is of a kind that is not shipped.
+    """
+    name = read_json(checkpoint / "config.json")["type"]
+    kind = POLICIES[name]
+    if not isinstance(kind, ActKind):
+        raise UsageError(f"a policy of the kind '{name}' is not shipped")
+    return kind.architecture(kind.read(checkpoint).policy.config).name
 
 
 def measure(task_name: str, checkpoint: Path, condition: str, trials_n: int) -> dict[str, object]:
