@@ -33,7 +33,9 @@ def test_each_names_its_task_its_making_and_its_success() -> None:
         assert name in TASKS
         record = record_of(folder)
         assert record["task"] == name
-        assert {"made_by", "measured_at", "training", "network", "parameters", "success"} <= set(record)
+        assert {"made_by", "measured_at", "training", "network", "parameters", "success"} <= set(
+            record
+        )
         clean = record["success"]["clean"]
         assert 0 < clean["successes"] <= clean["trials"]
         assert sum(path.stat().st_size for path in folder.iterdir()) <= BYTES_MAX
