@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from minidual.config.root import Config
-from minidual.show.figures.side_by_side import PANE_SIZE, Take, captioned, film_takes, take
+from minidual.show.figures.side_by_side import FPS, PANE_SIZE, Take, captioned, film_takes, take
 from minidual.tasks.catalogue import make_task
 from minidual.trials.methods import MethodInputs
 from tests.support.late import late
@@ -27,10 +27,10 @@ def shown() -> Take:
 
 def test_a_take_has_a_moment_for_each_frame(shown: Take) -> None:
     times_s = [moment.time_s for moment in shown.moments]
-    np.testing.assert_allclose(np.diff(times_s), 1.0 / 25.0, atol=2e-3)
-    assert shown.at(0.4) is shown.moments[10]
+    np.testing.assert_allclose(np.diff(times_s), 1.0 / FPS, atol=2e-3)
+    assert shown.at(10 / FPS) is shown.moments[10]
     assert shown.at(99.0) is shown.moments[-1]
-    assert shown.end_s == pytest.approx(19 / 25)
+    assert shown.end_s == pytest.approx(19 / FPS)
 
 
 def test_the_bar_tells_running_success_and_failure_apart(shown: Take) -> None:
@@ -50,7 +50,7 @@ def test_panes_stand_side_by_side_until_the_longest_has_ended(
     short = replace(shown, moments=shown.moments[:5])
     path = tmp_path / "film.mp4"
     frames_n = film_takes([shown, short], path)
-    assert frames_n == 19 + 50
+    assert frames_n == 19 + 2 * FPS
     with av.open(path) as film:
         (stream,) = film.streams.video
         assert stream.codec_context.width == 2 * PANE_SIZE[0]

@@ -15,7 +15,6 @@ from PIL import ImageDraw, ImageFont
 from minidual.plant.render import Camera, Image, write_video
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.show.figures.film import FILM_FPS
 from minidual.show.figures.film_model import CAMERA, film_model, paint_as
 from minidual.tasks.task import Trial
 from minidual.trials.conditions import CLEAN
@@ -23,6 +22,8 @@ from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench
 
+FPS = 12
+"""Drawn in software, each frame of three methods takes 0.2 s."""
 PANE_SIZE = (480, 360)
 _BAR_PX = 66
 _LAST_S = 2.0
@@ -54,7 +55,7 @@ class Take:
     Attributes:
         title: Name of the method.
         model: With visuals.
-        moments: At FILM_FPS of simulated time, the first at its begin.
+        moments: At FPS of simulated time, the first at its begin.
         result: Of the trial.
     """
 
@@ -65,13 +66,13 @@ class Take:
 
     def at(self, time_s: float) -> Moment:
         """Return the moment at a time, or the last one."""
-        index = min(round(time_s * FILM_FPS), len(self.moments) - 1)
+        index = min(round(time_s * FPS), len(self.moments) - 1)
         return self.moments[index]
 
     @property
     def end_s(self) -> float:
         """Time of the last moment."""
-        return (len(self.moments) - 1) / FILM_FPS
+        return (len(self.moments) - 1) / FPS
 
 
 class _Sampler:
@@ -81,7 +82,7 @@ class _Sampler:
         self.moments: list[Moment] = []
 
     def __call__(self, world: World, method: Method) -> None:
-        if world.time < len(self.moments) / FILM_FPS - 1e-9:
+        if world.time < len(self.moments) / FPS - 1e-9:
             return
         pinches_n = [float(world.truth(name).pinch().max()) for name in world.objects]
         moment = Moment(world.time, world.data.qpos.copy(), method.phase, max(pinches_n))
@@ -112,12 +113,12 @@ def take(
 
 def film_takes(takes: Sequence[Take], path: Path) -> int:
     """Write an mp4 of takes side by side; return the number of frames."""
-    return write_video(path, _frames(takes), fps=FILM_FPS)
+    return write_video(path, _frames(takes), fps=FPS)
 
 
 def _frames(takes: Sequence[Take]) -> Iterator[Image]:
     longest_s = max(each.end_s for each in takes)
-    frames_n = round((longest_s + _LAST_S) * FILM_FPS)
+    frames_n = round((longest_s + _LAST_S) * FPS)
     with ExitStack() as open_cameras:
         cameras = [
             open_cameras.enter_context(Camera(each.model, *PANE_SIZE, shadows=True))
@@ -125,7 +126,7 @@ def _frames(takes: Sequence[Take]) -> Iterator[Image]:
         ]
         scenes = [mujoco.MjData(each.model) for each in takes]
         for frame in range(frames_n):
-            time_s = frame / FILM_FPS
+            time_s = frame / FPS
             panes: list[Image] = []
             for each, camera, data in zip(takes, cameras, scenes, strict=True):
                 data.qpos[:] = each.at(time_s).qpos
