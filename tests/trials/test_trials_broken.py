@@ -183,5 +183,6 @@ def test_trials_of_object_impedance_must_squeeze_and_others_need_not(
     assert judges[0].failures == {}
     x, y, yaw = trial.start["rod"]
     put_at(world, "rod", pose(rot_z(yaw), (x, y, 0.1)))  # in the air, and no hand squeezes it
+    judges[0].disturbed()
     judges[0].observe(world)
     assert set(judges[0].failures) == faults

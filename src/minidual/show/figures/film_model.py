@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from minidual.config.scene import SceneConfig
+from minidual.config.seeds import stream
 from minidual.plant.cameras import add_camera
 from minidual.plant.model import build_spec
 from minidual.robot.pair import DUAL_PANDA, Robot
@@ -114,7 +115,7 @@ def _cover(
 
 def wood(size_px: int) -> npt.NDArray[np.uint8]:
     """Return a picture (size, size, 3) of planks, the same each time."""
-    rng = np.random.default_rng(3)
+    rng = stream(0, "wood")
     x = np.linspace(0.0, 1.0, size_px, endpoint=False)[None, :]
     y = np.linspace(0.0, 1.0, size_px, endpoint=False)[:, None]
     plank = np.floor(y * _PLANKS).astype(int)
