@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from minidual.config.root import Config, changed
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext
 from minidual.stages import demo as demo_module
@@ -15,6 +14,7 @@ from minidual.stages.checkpoint_choice import chosen_checkpoint
 from minidual.stages.demo import demo
 from minidual.trials.metrics import TrialMetrics
 from tests.support import trial_results
+from tests.support.tool_contexts import tool_context
 
 
 class FakeTake(NamedTuple):
@@ -24,15 +24,7 @@ class FakeTake(NamedTuple):
 
 
 def context(tmp_path: Path, task: str, **options: Any) -> ToolContext:
-    config = changed(Config(), {"task": task})
-    return ToolContext(
-        config=config,
-        seed=config.seed,
-        profile="standard",
-        options=options,
-        run_folder=tmp_path / "run",
-        name="demo",
-    )
+    return tool_context(tmp_path, "demo", task, **options)
 
 
 @pytest.fixture
@@ -95,3 +87,8 @@ def test_a_named_policy_comes_first_then_that_of_the_run_if_it_is_of_the_task(
     assert chosen_checkpoint(context(tmp_path, "sort"), "sort") is None
     with pytest.raises(UsageError, match="there is no policy"):
         chosen_checkpoint(context(tmp_path, "sort", checkpoint=str(recorded)), "sort")
+
+
+def test_a_start_below_zero_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--start is -3; it must be 0 or more"):
+        demo(context(tmp_path, "rod_carry", start=-3))

@@ -8,23 +8,16 @@ from typing import Any
 
 import pytest
 
-from minidual.config.root import Config, changed
+from minidual.config.root import Config
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, aligned
 from minidual.stages.try_out import try_out
 from minidual.tasks.catalogue import make_task
+from tests.support.tool_contexts import tool_context
 
 
 def context(tmp_path: Path, task: str = "rod_carry", **options: Any) -> ToolContext:
-    config = changed(Config(), {"task": task})
-    return ToolContext(
-        config=config,
-        seed=config.seed,
-        profile="standard",
-        options=options,
-        run_folder=tmp_path / "run",
-        name="try",
-    )
+    return tool_context(tmp_path, "try", task, **options)
 
 
 def test_two_methods_get_a_table_a_file_and_a_sentence(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import math
 
+from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.show.figures.side_by_side import Take, film_takes, take
 from minidual.show.watch import watch_trials
@@ -28,14 +29,17 @@ def demo(context: ToolContext) -> ToolResult:
     """Run one start by each method; film them side by side, or show them in turn in the view.
 
     Raises:
-        UsageError: The task is unknown, or the named policy is not there.
+        UsageError: The task is unknown, the named policy is not there, or the start is below 0.
     """
+    start = int(context.options.get("start", 0))
+    if start < 0:
+        raise UsageError(f"--start is {start}; it must be 0 or more")
     task = make_task(context.config)
     checkpoint = chosen_checkpoint(context, task.name)
     methods = [name for name in _METHODS if name != "act" or checkpoint is not None]
     methods = [name for name in methods if not METHODS[name].cannot(task, "")]
     inputs = MethodInputs(task.config, context.seed, checkpoint)
-    trial = draw_under(inputs, CLEAN, PURPOSE)(int(context.options.get("start", 0)))
+    trial = draw_under(inputs, CLEAN, PURPOSE)(start)
     notes = [f"{name}: {_SUMMARIES[name]}" for name in methods]
     if checkpoint is None:
         notes.append(f"no policy comes with the package for {task.name}; two methods are shown")
