@@ -18,11 +18,6 @@ from minidual.trials.runner import run_trials
 PURPOSE = "demo"
 """Random stream of the starts, used by no stage."""
 _METHODS = ("moveit", "impedance", "act")
-_SUMMARIES = {
-    "moveit": "a plan that is proven free of collisions, driven by position",
-    "impedance": "both hands squeeze the object by force and feel it",
-    "act": "a policy that learnt from demonstrations and sees camera pictures",
-}
 
 
 def demo(context: ToolContext) -> ToolResult:
@@ -40,7 +35,7 @@ def demo(context: ToolContext) -> ToolResult:
     methods = [name for name in methods if not METHODS[name].cannot(task, "")]
     inputs = MethodInputs(task.config, context.seed, checkpoint)
     trial = draw_under(inputs, CLEAN, PURPOSE)(start)
-    notes = [f"{name}: {_SUMMARIES[name]}" for name in methods]
+    notes = [f"{name}: {METHODS[name].summary}" for name in methods]
     if checkpoint is None:
         notes.append(f"no policy comes with the package for {task.name}; two methods are shown")
     film = ""
