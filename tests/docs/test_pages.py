@@ -18,8 +18,9 @@ PAGES = sorted(
 )
 WORDS_MAX = 1600
 """Of one page; a page that needs more has two jobs."""
-WORDS_ALL_MAX = 36_500
-"""Of all pages in docs/ together, counted as `wc -w` does. docs/checks.md has a row for each check."""
+WORDS_ALL_MAX = 48_000
+"""Of all pages in docs/ together, counted as `wc -w` does: about 36,500 for the eight stages, and one
+page for each further thing that a person can do (leaders, reinforcement learning, other arms)."""
 CODE = ("src", "scripts", "tests", "examples", "configs", "Makefile", "pyproject.toml")
 """Where a page may be named by its path, such as docs/control.md."""
 
