@@ -22,7 +22,8 @@ from minidual.show.report.indicators import INDICATORS, three_digits
 from minidual.show.report.model import Report
 from minidual.show.report.page import build_report
 from minidual.show.report.tables import Tables, tabulate
-from minidual.show.report.wording import FAULTS, duration, joined, percent, points
+from minidual.show.report.wording import duration, joined, percent, points
+from minidual.tasks.failures import FAILURES
 from minidual.tasks.success import OfObject, SuccessCondition
 from tests.support import report_samples as samples
 from tests.support.report_samples import figures_once  # noqa: F401  (a fixture for every test here)
@@ -128,7 +129,7 @@ def test_every_condition_of_the_success_test_has_words() -> None:
     kinds = (*SuccessCondition.__subclasses__(), *OfObject.__subclasses__())
     names = {kind.name for kind in kinds if hasattr(kind, "name")}
     assert len(names) > 5
-    assert names <= set(FAULTS)
+    assert names <= set(FAILURES)
 
 
 def test_a_value_on_the_excellent_limit_is_not_excellent() -> None:
@@ -224,7 +225,7 @@ def test_pairs_of_methods_claim_what_many_trials_show(tmp_path: Path) -> None:
 
 
 def test_failures_are_named_and_counted(page: str) -> None:
-    assert "act: 5 of 20 trials failed: 3 × missed the goal, 2 × grip lost." in page
+    assert "act: 5 of 20 trials failed: 3 × object not at its goal, 2 × grip lost." in page
     assert "moveit: 1 of 20 trials failed: 1 × grip lost." in page
     assert "impedance: 0 of 20 trials failed." in page
 
@@ -232,9 +233,9 @@ def test_failures_are_named_and_counted(page: str) -> None:
 def test_the_gap_between_training_and_held_out_starts_is_told(page: str) -> None:
     assert "held out from training: 78 % (95 % interval 65 % to 87 %)" in page
     assert "training set: 95 %, +17 points, outside that interval" in page
-    assert "undisturbed: 47 of 60 succeed (65 % to 87 %); 13 × missed the goal." in page
+    assert "undisturbed: 47 of 60 succeed (65 % to 87 %); 13 × object not at its goal." in page
     assert (
-        "room: 45 of 60 succeed (63 % to 87 %); 15 × missed the goal; training by training 80 %, 65 %, 80 %."
+        "room: 45 of 60 succeed (63 % to 87 %); 15 × object not at its goal; training by training 80 %, 65 %, 80 %."
         in page
     )
 

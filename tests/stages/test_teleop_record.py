@@ -402,7 +402,7 @@ def test_failed_attempts_are_set_aside_with_their_reason(
     rig.close()
     assert not attempt.success
     assert not attempt.kept
-    assert "rose 0 mm, needs > 40" in attempt.reason
+    assert "object not lifted (0 of 40 mm)" in attempt.reason
     assert attempt.path == tmp_path / "rejected" / "episode_000000.hdf5"
     meta = read_episode(attempt.path, cameras=()).meta
     assert not meta.success

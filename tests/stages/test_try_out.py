@@ -28,7 +28,8 @@ def test_two_methods_get_a_table_a_file_and_a_sentence(tmp_path: Path) -> None:
     assert heads.split()[:3] == ["method", "success", "time"]
     assert moveit.startswith("moveit  1 of 1")
     assert hold.startswith("hold    0 of 1   -")
-    assert "hold: 1 x rose; start 3: not 'rose'" in rest[1]
+    assert rest[1].startswith("hold fails 1 of 1: object not lifted (0 of 40 mm), at ")
+    assert rest[1].endswith(" s (start 3)")
     assert result.data["answers"][0].startswith("Cannot tell moveit and hold apart")
     assert result.data["answers"][0] in rest
     with (tmp_path / "run" / "try" / "trials.csv").open(encoding="utf-8") as file:

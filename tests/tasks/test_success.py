@@ -268,7 +268,7 @@ def test_a_dropped_rod_is_named_by_the_hold_first(scene):
         for k in range(1, 30)
     ]
     _, outcome = judge(dropped, scene)
-    assert outcome.reason.startswith("held")
+    assert outcome.reason.startswith("grip lost (")
     assert {"held", "arrived", "at_rest"} <= faults(outcome)
 
 

@@ -207,7 +207,7 @@ def test_a_summary_says_over_which_trials_it_speaks() -> None:
     assert row["tilt_max_rad"] == 1.5  # the dropped object counts
     assert row["tilt_median_rad"] == 0.02
     assert row.failures == {"arrived": 1, "held": 1}
-    assert row.to_row()["failures"] == "arrived 1; held 1"
+    assert row.to_row()["failures"] == "1 x object not at its goal; 1 x grip lost"
     trials[3:] = [
         replace(lost, failed_in=phase)
         for lost, phase in zip(trials[3:], ("lift", "release"), strict=True)

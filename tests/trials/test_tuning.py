@@ -94,7 +94,7 @@ def test_forces_that_do_not_hold_are_shown_as_such(plant):
         ({"loss_n": 30.0}, "no squeeze up to 40 N holds"),
         ({"torque": 0.99}, "already takes 99 %"),
         ({"torque": float("nan")}, "already takes nan %"),
-        ({"failure": "held"}, "is not safe: trial 0, not 'held' at 1.00 s"),
+        ({"failure": "held"}, "is not safe: trial 0, too weak, at 1.00 s"),
         ({"tracking_m": 0.011}, "tracking 11.0 mm"),
         ({"oscillates": 100.0}, "oscillates even at 150"),
     ],

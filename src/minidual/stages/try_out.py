@@ -140,7 +140,9 @@ def _failures(results: Sequence[TrialMetrics]) -> list[str]:
         example = next(
             trial for trial in results if (trial.method, trial.failure) == (method, failure)
         )
-        lines.append(f"{method}: {count} x {failure}; start {example.index}: {example.text}")
+        trials_n = sum(trial.method == method for trial in results)
+        fails = f"{method} fails {count} of {trials_n}"
+        lines.append(f"{fails}: {example.text} (start {example.index})")
     return [*lines, ""] if lines else []
 
 

@@ -12,6 +12,7 @@ from minidual.config.scene import ObjectConfig, PartConfig
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import SIDES, Array, pose
 from minidual.tasks import movement, success
+from minidual.tasks.failures import of_limit
 from minidual.tasks.task import (
     DOWN,
     Poses,
@@ -268,7 +269,7 @@ class _Aloft(success.AtEnd):
         height_m = truth[self.object].clearance_m
         if height_m > self.limit_m:
             return ""
-        return f"{1e3 * height_m:.0f} mm over the table, needs > {1e3 * self.limit_m:.0f}"
+        return f"object too low at the end ({of_limit(1e3 * height_m, 1e3 * self.limit_m, 'mm')})"
 
 
 @dataclass
@@ -307,9 +308,9 @@ class _Mated(success.SuccessCondition):
         if self.holds(truth):
             return ""
         return (
-            f"the tip came {1e3 * self._deepest_m:.1f} mm deep,"
+            f"peg not inserted (its tip came {1e3 * self._deepest_m:.1f} mm deep,"
             f" and is {1e3 * depth_m(truth):.1f} mm deep at the end;"
-            f" needs {1e3 * DEPTH_M:.0f} mm for {HOLD_S} s"
+            f" needs {1e3 * DEPTH_M:.0f} mm for {HOLD_S} s)"
         )
 
     def measured(self, truth: Truth) -> dict[str, float]:

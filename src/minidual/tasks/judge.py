@@ -43,7 +43,7 @@ class Outcome:
     def reason(self) -> str:
         """The first violation as one line."""
         first = min(self.failures, key=lambda f: f.at_s, default=None)
-        return "" if first is None else f"{first.name} at {first.at_s:.2f} s: {first.detail}"
+        return "" if first is None else f"{first.detail}, at {first.at_s:.2f} s"
 
     def number(self, name: str) -> float:
         """Return a number of `measured`; NaN if no condition gives it."""

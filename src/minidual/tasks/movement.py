@@ -56,7 +56,8 @@ class Carried(OfObject):
         if moved_m <= self.limit_m:
             return ""
         low = f"less than {1e3 * self.height_m:.0f} mm over the table"
-        return f"moved {1e3 * moved_m:.0f} mm {low}, limit {1e3 * self.limit_m:.0f}"
+        way = f"moved {1e3 * moved_m:.0f} mm {low}, limit {1e3 * self.limit_m:.0f}"
+        return f"object dragged, or carried too low ({way})"
 
     def disturbed(self) -> None:
         self._came_down_at = None
@@ -84,7 +85,7 @@ class Slow(OfObject):
             return ""
         way_m = math.dist(xyz, last_xyz)
         speed = way_m / step_s if step_s > 0.0 else math.inf
-        return f"{speed:.1f} m/s, limit {self.limit_m_per_s}"
+        return f"object too fast ({speed:.1f} m/s, limit {self.limit_m_per_s})"
 
     def disturbed(self) -> None:
         self._last_xyz = None
@@ -118,7 +119,8 @@ class Settled(OfObject):
         moved_m = item.moved_m(self._free_at)
         if moved_m <= self.limit_m:
             return ""
-        return f"moved {1e3 * moved_m:.0f} mm after its release, limit {1e3 * self.limit_m:.0f}"
+        limit = f"limit {1e3 * self.limit_m:.0f}"
+        return f"object moved after its release ({1e3 * moved_m:.0f} mm, {limit})"
 
     def _wait(self, truth: Truth) -> str:
         """Wait until the fingers have left the object; return the violation, or ""."""
@@ -136,7 +138,7 @@ class Settled(OfObject):
         if self._free_over_m <= self.over_m:
             return ""
         height = f"{1e3 * self._free_over_m:.1f} mm over the table"
-        return f"let go {height}, limit {1e3 * self.over_m:.0f}"
+        return f"object let go in the air ({height}, limit {1e3 * self.over_m:.0f})"
 
     def disturbed(self) -> None:
         self._let_go = False
@@ -209,13 +211,14 @@ class Exchanged(AtEnd):
             return ""
         alone = f"{1e3 * self.alone_m:.0f} mm alone"
         if self._giver is None:
-            return f"no hand carried it {alone}"
+            return f"object not handed over (no hand carried it {alone})"
         giver = SIDES[self._giver]
         taker = SIDES[1 - self._giver]
         if self._shared:
-            return f"the {taker} hand did not carry it {alone} after the {giver} one"
+            missing = f"the {taker} hand did not carry it {alone} after the {giver} one"
+            return f"object not handed over ({missing})"
         firmly = f"with more than {self.limit_n:.0f} N each for {self.both_s} s"
-        return f"both hands never pinched it in the air {firmly}"
+        return f"object not handed over (both hands never pinched it in the air {firmly})"
 
 
 @dataclass
@@ -239,4 +242,5 @@ class BroughtBy(AtEnd):
         if self._last == self.hand:
             return ""
         who = "no hand" if self._last is None else f"the {SIDES[self._last]} hand"
-        return f"{who} brought it, not the {SIDES[self.hand]} one"
+        wanted = f"not the {SIDES[self.hand]} one"
+        return f"object brought by the wrong hand ({who} brought it, {wanted})"

@@ -251,7 +251,8 @@ class _Inside(success.OfObject):
         if self.holds(truth):
             return ""
         x, y, _ = truth[self.object].xyz
-        return f"at ({x:.3f}, {y:.3f}) m, not inside the {colour_of(self.object)} field"
+        colour = colour_of(self.object)
+        return f"object not wholly on the {colour} field (its centre is at {x:.3f}, {y:.3f} m)"
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"goal_error_m": truth[self.object].distance_m(self.goal)}

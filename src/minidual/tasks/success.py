@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from minidual.robot.pair import SIDES
+from minidual.tasks.failures import of_limit
 from minidual.tasks.truth import AIRBORNE_M, ObjectTruth, Truth
 
 _FLOORS = ("pinch_min_n", "internal_force_min_n", "rise_m")
@@ -88,7 +89,7 @@ class Level(OfObject):
             self._largest_rad = tilt_rad
         if tilt_rad > self.limit_rad:
             limit_deg = np.degrees(self.limit_rad)
-            return f"tilt {np.degrees(tilt_rad):.1f} deg, limit {limit_deg:.1f}"
+            return f"object tilted too far ({np.degrees(tilt_rad):.1f} deg, limit {limit_deg:.1f})"
         return ""
 
     def measured(self, truth: Truth) -> dict[str, float]:
@@ -111,14 +112,13 @@ class Whole(OfObject):
         item = truth[self.object]
         pinch_n = max(item.pinch)
         if self.pinch_max_n is not None and pinch_n > self.pinch_max_n:
-            return f"the object broke: pinch {pinch_n:.1f} N, it stands {self.pinch_max_n:.0f} N"
+            return f"object broken (pinched with {pinch_n:.1f} N, limit {self.pinch_max_n:.0f})"
         if self.force_max_n is None:
             return ""
         left, right = item.hand_forces
         force_n = max(math.hypot(*left), math.hypot(*right))
         if force_n > self.force_max_n:
-            stands = f"it stands {self.force_max_n:.0f} N"
-            return f"the object broke: a hand pressed with {force_n:.1f} N, {stands}"
+            return f"object broken (pressed with {force_n:.1f} N, limit {self.force_max_n:.0f})"
         return ""
 
 
@@ -131,7 +131,7 @@ class Clear(SuccessCondition):
 
     def observe(self, truth: Truth) -> str:
         if truth.touches(self.geom):
-            return f"something touches the {self.geom}"
+            return f"obstacle touched ({self.geom})"
         return ""
 
 
@@ -168,8 +168,8 @@ class Held(OfObject):
             self._least_n = pinch_n
         if pinch_n > self.limit_n:
             return ""
-        who = f"{SIDES[hand]} hand pinches" if self.both else "the firmer hand pinches"
-        return f"{who} {pinch_n:.1f} N, needs > {self.limit_n:.0f}"
+        who = f"{SIDES[hand]} hand" if self.both else "firmer hand"
+        return f"grip lost ({who} pinches {pinch_n:.1f} N, needs > {self.limit_n:.0f})"
 
     def reached(self, truth: Truth) -> bool:
         _, pinch_n = self._judged_pinch(truth[self.object])
@@ -197,7 +197,7 @@ class Squeezed(OfObject):
             self._least_n = squeeze_n
         if squeeze_n > self.limit_n:
             return ""
-        return f"internal force {squeeze_n:.1f} N, needs > {self.limit_n:.0f}"
+        return f"internal force lost ({squeeze_n:.1f} N, needs > {self.limit_n:.0f})"
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"internal_force_min_n": _zero_if_infinite(self._least_n)}
@@ -227,7 +227,7 @@ class Rose(OfObject):
     def end(self, truth: Truth) -> str:
         if self._highest_m > self.limit_m:
             return ""
-        return f"rose {1e3 * self._highest_m:.0f} mm, needs > {1e3 * self.limit_m:.0f}"
+        return f"object not lifted ({of_limit(1e3 * self._highest_m, 1e3 * self.limit_m, 'mm')})"
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"rise_m": self._highest_m}
@@ -249,7 +249,9 @@ class Arrived(AtEnd):
         error_m = truth[self.object].distance_m(self.goal)
         if error_m < self.limit_m:
             return ""
-        return f"{1e3 * error_m:.1f} mm from the goal, limit {1e3 * self.limit_m:.0f}"
+        return (
+            f"object not at its goal ({1e3 * error_m:.1f} mm away, limit {1e3 * self.limit_m:.0f})"
+        )
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"goal_error_m": truth[self.object].distance_m(self.goal)}
@@ -275,7 +277,8 @@ class Turned(OfObject):
         if self.holds(truth):
             return ""
         error_deg = np.degrees(self._error_rad(truth))
-        return f"{error_deg:.1f} deg off its direction, limit {np.degrees(self.limit_rad):.0f}"
+        limit_deg = np.degrees(self.limit_rad)
+        return f"object points the wrong way ({error_deg:.1f} deg off, limit {limit_deg:.0f})"
 
     def measured(self, truth: Truth) -> dict[str, float]:
         return {"yaw_error_rad": self._error_rad(truth)}
@@ -295,8 +298,10 @@ class Released(AtEnd):
     def end(self, truth: Truth) -> str:
         item = truth[self.object]
         if item.in_fingers:
-            return f"a finger still touches the {self.object}"
-        return f"an arm still touches the {self.object}" if item.at_an_arm else ""
+            return f"object not released (a finger still touches the {self.object})"
+        if item.at_an_arm:
+            return f"object not released (an arm still touches the {self.object})"
+        return ""
 
 
 @dataclass
@@ -314,7 +319,8 @@ class AtRest(AtEnd):
         if self.holds(truth):
             return ""
         item = truth[self.object]
-        return f"speed {item.speed_m_per_s:.3f} m/s, on the table: {item.on_table}"
+        place = "on the table" if item.on_table else "off the table"
+        return f"object not at rest ({item.speed_m_per_s:.3f} m/s, {place})"
 
 
 class Each(SuccessCondition):
@@ -361,7 +367,7 @@ class OnTime(SuccessCondition):
 
     def end(self, truth: Truth) -> str:
         if truth.duration_s > self.limit_s:
-            return f"{truth.duration_s:.1f} s, limit {self.limit_s:.0f}"
+            return f"too late ({truth.duration_s:.1f} s, limit {self.limit_s:.0f})"
         return ""
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from minidual.demos.quality import CUTOFF_HZ
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.robot.kinematics import path_length
+from minidual.tasks.failures import FAILURES, failure_words
 from minidual.tasks.judge import Failure, Outcome
 from minidual.trials.measures import MEASURES, TrialLog, jerk
 from minidual.trials.statistics import bootstrap_median_interval, wilson_interval
@@ -77,7 +78,8 @@ class TrialMetrics:
         if self.success:
             return "success"
         stop = f" (stopped itself: {self.aborted})" if self.aborted else ""
-        return f"not '{self.failure}' at {self.failed_at_s:.2f} s: {self.reason}{stop}"
+        reason = self.reason or failure_words(self.failure)
+        return f"{reason}, at {self.failed_at_s:.2f} s{stop}"
 
     def to_row(self) -> dict[str, Cell]:
         """Return the trial for CSV or JSON."""
@@ -135,7 +137,7 @@ class MethodSummary:
             row[name] = _or_words(value, _NO_SUCCESS if lacks_successes else NOT_MEASURED)
         for name, value in self.measures.items():
             row[name] = _or_words(value, NOT_MEASURED)
-        failures = [f"{name} {count}" for name, count in self.failures.items()]
+        failures = [f"{count} x {failure_words(name)}" for name, count in self.failures.items()]
         row["failures"] = "; ".join(failures) if failures else "none"
         row["stopped_n"] = self.stopped_n
         return row
@@ -217,7 +219,7 @@ def _cause(outcome: Outcome) -> Failure:
     """Return the first failure; an empty one on success."""
     if outcome.success:
         return Failure("", math.nan, "")
-    unfinished = Failure("unfinished", outcome.duration_s, "the object was never released at rest")
+    unfinished = Failure("unfinished", outcome.duration_s, FAILURES["unfinished"])
     return min(outcome.failures, key=lambda failure: failure.at_s, default=unfinished)
 
 

@@ -23,6 +23,7 @@ from minidual.show.report.indicators import INDICATORS, three_digits
 from minidual.show.report.media import collect_media
 from minidual.show.report.model import Report
 from minidual.show.report.tables import CERTAIN, Cell, Row, Tables, tabulate
+from minidual.tasks.failures import failure_words
 from minidual.trials.benchmark import limits_of, trials_asked
 from minidual.trials.measures import MEASURES
 from minidual.trials.methods import METHODS
@@ -50,7 +51,7 @@ _PAGES = jinja2.Environment(
 _PAGES.filters |= {
     "commit": wording.commit,
     "duration": wording.duration,
-    "fault": wording.fault,
+    "fault": failure_words,
     "joined": wording.joined,
     "moment": wording.moment,
     "percent": wording.percent,

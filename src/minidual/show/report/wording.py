@@ -51,37 +51,7 @@ CAPTIONS: Mapping[str, Mapping[str, str]] = {
 }
 """Captions of pictures and films by stage and file."""
 
-FAULTS: Mapping[str, str] = {
-    "held": "grip lost",
-    "rose": "never lifted clear",
-    "level": "tilted too far",
-    "arrived": "missed the goal",
-    "released": "not released",
-    "at_rest": "not at rest",
-    "on_time": "too late",
-    "squeezed": "internal force lost",
-    "whole": "the object broke",
-    "clear": "touched the obstacle",
-    "turned": "wrong orientation at the goal",
-    "exchanged": "not handed over",
-    "carried": "slid on the table, or was carried too low",
-    "slow": "moved faster than a hand",
-    "settled": "let go over the table, or moved after its release",
-    "brought": "brought by the wrong hand",
-    "inside": "not wholly on its field",
-    "aloft": "too low over the table at the end",
-    "mated": "the peg did not enter the bore deep enough, or did not stay",
-}
-"""By violated condition of success."""
-
 _LEAST_DEGREES = 0.01
-
-
-def fault(name: str) -> str:
-    """Return a violated condition of success in words."""
-    if name in FAULTS:
-        return FAULTS[name]
-    return name.replace("_", " ") or "unnamed"
 
 
 def joined(items: Sequence[str]) -> str:
