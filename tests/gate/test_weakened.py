@@ -58,9 +58,9 @@ def test_a_shipped_profile_asks_for_itself(profile):
         (
             "benchmark",
             "benchmark.conditions=[clean]",
-            "benchmark.conditions is clean, the profile asks for clean, friction",
+            "benchmark.conditions is clean, the profile asks for clean, randomised",
         ),
-        ("benchmark", "benchmark.trials_n=1", "benchmark.trials_n is 1, the profile asks for 50"),
+        ("benchmark", "benchmark.trials_n=1", "benchmark.trials_n is 1, the profile asks for 30"),
         (
             "benchmark",
             "benchmark.success_rate_min={}",
@@ -70,17 +70,27 @@ def test_a_shipped_profile_asks_for_itself(profile):
             "benchmark",
             "benchmark.tasks=[rod_carry]",
             (
-                "benchmark.tasks is {'rod_carry': 50}, "
-                "the profile asks for {'pot_lift': 20, 'handover': 20, 'insertion': 20"
+                "benchmark.tasks is {'rod_carry': 30}, "
+                "the profile asks for {'pot_lift': 6, 'handover': 6, 'insertion': 6"
             ),
         ),
         ("benchmark", f"benchmark.tasks=[{FURTHER}]", "benchmark.own_task is False"),
         (
             "benchmark",
             "benchmark.further_tasks={}",
-            "benchmark.tasks is {}, the profile asks for {'pot_lift': 20",
+            "benchmark.tasks is {}, the profile asks for {'pot_lift': 6",
         ),
-        ("benchmark", "benchmark.further_tasks.insertion=19", "'insertion': 19"),
+        ("benchmark", "benchmark.further_tasks.insertion=5", "'insertion': 5"),
+        (
+            "benchmark",
+            "benchmark.condition_trials.randomised.insertion=49",
+            "benchmark.condition_trials is {'randomised': {'rod_carry': 60",
+        ),
+        (
+            "benchmark",
+            "benchmark.condition_trials={}",
+            "benchmark.condition_trials is {}, the profile asks for {'randomised'",
+        ),
         (
             "deploy",
             "deploy.success_rate_min=null",
@@ -129,6 +139,7 @@ def test_less_is_said(stage, override, line):
         "carry.limits.tilt_max_rad=0.01",
         f"benchmark.tasks=[{FURTHER},rod_carry]",
         "benchmark.further_tasks.insertion=21",
+        "benchmark.condition_trials.randomised.insertion=51",
         "task=handover",
     ],
 )

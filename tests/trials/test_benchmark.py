@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from minidual.config.loader import load_config
 from minidual.config.root import BenchmarkConfig, Config, changed
 from minidual.durable import write_csv
 from minidual.errors import UsageError
@@ -513,6 +514,58 @@ def test_further_tasks_run_undisturbed_beside_the_runs_own(
     assert [c.name for c in checks if c.passed is False] == ["handover.trials_per_method"]
     with pytest.raises(UsageError, match="no task 'potlift'"):
         check_benchmark(changed(config, {"benchmark.further_tasks": {"potlift": 2}}))
+
+
+def test_a_condition_that_tells_methods_apart_has_trials_of_its_own_in_each_task() -> None:
+    benchmark = {
+        "conditions": ["clean", "randomised", "push +y"],
+        "condition_trials": {"randomised": {"rod_carry": 9, "handover": 4}},
+        "further_tasks": {"handover": 2, "sort": 1},
+        "trials_n": 3,
+        "perturbed_trials_n": 5,
+    }
+    config = Config.model_validate({"benchmark": benchmark})
+    assert trials_asked(config) == {
+        "rod_carry": {"clean": 3, "randomised": 9, "push +y": 5},
+        "handover": {"clean": 2, "randomised": 4},
+        "sort": {"clean": 1},
+    }
+    named = changed(config, {"benchmark.tasks": ("handover",)})
+    assert trials_asked(named) == {"handover": {"clean": 3, "randomised": 5, "push +y": 5}}
+    undisturbed = changed(config, {"benchmark.conditions": ("clean",)})
+    assert trials_asked(undisturbed) == {
+        "rod_carry": {"clean": 3},
+        "handover": {"clean": 2},
+        "sort": {"clean": 1},
+    }
+
+
+@pytest.mark.parametrize(
+    ("condition_trials", "says"),
+    [
+        ({"randomized": {"rod_carry": 1}}, "no condition 'randomized'"),
+        ({"randomised": {"potlift": 1}}, "no task 'potlift'"),
+        ({"clean": {"rod_carry": 1}}, "benchmark.condition_trials names 'clean'"),
+    ],
+)
+def test_trials_of_no_condition_or_task_are_refused(
+    condition_trials: dict[str, dict[str, int]],
+    says: str,
+) -> None:
+    config = Config.model_validate({"benchmark": {"condition_trials": condition_trials}})
+    with pytest.raises(UsageError, match=says):
+        check_benchmark(config)
+
+
+def test_the_standard_profile_compares_every_task_where_methods_differ() -> None:
+    asked = trials_asked(load_config("standard").config)
+    assert len(asked) == 5
+    for trials_n in asked.values():
+        assert trials_n["clean"] >= 5
+        assert trials_n["randomised"] >= 10
+    methods_n = {task: 3 if task == "rod_carry" else 2 for task in asked}
+    trials = sum(methods_n[task] * sum(trials_n.values()) for task, trials_n in asked.items())
+    assert trials < 750
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,14 @@ class BenchmarkConfig(StrictModel):
     """Undisturbed trials of each method, which have limits."""
     perturbed_trials_n: AtLeast[int] = Field(default=20, ge=1, le=10000)
     """Trials of each method under each other condition, on the first of the same starts."""
+    condition_trials: AtLeast[dict[str, dict[str, Annotated[int, Field(ge=1, le=10000)]]]] = Field(
+        default={},
+    )
+    """Trials of each method under conditions that tell methods apart, {condition: {task: trials}}.
+
+    They hold where they are more than `perturbed_trials_n`. Further tasks have them beside their
+    undisturbed trials. A condition that `conditions` does not name has none.
+    """
     first_start: int = Field(default=0, ge=0, le=10_000_000)
     """Number of the first start."""
     success_rate_min: AtLeast[dict[str, Rate]] = Field(

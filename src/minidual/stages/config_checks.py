@@ -8,6 +8,7 @@ from minidual.motion.timing_engines import TIMING_ENGINES
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import make_task, tasks_of
+from minidual.trials.benchmark import trials_asked
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
 from minidual.trials.methods import METHODS, check_able
 
@@ -86,6 +87,7 @@ def check_benchmark(config: Config) -> None:
         check_able(name, tasks)  # the stage looks at what a policy was trained on
     for name in config.benchmark.success_rate_min:
         METHODS[name]  # refuses an unknown name
+    trials_asked(config)  # refuses unknown names
     for name in parse_conditions(config.benchmark.conditions):
         for task in tasks:
             condition(name).config_under(task.config)  # refuses values out of bounds

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
-from minidual.tasks.catalogue import make_task
+from minidual.errors import UsageError
+from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Trial
 from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_conditions
@@ -68,16 +69,43 @@ class BenchmarkCell(NamedTuple):
 def trials_asked(config: Config) -> dict[str, dict[str, int]]:
     """Return {task: {condition: trials of each method}}."""
     settings = config.benchmark
-    trials_n: dict[str, int] = {}
-    for name in parse_conditions(settings.conditions):
-        trials_n[name] = settings.trials_n if name == CLEAN else settings.perturbed_trials_n
-    asked = dict.fromkeys(settings.tasks or (config.task,), trials_n)
+    conditions = parse_conditions(settings.conditions)
+    more = _condition_trials(config)
+    asked: dict[str, dict[str, int]] = {}
+    for task in settings.tasks or (config.task,):
+        asked[task] = {
+            name: max(settings.perturbed_trials_n, more.get(name, {}).get(task, 0))
+            for name in conditions
+        }
+        asked[task][CLEAN] = settings.trials_n
     if settings.tasks:
         return asked
     for task, clean_n in settings.further_tasks.items():
         if task not in asked:
             asked[task] = {CLEAN: min(clean_n, settings.trials_n)}
+            for name in conditions:
+                if task in more.get(name, {}):
+                    asked[task][name] = more[name][task]
     return asked
+
+
+def _condition_trials(config: Config) -> dict[str, Mapping[str, int]]:
+    """Return `benchmark.condition_trials` by the conditions' own names.
+
+    Raises:
+        UsageError: Unknown condition or task, or `clean`, which has settings of its own.
+    """
+    trials_n: dict[str, Mapping[str, int]] = {}
+    for given, by_task in config.benchmark.condition_trials.items():
+        name = condition(given).name
+        if name == CLEAN:
+            raise UsageError(
+                "benchmark.condition_trials names 'clean', whose trials have settings of their own",
+                remedy="benchmark.trials_n, and benchmark.further_tasks for the other tasks",
+            )
+        TASKS.names(tuple(by_task))
+        trials_n[name] = by_task
+    return trials_n
 
 
 def _why_not(method: str, name: str, inputs: MethodInputs) -> str:
