@@ -12,7 +12,9 @@ PAGES = sorted(
     {
         ROOT / "README.md",
         ROOT / "CHANGELOG.md",
-        *ROOT.glob("docs/*.md"),
+        ROOT / "CONTRIBUTING.md",
+        *ROOT.glob("README.*.md"),
+        *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("*/README.md"),
     },
 )
@@ -94,8 +96,14 @@ def named_pages(root: Path) -> dict[str, set[str]]:
 
 
 def words(page: Path) -> int:
-    """Return the number of words of a page; marks alone, such as the bars of a table, do not count."""
-    return sum(bool(re.search(r"\w", word)) for word in page.read_text(encoding="utf-8").split())
+    """Return the number of words of a page; marks alone, such as the bars of a table, do not count.
+
+    Chinese has no blanks between words: two characters count as one.
+    """
+    text = page.read_text(encoding="utf-8")
+    chinese = re.findall(r"[\u4e00-\u9fff]", text)
+    others = re.sub(r"[\u3000-\u9fff\uff00-\uffef]", " ", text).split()
+    return sum(bool(re.search(r"\w", word)) for word in others) + len(chinese) // 2
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
@@ -167,6 +175,8 @@ def test_all_pages_together_can_be_read() -> None:
 def test_words_are_counted_without_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("| two | words |\n|---|---|\n\n- three = 3\n", encoding="utf-8")
+    assert words(page) == 4
+    page.write_text("两个手臂，`minidual demo`。\n", encoding="utf-8")
     assert words(page) == 4
 
 

@@ -6,7 +6,30 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")})
+PAGES = sorted(
+    {
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        *ROOT.glob("docs/*.md"),
+        *ROOT.glob("*/README.md"),
+    },
+)
+"""English pages; those in Chinese print the same commands (tests/docs/test_languages.py)."""
+
+
+def code_lines(text: str) -> list[str]:
+    """Return the lines of a page's shell blocks: continued ones joined, without comments and path.
+
+    Other languages are left out; lines that are indented by four blanks count as shell.
+    """
+    text = re.sub(r" *\\\n *", " ", text)
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    fenced = [body for language, body in blocks if language in ("", "bash", "sh")]
+    prose = re.sub(r"^```\w*\n.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    indented = re.findall(r"^ {4}(\S.*)$", prose, re.MULTILINE)
+    lines = [line for body in fenced for line in body.splitlines()] + indented
+    bare = [re.sub(r"\s+#.*$|\s{3,}\S.*$", "", line).strip() for line in lines]
+    return [line.removeprefix(".venv/bin/") for line in bare if line and not line.startswith("#")]
 
 
 def printed_commands() -> list[tuple[str, str]]:
@@ -16,16 +39,8 @@ def printed_commands() -> list[tuple[str, str]]:
     """
     commands: list[tuple[str, str]] = []
     for page in PAGES:
-        text = re.sub(r" *\\\n *", " ", page.read_text(encoding="utf-8"))
-        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-        fenced = "\n".join(body for language, body in blocks if language in ("", "bash", "sh"))
-        indented = "\n".join(re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE))
-        for line in re.findall(
-            r"^(?:\.venv/bin/)?(minidual [^\n]*)$",
-            f"{fenced}\n{indented}",
-            re.MULTILINE,
-        ):
-            command = re.sub(r"\s+#.*$|\s{3,}\S.*$", "", line).strip()
-            if "[" not in command:
-                commands.append((page.relative_to(ROOT).as_posix(), command))
+        name = page.relative_to(ROOT).as_posix()
+        for line in code_lines(page.read_text(encoding="utf-8")):
+            if line.startswith("minidual ") and "[" not in line:
+                commands.append((name, line))
     return list(dict.fromkeys(commands))

@@ -37,7 +37,7 @@ REPLAN_MAX = Criterion(
     "<",
     unit="s",
     why="wall time from the goal going in to the proven trajectory coming out, "
-    "in a scene that stands",
+    "in an unchanged scene",
     remedy=_BUSY,
 )
 CORE_SHARE = Criterion(
