@@ -51,6 +51,8 @@ OPEN_ABOVE = 0.6
 """Hysteresis against opening commands wavering about the middle."""
 JOINT_PINCH_N = 60.0
 """Pinch force in joint-space modes: 1.5 times the internal force a stiff pair can demand."""
+SPEED_M_PER_S = 0.08
+"""Speed of a finger."""
 _SERVO_N_PER_M = 5000.0  # k: this servo settles with a 20 ms time constant
 _COMPLIANCE_M_PER_NS = 0.01
 _HOLDS_N = 5.0
@@ -142,6 +144,12 @@ def advance(
     return events
 
 
+def advance_constants(dt_s: float, travel_m: float, speed_m_per_s: float = SPEED_M_PER_S) -> Array:
+    """Return the constants (3,) of `advance` for a control step [s]."""
+    gain_m_per_n = min(_COMPLIANCE_M_PER_NS * dt_s, 0.5 / _SERVO_N_PER_M)
+    return np.array([gain_m_per_n, speed_m_per_s * dt_s, travel_m])
+
+
 class Grippers:
     """Both hands of a plant.
 
@@ -157,15 +165,13 @@ class Grippers:
         plant: Plant,
         *,
         pinch_force_n: float = JOINT_PINCH_N,
-        speed_m_per_s: float = 0.08,
+        speed_m_per_s: float = SPEED_M_PER_S,
     ) -> None:
         self._travel_m = plant.robot.hand.travel_m
         self._usual_n = min(pinch_force_n, plant.grip_max_n)
         self._firm_n = max(self._usual_n, min(_FIRMER * self._usual_n, _MOST * plant.grip_max_n))
         self._lost_ticks = max(1.0, _LOST_S / plant.dt)
-        gain_m_per_n = min(_COMPLIANCE_M_PER_NS * plant.dt, 0.5 / _SERVO_N_PER_M)
-        step_m = speed_m_per_s * plant.dt
-        self._constants = np.array([gain_m_per_n, step_m, self._travel_m])
+        self._constants = advance_constants(plant.dt, self._travel_m, speed_m_per_s)
         self._hands = np.ones((4, 2))
         self.reset(plant.fingers, plant.grip)
 

@@ -19,19 +19,29 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
 
 _BRAKE_SHARE = 0.9  # b / a_max; the rest serves to track the curve
-_RAMP_S = 0.02
+RAMP_S = 0.02
+"""A changed target is approached evenly over this time."""
+REFERENCE_RAD_S = 30.0
+"""Bandwidth of the reference filter."""
+SERVO_RAD_S = 20.0
+"""Natural frequency of the tracking."""
+
+
+def reference_bounds(robot: Robot, bandwidth_rad_s: float = REFERENCE_RAD_S) -> Array:
+    """Return the bounds (5, n) of `kernels.follow_target`."""
+    a_max = 0.8 * robot.a_max
+    near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
+    return np.array([a_max, 0.95 * robot.v_max, near, robot.q_lower, robot.q_upper])
 
 
 class ReferenceFilter:
     """Second-order tracking of joint targets, with lag 2 / w after the ramp."""
 
-    def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = 30.0) -> None:
+    def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = REFERENCE_RAD_S) -> None:
         self._w = bandwidth_rad_s
         self._dt = dt_s
-        a_max = 0.8 * robot.a_max
-        near = 4.0 * _BRAKE_SHARE * a_max / bandwidth_rad_s**2
-        self._v_max = self._v_allowed = 0.95 * robot.v_max
-        self._bounds = np.array([a_max, self._v_max, near, robot.q_lower, robot.q_upper])
+        self._bounds = reference_bounds(robot, bandwidth_rad_s)
+        self._v_max = self._v_allowed = self._bounds[1].copy()
         self._state = np.zeros((6, robot.dof))
         self._slewing = False
         self._fresh = True
@@ -65,7 +75,7 @@ class ReferenceFilter:
             brake = _BRAKE_SHARE * self._bounds[0] * self._dt
             v_max += np.clip(self._v_allowed - v_max, -brake, brake)
             self._slewing = bool((v_max != self._v_allowed).any())
-        follow_target(target, self._state, self._bounds, self._w, self._dt, _RAMP_S)
+        follow_target(target, self._state, self._bounds, self._w, self._dt, RAMP_S)
         q, v, self.a = self._state[:3].copy()
         return q, v, self.a
 
@@ -94,7 +104,7 @@ def motor_torque(
 class ComputedTorque:
     """Tracks joint references, critically damped."""
 
-    def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = 20.0) -> None:
+    def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = SERVO_RAD_S) -> None:
         self._kinematics = kinematics
         self._w = natural_frequency_rad_s
         self._a = np.zeros(kinematics.robot.dof)

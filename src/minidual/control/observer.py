@@ -22,9 +22,9 @@ EVERY_S = 0.004
 STILL_RAD_S = 0.001
 _MOVED_RAD_S = 0.05
 """A slower joint is still; one that was faster a moment before has been stopped."""
-_FILTER_S = 0.012
+FILTER_S = 0.012
 _STEADY_S = 0.1
-_LEAST_NM = 3.0
+LEAST_NM = 3.0
 """Least torque bound: touching fingers turn the weak last joints."""
 _WINDOW_MAX = 32
 """Longest step between two updates, in ticks; after longer silence the observer begins anew."""
@@ -169,7 +169,7 @@ class ContactObserver:
         self._delay_s = config.torque_delay_s
         self.modes: dict[str, ContactBounds] = {}
         for name, mode in CONTACT_MODES.items():
-            torques = np.maximum(mode.torque_share * robot.tau_max, _LEAST_NM)
+            torques = np.maximum(mode.torque_share * robot.tau_max, LEAST_NM)
             self.modes[name] = ContactBounds(
                 config.contact_scale * torques,
                 config.deviation_scale * mode.deviation_rad,
@@ -223,7 +223,7 @@ class ContactObserver:
             return 0
         halfway(measurement.q, measurement.v, step_s, self._last, self._mean)
         self.bounds = self.modes[expected.mode]
-        self._constants[2] = -math.expm1(-step_s / _FILTER_S)
+        self._constants[2] = -math.expm1(-step_s / FILTER_S)
         self._constants[3] = step_s
         self._constants[4] = self.bounds.deviation_rad
         self._constants[5] = self.bounds.deviation_s

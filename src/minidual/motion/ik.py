@@ -67,6 +67,16 @@ class ArmIK:
         )
         self._home = robot.home[self.joints].copy()
 
+    @property
+    def frames(self) -> Array:
+        """Placements (n + 1, 4, 4) of the joints and the tcp, as the compiled parts need them."""
+        return self._frames
+
+    @property
+    def rest_limits(self) -> Array:
+        """Limits (2, n) [rad] of resting postures, lower first."""
+        return self._rest_limits
+
     def tcp_pose(self, q: Array) -> Array:
         """Return T_world_tcp (4, 4) at q (n,)."""
         T = np.empty((4, 4))

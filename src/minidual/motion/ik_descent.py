@@ -91,7 +91,7 @@ def _inverse_left(diagonal: float, beta: float, w: Vector, x: Vector) -> Vector:
 
 
 @njit
-def _reach(frames: Array, q: Array, T: Array, axes: Array) -> None:
+def chain(frames: Array, q: Array, T: Array, axes: Array) -> None:
     """Fill the tcp pose T (3, 4), joint axes and centres (n, 6), in world."""
     for r in range(3):
         for c in range(4):
@@ -123,7 +123,7 @@ def _tip_error(frames: Array, target: Array, q: Array) -> Any:
     axes = np.empty((len(q), 6))
     R = np.empty((3, 3))
     e = np.empty(6)
-    _reach(frames, q, T, axes)
+    chain(frames, q, T, axes)
     for c in range(3):
         R[0, c], R[1, c], R[2, c] = _turned_back(T, target[:, c])
     shift = (target[0, 3] - T[0, 3], target[1, 3] - T[1, 3], target[2, 3] - T[2, 3])
@@ -178,7 +178,7 @@ def _inner(J: Array, i: int, e: Array) -> float:
 @kernel(types.void(BLOCKS, VECTOR, ROWS), heap=True)
 def tcp_pose(frames: Array, q: Array, T: Array) -> None:
     """Fill the tcp pose T (4, 4)."""
-    _reach(frames, q, T, np.empty((len(q), 6)))
+    chain(frames, q, T, np.empty((len(q), 6)))
     for c in range(4):
         T[3, c] = 1.0 if c == 3 else 0.0
 

@@ -26,7 +26,7 @@ ALONE_M = 0.1
 """Each hand of an exchange carries the object this far alone."""
 BOTH_S = 0.1
 """Both hands of an exchange hold the object for this long."""
-_FREE_S = 0.05
+FREE_S = 0.05
 """Fingers that leave an object for a shorter time have not let go."""
 
 
@@ -132,7 +132,7 @@ class Settled(OfObject):
             self._free_since_s = truth.time
             self._free_at = item.place
             self._free_over_m = item.clearance_m
-        if truth.time - self._free_since_s < _FREE_S - 1e-9:
+        if truth.time - self._free_since_s < FREE_S - 1e-9:
             return ""
         self._let_go = True
         if self._free_over_m <= self.over_m:

@@ -1,0 +1,1 @@
+"""Tasks as environments for learning: one world with pictures, or many without."""

@@ -1,0 +1,489 @@
+"""A batched environment: N worlds of one task in one process, as a Gymnasium vector environment.
+
+    from minidual.config.root import Config
+    from minidual.environments.batched import BatchedEnv, fast_physics
+    from minidual.environments.scripted import LiftScript
+
+    env = BatchedEnv(64, fast_physics(Config(task="pot_lift")), purpose="training")
+    script = LiftScript(env)            # demonstrations in the environment's own actions
+    observation, info = env.reset()
+    while True:
+        action = script.action()        # (N, 10); or a policy's
+        observation, reward, terminated, truncated, info = env.step(action)
+        script.restart(terminated | truncated)
+
+Each world runs one trial after the other. Where one ends, the returned observation is the first of
+the next trial; `info["final_obs"]` (N, k) has the last one of the old, and `info["final_info"]`
+what became of it, valid where `info["_final_obs"]` is true (Gymnasium's SAME_STEP).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from minidual.config.root import Config, changed
+from minidual.config.seeds import stream
+from minidual.environments.actions import ACTIONS, arms_of
+from minidual.environments.judging import TransportJudges
+from minidual.environments.observations import CLIP, LIFT, Seen, Truth, observe, size_of
+from minidual.environments.rewards import LIFT_REWARD, LiftState, Reward, RewardTerm
+from minidual.environments.senses import JointReadings, PoseSensors, Sensed, Senses
+from minidual.environments.transport_kernel import Scene
+from minidual.environments.worlds import Worlds
+from minidual.errors import UsageError, check_name, unknown_name
+from minidual.robot.pair import SIDES, Array, Indices, robot_from
+from minidual.tasks.catalogue import make_task
+from minidual.tasks.task import Task, Trial, placement
+
+if TYPE_CHECKING:
+    import mujoco
+
+TICK_S = 0.02
+"""Period of joint targets, as in trials (50 Hz)."""
+LINGER_S = 0.6
+"""A trial ends this long after it is finished, so that a policy lifts its open hands away by itself."""
+RATE_HZ = 10
+"""Rate of actions."""
+FAST_PHYSICS = {"scene.physics.timestep_s": 0.002, "scene.physics.impratio": 10.0}
+"""Half the cost of a trial's physics; lifts learnt with it carry over, insertions do not."""
+_DIVERGED = "diverged"
+_STOPPED = "stopped"
+"""Names of failures beside those of conditions."""
+
+Flags = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float32]
+
+
+class Disturbed(Protocol):
+    """A condition of trials that changes the model: a row of `trials.conditions.CONDITIONS`."""
+
+    name: str
+    widen: float
+
+    def config_under(self, config: Config) -> Config:
+        """Return the configuration of its trials."""
+        ...
+
+    def applied(
+        self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator
+    ) -> AbstractContextManager[None]:
+        """Change a model, then restore it."""
+        ...
+
+
+def fast_physics(config: Config) -> Config:
+    """Return a configuration with `FAST_PHYSICS`."""
+    return changed(config, FAST_PHYSICS)
+
+
+class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
+    """N worlds of one task; all arrays have N rows.
+
+    Observation: (N, k) float32, the terms `observation` (environments/observations.py).
+    Action: (N, k), in the space `action` (environments/actions.py), held 1 / `rate_hz`.
+    Reward: (N,), the sum of `reward` (environments/rewards.py).
+    `terminated`: the trial is finished for `linger_s`, a condition of success is violated, the
+    supervisor would have stopped, or the simulation diverged. `truncated`: the task's time limit.
+    `info`: `success` (N,), and `reward_terms`, {name: (N,)}. `final_info` has `success`,
+    `failure` (name of what was violated first, or ""), `trial`, `time_s`, `highest_m`, `tilt_max_rad`
+    and `pinch_min_n`.
+
+    Args:
+        num_envs: Worlds, N.
+        config: Names the task; see `fast_physics`.
+        task: Replaces the configuration's.
+        purpose: Of the random stream of trials; training and tests use different ones.
+        first: Number of the first trial.
+        condition: What disturbs the trials, as in the benchmark.
+        privileged: Terms of the observation `info["privileged"]`, for critics.
+        frozen: An arm that stays at home, "left" or "right", or None.
+        supervised: Whether a bound of the supervisor ends a trial.
+        fast: Use `FAST_PHYSICS`.
+        threads: Of the physics; 0 for all cores.
+
+    Raises:
+        UsageError: A name is unknown, the rate does not divide 50 Hz, or the task is no transport of
+            one object by both hands.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    # All are options.
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: Config | None = None,
+        *,
+        task: str | None = None,
+        action: str = "pair_increments",
+        observation: Sequence[str] = LIFT,
+        privileged: Sequence[str] = (),
+        reward: Sequence[RewardTerm] = LIFT_REWARD,
+        rate_hz: int = RATE_HZ,
+        purpose: str = "training",
+        first: int = 0,
+        condition: Disturbed | None = None,
+        frozen: str | None = None,
+        supervised: bool = True,
+        end_at_violation: bool = True,
+        linger_s: float = LINGER_S,
+        discount: float = 1.0,
+        fast: bool = False,
+        threads: int = 1,
+    ) -> None:
+        config = Config() if config is None else config
+        if task is not None:
+            config = changed(config, {"task": task})
+        if fast:
+            config = fast_physics(config)
+        self.condition = condition
+        config = config if condition is None else condition.config_under(config)
+        if frozen is not None:
+            check_name("arm", frozen, SIDES)
+        self.num_envs = num_envs
+        self.task = make_task(config)
+        self.config = self.task.config
+        self.seed = config.seed
+        self.purpose = purpose
+        self.next_trial = first
+        self.frozen = None if frozen is None else SIDES.index(frozen)
+        self._supervised = supervised
+        self._end_at_violation = end_at_violation
+        self._linger_s = linger_s
+        self._ticks_n = _ticks(rate_hz)
+        self._period_s = self._ticks_n * TICK_S
+        self._make_worlds(threads)
+        self.actions = ACTIONS[action](self.arms, num_envs)
+        self.terms = tuple(observation)
+        self.privileged = tuple(privileged)
+        self._reward = Reward(reward, num_envs, discount)
+        self._make_spaces()
+        self._started = False
+
+    def _make_worlds(self, threads: int) -> None:
+        task = self.task
+        robot = robot_from(task.config.robot)
+        self.arms = arms_of(robot)
+        self.worlds = Worlds(
+            task.scene,
+            robot,
+            self.num_envs,
+            self.arms.frames,
+            supervisor=task.config.supervisor,
+            threads=threads,
+        )
+        self._model = self.worlds.model
+        if self.condition is not None:
+            self.worlds.differ()
+        self.trials = [task.trial(self.seed, self.purpose, 0) for _ in range(self.num_envs)]
+        self.judges = TransportJudges(task, self.trials[0], self.worlds.solids, self.num_envs)
+        self._sensors = PoseSensors(task.config.carry.sensing, self.num_envs, self.worlds.dt)
+        self._senses = Senses(self.arms.frames, self.num_envs)
+        self._substeps = round(TICK_S / self.worlds.dt)
+        self._goals = np.zeros((self.num_envs, 3))
+        self._grasps = np.stack([task.objects[task.carried].grasps[side] for side in SIDES])
+        self._diverged = np.zeros(self.num_envs, dtype=bool)
+        self._stopped = np.zeros(self.num_envs, dtype=bool)
+
+    def _make_spaces(self) -> None:
+        size = size_of(self.terms, self.arms.robot)
+        low = self.actions.low.astype(np.float32)
+        high = self.actions.high.astype(np.float32)
+        self.single_observation_space = spaces.Box(-CLIP, CLIP, (size,), np.float32)
+        self.single_action_space = spaces.Box(low, high)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    # Gymnasium's interface ---------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Start the next trial in every world.
+
+        Args:
+            seed: Of the random streams; begins at trial 0.
+            options: `purpose` of the stream of trials, and the number of the `first`.
+
+        Raises:
+            UsageError: Unknown option.
+        """
+        options = {} if options is None else options
+        for name in options.keys() - {"purpose", "first"}:
+            raise unknown_name("option", name, ["purpose", "first"])
+        if seed is not None:
+            self.seed = seed
+            self.next_trial = 0
+        self.purpose = options.get("purpose", self.purpose)
+        self.next_trial = options.get("first", self.next_trial)
+        self._begin(np.arange(self.num_envs))
+        self._started = True
+        self.sensed = self._sense()
+        return self._observe(), self._info(self._state())
+
+    def step(self, actions: npt.ArrayLike) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
+        """Hold actions (N, k) for one period.
+
+        Raises:
+            UsageError: Not reset, wrong shape, or not finite.
+        """
+        action = self._checked(actions)
+        self.actions.begin(action, self.sensed)
+        self.worlds.relax()
+        for tick in range(self._ticks_n):
+            self.actions.step((tick + 1) / self._ticks_n)
+            target, opening = self._commanded()
+            self.worlds.advance(target, opening, self._substeps, self._watch)
+        self.sensed = self._sense()
+        self._note_faults()
+        state = self._state()
+        paid = self._reward.pay(state)
+        reward = np.sum(list(paid.values()), axis=0)
+        terminated = state.succeeded | self._finished_long | self._diverged
+        if self._end_at_violation:
+            terminated |= state.violated
+        late = self.worlds.time_s >= self.task.time_limit_s - 1e-9
+        truncated = late & ~terminated
+        observation = self._observe()
+        info = self._info(state)
+        info["reward_terms"] = paid
+        ended = terminated | truncated
+        if ended.any():
+            observation = self._restart(ended, observation, info)
+        return observation, reward, terminated, truncated, info
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the simulations."""
+
+    # One step ----------------------------------------------------------------------------------
+
+    def _checked(self, actions: npt.ArrayLike) -> Array:
+        if not self._started:
+            raise UsageError(
+                "the environment was stepped before it was reset",
+                remedy="call env.reset() first",
+            )
+        action = np.asarray(actions, dtype=float)
+        shape = (self.num_envs, len(self.actions.names))
+        finite = np.isfinite(action)
+        if action.shape != shape or not finite.all():
+            raise UsageError(
+                f"actions are {shape} finite numbers; {action.shape} has {np.count_nonzero(finite)}"
+            )
+        return np.clip(action, self.actions.low, self.actions.high)
+
+    def _commanded(self) -> tuple[Array, Array]:
+        """Return joint targets (N, n) and openings (N, 2); a frozen arm stays at home."""
+        if self.frozen is None:
+            return self.actions.target, self.actions.opening
+        robot = self.arms.robot
+        target = self.actions.target.copy()
+        opening = self.actions.opening.copy()
+        own = robot.joints_of(self.frozen)
+        target[:, own] = robot.home[own]
+        opening[:, self.frozen] = 1.0
+        return target, opening
+
+    def _watch(self, scene: Scene) -> None:
+        """Judge one physics step, and let the sensors take their samples."""
+        self.judges.observe(scene)
+        self._sensors.note(scene.R, scene.p)
+
+    def _note_faults(self) -> None:
+        """Note worlds that have diverged, or in which the supervisor would have stopped the arms."""
+        expected_s = self._elapsed_s + self._period_s
+        self._diverged |= ~(np.abs(self.worlds.time_s - expected_s) < 0.5 * self.worlds.dt)
+        self._elapsed_s = expected_s
+        if self._supervised:
+            self._stopped |= ~(self.worlds.strain <= 1.0)
+
+    def _sense(self) -> Sensed:
+        worlds = self.worlds
+        arms = JointReadings(
+            worlds.time_s, worlds.q, worlds.tau, worlds.gripper, worlds.grip_n, worlds.hand_wrench.copy()
+        )
+        return self._senses.read(arms, self._sensors.read()[:, None])
+
+    def _observe(self) -> Floats:
+        return observe(self.terms, Seen(self.sensed, self.actions, self.task, self._truth()))
+
+    def _truth(self) -> Truth:
+        return Truth(
+            self.worlds.object_poses()[:, None],
+            self.worlds.object_twists(),
+            self.judges.state["pinch"].copy(),
+            self._sensors.offset,
+        )
+
+    @property
+    def _finished_long(self) -> Flags:
+        """Whether a trial has been finished for `linger_s` (N,)."""
+        since_s = self.worlds.time_s - self.judges.state["done_s"]  # NaN while it is not finished
+        return since_s >= self._linger_s - 1e-9
+
+    def _state(self) -> LiftState:
+        """Return what rewards read."""
+        judged = self.judges.state
+        limits = self.judges.limits
+        body = self.task.objects[self.task.carried]
+        violated = self.judges.violated | self._stopped | self._diverged
+        return LiftState(
+            hands=self.sensed.hands,
+            opening=self.sensed.gripper,
+            grasps=self._grasps,
+            xyz=judged["xyz"].copy(),
+            yaw=judged["yaw"].copy(),
+            tilt=judged["tilt"].copy(),
+            clearance=judged["clearance"].copy(),
+            rest_m=body.body.rest_height_m,
+            pinch_n=judged["pinch"].copy(),
+            lifted_m=judged["lifted_m"].copy(),
+            goal=self._goals,
+            rise_m=limits.rise,
+            tilt_max=limits.tilt,
+            symmetry=body.symmetry,
+            strain=self.worlds.strain,
+            violated=violated,
+            succeeded=self.judges.succeeded & self._finished_long & ~violated,
+        )
+
+    def _info(self, state: LiftState) -> dict[str, Any]:
+        info: dict[str, Any] = {"success": state.succeeded.copy()}
+        if self.privileged:
+            seen = Seen(self.sensed, self.actions, self.task, self._truth())
+            info["privileged"] = observe(self.privileged, seen)
+        return info
+
+    # Trials ------------------------------------------------------------------------------------
+
+    def _restart(self, ended: Flags, observation: Floats, info: dict[str, Any]) -> Floats:
+        """Start new trials in some worlds; return the observations of all, and fill `info`."""
+        info["final_obs"] = observation
+        info["_final_obs"] = ended.copy()
+        info["final_info"] = self._outcomes()
+        info["_final_info"] = ended.copy()
+        if self.privileged:
+            info["final_privileged"] = info["privileged"]
+        self._begin(np.flatnonzero(ended))
+        self.sensed = self._sense()
+        first = self._observe()
+        if self.privileged:
+            info["privileged"] = self._info(self._state())["privileged"]
+        return np.where(ended[:, None], first, observation)
+
+    def _outcomes(self) -> dict[str, Any]:
+        """Return how the trials of all worlds stand (N,), by name."""
+        judged = self.judges.state
+        state = self._state()
+        failures = [self.failure(world) for world in range(self.num_envs)]
+        pinch_n = judged["pinch_least"]
+        return {
+            "success": state.succeeded,
+            "failure": np.array(failures, dtype=object),
+            "trial": np.array([trial.index for trial in self.trials]),
+            "time_s": self.worlds.time_s,
+            "highest_m": judged["highest_m"].copy(),
+            "tilt_max_rad": judged["tilt_max"].copy(),
+            "pinch_min_n": np.where(np.isfinite(pinch_n), pinch_n, 0.0),
+        }
+
+    def failure(self, world: int) -> str:
+        """Return the name of what a world's trial violated first, or ""."""
+        if self._diverged[world]:
+            return _DIVERGED
+        if self._stopped[world] and not self.judges.violated[world]:
+            return _STOPPED
+        return self.judges.failure(world)
+
+    def _begin(self, worlds: Indices) -> None:
+        """Start the next trials in some worlds."""
+        name = self.task.carried
+        starts = []
+        goals = []
+        for world in worlds.tolist():
+            trial = self._draw(world)
+            starts.append(placement(trial.start[name]))
+            goals.append(placement(trial.goal[name]))
+        self._goals[worlds] = goals
+        self.worlds.reset(worlds, starts, goals)
+        self.judges.reset(worlds)
+        self.actions.reset(worlds)
+        self._diverged[worlds] = False
+        self._stopped[worlds] = False
+        if not self._started:
+            self._elapsed_s = np.zeros(self.num_envs)
+        self._elapsed_s[worlds] = 0.0
+        self._show_start(worlds, np.array(starts), np.array(goals))
+
+    def _show_start(self, worlds: Indices, starts: Array, goals: Array) -> None:
+        """Let sensors, judges' views and rewards begin with the first state."""
+        self._sensors.begin(worlds, self.worlds.object_poses())
+        first = self._sensors.read()[worlds]
+        self._senses.reset(worlds, first[:, None], goals)
+        judged = self.judges.state
+        judged["xyz"][worlds] = self.worlds.object_poses()[worlds, :3, 3]
+        judged["yaw"][worlds] = starts[:, 2]
+        chosen = np.zeros(self.num_envs, dtype=bool)
+        chosen[worlds] = True
+        self.sensed = self._sense()
+        self._reward.restart(self._state(), chosen)
+
+    def _draw(self, world: int) -> Trial:
+        """Draw the next trial for a world, with its sensor's offset and its model."""
+        index = self.next_trial
+        self.next_trial += 1
+        condition = self.condition
+        widen = 1.0 if condition is None else condition.widen
+        trial = self.task.trial(self.seed, self.purpose, index, widen=widen)
+        self.trials[world] = trial
+        self._sensors.reset(world, stream(self.seed, f"sensing/{self.purpose}", index))
+        if condition is not None:
+            rng = stream(self.seed, f"disturbance/{self.purpose}/{condition.name}", index)
+            with condition.applied(self._model, self.task, trial, rng):
+                self.worlds.set_model(world, self._model)
+        return trial
+
+
+def _ticks(rate_hz: int) -> int:
+    """Return the ticks of one action.
+
+    Raises:
+        UsageError: The rate does not divide 50 Hz.
+    """
+    ticks = 1.0 / (TICK_S * rate_hz)
+    if abs(ticks - round(ticks)) > 1e-9 or ticks < 1.0:
+        raise UsageError(f"actions at {rate_hz} Hz: the rate must divide {round(1.0 / TICK_S)} Hz")
+    return round(ticks)
+
+
+def evaluate(
+    env: BatchedEnv, act: Any, trials: Collection[int] | int, purpose: str
+) -> dict[int, dict[str, Any]]:
+    """Run trials 0 to n - 1 of a stream, each once; return {trial: outcome}.
+
+    Args:
+        act: Takes an observation (N, k), returns actions (N, k).
+        trials: Their number.
+    """
+    trials_n = trials if isinstance(trials, int) else len(trials)
+    observation, _ = env.reset(options={"purpose": purpose, "first": 0})
+    outcomes: dict[int, dict[str, Any]] = {}
+    while len(outcomes) < trials_n:
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        for world in np.flatnonzero(terminated | truncated).tolist():
+            final = {name: values[world] for name, values in info["final_info"].items()}
+            if final["trial"] < trials_n:
+                outcomes[int(final["trial"])] = final
+    return outcomes

@@ -1,0 +1,388 @@
+"""N simulations of one scene in one process, driven by joint targets as trials are."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from minidual.config.control import SupervisorConfig
+from minidual.config.scene import OBSTACLE, SceneConfig
+from minidual.control.gripper import JOINT_PINCH_N, advance_constants
+from minidual.control.joint_control import RAMP_S, REFERENCE_RAD_S, SERVO_RAD_S, reference_bounds
+from minidual.control.observer import CONTACT_MODES, FILTER_S, LEAST_NM
+from minidual.environments.kernels import (
+    CLOSED,
+    LATE_STEPS,
+    STRAIN_N,
+    TORQUE_SHARE,
+    Addresses,
+    Bounds,
+    Driven,
+    Law,
+    State,
+    drive,
+    feel,
+    wrenches,
+)
+from minidual.environments.transport_kernel import Scene
+from minidual.plant.addresses import map_joints
+from minidual.plant.bodies import contact_sensor
+from minidual.plant.model import build_spec
+from minidual.robot.pair import Array, Indices, Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from minidual.tasks.task import Placement
+
+RANDOMISED = (
+    "body_mass",
+    "body_inertia",
+    "geom_friction",
+    "dof_damping",
+    "dof_frictionloss",
+)
+"""Fields of the model that may differ between worlds."""
+_FELT_EVERY_S = 0.01
+_AT_NEW_STATE = int(mujoco.mjtStage.mjSTAGE_VEL)
+_COUNT = 0  # `reduce` of MuJoCo's contact sensors: none
+_PADS_N = 12
+
+
+class Worlds:
+    """N worlds of a scene with one carried object.
+
+    Each world runs the scene, the reference filter, the computed torque and the grippers of
+    `JointLoop`. The inertia comes from MuJoCo instead of Pinocchio, with fingers where they are.
+
+    Attributes:
+        model: Of all worlds; `models` differ in RANDOMISED alone.
+        time_s: (N,).
+        external: Torques (N, n) [Nm] that contacts ask of the joints, filtered as the supervisor does.
+        hand_wrench: (N, 2, 6), [force; moment] of the surroundings on each hand, estimated from them.
+        strain: (N,), the largest share of a supervisor's bound since `relax`; above 1 it would stop.
+
+    Args:
+        scene: Its first object is carried.
+        frames: (2, n / 2 + 1, 4, 4), see `ArmIK.frames`.
+        threads: Of the physics; 0 for all cores.
+    """
+
+    def __init__(
+        self,
+        scene: SceneConfig,
+        robot: Robot,
+        worlds_n: int,
+        frames: Array,
+        *,
+        supervisor: SupervisorConfig | None = None,
+        threads: int = 1,
+    ) -> None:
+        self.scene = scene
+        self.robot = robot
+        self.worlds_n = worlds_n
+        self.name = scene.object.name
+        spec = build_spec(scene, robot, visuals=False)
+        touches_n = _add_touch_sensors(spec, scene, robot)
+        self.model = spec.compile()
+        self.dt = float(self.model.opt.timestep)
+        self._frames = frames
+        self._batch = batch.Batch(self.model, worlds_n, threads, persistent=True)
+        self._bind(touches_n)
+        self._at = self._addresses()
+        self._law = self._control_law()
+        self.driven = Driven(
+            np.zeros((worlds_n, robot.dof)),
+            np.ones((worlds_n, 2)),
+            np.zeros((worlds_n, 6, robot.dof)),
+            np.ones((worlds_n, 4, 2)),
+        )
+        supervisor = SupervisorConfig() if supervisor is None else supervisor
+        self._bounds, self._force_max_n = self._supervised(supervisor)
+        self._late_steps = supervisor.deviation_s / self.dt
+        self._feel_every = max(1, round(_FELT_EVERY_S / self.dt))
+        self._steps = 0
+        self.external = np.zeros((worlds_n, robot.dof))
+        self.hand_wrench = np.zeros((worlds_n, 2, 6))
+        self._feelings = np.zeros((worlds_n, STRAIN_N))
+        self._hand_share = np.zeros(worlds_n)
+        self._late = np.zeros(worlds_n, dtype=bool)
+        self._goal = np.zeros((worlds_n, 3))
+
+    # Building ----------------------------------------------------------------------------------
+
+    def _bind(self, touches_n: int) -> None:
+        """Keep views of the batch's memory."""
+        names = "qpos qvel ctrl M qfrc_bias actuator_force qfrc_constraint".split()
+        qpos, qvel, ctrl, M, bias, force, constraint = (self._batch.bind(name) for name in names)
+        rows = M.reshape(self.worlds_n, -1)
+        self._state = State(qpos, qvel, ctrl, rows, bias, force, constraint)
+        self._time = self._batch.bind("time").reshape(self.worlds_n)
+        self._xpos = self._batch.bind("xpos")
+        self._xmat = self._batch.bind("xmat").reshape(self.worlds_n, -1, 3, 3)
+        sensors = self._batch.bind("sensordata")
+        model = self.model
+        first_finger = contact_sensor(
+            self.name, self.robot.sides[0], self.robot.hand.finger_links[0]
+        )
+        first = int(model.sensor(first_finger).adr[0])
+        self._pads = sensors[:, first : first + _PADS_N].reshape(self.worlds_n, 4, 3)
+        touch = int(model.sensor("touch0").adr[0])
+        self._touches = np.zeros((self.worlds_n, 4))
+        self._touch_data = sensors[:, touch : touch + touches_n]
+        self._body = int(model.body(self.name).id)
+        self._palms = [int(model.body(name).id) for name in self.robot.both(self._palm_link)]
+        joint = int(model.body_jntadr[self._body])
+        self._free_q = int(model.jnt_qposadr[joint])
+        self._free_v = int(model.jnt_dofadr[joint])
+        self._R = np.zeros((self.worlds_n, 3, 3))
+        self._p = np.zeros((self.worlds_n, 3))
+        self._axes = np.zeros((self.worlds_n, 2, 3))
+        self.solids = _solids(model, self.scene, self._body)
+
+    @property
+    def _palm_link(self) -> str:
+        return self.robot.hand.palm_link
+
+    def _addresses(self) -> Addresses:
+        model = self.model
+        joints = map_joints(model, self.robot.joint_names, torque=True)
+        fingers = map_joints(model, self.robot.finger_joint_names, torque=False)
+        return Addresses(
+            joints.qpos,
+            joints.qvel,
+            joints.ctrl.astype(np.int64),
+            fingers.qpos,
+            fingers.ctrl.astype(np.int64),
+            model.M_rownnz,
+            model.M_rowadr,
+            model.M_colind,
+        )
+
+    def _control_law(self) -> Law:
+        robot = self.robot
+        return Law(
+            bounds=reference_bounds(robot),
+            tau_max=robot.tau_max.copy(),
+            gripper=advance_constants(self.dt, robot.hand.travel_m),
+            dt_s=self.dt,
+            ramp_s=RAMP_S,
+            reference_rad_s=REFERENCE_RAD_S,
+            servo_rad_s=SERVO_RAD_S,
+            damping=float(robot.arm.damping),
+            dry=float(robot.arm.friction),
+            pinch_n=min(JOINT_PINCH_N, self.scene.physics.finger_force_max_n),
+        )
+
+    def _supervised(self, config: SupervisorConfig) -> tuple[Bounds, Array]:
+        """Return the supervisor's bounds, and those of a hand's force (2,) [N]."""
+        modes = [CONTACT_MODES["free motion"], CONTACT_MODES["closed hands"]]
+        tau_max = self.robot.tau_max
+        torques = [np.maximum(mode.torque_share * tau_max, LEAST_NM) for mode in modes]
+        bounds = Bounds(
+            torque=config.contact_scale * np.array(torques),
+            deviation=config.deviation_scale * np.array([mode.deviation_rad for mode in modes]),
+            share=-math.expm1(-self.dt / FILTER_S),
+            travel_m=float(self.robot.hand.travel_m),
+        )
+        return bounds, config.contact_scale * np.array([mode.force_n for mode in modes])
+
+    # Measurements ------------------------------------------------------------------------------
+
+    @property
+    def time_s(self) -> Array:
+        """See the class."""
+        return self._time.copy()
+
+    @property
+    def q(self) -> Array:
+        """Joint positions (N, n) [rad]."""
+        return self._state.qpos[:, self._at.q]
+
+    @property
+    def v(self) -> Array:
+        """Joint velocities (N, n) [rad/s]."""
+        return self._state.qvel[:, self._at.v]
+
+    @property
+    def tau(self) -> Array:
+        """Motor torques (N, n) [Nm] of the last step."""
+        return self._state.force[:, self._at.motor]
+
+    @property
+    def gripper(self) -> Array:
+        """Openings (N, 2), 0 closed to 1 open."""
+        places = self._state.qpos[:, self._at.finger].reshape(-1, 2, 2)
+        return places.mean(axis=2) / self.robot.hand.travel_m
+
+    @property
+    def grip_n(self) -> Array:
+        """Closing force (N, 2) of the last step."""
+        forces = self._state.force[:, self._at.finger_motor].reshape(-1, 2, 2)
+        return -forces.mean(axis=2)
+
+    @property
+    def strain(self) -> Array:
+        """See the class."""
+        largest = np.maximum(self._feelings[:, TORQUE_SHARE], self._hand_share)
+        return np.where(self._late, np.inf, largest)
+
+    def relax(self) -> None:
+        """Measure `strain` anew."""
+        self._feelings[:, TORQUE_SHARE] = 0.0
+        self._hand_share[:] = 0.0
+        self._late[:] = False
+
+    def object_poses(self) -> Array:
+        """Return true poses (N, 4, 4) of the object."""
+        Ts = np.zeros((self.worlds_n, 4, 4))
+        Ts[:, :3, :3] = self._xmat[:, self._body]
+        Ts[:, :3, 3] = self._xpos[:, self._body]
+        Ts[:, 3, 3] = 1.0
+        return Ts
+
+    def object_twists(self) -> Array:
+        """Return true twists (N, 6): velocity, world axes, and angular velocity, object axes."""
+        return self._state.qvel[:, self._free_v : self._free_v + 6].copy()
+
+    def data(self, world: int) -> mujoco.MjData:
+        """Return a copy of one world's data, to render it."""
+        return self._batch.get_data(world)
+
+    # Changes -----------------------------------------------------------------------------------
+
+    def differ(self) -> None:
+        """Let the worlds have RANDOMISED of their own, see `set_model`."""
+        self._own = {name: self._batch.expand(name) for name in RANDOMISED}
+
+    def set_model(self, world: int, model: mujoco.MjModel) -> None:
+        """Give a world RANDOMISED of a model with the same parts."""
+        for name, values in self._own.items():
+            values[world] = getattr(model, name)
+
+    def reset(self, worlds: Indices, starts: Sequence[Placement], goals: Sequence[Placement]) -> None:
+        """Put arms at home with open hands, and the object at (x, y, yaw) of each world."""
+        at = self._at
+        self._batch.reset(worlds, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        travel_m = self.robot.hand.travel_m
+        rest_m = float(self.model.qpos0[self._free_q + 2])
+        for world, (x, y, yaw), goal in zip(worlds.tolist(), starts, goals, strict=True):
+            qpos = self._state.qpos[world]
+            qpos[at.q] = self.robot.home
+            qpos[at.finger] = travel_m
+            first = self._free_q
+            qpos[first : first + 3] = x, y, rest_m
+            qpos[first + 3 : first + 7] = np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)
+            self._state.ctrl[world, at.finger_motor] = travel_m
+            self._goal[world] = goal
+        if hasattr(self, "_own"):
+            self._batch.set_const(worlds)
+        self._batch.forward(worlds)
+        self._restart_control(worlds)
+        self._keep_poses()
+
+    def _restart_control(self, worlds: Indices) -> None:
+        driven = self.driven
+        home = self.robot.home
+        driven.target[worlds] = home
+        driven.opening[worlds] = 1.0
+        driven.reference[worlds] = 0.0
+        driven.reference[np.ix_(worlds, [0, 3, 4])] = home
+        travel_m = self.robot.hand.travel_m
+        rows = [[1.0, 1.0], [travel_m, travel_m], [math.nan, math.nan], [0.0, 0.0]]
+        driven.hands[worlds] = np.array(rows)
+        self.external[worlds] = 0.0
+        self.hand_wrench[worlds] = 0.0
+        self._feelings[worlds] = 0.0
+        self._hand_share[worlds] = 0.0
+        self._late[worlds] = False
+
+    def advance(
+        self, target: Array, opening: Array, steps_n: int, observe: Callable[[Scene], None]
+    ) -> None:
+        """Run physics steps towards joint targets (N, n) [rad] and openings (N, 2).
+
+        `observe` is called after each; worlds that have diverged are reset by MuJoCo, see `diverged`.
+        """
+        driven = self.driven
+        driven.target[:] = target
+        driven.opening[:] = opening
+        for _ in range(steps_n):
+            drive(self._state, self._at, driven, self._law)
+            self._batch.step(stage=_AT_NEW_STATE)
+            self._touches[:, : self._touch_data.shape[1]] = self._touch_data
+            observe(self._scene())
+            self._keep_poses()
+            feel(self._state, self._at, driven, self._bounds, self.external, self._feelings)
+            self._steps += 1
+            if self._steps % self._feel_every == 0:
+                self._feel_hands()
+
+    def _scene(self) -> Scene:
+        velocity = self._state.qvel[:, self._free_v : self._free_v + 3]
+        return Scene(
+            self.solids,
+            self._R,
+            self._p,
+            self._axes,
+            self._pads,
+            self._touches,
+            velocity,
+            self._time,
+            self._goal,
+        )
+
+    def _keep_poses(self) -> None:
+        """Keep poses before the next step: a trial's judge reads them after it."""
+        self._R[:] = self._xmat[:, self._body]
+        self._p[:] = self._xpos[:, self._body]
+        for hand, palm in enumerate(self._palms):
+            self._axes[:, hand] = self._xmat[:, palm, :, 1]
+
+    def _feel_hands(self) -> None:
+        wrenches(self._frames, self.q, self.external, self.hand_wrench)
+        force_n = np.linalg.norm(self.hand_wrench[:, :, :3], axis=2).max(axis=1)
+        mode = self._feelings[:, CLOSED].astype(int)
+        np.maximum(self._hand_share, force_n / self._force_max_n[mode], out=self._hand_share)
+        self._late |= self._feelings[:, LATE_STEPS] > self._late_steps
+
+
+def _add_touch_sensors(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> int:
+    """Count contacts: object with table, with each arm, and obstacle with anything; return how many counts.
+
+    A trial's judge reads MuJoCo's list of contacts, which a batch does not give.
+    """
+    count = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+    body = mujoco.mjtObj.mjOBJ_BODY
+    below = mujoco.mjtObj.mjOBJ_XBODY
+    name = scene.object.name
+    rows: list[dict[str, object]] = [{"objtype": body, "objname": "table"}]
+    for joint in robot.joint_names[:: robot.dof_per_arm]:
+        link = spec.joint(joint).parent.name
+        rows.append({"objtype": below, "objname": link})
+    for row in rows:
+        row.update(reftype=body, refname=name)
+    if scene.task.obstacle is not None:
+        rows.append({"objtype": mujoco.mjtObj.mjOBJ_GEOM, "objname": OBSTACLE})
+    for index, row in enumerate(rows):
+        spec.add_sensor(
+            name=f"touch{index}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            intprm=[count, _COUNT, 1],
+            **row,
+        )
+    return len(rows)
+
+
+def _solids(model: mujoco.MjModel, scene: SceneConfig, body: int) -> Array:
+    """Return the rows (k, 8) of the object's parts, see `tasks.truth.ObjectTruth`."""
+    first = int(model.body_geomadr[body])
+    rows: list[list[float]] = []
+    for geom, part in enumerate(scene.object.solids, first):
+        position_m = model.geom_pos[geom].tolist()
+        rows.append([*position_m, *part.half_m, part.shape == "cylinder", "xyz".index(part.axis)])
+    return np.array(rows, dtype=float)
