@@ -37,7 +37,9 @@ def reference_bounds(robot: Robot, bandwidth_rad_s: float = REFERENCE_RAD_S) -> 
 class ReferenceFilter:
     """Second-order tracking of joint targets, with lag 2 / w after the ramp."""
 
-    def __init__(self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = REFERENCE_RAD_S) -> None:
+    def __init__(
+        self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = REFERENCE_RAD_S
+    ) -> None:
         self._w = bandwidth_rad_s
         self._dt = dt_s
         self._bounds = reference_bounds(robot, bandwidth_rad_s)
@@ -104,7 +106,9 @@ def motor_torque(
 class ComputedTorque:
     """Tracks joint references, critically damped."""
 
-    def __init__(self, kinematics: Kinematics, *, natural_frequency_rad_s: float = SERVO_RAD_S) -> None:
+    def __init__(
+        self, kinematics: Kinematics, *, natural_frequency_rad_s: float = SERVO_RAD_S
+    ) -> None:
         self._kinematics = kinematics
         self._w = natural_frequency_rad_s
         self._a = np.zeros(kinematics.robot.dof)

@@ -19,9 +19,8 @@ what became of it, valid where `info["_final_obs"]` is true (Gymnasium's SAME_ST
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -31,8 +30,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from minidual.config.root import Config, changed
-from minidual.config.seeds import stream
 from minidual.environments.actions import ACTIONS, arms_of
+from minidual.environments.draws import Disturbed, Draws
 from minidual.environments.judging import TransportJudges
 from minidual.environments.observations import CLIP, LIFT, Seen, Truth, observe, size_of
 from minidual.environments.rewards import LIFT_REWARD, LiftState, Reward, RewardTerm
@@ -42,10 +41,7 @@ from minidual.environments.worlds import Worlds
 from minidual.errors import UsageError, check_name, unknown_name
 from minidual.robot.pair import SIDES, Array, Indices, robot_from
 from minidual.tasks.catalogue import make_task
-from minidual.tasks.task import Task, Trial, placement
-
-if TYPE_CHECKING:
-    import mujoco
+from minidual.tasks.task import Trial, placement
 
 TICK_S = 0.02
 """Period of joint targets, as in trials (50 Hz)."""
@@ -61,23 +57,6 @@ _STOPPED = "stopped"
 
 Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float32]
-
-
-class Disturbed(Protocol):
-    """A condition of trials that changes the model: a row of `trials.conditions.CONDITIONS`."""
-
-    name: str
-    widen: float
-
-    def config_under(self, config: Config) -> Config:
-        """Return the configuration of its trials."""
-        ...
-
-    def applied(
-        self, model: mujoco.MjModel, task: Task, trial: Trial, rng: np.random.Generator
-    ) -> AbstractContextManager[None]:
-        """Change a model, then restore it."""
-        ...
 
 
 def fast_physics(config: Config) -> Config:
@@ -148,16 +127,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             config = changed(config, {"task": task})
         if fast:
             config = fast_physics(config)
-        self.condition = condition
+        self._condition = condition
         config = config if condition is None else condition.config_under(config)
         if frozen is not None:
             check_name("arm", frozen, SIDES)
         self.num_envs = num_envs
         self.task = make_task(config)
         self.config = self.task.config
-        self.seed = config.seed
-        self.purpose = purpose
-        self.next_trial = first
+        self.draws = Draws(self.task, purpose, first, condition)
         self.frozen = None if frozen is None else SIDES.index(frozen)
         self._supervised = supervised
         self._end_at_violation = end_at_violation
@@ -170,6 +147,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.privileged = tuple(privileged)
         self._reward = Reward(reward, num_envs, discount)
         self._make_spaces()
+        self._all = np.arange(num_envs)
+        self._elapsed_s = np.zeros(num_envs)
         self._started = False
 
     def _make_worlds(self, threads: int) -> None:
@@ -184,10 +163,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             supervisor=task.config.supervisor,
             threads=threads,
         )
-        self._model = self.worlds.model
-        if self.condition is not None:
+        if self._condition is not None:
             self.worlds.differ()
-        self.trials = [task.trial(self.seed, self.purpose, 0) for _ in range(self.num_envs)]
+        self.trials = [task.trial(self.draws.seed, self.draws.purpose, 0)] * self.num_envs
         self.judges = TransportJudges(task, self.trials[0], self.worlds.solids, self.num_envs)
         self._sensors = PoseSensors(task.config.carry.sensing, self.num_envs, self.worlds.dt)
         self._senses = Senses(self.arms.frames, self.num_envs)
@@ -224,13 +202,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         for name in options.keys() - {"purpose", "first"}:
             raise unknown_name("option", name, ["purpose", "first"])
         if seed is not None:
-            self.seed = seed
-            self.next_trial = 0
-        self.purpose = options.get("purpose", self.purpose)
-        self.next_trial = options.get("first", self.next_trial)
-        self._begin(np.arange(self.num_envs))
+            self.draws.seed = seed
+            self.draws.next_index = 0
+        self.draws.purpose = options.get("purpose", self.draws.purpose)
+        self.draws.next_index = options.get("first", self.draws.next_index)
+        self._begin(self._all)
         self._started = True
-        self.sensed = self._sense()
         return self._observe(), self._info(self._state())
 
     def step(self, actions: npt.ArrayLike) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
@@ -246,7 +223,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             self.actions.step((tick + 1) / self._ticks_n)
             target, opening = self._commanded()
             self.worlds.advance(target, opening, self._substeps, self._watch)
-        self.sensed = self._sense()
+        self.sensed = self._sense(self._sensors.read(self._all))
         self._note_faults()
         state = self._state()
         paid = self._reward.pay(state)
@@ -309,12 +286,18 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         if self._supervised:
             self._stopped |= ~(self.worlds.strain <= 1.0)
 
-    def _sense(self) -> Sensed:
+    def _sense(self, poses: Array) -> Sensed:
+        """Return the readings of this moment, with sensed poses (N, 4, 4)."""
         worlds = self.worlds
         arms = JointReadings(
-            worlds.time_s, worlds.q, worlds.tau, worlds.gripper, worlds.grip_n, worlds.hand_wrench.copy()
+            worlds.time_s,
+            worlds.q,
+            worlds.tau,
+            worlds.gripper,
+            worlds.grip_n,
+            worlds.hand_wrench.copy(),
         )
-        return self._senses.read(arms, self._sensors.read()[:, None])
+        return self._senses.read(arms, poses[:, None])
 
     def _observe(self) -> Floats:
         return observe(self.terms, Seen(self.sensed, self.actions, self.task, self._truth()))
@@ -377,7 +360,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         if self.privileged:
             info["final_privileged"] = info["privileged"]
         self._begin(np.flatnonzero(ended))
-        self.sensed = self._sense()
         first = self._observe()
         if self.privileged:
             info["privileged"] = self._info(self._state())["privileged"]
@@ -422,38 +404,32 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.actions.reset(worlds)
         self._diverged[worlds] = False
         self._stopped[worlds] = False
-        if not self._started:
-            self._elapsed_s = np.zeros(self.num_envs)
         self._elapsed_s[worlds] = 0.0
         self._show_start(worlds, np.array(starts), np.array(goals))
 
     def _show_start(self, worlds: Indices, starts: Array, goals: Array) -> None:
         """Let sensors, judges' views and rewards begin with the first state."""
         self._sensors.begin(worlds, self.worlds.object_poses())
-        first = self._sensors.read()[worlds]
-        self._senses.reset(worlds, first[:, None], goals)
+        poses = self._sensors.read(worlds)
+        self._senses.reset(worlds, poses[worlds, None], goals)
         judged = self.judges.state
         judged["xyz"][worlds] = self.worlds.object_poses()[worlds, :3, 3]
         judged["yaw"][worlds] = starts[:, 2]
         chosen = np.zeros(self.num_envs, dtype=bool)
         chosen[worlds] = True
-        self.sensed = self._sense()
+        self.sensed = self._sense(poses)
         self._reward.restart(self._state(), chosen)
 
     def _draw(self, world: int) -> Trial:
         """Draw the next trial for a world, with its sensor's offset and its model."""
-        index = self.next_trial
-        self.next_trial += 1
-        condition = self.condition
-        widen = 1.0 if condition is None else condition.widen
-        trial = self.task.trial(self.seed, self.purpose, index, widen=widen)
-        self.trials[world] = trial
-        self._sensors.reset(world, stream(self.seed, f"sensing/{self.purpose}", index))
-        if condition is not None:
-            rng = stream(self.seed, f"disturbance/{self.purpose}/{condition.name}", index)
-            with condition.applied(self._model, self.task, trial, rng):
-                self.worlds.set_model(world, self._model)
-        return trial
+        draw = self.draws.next()
+        self.trials[world] = draw.trial
+        self._sensors.reset(world, draw.sensing)
+        if self._condition is not None:
+            model = self.worlds.model
+            with self._condition.applied(model, self.task, draw.trial, draw.disturbance):
+                self.worlds.set_model(world, model)
+        return draw.trial
 
 
 def _ticks(rate_hz: int) -> int:
@@ -466,24 +442,3 @@ def _ticks(rate_hz: int) -> int:
     if abs(ticks - round(ticks)) > 1e-9 or ticks < 1.0:
         raise UsageError(f"actions at {rate_hz} Hz: the rate must divide {round(1.0 / TICK_S)} Hz")
     return round(ticks)
-
-
-def evaluate(
-    env: BatchedEnv, act: Any, trials: Collection[int] | int, purpose: str
-) -> dict[int, dict[str, Any]]:
-    """Run trials 0 to n - 1 of a stream, each once; return {trial: outcome}.
-
-    Args:
-        act: Takes an observation (N, k), returns actions (N, k).
-        trials: Their number.
-    """
-    trials_n = trials if isinstance(trials, int) else len(trials)
-    observation, _ = env.reset(options={"purpose": purpose, "first": 0})
-    outcomes: dict[int, dict[str, Any]] = {}
-    while len(outcomes) < trials_n:
-        observation, _, terminated, truncated, info = env.step(act(observation))
-        for world in np.flatnonzero(terminated | truncated).tolist():
-            final = {name: values[world] for name, values in info["final_info"].items()}
-            if final["trial"] < trials_n:
-                outcomes[int(final["trial"])] = final
-    return outcomes

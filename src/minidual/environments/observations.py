@@ -191,7 +191,9 @@ def _true_offset(seen: Seen) -> Array:
 
 def _truth(seen: Seen) -> Truth:
     if seen.truth is None:
-        raise UsageError("a privileged term of the observation needs the truth, which a method has not")
+        raise UsageError(
+            "a privileged term of the observation needs the truth, which a method has not"
+        )
     return seen.truth
 
 

@@ -60,7 +60,7 @@ _PACE = {
     Phase.DESCEND: 0.5,
     Phase.GRASP: 1.0,
     Phase.LIFT: 0.6,
-    Phase.ALONG: 1.0,
+    Phase.ALONG: 0.6,
     Phase.LOWER: 0.25,
     Phase.OPEN: 1.0,
     Phase.RISE: 0.6,

@@ -102,7 +102,8 @@ class PoseSensors:
         self._samples: deque[Array] = deque(maxlen=self._late_n + 1)
         self._steps = 0
         self._offset = np.zeros((worlds_n, 6))
-        self._rngs: list[np.random.Generator | None] = [None] * worlds_n
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._latest = np.tile(np.eye(4), (worlds_n, 1, 1))
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
         """Draw the offset of a new trial."""
@@ -135,17 +136,17 @@ class PoseSensors:
         """Constant errors (N, 6) [m, rad] of the present trials."""
         return self._offset.copy()
 
-    def read(self) -> Array:
-        """Return sensed poses (N, 4, 4)."""
-        Ts = self._samples[0].copy()
-        error = self._offset.copy()
+    def read(self, worlds: Indices) -> Array:
+        """Read anew in some worlds; return the latest sensed poses (N, 4, 4) of all."""
+        error = self._offset[worlds]
         scale = np.repeat([self._config.pose_noise_m, self._config.pose_noise_rad], 3)
-        for world, rng in enumerate(self._rngs):
-            if rng is not None:
-                error[world] += scale * rng.standard_normal(6)
+        for row, world in enumerate(worlds.tolist()):
+            error[row] += scale * self._rngs[world].standard_normal(6)
+        Ts = self._samples[0][worlds]
         Ts[:, :3, 3] += error[:, :3]
         Ts[:, :3, :3] = rotations(error[:, 3:]) @ Ts[:, :3, :3]
-        return Ts
+        self._latest[worlds] = Ts
+        return self._latest.copy()
 
 
 def rotations(vectors: Array) -> Array:

@@ -135,10 +135,10 @@ def _put(place: Array, s: np.void) -> None:
 def _in_fingers(seen: Array) -> bool:
     if max(seen[PINCHES], seen[PINCHES + 1]) >= TOUCH_N:
         return True
+    largest = 0.0
     for k in range(6):
-        if abs(seen[HAND_FORCES + k]) > TOUCH_N:
-            return True
-    return False
+        largest = max(largest, abs(seen[HAND_FORCES + k]))
+    return largest > TOUCH_N
 
 
 @njit

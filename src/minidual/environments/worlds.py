@@ -117,10 +117,16 @@ class Worlds:
 
     def _bind(self, touches_n: int) -> None:
         """Keep views of the batch's memory."""
-        names = "qpos qvel ctrl M qfrc_bias actuator_force qfrc_constraint".split()
-        qpos, qvel, ctrl, M, bias, force, constraint = (self._batch.bind(name) for name in names)
-        rows = M.reshape(self.worlds_n, -1)
-        self._state = State(qpos, qvel, ctrl, rows, bias, force, constraint)
+        bind = self._batch.bind
+        self._state = State(
+            qpos=bind("qpos"),
+            qvel=bind("qvel"),
+            ctrl=bind("ctrl"),
+            M=bind("M").reshape(self.worlds_n, -1),
+            bias=bind("qfrc_bias"),
+            force=bind("actuator_force"),
+            constraint=bind("qfrc_constraint"),
+        )
         self._time = self._batch.bind("time").reshape(self.worlds_n)
         self._xpos = self._batch.bind("xpos")
         self._xmat = self._batch.bind("xmat").reshape(self.worlds_n, -1, 3, 3)
@@ -264,7 +270,9 @@ class Worlds:
         for name, values in self._own.items():
             values[world] = getattr(model, name)
 
-    def reset(self, worlds: Indices, starts: Sequence[Placement], goals: Sequence[Placement]) -> None:
+    def reset(
+        self, worlds: Indices, starts: Sequence[Placement], goals: Sequence[Placement]
+    ) -> None:
         """Put arms at home with open hands, and the object at (x, y, yaw) of each world."""
         at = self._at
         self._batch.reset(worlds, stage=int(mujoco.mjtStage.mjSTAGE_NONE))

@@ -1,4 +1,4 @@
-"""Tasks as Gymnasium environments at 50 Hz; importing this module registers them (docs/gymnasium.md)."""
+"""A task as a Gymnasium environment at 50 Hz, with pictures (docs/gymnasium.md)."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -7,7 +7,6 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.envs.registration import register, registry
 
 from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
@@ -18,7 +17,7 @@ from minidual.plant.render import Camera, Image
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, robot_from
-from minidual.tasks.catalogue import TASKS, make_task
+from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial, level_part, placement, pose_of
 
@@ -256,9 +255,3 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
 def _box(low: Array, high: Array) -> Any:  # generic in numpy's types, which pyright cannot match
     return spaces.Box(low.astype(np.float32), high.astype(np.float32))
-
-
-for _name in TASKS:
-    _id = f"minidual/{_name.title().replace('_', '')}-v0"
-    if _id not in registry:
-        register(id=_id, entry_point="minidual.trials.gym_env:TaskEnv", kwargs={"task": _name})

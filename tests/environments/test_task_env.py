@@ -10,10 +10,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
+from minidual.environments.task_env import TaskEnv
 from minidual.errors import UsageError
 from minidual.tasks.catalogue import TASKS
 from minidual.tasks.task import pose_of
-from minidual.trials.gym_env import TaskEnv
 from tests.support.arm_scripts import carry_script
 from tests.support.carry_trials import rod_trial
 from tests.support.panda import HOME, Q_UPPER
@@ -62,7 +62,7 @@ def action(q=HOME, hands=(1.0, 1.0)):
 def test_gymnasiums_own_checker_passes_with_images_and_rendering():
     small = SceneConfig(camera=CameraConfig(width_px=64, height_px=48))
     made = gymnasium.make(
-        "minidual.trials.gym_env:minidual/RodCarry-v0",
+        "minidual.environments:minidual/RodCarry-v0",
         scene=small,
         images=("high", "left"),
         render_mode="rgb_array",
