@@ -40,6 +40,10 @@ REFUSED = {
         4,
         "the keyboard leader needs a terminal",
     ),
+    "minidual teleop-record --profile smoke --set teleop.leader=keyboard": (
+        4,
+        "the keyboard leader needs a terminal",
+    ),
     "minidual stop": (2, "nothing to stop: no command is working"),
     "minidual run --run cuda --set train.device=cuda": (4, "torch finds no CUDA device"),
     "minidual run --profile gpu": (4, "torch finds no CUDA device"),

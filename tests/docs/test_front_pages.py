@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.docs.test_docs import parse
 from tests.docs.test_pages import words
 from tests.support.documents import ROOT, code_lines, printed_commands
 
@@ -65,6 +66,13 @@ def test_a_printed_target_exists(line: str) -> None:
         timeout=60,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("page", FRONT)
+def test_a_command_inside_a_sentence_parses(page: str) -> None:
+    text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+    for command in re.findall(r"`(?:\.venv/bin/)?minidual ([a-z][^`]*)`", text):
+        parse(command.split())
 
 
 def test_every_build_types_the_targets() -> None:
