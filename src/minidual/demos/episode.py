@@ -41,6 +41,11 @@ class Episode:
     def __len__(self) -> int:
         return len(self.timestamps)
 
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last tick [s]."""
+        return float(self.timestamps[-1] - self.timestamps[0])
+
 
 class Inspection(NamedTuple):
     """An episode, None if unreadable, and its faults."""

@@ -14,14 +14,12 @@ from minidual.stages.checkpoint_choice import chosen_checkpoint
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial
 from minidual.trials.answers import answer, medians
-from minidual.trials.benchmark import draw_under
+from minidual.trials.benchmark import TRY, draw_under
 from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import METHODS, MethodInputs, check_able
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import run_trials
 
-PURPOSE = "try"
-"""Random stream of the starts, used by no stage."""
 _TRIALS = 5
 _TRIALS_MAX = 10_000
 _METHODS = "moveit,impedance"
@@ -45,7 +43,7 @@ def try_out(context: ToolContext) -> ToolResult:
         reason = condition(name).why_not(method, inputs.config)
         if reason:
             raise UsageError(f"{method} has no trials under '{name}': {reason}")
-    draw = draw_under(inputs, name, PURPOSE)
+    draw = draw_under(inputs, name, TRY)
     trials = [draw(index) for index in indices]
     results = _run(context, methods, inputs, name, trials)
     rows = [trial.to_row() for trial in results]

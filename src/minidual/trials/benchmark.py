@@ -18,6 +18,8 @@ PURPOSE = "benchmark"
 """Random stream of the starts, used by no earlier stage."""
 PERTURBED = "perturb"
 """Random stream of the starts of `robustness`, used by no other stage."""
+TRY = "try"
+"""Random stream of the starts of `try` and of `minidual.run_trials`, used by no stage."""
 DISTURBED_RATE_MIN = 0.95
 """Least success rate of a carry under each promised condition."""
 FAILURES_MAX = 3

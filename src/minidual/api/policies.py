@@ -1,0 +1,61 @@
+"""Learned policies: those that come with the package, and those of a run."""
+
+from pathlib import Path
+
+from minidual.api.settings import configured
+from minidual.config.scene import RobotConfig
+from minidual.durable import expanded
+from minidual.errors import UsageError
+from minidual.policies.pilot import load_runtime
+from minidual.policies.policy import PolicyRuntime
+from minidual.policies.shipped import FOLDER, shipped_policy
+from minidual.robot.pair import robot_from
+from minidual.tasks.catalogue import TASKS
+
+_CONFIG = "config.json"
+
+
+def load_policy(
+    policy: str | Path,
+    *,
+    device: str = "cpu",
+    arm: str = "panda",
+) -> PolicyRuntime:
+    """Load a policy: of a task that one comes with the package for, or of a checkpoint folder.
+
+    The policy maps pictures and joints to joint targets at 50 Hz: `reset()` before each trial, then
+    `act(images, state)` at each tick. `cameras` is {camera: (height, width)} of what it needs.
+
+    Args:
+        policy: A task ("rod_carry"), or the folder of a checkpoint
+            ("runs/standard/train-act/checkpoint").
+        device: "cpu" or "cuda".
+        arm: Arm model that was recorded: "panda", "xarm7" or "ur5".
+
+    Raises:
+        UsageError: No such policy, or one for other arms.
+        DataError: The checkpoint is damaged.
+    """
+    checkpoint = checkpoint_of(policy)
+    config = configured("rod_carry", {"deploy.device": device})
+    return load_runtime(checkpoint, config.deploy, robot_from(RobotConfig(arm=arm)))
+
+
+def checkpoint_of(policy: str | Path) -> Path:
+    """Return the checkpoint folder of a task's shipped policy, or a folder that holds one.
+
+    Raises:
+        UsageError: There is none.
+    """
+    shipped = shipped_policy(policy) if isinstance(policy, str) and policy in TASKS else None
+    if shipped is not None:
+        return shipped
+    folder = expanded(str(policy))
+    if (folder / _CONFIG).is_file():
+        return folder
+    tasks = ", ".join(sorted(path.name for path in FOLDER.iterdir() if shipped_policy(path.name)))
+    raise UsageError(
+        f"there is no policy '{policy}': it is neither the folder of a checkpoint (with"
+        f" {_CONFIG}) nor a task that a policy comes with the package for ({tasks})",
+        remedy="train one: minidual run --until train-act; then name runs/RUN/train-act/checkpoint",
+    )
