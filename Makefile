@@ -17,7 +17,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 CAMPAIGN := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.campaign
 
-.PHONY: help all learn bench results campaign campaign-small test test-slow lint format typecheck wheel setup egl clean
+.PHONY: help all learn bench results campaign campaign-small docs test test-slow lint format typecheck wheel setup egl clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
@@ -48,6 +48,9 @@ campaign: $(READY) egl ## kill, tamper, break and interrupt: 15 minutes; docs/re
 
 campaign-small: $(READY) egl ## the part of the campaign for every build, on a finished smoke run
 	@$(CAMPAIGN) --small $(ARGS)
+
+docs: $(READY) ## build the documentation site offline: build/site/index.html
+	@$(BIN)/python -m scripts.site $(ARGS)
 
 lint: $(READY) ## ruff, its formatter, and the direction of imports
 	@$(BIN)/ruff check .

@@ -108,7 +108,7 @@ def run_trials(
     task: str = "rod_carry",
     method: str = "moveit",
     *,
-    condition: str = CLEAN,
+    condition: str = "clean",
     trials: int = 5,
     first: int = 0,
     policy: str | Path | None = None,

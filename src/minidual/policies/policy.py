@@ -29,7 +29,9 @@ class PolicyRuntime:
     """Maps images and state to actions.
 
     Args:
-        n_action_steps, blend_ticks: See DeployConfig.
+        policy: The network behind it.
+        n_action_steps: See DeployConfig.
+        blend_ticks: See DeployConfig.
         limits: Joint limits (lower, upper) [rad] for clamping.
 
     Raises:
