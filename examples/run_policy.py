@@ -25,7 +25,7 @@ def by_hand(steps_n: int) -> None:
     policy.reset()
     for _ in range(steps_n):
         action = policy.act(observation["images"], observation["state"])
-        observation, _, terminated, truncated, info = env.step(action)
+        observation, _, terminated, truncated, info = env.step(action.astype("float32"))
         if terminated or truncated:
             break
     print(f"environment: success {info['success']} at {info['time_s']:.2f} s")

@@ -193,7 +193,7 @@ def load_scene(path: str | Path, *, arm: str = "panda") -> PlanningScene:
         ConfigError: Invalid file; the message names line and dotted path.
         UsageError, DataError: Unknown name, or an unfit mesh.
     """
-    scene, _ = scene_file.load_scene(expanded(path), _robot(arm))
+    scene, _ = scene_file.load_scene(expanded(str(path)), _robot(arm))
     return scene
 
 
