@@ -21,7 +21,7 @@ _GROUPS = {
     "Errors": ("MinidualError", "UsageError", "DataError", "PlanningError"),
 }
 _BEHIND = {
-    "make_env": "minidual.trials.gym_env.TaskEnv",
+    "make_env": "minidual.environments.task_env.TaskEnv",
     "load_policy": "minidual.policies.policy.PolicyRuntime",
 }
 """What a function returns that has no public name."""

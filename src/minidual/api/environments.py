@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from minidual.api.settings import Settings, configured
+from minidual.environments.task_env import TaskEnv
 from minidual.errors import UsageError
-from minidual.trials.gym_env import TaskEnv
 
 
 def make_env(
