@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-PAGE_PATTERNS = ("README*.md", "CHANGELOG.md", "docs/**/*.md", "*/README.md")
+PAGE_PATTERNS = ("*.md", "docs/**/*.md", "*/README.md")
 _INDEX = "docs/README.md"
 _HOME = "README.md"
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
