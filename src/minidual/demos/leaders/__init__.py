@@ -1,0 +1,1 @@
+"""Leaders: one module for each device or program that demonstrates."""
