@@ -12,7 +12,8 @@ import pytest
 
 from minidual.cli.app import run_command_line
 from minidual.config.root import Config, changed
-from minidual.demos.leader import LEADERS, LeaderSetup, ScriptedLeader
+from minidual.demos.leader import LEADERS, LeaderSetup
+from minidual.demos.leaders.scripted import ScriptedLeader, plan_demonstration
 from minidual.demos.rig import Job, Rig
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES
@@ -29,10 +30,7 @@ SEED = 5
 
 
 def demonstrated(task: Task, trial: Trial) -> Demonstration:
-    return ScriptedLeader.for_trial(
-        LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED),
-        trial,
-    ).demonstration
+    return plan_demonstration(LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED), trial)
 
 
 @functools.cache

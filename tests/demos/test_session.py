@@ -13,13 +13,13 @@ from minidual.config.learning import MirrorConfig, TeleopConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.demos.leader import ScriptedLeader
+from minidual.demos.leader import LeaderSample
+from minidual.demos.leaders.scripted import ScriptedLeader
+from minidual.demos.mirror import check_start, leader_joints
 from minidual.demos.session import (
     SessionResult,
     TeleopSession,
     Tick,
-    check_start,
-    follower_target,
 )
 from minidual.errors import UsageError
 from minidual.plant.render import StampedImage
@@ -184,13 +184,14 @@ class _Broken(ScriptedLeader):
         super().__init__(leader.demonstration)
         self.kind = kind
 
-    def read(self, now_s: float) -> tuple[Array, Array] | None:
-        q, gripper = super().read(now_s) or (HOME, np.ones(2))
-        if now_s < 1.0:
-            return q, gripper
+    def read(self, now_s: float) -> LeaderSample | None:
+        sample = super().read(now_s)
+        if now_s < 1.0 or sample is None:
+            return sample
         if self.kind == "silent":
             return None
-        return (np.full(14, np.nan) if self.kind == "nan" else np.zeros(14)), gripper
+        q = np.full(14, np.nan) if self.kind == "nan" else np.zeros(14)
+        return dataclasses.replace(sample, q=q)
 
 
 def _broken(world: World, kind: str) -> SessionResult:
@@ -245,17 +246,11 @@ def test_a_leader_that_stands_elsewhere_is_refused_and_the_joint_named() -> None
     ) as error:
         check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
     assert "joint order" in (error.value.remedy or "")
-    leader[10] = HOME[10] + 0.09
+    leader[10] = HOME[10] + 0.09 - 2.0 * np.pi  # its encoder counts from another turn
     check_start(DUAL_PANDA, MirrorConfig(), leader, HOME)
 
 
-def test_targets_stay_inside_the_limits_and_what_is_no_posture_is_left_for_the_arbiter() -> None:
-    leader = HOME.copy()
-    leader[5] = DUAL_PANDA.q_upper[5] + 0.2
-    assert follower_target(DUAL_PANDA, leader)[5] == DUAL_PANDA.q_upper[5]
-    for odd in (np.nan, np.inf, -np.inf, np.degrees(HOME[5]), HOME[5] + 2.0 * np.pi):
-        leader[5] = odd
-        np.testing.assert_equal(follower_target(DUAL_PANDA, leader)[5], odd)
-    np.testing.assert_array_equal(follower_target(DUAL_PANDA, np.zeros(14)), np.zeros(14))
+def test_joints_of_another_number_are_refused() -> None:
+    np.testing.assert_array_equal(leader_joints(DUAL_PANDA, HOME), HOME)
     with pytest.raises(UsageError, match=r"shape \(7,\)"):
-        follower_target(DUAL_PANDA, HOME[:7])
+        leader_joints(DUAL_PANDA, HOME[:7])

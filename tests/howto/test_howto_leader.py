@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -47,5 +48,6 @@ def test_a_leader_in_real_time_records_in_one_process(
 ) -> None:
     job = page["rig"].job
     assert usable_workers(job, 4) == 4
-    monkeypatch.setattr(page["module"].Sway, "realtime", True)
+    sway = page["module"].Sway
+    monkeypatch.setattr(sway, "features", dataclasses.replace(sway.features, realtime=True))
     assert usable_workers(job, 4) == 1

@@ -15,7 +15,8 @@ from minidual.config.root import Config
 from minidual.control.stack import ControlStack
 from minidual.demos import recording as teleop_recording
 from minidual.demos import rig as teleop_rig
-from minidual.demos.leader import ScriptedLeader
+from minidual.demos.leader import LeaderSample
+from minidual.demos.leaders.scripted import ScriptedLeader
 from minidual.demos.recording import RecordedAttempts, record
 from minidual.demos.rig import Job
 from minidual.demos.session import SessionResult, TeleopSession, Tick
@@ -113,7 +114,7 @@ def test_a_recorder_that_takes_40_s_an_episode(
 class SlowLeader(ScriptedLeader):
     """Each reading takes 110 ms."""
 
-    def read(self, now_s: float) -> tuple[Array, Array] | None:
+    def read(self, now_s: float) -> LeaderSample | None:
         """Read late."""
         time.sleep(0.11)
         return super().read(now_s)

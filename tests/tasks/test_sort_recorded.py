@@ -7,7 +7,8 @@ import functools
 import numpy as np
 
 from minidual.config.root import Config, changed
-from minidual.demos.leader import LeaderSetup, ScriptedLeader
+from minidual.demos.leader import LeaderSetup
+from minidual.demos.leaders.scripted import plan_demonstration
 from minidual.plant.model import build_model
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA
@@ -23,7 +24,7 @@ TASK = make_task(Config(task="sort"))
 
 def demonstrated(task: Task, trial: Trial) -> Demonstration:
     setup = LeaderSetup(DUAL_PANDA, task, task.config.teleop, SEED)
-    return ScriptedLeader.for_trial(setup, trial).demonstration
+    return plan_demonstration(setup, trial)
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.demos.leader import ScriptedLeader
+from minidual.demos.leaders.scripted import ScriptedLeader
 from minidual.demos.session import TeleopSession
 from minidual.motion.api import Planner
 from minidual.plant.world import World

@@ -1,17 +1,16 @@
-"""Sources of demonstrated joint angles."""
+"""Leaders: persons, devices and programs that demonstrate, behind one protocol."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, NamedTuple, Self
 
 from minidual.config.learning import TeleopConfig
+from minidual.demos.station import NO_STATION, Button, Station
 from minidual.motion.api import Planner
 from minidual.registry import Registry
-from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot
-from minidual.skills.demonstrated_plan import demonstrate_plan
-from minidual.skills.operator import Demonstration, ScriptedOperator
 from minidual.tasks.task import Task, Trial
 
 
@@ -23,6 +22,7 @@ class LeaderSetup:
     task: Task
     config: TeleopConfig
     seed: int
+    station: Station = field(default=NO_STATION, compare=False)
 
     @cached_property
     def planner(self) -> Planner:
@@ -30,72 +30,109 @@ class LeaderSetup:
         return Planner(config=self.task.config.plan.planner, robot=self.robot)
 
 
-class Leader(ABC):
-    """Leads one trial.
+@dataclass(frozen=True)
+class Features:
+    """What a leader gives, known before it is connected.
 
     Attributes:
+        targets: Joint angles, or poses of the hands, which inverse kinematics turns into angles.
+        grips: Whether hands are open or closed, or anything between; "none": they stay open.
+        buttons: That it has; pages and keyboards have others beside it.
+        clutch: Whether it can be moved without the arms.
+        feedback: Whether it renders what the arms meet.
         realtime: A person or device leads: wall-clock speed, one process, not repeatable.
-        usage: Instructions, printed before the recording.
+        picture: It needs the live view, in which a person drags the hands.
+        terminal: It reads the keys of the terminal; for others they are buttons.
     """
 
-    realtime: ClassVar[bool] = False
+    targets: Literal["joints", "poses"] = "joints"
+    grips: Literal["none", "binary", "continuous"] = "continuous"
+    buttons: tuple[Button, ...] = ()
+    clutch: bool = False
+    feedback: bool = False
+    realtime: bool = False
+    picture: bool = False
+    terminal: bool = False
+
+
+@dataclass(frozen=True)
+class LeaderSample:
+    """One reading.
+
+    Attributes:
+        openings: Of the left and right hand (2,), 0 closed to 1 open.
+        q: Joints (n,) [rad] of a leader that gives joints.
+        Ts_world_tcp: Poses (4, 4) of the left and right hand of one that gives poses.
+        pressed: Buttons pressed since the last reading.
+        clutch: Whether the leader moves without the arms; released, they follow from where they are.
+        age_s: Time since the device measured this; None if it does not tell.
+    """
+
+    openings: Array
+    q: Array | None = None
+    Ts_world_tcp: Sequence[Array] | None = None
+    pressed: tuple[Button, ...] = ()
+    clutch: bool = False
+    age_s: float | None = None
+
+
+class Feedback(NamedTuple):
+    """What the arms measured in a tick.
+
+    Attributes:
+        stamp_s: Time of the measurement.
+        q: Joints (n,) [rad].
+        openings: Of the hands (2,).
+        external_nm: Torques (n,) that nothing but a contact explains.
+    """
+
+    stamp_s: float
+    q: Array
+    openings: Array
+    external_nm: Array
+
+
+class Leader(ABC):
+    """Leads the trials of a recording, one after the other.
+
+    Attributes:
+        features: What it gives.
+        usage: Instructions, printed before the recording.
+        hint: What a person should see of its state, such as the hand that its keys move.
+    """
+
+    features: ClassVar[Features] = Features()
     usage: ClassVar[str] = ""
+    hint: str = ""
 
     @classmethod
     @abstractmethod
-    def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
-        """Return a trial's leader; EnvironmentMissingError without its device."""
+    def connect(cls, setup: LeaderSetup) -> Self:
+        """Return a leader, connected to its device.
 
-    @abstractmethod
-    def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return joints (n,) [rad] and openings (2,) at a time since the start.
-
-        None without a reading.
+        Raises:
+            EnvironmentMissingError: The device, or the library that reads it, is missing.
         """
 
+    def align(self, trial: Trial, q_follower: Array) -> None:  # noqa: B027 (many need nothing)
+        """Prepare for a trial whose arms stand at (n,) [rad]; drop what belongs to another one."""
+
     @abstractmethod
-    def finished(self, now_s: float) -> bool:
-        """Return whether the episode has ended."""
+    def read(self, now_s: float) -> LeaderSample | None:
+        """Return the newest reading at a time since the start of the trial, without waiting.
 
-    def close(self) -> None:  # noqa: B027 (most leaders hold nothing)
-        """Release resources."""
-
-
-class ScriptedLeader(Leader):
-    """Plays the scripted operator's plan."""
-
-    def __init__(self, demonstration: Demonstration) -> None:
-        self.demonstration = demonstration
-
-    @classmethod
-    def for_trial(cls, setup: LeaderSetup, trial: Trial) -> Self:
-        """Plan a trial.
-
-        By phases where both hands hold one object all the way, else as the task is planned.
+        None without one: the arms stop when the last one is too old.
         """
-        rate_hz = setup.config.rate_hz
-        if setup.task.together:
-            operator = ScriptedOperator(
-                setup.task.scene,
-                setup.config.operator,
-                kinematics=Kinematics(setup.robot),
-            )
-            return cls(operator.plan(trial, seed=setup.seed, rate_hz=rate_hz))
-        return cls(
-            demonstrate_plan(setup.task, trial, setup.planner, seed=setup.seed, rate_hz=rate_hz),
-        )
 
-    def read(self, now_s: float) -> tuple[Array, Array] | None:
-        """Return the plan at `now_s`."""
-        return self.demonstration.at(now_s)
+    def feedback(self, feedback: Feedback) -> None:  # noqa: B027 (as above)
+        """Render what the arms met."""
 
-    def finished(self, now_s: float) -> bool:
-        """Return whether the plan has ended."""
-        half_tick_s = 0.5 / self.demonstration.rate_hz
-        return now_s >= self.demonstration.duration_s - half_tick_s
+    def close(self) -> None:  # noqa: B027 (as above)
+        """Release the device."""
 
 
 LEADERS: Registry[type[Leader]] = Registry("leader", group="minidual.leaders")
 """Leaders by `teleop.leader`; those of other distributions are entry points of the group."""
-LEADERS.add("scripted", ScriptedLeader)
-LEADERS.add("keyboard", "minidual.demos.keyboard:KeyboardLeader")
+LEADERS.add("scripted", "minidual.demos.leaders.scripted:ScriptedLeader")
+LEADERS.add("browser", "minidual.demos.leaders.browser:BrowserLeader")
+LEADERS.add("keyboard", "minidual.demos.leaders.keyboard:KeyboardLeader")

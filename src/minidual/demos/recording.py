@@ -5,6 +5,7 @@ Results depend neither on workers nor on interruptions.
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -95,9 +96,7 @@ def _changed_keys(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[s
 def _record_in_worker(job: Job, index: int, observe: Observe | None) -> Attempt:
     key = f"{job.folder}/{job.seed}/{job.teleop}/{job.task.config}/{job.arbiter}"
     if key not in _rigs:
-        while _rigs:
-            _, rig_of_another_job = _rigs.popitem()
-            rig_of_another_job.close()
+        _close_rigs()
         _rigs[key] = Rig(job, job.teleop.cameras)
     rig = _rigs[key]
     observed = nullcontext() if observe is None else observe(rig, index)
@@ -105,9 +104,20 @@ def _record_in_worker(job: Job, index: int, observe: Observe | None) -> Attempt:
         return rig.record(index)
 
 
+def _close_rigs() -> None:
+    while _rigs:
+        _, rig = _rigs.popitem()
+        rig.close()
+
+
+def led_by_person(job: Job) -> bool:
+    """Return whether a person or device leads, in real time."""
+    return LEADERS[job.teleop.leader].features.realtime
+
+
 def usable_workers(job: Job, workers: int) -> int:
     """Return the number of processes, 1 for real-time leaders."""
-    return 1 if LEADERS[job.teleop.leader].realtime else workers
+    return 1 if led_by_person(job) else workers
 
 
 class RecordedAttempts(NamedTuple):
@@ -167,8 +177,26 @@ def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Itera
         UsageError, HandoverError: The leader is unknown, displaced or refused.
         EnvironmentMissingError: Missing device or renderer.
     """
-    allowed = math.ceil(job.teleop.episodes_n * job.teleop.attempts_max_ratio)
     processes = usable_workers(job, workers)
+    try:
+        yield from _rounds(job, processes, observe)
+    finally:
+        if led_by_person(job):
+            _close_rigs()  # gives the terminal or the device back
+
+
+def _attempts_max(job: Job) -> int:
+    """Return the most attempts: a person makes as many as they like."""
+    teleop = job.teleop
+    if not led_by_person(job):
+        return math.ceil(teleop.episodes_n * teleop.attempts_max_ratio)
+    if teleop.person.attempts_max is None:
+        return sys.maxsize
+    return teleop.person.attempts_max
+
+
+def _rounds(job: Job, processes: int, observe: Observe | None) -> Iterator[Attempt]:
+    allowed = _attempts_max(job)
     tried = 0
     missing = job.teleop.episodes_n
     while missing > 0 and tried < allowed:

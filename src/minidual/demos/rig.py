@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -17,10 +17,11 @@ from minidual.demos.attempt import ATTEMPTS, KEPT, REJECTED, Attempt, AttemptFil
 from minidual.demos.checks import thumbnails
 from minidual.demos.episode import inspect_episode
 from minidual.demos.job import PURPOSE, Job, Room
-from minidual.demos.leader import LEADERS, LeaderSetup
+from minidual.demos.leader import LEADERS, Leader, LeaderSetup
 from minidual.demos.quality import episode_quality, rms_jerk
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
+from minidual.demos.station import NO_STATION, Station
 from minidual.demos.writer import EpisodeWriter
 from minidual.plant.render import Camera, StampedImage
 from minidual.plant.world import SimulationDivergedError, World
@@ -52,24 +53,41 @@ class Rig:
             supervisor=trial_supervisor(job.supervisor, self.world.dt, job.robot),
         )
         self.session = TeleopSession(stack, job.teleop, self._pictures)
-        self._setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed)
+        self._leader: Leader | None = None
+        self.station = NO_STATION
+
+    @property
+    def station(self) -> Station:
+        """Where the person stands who leads; set it before the first trial."""
+        return self.session.station
+
+    @station.setter
+    def station(self, station: Station) -> None:
+        self.session.station = station
 
     def lead(self, trial: Trial, on_tick: Callable[[Tick], None]) -> SessionResult:
-        """Run one episode."""
+        """Run one episode; the leader stays connected until `close`."""
         task = self.job.task
         teleop = self.job.teleop
-        leader = LEADERS[teleop.leader].for_trial(self._setup, trial)
+        leader = self._connected()
         ticks_per_room = round(teleop.room_change_s * teleop.rate_hz)
-        with closing(leader):
-            # Leaving a room restores what was there when it was entered: the mark comes first.
-            self.world.mark_goal(*placement(trial.goal[task.carried]))
-            with _RoomTour(lambda turn: self.room(trial, turn), ticks_per_room) as tour:
+        # Leaving a room restores what was there when it was entered: the mark comes first.
+        self.world.mark_goal(*placement(trial.goal[task.carried]))
+        with _RoomTour(lambda turn: self.room(trial, turn), ticks_per_room) as tour:
 
-                def tick(measured: Tick) -> None:
-                    on_tick(measured)
-                    tour.tick()
+            def tick(measured: Tick) -> None:
+                on_tick(measured)
+                tour.tick()
 
-                return self.session.run(task, trial, leader, on_tick=tick)
+            return self.session.run(task, trial, leader, on_tick=tick)
+
+    def _connected(self) -> Leader:
+        """Return the leader, connected at the first trial."""
+        if self._leader is None:
+            job = self.job
+            setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed, self.station)
+            self._leader = LEADERS[job.teleop.leader].connect(setup)
+        return self._leader
 
     def room(self, trial: Trial, turn: int = 0) -> AbstractContextManager[None]:
         """Show one of the trial's rooms to the cameras."""
@@ -96,7 +114,10 @@ class Rig:
         return self._recorded(trial)
 
     def close(self) -> None:
-        """Free the renderer."""
+        """Release the leader and free the renderer."""
+        if self._leader is not None:
+            self._leader.close()
+            self._leader = None
         if self._eye is not None:
             self._eye.close()
 
@@ -114,6 +135,14 @@ class Rig:
         return judged
 
     def _recorded(self, trial: Trial) -> Attempt:
+        """Run a trial, again and again while who leads throws the episode away."""
+        attempt = None
+        while attempt is None:
+            attempt = self._recorded_once(trial)
+        return attempt
+
+    def _recorded_once(self, trial: Trial) -> Attempt | None:
+        """Return the attempt, None if it was thrown away."""
         began = time.perf_counter()
         folder = self.job.folder
         name = AttemptFiles.episode_name(trial.index)
@@ -123,6 +152,8 @@ class Rig:
             except (SimulationDivergedError, PlanningError) as error:
                 reason = error.message.splitlines()[0]
                 return self._concluded(Attempt(trial, success=False, reason=reason), began)
+            if result.ended_by == "discard":
+                return None
             attempt = Attempt(
                 trial,
                 success=result.success,
@@ -130,7 +161,8 @@ class Rig:
                 measures=_measures(result.outcome),
                 latencies_s=result.latencies_s,
             )
-            if attempt.reason and self._is_empty(result):
+            is_unwanted = result.ended_by == "next" or self._is_empty(result)
+            if attempt.reason and is_unwanted:
                 return self._concluded(attempt, began)
             partial = writer.finish(
                 success=result.success,

@@ -8,68 +8,34 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from minidual.config.learning import MirrorConfig, TeleopConfig
+from minidual import emergency
+from minidual.config.learning import TeleopConfig
 from minidual.control.commands import HOLD, ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
-from minidual.demos.leader import Leader
-from minidual.errors import MinidualError, UsageError
+from minidual.demos.leader import Feedback, Leader
+from minidual.demos.mirror import Mirror
+from minidual.demos.seat import Seat, for_a_person
+from minidual.demos.station import NO_STATION, Button
+from minidual.errors import MinidualError
 from minidual.plant.render import Image, StampedImage
 from minidual.plant.world import World
-from minidual.robot.pair import Array, Robot
+from minidual.robot.pair import Array
 from minidual.tasks.judge import Judge, Outcome, begin
 from minidual.tasks.task import Task, Trial
 
 SOURCE = "teleop"
-_BEYOND_LIMIT_RAD = 0.3
-"""A reading further beyond a joint limit is no person's arm.
-
-It is in degrees, a turn off, or infinite: the arbiter refuses it.
-"""
-
-EndedBy = Literal["leader", "time_limit", "stopped", "reflex"]
+EndedBy = Literal["leader", "failure", "discard", "next", "time_limit", "stopped", "reflex"]
+_ENDS: dict[Button, EndedBy] = {
+    Button.SUCCESS: "leader",
+    Button.FAILURE: "failure",
+    Button.DISCARD: "discard",
+    Button.NEXT: "next",
+}
 
 
 class HandoverError(MinidualError):
     """The arbiter did not accept the leader."""
-
-
-def check_start(robot: Robot, config: MirrorConfig, q_leader: Array, q_follower: Array) -> None:
-    """Raise UsageError if a joint of leader and follower differs by more than the limit."""
-    difference = follower_target(robot, q_leader) - q_follower
-    worst = int(np.argmax(np.abs(difference)))
-    limit = config.start_error_max_rad
-    if abs(difference[worst]) > limit:
-        joints_over_n = int(np.sum(np.abs(difference) > limit))
-        raise UsageError(
-            f"the leader starts {difference[worst]:+.3f} rad away from the follower "
-            f"at {robot.joint_names[worst]} "
-            f"({joints_over_n} of {robot.dof} joints over the limit of {limit} rad)",
-            remedy=(
-                "bring the leader to the follower's posture; "
-                "check the joint order, the signs and the offsets"
-            ),
-        )
-
-
-def follower_target(robot: Robot, q_leader: Array) -> Array:
-    """Return the leader's joints clipped to the follower's limits (n,) [rad].
-
-    All zeros (lost values), NaN and values far beyond a limit pass unchanged, so that the arbiter
-    refuses them.
-
-    Raises:
-        UsageError: Another shape.
-    """
-    q = np.asarray(q_leader, dtype=float)
-    if q.shape != (robot.dof,):
-        raise UsageError(
-            f"the leader gives joints of shape {q.shape}; "
-            f"it must be ({robot.dof},), left then right",
-        )
-    clipped = np.clip(q, robot.q_lower, robot.q_upper)
-    plausible = bool(q.any()) and bool(np.abs(clipped - q).max() < _BEYOND_LIMIT_RAD)
-    return clipped if plausible else q
 
 
 class Tick(NamedTuple):
@@ -106,7 +72,8 @@ class SessionResult:
         q: (T, n) measured joints [rad]; images go to `on_tick` only.
         latencies_s: Wall time per tick from reading the leader to the end of the first physics
             step.
-        ended_by: "stopped": no readings came.
+        ended_by: "stopped": no readings came; else the button that ended it, "leader" for success.
+        held: Why the arms did not follow the leader at the end, or "".
     """
 
     q: Array
@@ -115,6 +82,7 @@ class SessionResult:
     refusals: list[Refusal] = field(default_factory=list)
     ended_by: EndedBy = "leader"
     reflex: str = ""
+    held: str = ""
 
     @property
     def success(self) -> bool:
@@ -126,13 +94,19 @@ class SessionResult:
         """Why the episode is no demonstration, or ""."""
         if self.reflex:
             return self.reflex
-        if self.ended_by == "stopped":
+        if self.ended_by == "stopped" and not self.refusals:
             return "the leader fell silent"
+        if self.ended_by == "failure":
+            return f"called a failure by who led it; {self.outcome.reason or 'no test failed'}"
+        if self.ended_by in ("discard", "next"):
+            return "thrown away by who led it"
         if self.refusals:
             refusal = self.refusals[0]
             return f"the arbiter refused {refusal.name}: {refusal.detail}"
         if self.success:
             return ""
+        if self.held:
+            return f"the arms held: {self.held}"
         return self.outcome.reason or "the leader did not end the episode in time"
 
 
@@ -140,12 +114,13 @@ class _TickRun(NamedTuple):
     """One tick that was run.
 
     Attributes:
-        stopped: Whether the arbiter stopped the arms, because no readings came.
+        tick: None at the end of the episode: nothing was commanded.
+        ended_by: What ended the episode, or None.
     """
 
-    tick: Tick
+    tick: Tick | None
     latency_s: float
-    stopped: bool
+    ended_by: EndedBy | None
 
 
 @dataclass
@@ -161,6 +136,9 @@ class TeleopSession:
     """Runs episodes in the stack's world, at its rate; a reflex ends the episode.
 
     `pictures` returns the stamped images by camera, as recorded.
+
+    Attributes:
+        station: Where the person stands who leads.
     """
 
     def __init__(
@@ -172,6 +150,7 @@ class TeleopSession:
         self.stack = stack
         self.world = stack.plant
         self.config = config
+        self.station = NO_STATION
         self._pictures = pictures
 
     def run(
@@ -189,9 +168,19 @@ class TeleopSession:
             HandoverError: The arbiter refused.
             Exception: What failed in a leader, a camera or `on_tick`, once the arms have stopped.
         """
-        judge = self._start(task, trial, leader)
+        if leader.features.realtime:
+            task = for_a_person(task, self.config.person.time_limit_s)
+        judge = begin(self.world, task, trial)
+        self.stack.reset()
+        leader.align(trial, self.world.q)
+        mirror = Mirror(leader, self.world.robot, self.config)
+        mirror.begin(self.world.q)
+        seat = Seat(mirror, self.station, self.config, self._freeze)
+        button = seat.begin()
+        if button is not None:
+            return self._not_begun(judge, _ENDS[button])
         try:
-            return self._run(judge, leader, on_tick)
+            return self._run(judge, seat, on_tick)
         except Exception as error:
             with contextlib.suppress(ReflexError):
                 self.stack.fail(error)
@@ -200,32 +189,34 @@ class TeleopSession:
                 self.stack.advance()
             raise
 
-    def _start(self, task: Task, trial: Trial, leader: Leader) -> Judge:
-        """Set up the trial, with the leader at the arms' posture; nothing moves."""
-        judge = begin(self.world, task, trial)
-        self.stack.reset()
-        first_reading = leader.read(0.0)
-        if first_reading is not None:
-            check_start(self.world.robot, self.config.mirror, first_reading[0], self.world.q)
-        return judge
+    def _freeze(self) -> None:
+        """Show the world while its time stands still."""
+        emergency.check()
+        if self.world.observer is not None:
+            self.world.observer(self.world)
+
+    def _not_begun(self, judge: Judge, ended_by: EndedBy) -> SessionResult:
+        q = np.empty((0, self.world.robot.dof))
+        return SessionResult(q, judge.outcome(self.world), [], ended_by=ended_by)
 
     def _run(
         self,
         judge: Judge,
-        leader: Leader,
+        seat: Seat,
         on_tick: Callable[[Tick], None],
     ) -> SessionResult:
         self._hand_over(judge)
-        drive = self._drive(judge, leader, on_tick)
+        drive = self._drive(judge, seat, on_tick)
         self._come_to_rest(judge)
         reflex = self.stack.reflex
         return SessionResult(
-            q=np.array(drive.q),
+            q=np.array(drive.q).reshape(-1, self.world.robot.dof),
             outcome=judge.outcome(self.world),
             latencies_s=drive.latencies_s,
             refusals=self.stack.refusals,
             ended_by=drive.ended_by if reflex is None else "reflex",
             reflex="" if reflex is None else reflex.message,
+            held=seat.mirror.gate.held,
         )
 
     def _hand_over(self, judge: Judge) -> None:
@@ -242,24 +233,22 @@ class TeleopSession:
                 raise HandoverError(f"the arbiter did not hand over: {reason}")
             output = self.stack.arbitrate()
 
-    def _drive(self, judge: Judge, leader: Leader, on_tick: Callable[[Tick], None]) -> _Drive:
+    def _drive(self, judge: Judge, seat: Seat, on_tick: Callable[[Tick], None]) -> _Drive:
         """Let the leader drive until the episode ends."""
         drive = _Drive()
-        period_s = 1.0 / self.config.rate_hz
-        began = time.monotonic()
-        for k in range(self._ticks_max(leader)):
-            elapsed_s = k * period_s
-            if leader.finished(elapsed_s):
-                drive.ended_by = "leader"
+        seat.start_clock()
+        for k in range(self._ticks_max(seat.mirror.leader)):
+            button = seat.wait_for_tick(k)
+            if button is not None:
+                drive.ended_by = _ENDS[button]
                 break
-            if leader.realtime:
-                time.sleep(max(0.0, began + elapsed_s - time.monotonic()))
-            run = self._tick(k, elapsed_s, judge, leader)
-            drive.latencies_s.append(run.latency_s)
-            drive.q.append(run.tick.qpos)
-            on_tick(run.tick)
-            if run.stopped:
-                drive.ended_by = "stopped"
+            run = self._tick(k, judge, seat)
+            if run.tick is not None:
+                drive.latencies_s.append(run.latency_s)
+                drive.q.append(run.tick.qpos)
+                on_tick(run.tick)
+            if run.ended_by is not None:
+                drive.ended_by = run.ended_by
                 break
             self._move(judge, self.stack.every - 1)
             if self.stack.reflex is not None:
@@ -267,14 +256,13 @@ class TeleopSession:
         return drive
 
     def _ticks_max(self, leader: Leader) -> int:
-        # The judge applies the task's own limit to people too.
-        if leader.realtime:
-            limit_s = self.config.person_time_limit_s
+        if leader.features.realtime:
+            limit_s = self.config.person.time_limit_s
         else:
             limit_s = self.world.scene.task.time_limit_s
         return round(limit_s * self.config.rate_hz)
 
-    def _tick(self, k: int, elapsed_s: float, judge: Judge, leader: Leader) -> _TickRun:
+    def _tick(self, k: int, judge: Judge, seat: Seat) -> _TickRun:
         """Measure, read the leader, command, and run the first physics step."""
         world = self.world
         stamp_s = world.stamp_s
@@ -283,11 +271,12 @@ class TeleopSession:
         gripper = world.gripper
         pictures = self._pictures()
         started = time.perf_counter()
-        reading = leader.read(elapsed_s)
+        reading = seat.read(k)
+        if seat.ending is not None:
+            return _TickRun(None, 0.0, _ENDS[seat.ending])
         if reading is not None:
-            q_leader, openings = reading
-            target = follower_target(world.robot, q_leader)
-            self.stack.propose(SOURCE, JointCommand(target, openings, stamp_s, k))
+            command = JointCommand(reading.target, reading.openings, stamp_s, k)
+            self.stack.propose(SOURCE, command)
         output = self.stack.arbitrate()
         tick = Tick(
             timestamps=stamp_s,
@@ -301,7 +290,9 @@ class TeleopSession:
         )
         self._move(judge, 1)
         latency_s = time.perf_counter() - started
-        return _TickRun(tick, latency_s, output.state == ArbiterState.STOPPED)
+        seat.mirror.leader.feedback(Feedback(stamp_s, q, gripper, self.stack.supervisor.touch))
+        stopped = output.state == ArbiterState.STOPPED
+        return _TickRun(tick, latency_s, "stopped" if stopped else None)
 
     def _come_to_rest(self, judge: Judge) -> None:
         if self.stack.source is not None:

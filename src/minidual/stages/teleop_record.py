@@ -12,9 +12,10 @@ from typing import Any
 from minidual.config.learning import TeleopConfig
 from minidual.config.root import Config
 from minidual.demos import recording, rig
-from minidual.demos.leader import LEADERS
+from minidual.demos.leader import LEADERS, Leader
 from minidual.demos.lerobot_reader import LeRobotTables
 from minidual.demos.quality import JERK_FILTER
+from minidual.demos.recording import Observe
 from minidual.demos.schema import MAX_SYNC_S
 from minidual.durable import write_csv
 from minidual.errors import NothingEvaluatedError
@@ -25,7 +26,7 @@ from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
-from minidual.show.watch import watch_recording
+from minidual.stages.leading import leading
 from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
 
@@ -102,13 +103,18 @@ RECORDED_PER_MIN = Criterion(
 
 
 def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Check]:
-    """Return the stage's checks from `RecordedAttempts.numbers` and the sizes of the dataset."""
+    """Return the stage's checks from `RecordedAttempts.numbers` and the sizes of the dataset.
+
+    A person's pauses are their own: the rate is reported.
+    """
+    is_person = LEADERS[config.leader].features.realtime
+    rate_min = None if is_person else config.episodes_per_min
     return [
         EPISODES.check(numbers["episodes"], config.episodes_n),
         SCHEMA_OK.check(numbers["schema_ok"], True),
         JERK_RMS_MAX.check(numbers["jerk_rms_max"], config.jerk_max_rad_s3),
         LATENCY_P99.check(numbers["latency_p99_s"], config.latency_max_s),
-        EPISODES_PER_MIN.check(numbers["episodes_per_min"], config.episodes_per_min),
+        EPISODES_PER_MIN.check(numbers["episodes_per_min"], rate_min),
         SYNC_ERROR_MAX.check(numbers["sync_error_max_s"], MAX_SYNC_S),
         DATASET_ROWS.check(numbers["dataset_rows"], numbers["recorded_ticks"]),
         DATASET_EPISODES.check(numbers["dataset_episodes"], numbers["episodes"]),
@@ -134,26 +140,39 @@ class _Demonstrations:
         began_s: When the first attempt began, by time.perf_counter(); 0 before.
     """
 
-    def __init__(self, context: StageContext, job: rig.Job) -> None:
+    def __init__(self, context: StageContext, job: rig.Job, observe: Observe | None) -> None:
         self._context = context
         self._job = job
+        self._observe = observe
         self.attempts: list[rig.Attempt] = []
         self.began_s = 0.0
 
     def paths(self) -> Generator[Path]:
         """Record; yield the file of each demonstration, and write quality.csv at the end."""
         context = self._context
-        watch = watch_recording(context.view)
         with context.progress.task("demonstrations", self._job.teleop.episodes_n) as task:
-            for attempt in recording.attempts_of(self._job, context.workers, watch):
+            for attempt in recording.attempts_of(self._job, context.workers, self._observe):
                 self.attempts.append(attempt)
                 if not self.began_s:
                     self.began_s = time.perf_counter() - attempt.wall_s
                 reason = "" if attempt.kept else f"trial {attempt.trial.index}: {attempt.reason}"
                 task.advance(int(attempt.kept), reason)
+                self._talk(attempt)
                 if attempt.path is not None and attempt.kept:
                     yield attempt.path
         write_csv(context.folder / "quality.csv", [attempt.row() for attempt in self.attempts])
+
+    def _talk(self, attempt: rig.Attempt) -> None:
+        """Tell a person how the attempt went, and when to rest."""
+        if not recording.led_by_person(self._job):
+            return
+        kept_n = sum(one.kept for one in self.attempts)
+        wanted_n = self._job.teleop.episodes_n
+        result = attempt.reason or f"kept, {kept_n} of {wanted_n}"
+        self._context.progress.note(f"trial {attempt.trial.index}: {result}")
+        rest_after_n = self._job.teleop.person.rest_after_episodes
+        if rest_after_n and attempt.kept and kept_n < wanted_n and kept_n % rest_after_n == 0:
+            self._context.progress.note(f"{kept_n} episodes: rest your eyes and hands a while")
 
 
 def run(context: StageContext) -> StageResult:
@@ -161,14 +180,15 @@ def run(context: StageContext) -> StageResult:
     folder = context.folder
     teleop = context.config.teleop
     job = _job(context)
-    demonstrations = _Demonstrations(context, job)
-    dataset = _record_dataset(context, job, demonstrations)
+    with leading(context) as observe:
+        demonstrations = _Demonstrations(context, job, observe)
+        dataset = _record_dataset(context, job, demonstrations)
     attempts = demonstrations.attempts
     recorded = recording.recording_of(job, context.workers, attempts)
     numbers = recorded.numbers(time.perf_counter() - demonstrations.began_s)
     numbers["dataset_rows"] = len(dataset)
     numbers["dataset_episodes"] = len(dataset.starts)
-    if not LEADERS[teleop.leader].realtime:  # a person does not do the same thing twice
+    if not recording.led_by_person(job):  # a person does not do the same thing twice
         context.progress.note("filming the first demonstration again")
         film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
     tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
@@ -219,11 +239,11 @@ def _record_dataset(
             context.progress.note(note)
     with closing(demonstrations.paths()) as coming:  # an interruption ends the workers here
         # A person does not wait between two episodes: conversion begins after the last.
-        paths = iter(list(coming)) if leader.realtime else coming
+        paths = iter(list(coming)) if leader.features.realtime else coming
         first = next(paths, None)
         if first is None:
             recording.claim(context.folder, {}, _NAME)  # typed again, the command tries again
-            raise _nothing_recorded(demonstrations.attempts)
+            raise _nothing_recorded(demonstrations.attempts, leader)
         context.progress.note(
             "demonstrations go into the dataset as they come; at the end every picture is compared",
         )
@@ -231,12 +251,19 @@ def _record_dataset(
         return lerobot_adapter.convert(every_path, context.folder / "lerobot", job.robot)
 
 
-def _nothing_recorded(attempts: Sequence[rig.Attempt]) -> NothingEvaluatedError:
-    return NothingEvaluatedError(
-        f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}",
-        remedy="read `reason` above; try --set teleop.leader=scripted, "
-        "or the defaults of teleop.operator",
-    )
+def _nothing_recorded(
+    attempts: Sequence[rig.Attempt],
+    leader: type[Leader],
+) -> NothingEvaluatedError:
+    message = f"none of {len(attempts)} attempts became a demonstration; {_commonest(attempts)}"
+    if leader.features.realtime:
+        remedy = "read `reason` above, and type the command again"
+    else:
+        remedy = (
+            "read `reason` above; try --set teleop.leader=scripted, "
+            "or the defaults of teleop.operator"
+        )
+    return NothingEvaluatedError(message, remedy=remedy)
 
 
 def _notes(attempts: Sequence[rig.Attempt], rejected: Sequence[rig.Attempt]) -> list[str]:

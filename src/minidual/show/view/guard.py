@@ -5,6 +5,7 @@ import logging
 import re
 import secrets
 import socket
+import weakref
 from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Literal
@@ -15,6 +16,7 @@ import viser
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 from websockets.typing import Data, Subprotocol
 
 from minidual.errors import EnvironmentMissingError
@@ -22,6 +24,8 @@ from minidual.errors import EnvironmentMissingError
 _MESSAGE_MAX_BYTES = 2**16
 _OPEN_S = 2.0
 """Browsers keep a spare connection open without a request; a server that stops waits for it."""
+_PING_S = 1.0
+"""Period in which the round trip to a page is measured."""
 _IP_ADDRESS = re.compile(r"[\d.]+|.*:.*")
 _LOGGER = logging.getLogger("minidual.view")
 _LOGGER.addHandler(logging.NullHandler())
@@ -44,7 +48,26 @@ class _Change(msgspec.Struct, tag_field="type", tag="GuiUpdateMessage"):
     updates: dict[Literal["value"], float | bool]
 
 
-_DECODER = msgspec.msgpack.Decoder(_Camera | _Change)
+class _HandleMove(msgspec.Struct, tag_field="type", tag="TransformControlsUpdateMessage"):
+    """A handle that a page drags."""
+
+    name: str
+    wxyz: tuple[float, float, float, float]
+    position: tuple[float, float, float]
+    owner: str
+
+
+class _HandleTaken(msgspec.Struct, tag_field="type", tag="TransformControlsDragStartMessage"):
+    name: str
+    owner: str
+
+
+class _HandleLeft(msgspec.Struct, tag_field="type", tag="TransformControlsDragEndMessage"):
+    name: str
+    owner: str
+
+
+_DECODER = msgspec.msgpack.Decoder(_Camera | _Change | _HandleMove | _HandleTaken | _HandleLeft)
 
 
 class _Connection(ServerConnection):
@@ -82,6 +105,17 @@ class Guard:
         self._remote_drives = remote_drives
         self._say = say
         self._refused = False
+        self._connections: weakref.WeakSet[_Connection] = weakref.WeakSet()
+
+    @property
+    def latency_s(self) -> float | None:
+        """Round trip to the slowest page that may move sliders; None without one."""
+        latencies = [
+            connection.latency
+            for connection in list(self._connections)
+            if connection.drives and connection.state is State.OPEN and connection.latency > 0.0
+        ]
+        return max(latencies, default=None)
 
     def start(self, make: Callable[[], viser.ViserServer]) -> viser.ViserServer:
         """Return the server that `make` starts, guarded.
@@ -133,6 +167,7 @@ class Guard:
             "select_subprotocol": None,
             "subprotocols": [Subprotocol(f"viser-v{viser.__version__}")],
             "open_timeout": _OPEN_S,
+            "ping_interval": _PING_S,
         }
 
     def _answer(
@@ -153,6 +188,7 @@ class Guard:
             self._refused = True
             return connection.respond(HTTPStatus.FORBIDDEN, f"minidual: {reason}\n")
         connection.drives = self._remote_drives or is_loopback(peer)
+        self._connections.add(connection)
         response: Response | None = process_request(connection, request)
         if response is not None:
             attributes = "HttpOnly; SameSite=Strict; Path=/"

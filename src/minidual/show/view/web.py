@@ -14,6 +14,7 @@ import viser
 from minidual.config.root import ViewConfig
 from minidual.errors import UsageError
 from minidual.show.view.guard import Guard, is_loopback
+from minidual.show.view.lead_page import LeadPage
 from minidual.show.view.overlay import Overlay
 from minidual.show.view.panel import Panel
 from minidual.show.view.scene import Scene
@@ -60,6 +61,7 @@ class WebView:
         self._say = say
         self.speed_max = config.speed_max
         guard = Guard(config.host, config.remote_drives, say)
+        self._guard = guard
         port = free_port(config.host, config.port)
         with _quiet():
             self._server = guard.start(
@@ -70,6 +72,7 @@ class WebView:
         self.alive = True
         self._closed = False
         self.panel = Panel(self._server)
+        self._lead_page: LeadPage | None = None
         self._scene: Scene | None = None
         self._model: mujoco.MjModel | None = None
         self._overlay = Overlay()
@@ -102,6 +105,12 @@ class WebView:
         if model is not self._model and self.alive:
             self._scene = Scene(self._server, model)
             self._model = model
+
+    def lead_page(self) -> LeadPage:
+        """Return the buttons and handles with which a person leads, added at the first call."""
+        if self._lead_page is None:
+            self._lead_page = LeadPage(self._server, lambda: self._guard.latency_s)
+        return self._lead_page
 
     def due(self) -> bool:
         """Return whether a new frame is due."""

@@ -7,7 +7,8 @@ import pytest
 
 from minidual.config.learning import TeleopConfig
 from minidual.config.scene import SceneConfig
-from minidual.demos.leader import LEADERS, LeaderSetup
+from minidual.demos.leader import LEADERS, Leader, LeaderSetup
+from minidual.demos.station import Button
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
 from tests.support.carry_trials import carry_task, sample_trial
@@ -15,15 +16,23 @@ from tests.support.carry_trials import carry_task, sample_trial
 HOME = DUAL_PANDA.home
 
 
+def buttons_at(leader: Leader, now_s: float) -> tuple[Button, ...]:
+    sample = leader.read(now_s)
+    assert sample is not None
+    return sample.pressed
+
+
 def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
     setup = LeaderSetup(DUAL_PANDA, carry_task(scene), TeleopConfig(), 1)
     trial = sample_trial(scene, 1, "demonstrations", 0)
-    leader = LEADERS["scripted"].for_trial(setup, trial)
-    reading = leader.read(0.0)
-    assert reading is not None
-    np.testing.assert_allclose(reading[0], HOME, atol=1e-6)
-    assert not leader.finished(5.0)
-    assert leader.finished(8.7)
+    leader = LEADERS["scripted"].connect(setup)
+    leader.align(trial, HOME)
+    first = leader.read(0.0)
+    assert first is not None
+    assert first.q is not None
+    np.testing.assert_allclose(first.q, HOME, atol=1e-6)
+    assert buttons_at(leader, 5.0) == ()
+    assert buttons_at(leader, 8.7) == (Button.SUCCESS,)
     with pytest.raises(
         UsageError,
         match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'",

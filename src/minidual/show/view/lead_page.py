@@ -1,0 +1,152 @@
+"""What the browser view offers a person who leads: handles at the hands, buttons and a status."""
+
+import html
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from minidual.demos.station import Button, HandHandles, HandReading, Station, Status
+from minidual.robot.pair import SIDES, Array, pose
+
+_STYLE = "padding:4px 12px;font-size:13px"
+_SHOW_PERIOD_S = 0.15
+_HANDLE_SCALE = 0.14
+_LABELS = {
+    Button.START: ("Start", "green"),
+    Button.SUCCESS: ("Success", "teal"),
+    Button.FAILURE: ("Failure", "orange"),
+    Button.DISCARD: ("Discard, same start again", "gray"),
+    Button.PAUSE: ("Pause, go on", "gray"),
+    Button.NEXT: ("Next start", "gray"),
+}
+
+
+def status_html(status: Status) -> str:
+    """Return what a person sees as HTML, escaped."""
+    lines = [f"<b>{html.escape(status.state)}</b>"]
+    if status.time_left_s is not None:
+        lines.append(f"time left {max(status.time_left_s, 0.0):.0f} s")
+    if status.latency_s is not None:
+        lines.append(f"latency {1e3 * status.latency_s:.0f} ms")
+    if status.held:
+        lines.append(f"the arms hold: {html.escape(status.held)}")
+    if status.hint:
+        lines.append(html.escape(status.hint))
+    return f"<div style='{_STYLE}'>{'<br>'.join(lines)}</div>"
+
+
+class LeadPage(Station):
+    """The lead panel of one viser server; `latency` returns the round trip to a page [s]."""
+
+    def __init__(self, server: Any, latency: Callable[[], float | None]) -> None:
+        self._server = server
+        self._latency = latency
+        self._presses: deque[Button] = deque()
+        self._shown_at_s = float("-inf")
+        self._handles: PageHandles | None = None
+        with server.gui.add_folder("lead"):
+            self._status = server.gui.add_html("")
+            self._buttons = {button: self._add_button(button) for button in Button}
+
+    def _add_button(self, button: Button) -> Any:
+        label, color = _LABELS[button]
+        handle = self._server.gui.add_button(label, color=color)
+        handle.on_click(lambda _: self._presses.append(button))
+        return handle
+
+    def show(self, status: Status) -> None:
+        """Show the status a few times a second."""
+        now_s = time.monotonic()
+        if now_s - self._shown_at_s >= _SHOW_PERIOD_S:
+            self._shown_at_s = now_s
+            self._status.content = status_html(status)
+
+    def pressed(self) -> tuple[Button, ...]:
+        """Return the buttons pressed since the last call."""
+        presses: list[Button] = []
+        while self._presses:
+            presses.append(self._presses.popleft())
+        return tuple(presses)
+
+    def handles(self) -> "PageHandles":
+        """Return the handles, added at the first call."""
+        if self._handles is None:
+            self._handles = PageHandles(self._server, self._latency)
+        return self._handles
+
+
+class PageHandles(HandHandles):
+    """A gizmo and a gripper slider a hand, and one clutch."""
+
+    def __init__(self, server: Any, latency: Callable[[], float | None]) -> None:
+        self._server = server
+        self._latency = latency
+        self._gizmos: list[Any] = []
+        self._Ts = [np.eye(4), np.eye(4)]
+        self._openings = [1.0, 1.0]
+        with server.gui.add_folder("hands"):
+            self._sliders = [self._add_slider(side) for side in SIDES]
+            self._clutch = server.gui.add_checkbox(
+                "clutch: move the handles alone",
+                initial_value=False,
+            )
+
+    def _add_slider(self, side: str) -> Any:
+        return self._server.gui.add_slider(
+            f"{side} hand open",
+            min=0.0,
+            max=1.0,
+            step=0.05,
+            initial_value=1.0,
+        )
+
+    def place(self, Ts_world_tcp: Sequence[Array]) -> None:
+        """Put the handles at the hands. Scenes that were replaced have lost theirs."""
+        for gizmo in self._gizmos:
+            gizmo.remove()
+        self._Ts = [np.array(T) for T in Ts_world_tcp]
+        self._gizmos = [self._add_gizmo(side, T) for side, T in zip(SIDES, self._Ts, strict=True)]
+
+    def open(self) -> None:
+        """Open both hands, and let go of the clutch."""
+        for slider in self._sliders:
+            slider.value = 1.0
+        self._clutch.value = False
+
+    def _add_gizmo(self, side: str, T: Array) -> Any:
+        x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+        return self._server.scene.add_transform_controls(
+            f"/lead/{side}",
+            scale=_HANDLE_SCALE,
+            depth_test=False,
+            wxyz=(w, x, y, z),
+            position=tuple(T[:3, 3]),
+        )
+
+    def read(self) -> HandReading:
+        """Return where the handles are; values that are no numbers are ignored."""
+        for hand, gizmo in enumerate(self._gizmos):
+            self._take_pose(hand, gizmo)
+            opening = float(self._sliders[hand].value)
+            if np.isfinite(opening):
+                self._openings[hand] = min(max(opening, 0.0), 1.0)
+        left, right = self._openings
+        return HandReading(
+            (self._Ts[0].copy(), self._Ts[1].copy()),
+            (left, right),
+            bool(self._clutch.value),
+            self._latency(),
+        )
+
+    def _take_pose(self, hand: int, gizmo: Any) -> None:
+        position = np.asarray(gizmo.position, dtype=float)
+        w, x, y, z = np.asarray(gizmo.wxyz, dtype=float)
+        quaternion = np.array([x, y, z, w])
+        norm = float(np.linalg.norm(quaternion))
+        if np.isfinite(position).all() and np.isfinite(norm) and norm > 0.5:
+            R = Rotation.from_quat(quaternion).as_matrix()
+            self._Ts[hand] = pose(R, position)

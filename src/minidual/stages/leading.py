@@ -1,0 +1,58 @@
+"""What surrounds a recording while it runs: the live view, and the station of a person who leads."""
+
+import sys
+from collections.abc import Generator
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from typing import Any
+
+from minidual.demos.leader import LEADERS, Leader
+from minidual.demos.leaders.terminal import BUTTON_KEYS_USAGE, Terminal
+from minidual.demos.recording import Observe
+from minidual.demos.rig import Rig
+from minidual.demos.station import Station
+from minidual.demos.terminal_station import KeyStation, LineStation, Stations
+from minidual.gate.stage import StageContext
+from minidual.show.watch import watch_recording
+
+
+@contextmanager
+def leading(context: StageContext) -> Generator[Observe | None]:
+    """Yield what to enter around each trial; None if nobody watches or leads.
+
+    A leader that needs a picture gets the live view, although it was not asked for.
+    """
+    leader = LEADERS[context.config.teleop.leader]
+    with ExitStack() as stack:
+        view = context.view
+        if view is None and leader.features.picture:
+            view = stack.enter_context(closing(_view(context)))
+        watch = watch_recording(view)
+        if not leader.features.realtime:
+            yield watch
+            return
+        station = _station(context, leader, view, stack)
+
+        def observe(rig: Rig, index: int) -> AbstractContextManager[object]:
+            rig.station = station
+            return nullcontext() if watch is None else watch(rig, index)
+
+        yield observe
+
+
+def _view(context: StageContext) -> Any:
+    from minidual.show.view import make_view  # viser takes a second to load
+
+    return make_view("web", context.config.view, say=context.progress.note)
+
+
+def _station(context: StageContext, leader: type[Leader], view: Any, stack: ExitStack) -> Station:
+    """Return the station of a person: lines, a page where there is one, and keys of a terminal."""
+    stations: list[Station] = [LineStation(context.progress.note)]
+    if view is not None:
+        stations.append(view.lead_page())
+    has_terminal = sys.stdin is not None and sys.stdin.isatty()
+    if has_terminal and not leader.features.terminal:
+        terminal = Terminal(sys.stdin.fileno(), "the station")
+        stations.append(stack.enter_context(closing(KeyStation(terminal))))
+        context.progress.note(BUTTON_KEYS_USAGE)
+    return Stations(stations)
