@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from minidual.config.learning import MirrorConfig
+from minidual.config.leading import MirrorConfig
 from minidual.demos.alignment import AlignmentGate
 from minidual.robot.models import ARM_MODELS
 from minidual.robot.pair import DUAL_PANDA, Array, Robot

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from minidual.config.learning import MirrorConfig, TeleopConfig
+from minidual.config.leading import MirrorConfig
+from minidual.config.learning import TeleopConfig
 from minidual.control.joint_control import JointLoop
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor

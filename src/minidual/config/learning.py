@@ -5,6 +5,14 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from minidual.config.base import AtLeast, AtMost, Rate, StrictModel
+from minidual.config.leading import (
+    GamepadConfig,
+    GelloConfig,
+    MirrorConfig,
+    NetworkConfig,
+    PersonConfig,
+    ReplayConfig,
+)
 
 _Log = Annotated[float, Field(ge=-5.0, le=5.0)]
 
@@ -25,37 +33,6 @@ class OperatorConfig(StrictModel):
     """Longest pause before the lift and before the lowering."""
     grasp_spread_m: float = Field(default=0.0, ge=0.0, le=0.05)
     """Largest shift of each hand's grasp along the object."""
-
-
-class MirrorConfig(StrictModel):
-    """When a leader may drive the follower."""
-
-    start_error_max_rad: float = Field(default=0.1, ge=0.001, le=0.6)
-    """Most difference of a joint between leader and follower at which the follower begins."""
-    jump_max_rad: float = Field(default=0.5, ge=0.05, le=3.0)
-    """Most change of a joint between two readings; after a larger one the follower holds."""
-    hand_speed_max_m_s: float = Field(default=0.4, ge=0.01, le=1.0)
-    """Of leaders that send hand poses, as the next ones."""
-    hand_turn_max_rad_s: float = Field(default=1.5, ge=0.05, le=4.0)
-    hand_lag_s: float = Field(default=0.1, ge=0.0, le=1.0)
-    """Time constant of the filter of hand poses."""
-    hand_height_min_m: float = Field(default=0.01, ge=-1.0, le=1.0)
-    """Least height of a finger tip above the table; goals below it are raised to it."""
-
-
-class PersonConfig(StrictModel):
-    """Limits of a session that a person leads."""
-
-    time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
-    """Of an episode, in place of the task's."""
-    wait_for_start: bool = True
-    """Whether an episode waits for the start button; false for runs without anybody there."""
-    wait_max_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
-    """Longest wait for the start button, or for the leader to stand where the arms stand."""
-    attempts_max: int | None = Field(default=None, ge=1, le=100_000)
-    """Most attempts of a session; None: as many as the person makes."""
-    rest_after_episodes: int = Field(default=20, ge=0, le=1000)
-    """Episodes after which a rest is proposed; 0: never."""
 
 
 class TeleopConfig(StrictModel):
@@ -81,6 +58,10 @@ class TeleopConfig(StrictModel):
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
     person: PersonConfig = PersonConfig()
+    network: NetworkConfig = NetworkConfig()
+    gamepad: GamepadConfig = GamepadConfig()
+    gello: GelloConfig = GelloConfig()
+    replay: ReplayConfig = ReplayConfig()
 
     @field_validator("cameras")
     @classmethod

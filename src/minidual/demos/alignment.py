@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from minidual.config.learning import MirrorConfig
+from minidual.config.leading import MirrorConfig
 from minidual.robot.pair import Array, Robot
 
 _TURN_RAD = 2.0 * np.pi

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from minidual.config.learning import MirrorConfig
+from minidual.config.leading import MirrorConfig
 from minidual.motion.ik import solvers
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, pose

@@ -135,4 +135,8 @@ LEADERS: Registry[type[Leader]] = Registry("leader", group="minidual.leaders")
 """Leaders by `teleop.leader`; those of other distributions are entry points of the group."""
 LEADERS.add("scripted", "minidual.demos.leaders.scripted:ScriptedLeader")
 LEADERS.add("browser", "minidual.demos.leaders.browser:BrowserLeader")
+LEADERS.add("gamepad", "minidual.demos.leaders.gamepad:GamepadLeader")
+LEADERS.add("gello", "minidual.demos.leaders.gello:GelloLeader")
 LEADERS.add("keyboard", "minidual.demos.leaders.keyboard:KeyboardLeader")
+LEADERS.add("network", "minidual.demos.leaders.network:NetworkLeader")
+LEADERS.add("replay", "minidual.demos.leaders.replay:ReplayLeader")

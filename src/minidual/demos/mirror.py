@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from minidual.config.learning import MirrorConfig, TeleopConfig
+from minidual.config.leading import MirrorConfig
+from minidual.config.learning import TeleopConfig
 from minidual.demos.alignment import AlignmentGate, nearest_turn
 from minidual.demos.hands import HandTracker
 from minidual.demos.leader import Leader, LeaderSample

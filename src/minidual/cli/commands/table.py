@@ -12,6 +12,7 @@ from minidual.cli.commands.deploy import deploy
 from minidual.cli.commands.doctor import doctor
 from minidual.cli.commands.env_check import env_check
 from minidual.cli.commands.explain import explain
+from minidual.cli.commands.leader_calibrate import leader_calibrate
 from minidual.cli.commands.modes import modes
 from minidual.cli.commands.plan import plan
 from minidual.cli.commands.replay import replay
@@ -42,6 +43,7 @@ RUN_COMMANDS: dict[str, Command] = {
     "stop": stop,
 }
 CONFIG_COMMANDS: dict[str, Command] = {"show": config_show}
+LEADER_COMMANDS: dict[str, Command] = {"calibrate": leader_calibrate}
 TOOL_COMMANDS: dict[str, Command] = {
     "demo": demo,
     "try": try_out,

@@ -1,0 +1,79 @@
+"""Configuration of what leads the arms while demonstrations are recorded."""
+
+from pydantic import Field
+
+from minidual.config.base import StrictModel
+
+
+class MirrorConfig(StrictModel):
+    """When a leader may drive the follower."""
+
+    start_error_max_rad: float = Field(default=0.1, ge=0.001, le=0.6)
+    """Most difference of a joint between leader and follower at which the follower begins."""
+    jump_max_rad: float = Field(default=0.5, ge=0.05, le=3.0)
+    """Most change of a joint between two readings; after a larger one the follower holds."""
+    hand_speed_max_m_s: float = Field(default=0.4, ge=0.01, le=1.0)
+    """Of leaders that send hand poses, as the next ones."""
+    hand_turn_max_rad_s: float = Field(default=1.5, ge=0.05, le=4.0)
+    hand_lag_s: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Time constant of the filter of hand poses."""
+    hand_height_min_m: float = Field(default=0.01, ge=-1.0, le=1.0)
+    """Least height of a finger tip above the table; goals below it are raised to it."""
+
+
+class PersonConfig(StrictModel):
+    """Limits of a session that a person leads."""
+
+    time_limit_s: float = Field(default=120.0, ge=5.0, le=3600.0)
+    """Of an episode, in place of the task's."""
+    wait_for_start: bool = True
+    """Whether an episode waits for the start button; false for runs without anybody there."""
+    wait_max_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
+    """Longest wait for the start button, or for the leader to stand where the arms stand."""
+    attempts_max: int | None = Field(default=None, ge=1, le=100_000)
+    """Most attempts of a session; None: as many as the person makes."""
+    rest_after_episodes: int = Field(default=20, ge=0, le=1000)
+    """Episodes after which a rest is proposed; 0: never."""
+
+
+class NetworkConfig(StrictModel):
+    """A program that leads over UDP."""
+
+    host: str = Field(default="127.0.0.1", min_length=1)
+    """Interface; the default serves programs on this machine only. Messages are not encrypted."""
+    port: int = Field(default=8765, ge=0, le=65535)
+    """0 takes a free one."""
+    silence_max_s: float = Field(default=0.25, gt=0.0, le=10.0)
+    """Age after which the last target counts as no reading, and another sender may lead."""
+
+
+class GamepadConfig(StrictModel):
+    """A gamepad."""
+
+    device: str = ""
+    """Path such as /dev/input/event5; empty: the first with two sticks."""
+    mapping: str = ""
+    """YAML file of the mapping; empty: demos/leaders/gamepad.yaml of the package."""
+    speed_m_s: float = Field(default=0.2, gt=0.0, le=1.0)
+    """Of a hand at a stick that is pushed to its end."""
+    turn_rad_s: float = Field(default=0.8, gt=0.0, le=4.0)
+    dead_zone: float = Field(default=0.12, ge=0.0, le=0.9)
+    """Share of a stick's travel that moves nothing."""
+
+
+class GelloConfig(StrictModel):
+    """Two chains of Dynamixel servos with the joints of the arms."""
+
+    file: str = "gello.yaml"
+    """Ports, ids, signs, offsets and grippers; `minidual leader calibrate` writes the offsets."""
+    silence_max_s: float = Field(default=0.25, gt=0.0, le=10.0)
+    """Age after which the last reading counts as none."""
+
+
+class ReplayConfig(StrictModel):
+    """A recorded episode that leads."""
+
+    path: str = ""
+    """An episode's HDF5 file, a folder of them, or a LeRobot dataset."""
+    episode: int = Field(default=-1, ge=-1, le=1_000_000)
+    """Number in the folder or dataset; -1: the number of the trial."""
