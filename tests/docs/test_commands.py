@@ -33,6 +33,7 @@ SMALLER = {
     "run --profile configs/mine.yaml": r"\g<0> --until env-check",
     "^minidual view(?! --for-s)": r"\g<0> --for-s 1",
     r"--for-s \d+": "--for-s 1",
+    "teleop.leader=browser": r"\g<0> --set teleop.person.wait_max_s=1",
 }
 """What makes a printed command short, and work on the smoke run."""
 REFUSED = {
@@ -43,6 +44,20 @@ REFUSED = {
     "minidual teleop-record --profile smoke --set teleop.leader=keyboard": (
         4,
         "the keyboard leader needs a terminal",
+    ),
+    "minidual teleop-record --profile smoke --set teleop.leader=browser": (
+        2,
+        "nobody pressed start after 1 s",
+    ),
+    "minidual teleop-record --profile smoke --set teleop.leader=browser --episodes 5": (
+        2,
+        "nobody pressed start after 1 s",
+    ),
+    "minidual teleop-record --set teleop.leader=gello": (2, "gello.yaml cannot be read"),
+    "minidual leader calibrate gello.yaml": (2, "gello.yaml cannot be read"),
+    "minidual teleop-record --set teleop.leader=replay --set teleop.replay.path=episodes": (
+        2,
+        "where there is nothing",
     ),
     "minidual stop": (2, "nothing to stop: no command is working"),
     "minidual run --run cuda --set train.device=cuda": (4, "torch finds no CUDA device"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pty
+import subprocess
+import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ import pytest
 
 from minidual import emergency
 from minidual.config.learning import TeleopConfig
+from minidual.demos.episode import read_episode
 from minidual.demos.leader import LeaderSample
 from minidual.demos.leaders.keyboard import STEPS_M, KeyboardLeader
 from minidual.demos.quality import rms_jerk
@@ -22,6 +25,7 @@ from minidual.errors import EnvironmentMissingError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
 
+ROOT = Path(__file__).resolve().parents[3]
 HOME = DUAL_PANDA.home
 CONFIG = TeleopConfig()
 STEP_M = STEPS_M[1]
@@ -217,3 +221,39 @@ def test_a_terminal_that_is_gone_gives_no_reading(terminal: tuple[int, int]) -> 
     assert leader.read(0.02) is None
     leader.close()
     os.close(screen)
+
+
+def test_a_person_at_a_terminal_records_an_episode_in_which_both_arms_move(tmp_path: Path) -> None:
+    keys, screen = pty.openpty()
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"}
+    command = [sys.executable, "-m", "tests.support.lead_once", "keyboard", str(tmp_path)]
+    with subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment,
+        stdin=screen,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        said: list[str] = []
+        for line in process.stdout:
+            said.append(line.strip())
+            if line.startswith("press start"):
+                os.write(keys, b"..fff\n")
+            elif line.startswith("leading; both hands, steps of 10 mm"):
+                time.sleep(2.5)
+                os.write(keys, b"\x1b[A\x1b[200~www\x1b[201~\n")
+    os.close(keys)
+    os.close(screen)
+    assert process.returncode == 0, said
+    assert said[-1].startswith("attempt: "), said
+    assert "the leader" not in said[-1]
+    [path] = tmp_path.glob("rejected/*.hdf5")
+    episode = read_episode(path, cameras=())
+    kinematics = Kinematics()
+    first = [T.copy() for T in kinematics.tcp_poses(episode.qpos[0])]
+    last = kinematics.tcp_poses(episode.qpos[-1])
+    for hand in range(2):
+        moved = last[hand][:3, 3] - first[hand][:3, 3]
+        np.testing.assert_allclose(moved, (0.0, 0.0, -0.03), atol=0.004)
