@@ -14,6 +14,7 @@ from minidual.robot.pair import DUAL_PANDA
 from tests.support.carry_trials import carry_task, sample_trial
 
 HOME = DUAL_PANDA.home
+ROWS = ("browser", "gamepad", "gello", "keyboard", "network", "replay", "scripted")
 
 
 def buttons_at(leader: Leader, now_s: float) -> tuple[Button, ...]:
@@ -35,7 +36,17 @@ def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
     assert buttons_at(leader, 8.7) == (Button.SUCCESS,)
     with pytest.raises(
         UsageError,
-        match=r"(?s)no leader 'keybord'; there are keyboard, scripted.*'keyboard'",
+        match=r"(?s)no leader 'keybord'; there are browser, gamepad.*'keyboard'",
     ):
         LEADERS["keybord"]
-    assert sorted(LEADERS) == ["keyboard", "scripted"]
+    assert sorted(LEADERS) == sorted(ROWS)
+
+
+def test_what_a_leader_gives_is_known_before_it_is_connected() -> None:
+    people = {name for name in ROWS if LEADERS[name].features.realtime}
+    assert people == {"browser", "gamepad", "gello", "keyboard", "network"}
+    assert {name for name in ROWS if LEADERS[name].features.targets == "poses"} == {
+        "browser",
+        "gamepad",
+    }
+    assert all(LEADERS[name].usage for name in people)
