@@ -15,12 +15,16 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from minidual.config.leading import ReplayConfig
+from minidual.config.scene import SceneConfig
 from minidual.demos import lerobot_reader
 from minidual.demos.episode import read_episode
+from minidual.demos.leaders.replay import ReplayLeader
 from minidual.demos.lerobot_reader import LeRobotTables, read_dataset
 from minidual.errors import DataError, EnvironmentMissingError, UsageError
 from minidual.robot.pair import DUAL_PANDA
 from tests.support import data_samples
+from tests.support.carry_trials import sample_trial
 from tests.support.late import late
 
 adapter = late("minidual.demos.lerobot_adapter")
@@ -377,3 +381,15 @@ def test_a_video_that_lerobot_does_not_end_in_time_ends_the_conversion(
         adapter.convert([source], tmp_path / "out", DUAL_PANDA)
     assert caplog.records == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["e.hdf5"]
+
+
+def test_a_dataset_leads_as_its_episodes_do(made: tuple, scene: SceneConfig) -> None:
+    root, sources, _ = made
+    leader = ReplayLeader(DUAL_PANDA, ReplayConfig(path=str(root)))
+    leader.align(sample_trial(scene, 1, "demonstrations", 1), DUAL_PANDA.home)
+    episode = read_episode(sources[1], cameras=())
+    for k in range(len(episode)):
+        sample = leader.read(k / 50)
+        assert sample is not None
+        np.testing.assert_allclose(sample.q, episode.action[k], atol=1e-6)
+        np.testing.assert_allclose(sample.openings, episode.action_gripper[k], atol=1e-6)
