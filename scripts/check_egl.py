@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-BACKEND = os.environ["MUJOCO_GL"] = "egl"
+from minidual.variables import rendering_remedy
 
 
 def main() -> int:
@@ -18,8 +18,9 @@ def main() -> int:
         context.free()
     except Exception as error:  # each GL backend raises errors of its own
         print(
-            f"no off-screen OpenGL context (MUJOCO_GL={BACKEND}): {type(error).__name__}: {error}\n"
-            "  remedy: apt-get install -y libegl1 libgl1-mesa-dri   (Debian, Ubuntu; as root)",
+            f"no off-screen OpenGL context (MUJOCO_GL={os.environ['MUJOCO_GL']}): "
+            f"{type(error).__name__}: {error}\n"
+            f"  remedy: {rendering_remedy(str(error))}   (Debian, Ubuntu; as root)",
             file=sys.stderr,
         )
         return 4

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of PyTorch first: of two processes that share the tests, one imports it and the other does not."""
+    if not __debug__:
+        raise pytest.UsageError(
+            "PYTHONOPTIMIZE drops assertions, and tests without them pass: unset it"
+        )
     if "torch" in sys.modules:
         raise pytest.UsageError(
             "a test module imports PyTorch as it is collected: use late.late, mark it `torch`",

@@ -5,8 +5,9 @@ that `import minidual` stays fast.
 """
 
 import importlib
-import os
 from typing import TYPE_CHECKING, Any
+
+from minidual.variables import prepare as _prepare
 
 if TYPE_CHECKING:
     from minidual.api.catalogue import list_conditions, list_methods, list_tasks, load_task
@@ -27,8 +28,7 @@ if TYPE_CHECKING:
     from minidual.tasks.task import Task
     from minidual.trials.metrics import TrialMetrics
 
-# mujoco picks its OpenGL platform at its first import.
-os.environ["MUJOCO_GL"] = "egl"  # whatever is set: with another one the import may fail
+_prepare()
 
 __version__ = "0.1.0"
 

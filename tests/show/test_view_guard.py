@@ -195,6 +195,54 @@ def test_pages_on_other_machines_only_look_unless_they_are_allowed(
             view.close()
 
 
+LAB = "https://lab.example.org"
+
+
+def test_a_proxy_that_the_configuration_names_shows_the_view_and_moves_nothing() -> None:
+    for allowed in (False, True):
+        view, said = _view(origins=(LAB,), remote_drives=allowed)
+        try:
+            assert f"through the proxy: {LAB}/?token={_token(view)}" in said
+            for headers in (
+                {"Host": "lab.example.org", "Origin": LAB},
+                {"Origin": LAB},  # a proxy that puts its own name for the view into Host
+                {"X-Forwarded-For": "192.0.2.7"},
+            ):
+                assert _socket_status(str(view.url), headers) == b"101", headers
+            for headers in (
+                {"Host": "lab.example.org", "Origin": "http://lab.example.org"},
+                {"Host": "evil.example", "Origin": LAB},
+                {"Origin": "https://evil.example"},
+                {"Origin": f"{LAB}.evil.example"},
+            ):
+                assert _socket_status(str(view.url), headers) == b"403", headers
+            assert _status(f"http://127.0.0.1:{view.port}/", Origin=LAB) == 403  # no token
+            with _connect(str(view.url), origin=Origin(LAB)) as client:
+                _move(view, client, 0.5)
+                limit_s = 20.0 if allowed else 0.3
+                assert _soon(lambda view=view: view.panel.values()[0] == 0.5, limit_s) == allowed
+            with _connect(str(view.url)) as client:  # this machine
+                _move(view, client, -0.75)
+                assert _soon(lambda view=view: view.panel.values()[0] == -0.75)
+        finally:
+            view.close()
+
+
+def test_a_request_that_a_proxy_forwards_moves_nothing(
+    shown: tuple[WebView, list[str]],
+) -> None:
+    view, _ = shown
+    with _connect(str(view.url), additional_headers={"X-Forwarded-For": "192.0.2.7"}) as client:
+        _move(view, client, 0.5)
+        assert not _soon(lambda: view.panel.values()[0] == 0.5, 0.3)
+
+
+@pytest.mark.parametrize("origin", ["lab.example.org", "https://lab.example.org/", "*", "file://x"])
+def test_an_origin_is_scheme_host_and_port(origin: str) -> None:
+    with pytest.raises(ValueError, match="origins"):
+        ViewConfig(origins=(origin,))
+
+
 def test_garbage_and_probes_are_one_line_at_most_and_change_nothing(
     shown: tuple[WebView, list[str]],
     capfd: pytest.CaptureFixture[str],

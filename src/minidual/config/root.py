@@ -49,6 +49,10 @@ class ReportConfig(StrictModel):
     title: str = Field(default="minidual: a measured dual-arm system", min_length=1)
 
 
+Origin = Annotated[str, Field(pattern=r"^https?://[a-z0-9.-]+(:[0-9]{1,5})?$", max_length=200)]
+"""Scheme, host and port of a page, as a browser sends them."""
+
+
 class ViewConfig(StrictModel):
     """The live web view; no stage depends on it."""
 
@@ -59,6 +63,11 @@ class ViewConfig(StrictModel):
     """Whether pages on other machines may move sliders.
 
     Those that come through ssh count as on this machine.
+    """
+    origins: tuple[Origin, ...] = Field(default=(), max_length=16)
+    """Addresses under which a proxy shows the view, such as "https://lab.example.org".
+
+    Pages that come through it count as on other machines.
     """
     rate_hz: float = Field(default=30.0, ge=1.0, le=120.0)
     speed_max: float = Field(default=0.0, ge=0.0, le=100.0)

@@ -14,6 +14,7 @@ from minidual.config.scene import CameraConfig
 from minidual.durable import replacing
 from minidual.errors import EnvironmentMissingError, check_name
 from minidual.plant.contact import GROUP_COLLISION
+from minidual.variables import rendering_remedy
 
 Image = npt.NDArray[np.uint8]
 
@@ -46,7 +47,7 @@ def off_screen(
     except Exception as error:  # GL backends raise various types
         raise EnvironmentMissingError(
             f"cannot create an off-screen OpenGL context by EGL: {error}",
-            remedy="apt-get install -y libegl1 libgl1-mesa-dri",
+            remedy=rendering_remedy(str(error)),
         ) from error
 
 

@@ -8,6 +8,7 @@ because numba's cache watches no other; after a change here or in `vectors.py` d
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +16,7 @@ from numba import njit
 from numba.core import types
 from numba.core.options import DefaultOptions
 
+from minidual.robot.kernel_cache import choose_folder
 from minidual.robot.pair import Array
 
 if "scipy.linalg" not in sys.modules:
@@ -25,6 +27,8 @@ if "scipy.linalg" not in sys.modules:
 
     del sys.modules["scipy.linalg"]
     arraymath._HAVE_BLAS = True
+
+choose_folder(Path(__file__).parent)
 
 VECTOR = types.float64[::1]
 VIEW = types.Array(types.float64, 1, "A", readonly=True)

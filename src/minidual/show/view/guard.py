@@ -6,7 +6,7 @@ import re
 import secrets
 import socket
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
@@ -27,6 +27,8 @@ _OPEN_S = 2.0
 _PING_S = 1.0
 """Period in which the round trip to a page is measured."""
 _IP_ADDRESS = re.compile(r"[\d.]+|.*:.*")
+_FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Forwarded-Host", "X-Real-IP", "Via")
+"""Headers that proxies add."""
 _LOGGER = logging.getLogger("minidual.view")
 _LOGGER.addHandler(logging.NullHandler())
 _LOGGER.propagate = False  # port probes would print tracebacks
@@ -95,15 +97,23 @@ class Guard:
     """Checks every request to a view at `host`; `say` gets the first refusal only.
 
     A request needs the token, from the printed address or the cookie that the page sets, a Host that
-    is this machine, and no Origin but its own Host. The moves of sliders count from this machine only,
-    unless `remote_drives`.
+    is this machine, and no Origin but its own Host. With `origins` it may come through a proxy: its
+    Origin or Host may be one of them. The moves of sliders count from this machine only, unless
+    `remote_drives`; what comes through a proxy does not.
     """
 
-    def __init__(self, host: str, remote_drives: bool, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        host: str,
+        remote_drives: bool,
+        say: Callable[[str], None],
+        origins: Sequence[str] = (),
+    ) -> None:
         self.token = secrets.token_urlsafe(24)
         self._host = host
         self._remote_drives = remote_drives
         self._say = say
+        self._origins = tuple(origins)
         self._refused = False
         self._connections: weakref.WeakSet[_Connection] = weakref.WeakSet()
 
@@ -187,7 +197,8 @@ class Guard:
                 )
             self._refused = True
             return connection.respond(HTTPStatus.FORBIDDEN, f"minidual: {reason}\n")
-        connection.drives = self._remote_drives or is_loopback(peer)
+        is_from_here = is_loopback(peer) and not self._is_proxied(request)
+        connection.drives = self._remote_drives or is_from_here
         self._connections.add(connection)
         response: Response | None = process_request(connection, request)
         if response is not None:
@@ -200,14 +211,25 @@ class Guard:
     def _refusal(self, request: Request, cookie: str) -> str:
         """Return why a request is refused; empty if it is not."""
         hosts = request.headers.get_all("Host")
-        if len(hosts) != 1 or not self._is_this_machine(hosts[0]):
-            return f"it asks for host {', '.join(hosts)[:80] or 'none'}, not for this machine"
+        proxy_hosts = [urlsplit(origin).netloc for origin in self._origins]
+        if len(hosts) != 1 or not (hosts[0] in proxy_hosts or self._is_this_machine(hosts[0])):
+            wanted = ", ".join(hosts)[:80] or "none"
+            return f"it asks for host {wanted}, not for this machine or one of view.origins"
         origins = request.headers.get_all("Origin")
-        if origins not in ([], [f"http://{hosts[0]}"]):
-            return f"it comes from a page of {', '.join(origins)[:80]}"
+        own_origins = [] if hosts[0] in proxy_hosts else [f"http://{hosts[0]}"]
+        if origins and (len(origins) > 1 or origins[0] not in (*own_origins, *self._origins)):
+            return f"it comes from a page of {', '.join(origins)[:80]}, not of view.origins"
         if not any(self._is_token(text) for text in _tokens(request, cookie)):
             return "it lacks the token of the address that this command printed"
         return ""
+
+    def _is_proxied(self, request: Request) -> bool:
+        """Return whether a request came through a proxy, as far as it says so."""
+        headers = request.headers
+        if any(name in headers for name in _FORWARDED):
+            return True
+        hosts = [urlsplit(origin).netloc for origin in self._origins]
+        return headers.get("Origin") in self._origins or headers.get("Host") in hosts
 
     def _is_token(self, text: str) -> bool:
         return secrets.compare_digest(text.encode(errors="replace"), self.token.encode())

@@ -60,7 +60,7 @@ class WebView:
         self._config = config
         self._say = say
         self.speed_max = config.speed_max
-        guard = Guard(config.host, config.remote_drives, say)
+        guard = Guard(config.host, config.remote_drives, say, config.origins)
         self._guard = guard
         port = free_port(config.host, config.port)
         with _quiet():
@@ -69,6 +69,7 @@ class WebView:
             )
         self.port = self._server.get_port()
         self.url: str | None = f"{url(config.host, self.port)}/?token={guard.token}"
+        self._proxy_urls = [f"{origin}/?token={guard.token}" for origin in config.origins]
         self.alive = True
         self._closed = False
         self.panel = Panel(self._server)
@@ -86,6 +87,8 @@ class WebView:
         if self.port != config.port:
             self._say(f"port {config.port} is taken; the view is at port {self.port}")
         self._say(f"view: {self.url}")
+        for address in self._proxy_urls:
+            self._say(f"through the proxy: {address}")
         if is_loopback(config.host):
             tunnel = tunnel_command(config.host, self.port)
             self._say(f"from another machine: {tunnel}, then open the same address there")

@@ -1,6 +1,7 @@
 """Criteria of `env-check`, in the order in which a person would look for a fault."""
 
 from minidual.gate.criterion import Criterion
+from minidual.variables import INSTALL_RENDERING
 
 LIBRARIES = Criterion(
     "libraries.unfit",
@@ -121,7 +122,7 @@ CONTRAST_MIN = Criterion(
     "cameras.contrast_min",
     ">",
     why="a picture of one flat colour shows nothing (standard deviation of brightness, 0 to 255)",
-    remedy="apt-get install -y libegl1 libgl1-mesa-dri",
+    remedy=INSTALL_RENDERING,
 )
 OBJECT_SHARE = Criterion(
     "cameras.object_share",
