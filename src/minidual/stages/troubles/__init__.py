@@ -1,0 +1,1 @@
+"""Known troubles of two-arm systems, and what minidual does about each."""
