@@ -126,13 +126,17 @@ def test_a_failed_check_is_a_fault_with_its_remedy(patient: Patient) -> None:
     assert faults == [
         {
             "part": "plan",
+            "level": "both arms",
             "name": "quality",
             "detail": "quality is 0.5 n, limit >= 1 n",
             "remedy": "hold harder",
+            "count": 1,
+            "follows": None,
+            "trouble": None,
         },
     ]
     assert [parts[name]["faults"] for name in ("env-check", "plan", "carry")] == [0, 1, 0]
-    assert "plan: quality: quality is 0.5 n, limit >= 1 n" in result.lines
+    assert "both arms: plan: quality: quality is 0.5 n, limit >= 1 n" in result.lines
     assert "  remedy: hold harder" in result.lines
 
 

@@ -5,6 +5,7 @@ policy of the run are read back.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -12,24 +13,18 @@ from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.demos.checks import Thumbnails, camera_references, check_swapped, thumbnails
 from minidual.demos.episode import episode_paths, inspect_episode
-from minidual.errors import ExitCode, MinidualError
+from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError
 from minidual.gate.check import Check
 from minidual.gate.stage import StageContext, ToolContext, ToolResult, markdown
 from minidual.policies.demonstrations import load_demonstrations
 from minidual.policies.policy import exercise_checkpoint
 from minidual.robot.pair import robot_from
 from minidual.stages.train_act import action_checks
+from minidual.stages.troubles.diagnosis import Fault, as_lines, diagnose, level_of
+from minidual.stages.troubles.trouble import LEVELS
 
 _LAST_STAGE = "carry"
 """The last of the stages that run again."""
-
-
-class Fault(NamedTuple):
-    """What is wrong, and what to do."""
-
-    name: str
-    detail: str
-    remedy: str | None
 
 
 class Examination(NamedTuple):
@@ -50,25 +45,34 @@ type Examine = Callable[[ToolContext], Examination]
 def doctor(context: ToolContext) -> ToolResult:
     """Examine every part, whatever is wrong with the others; exit 1 if anything is."""
     rows: list[dict[str, Any]] = []
-    faults: list[dict[str, Any]] = []
+    found: list[Fault] = []
     for part, examine in _parts(context).items():
         context.progress.note(f"doctor: {part}")
-        examined, part_faults = _examine(context, examine)
+        examined, part_faults = _examine(context, part, examine)
         rows.append(
             {"part": part, "examined": examined or "nothing yet", "faults": len(part_faults)},
         )
-        faults += [{"part": part, **fault._asdict()} for fault in part_faults]
-    lines = markdown(rows)
-    if not faults:
-        lines += ["", "no known fault found"]
-    for fault in faults:
-        lines += [
-            "",
-            f"{fault['part']}: {fault['name']}: {fault['detail']}",
-            f"  remedy: {fault['remedy'] or 'see the message'}",
-        ]
+        found += part_faults
+    table = context.gate.table
+    upstream = {name: [other for other in table.until(name) if other != name] for name in table}
+    faults = diagnose(found, upstream)
     code = ExitCode.ACCEPTANCE_FAILED if faults else ExitCode.PASS
-    return ToolResult(lines, data={"parts": rows, "faults": faults}, exit_code=code)
+    documents = [_document(fault) for fault in faults]
+    lines = [*markdown(rows), *as_lines(faults)]
+    return ToolResult(lines, data={"parts": rows, "faults": documents}, exit_code=code)
+
+
+def _document(fault: Fault) -> dict[str, Any]:
+    return {
+        "part": fault.part,
+        "level": LEVELS[fault.level].name,
+        "name": fault.name,
+        "detail": fault.detail,
+        "remedy": fault.remedy,
+        "count": fault.count,
+        "follows": fault.follows or None,
+        "trouble": fault.trouble or None,
+    }
 
 
 def _parts(context: ToolContext) -> dict[str, Examine]:
@@ -76,12 +80,18 @@ def _parts(context: ToolContext) -> dict[str, Examine]:
     return {**stages, "results": results, "recordings": recordings, "policy": policy}
 
 
-def _examine(context: ToolContext, examine: Examine) -> Examination:
+def _examine(context: ToolContext, part: str, examine: Examine) -> Examination:
     """Examine a part; an error that ends it is a fault."""
     try:
         return examine(context)
     except MinidualError as error:
-        return Examination("stopped", [Fault("error", error.message, error.remedy)])
+        missing = isinstance(error, EnvironmentMissingError)
+        level = level_of(part, "error", environment=missing)
+        return Examination("stopped", [Fault(part, "error", error.message, error.remedy, level)])
+
+
+def _fault(part: str, name: str, detail: str, remedy: str | None) -> Fault:
+    return Fault(part, name, detail, remedy, level_of(part, name))
 
 
 def stage(name: str, context: ToolContext) -> Examination:
@@ -99,27 +109,30 @@ def stage(name: str, context: ToolContext) -> Examination:
         view=context.view,
     )
     result = entry.load()(stage_context)
-    return Examination(f"{len(result.checks)} checks", _failed(result.checks))
+    return Examination(f"{len(result.checks)} checks", _failed(name, result.checks))
 
 
 def _small(config: Config) -> Config:
-    """Return the configuration with the sizes of the profile `smoke`."""
+    """Return the configuration with the sizes of the profile `smoke`, and a swing of one period."""
     smoke = load_config("smoke").config
     plan_sizes = {
         "queries_n": smoke.plan.queries_n,
         "second_queries_n": smoke.plan.second_queries_n,
         "held": smoke.plan.held,
     }
+    period_s = 1.0 / config.env_check.sine_frequency_hz
+    swing_s = min(max(1.0, period_s), config.env_check.sine_duration_s)
     sections = {
+        "env_check": config.env_check.model_copy(update={"sine_duration_s": swing_s}),
         "plan": config.plan.model_copy(update=plan_sizes),
         "carry": config.carry.model_copy(update={"trials_n": smoke.carry.trials_n}),
     }
     return config.model_copy(update=sections)
 
 
-def _failed(checks: Sequence[Check]) -> list[Fault]:
+def _failed(part: str, checks: Sequence[Check]) -> list[Fault]:
     return [
-        Fault(check.name, check.sentence(), check.remedy)
+        _fault(part, check.name, check.sentence(), check.remedy)
         for check in checks
         if check.passed is False
     ]
@@ -130,7 +143,15 @@ def results(context: ToolContext) -> Examination:
     states = [context.gate.state(name) for name in context.gate.table]
     begun = [s for s in states if s.state not in ("missing", "blocked")]
     faults = [
-        Fault(f"{s.name} is {s.state}", s.why(), context.command(f"explain {s.name}"))
+        replace(
+            _fault(
+                "results",
+                f"{s.name} is {s.state}",
+                s.why(),
+                context.command(f"explain {s.name}"),
+            ),
+            stage=s.name,
+        )
         for s in begun
         if s.state != "pass"
     ]
@@ -147,14 +168,15 @@ def recordings(context: ToolContext) -> Examination:
     for path in paths:
         episode, own_faults = inspect_episode(path, cameras=config.teleop.cameras, robot=robot)
         faults += [
-            Fault(fault.name, f"{path.name}: {fault.detail}", fault.remedy) for fault in own_faults
+            _fault("recordings", fault.name, f"{path.name}: {fault.detail}", fault.remedy)
+            for fault in own_faults
         ]
         if episode is not None and not own_faults:
             views[path.name] = thumbnails(episode.images)
     references = camera_references(list(views.values()))
     for name, thumbs in views.items():
         faults += [
-            Fault(fault.name, f"{name}: {fault.detail}", fault.remedy)
+            _fault("recordings", fault.name, f"{name}: {fault.detail}", fault.remedy)
             for fault in check_swapped(thumbs, references)
         ]
     return Examination(f"{len(paths)} episodes" if paths else "", faults)
@@ -173,4 +195,4 @@ def policy(context: ToolContext) -> Examination:
     robot = robot_from(context.config.robot)
     emitted = exercise_checkpoint(checkpoint, demos, robot)
     checks = action_checks(emitted, train, robot)
-    return Examination(f"dataset of {len(demos)} ticks, checkpoint", _failed(checks))
+    return Examination(f"dataset of {len(demos)} ticks, checkpoint", _failed("policy", checks))
