@@ -38,11 +38,21 @@ def test_a_user_without_an_entry_gets_a_name_and_a_home(stranger: Path) -> None:
 
 def test_names_that_are_set_stay(stranger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("USER", "robot")
-    monkeypatch.setenv("HOME", "/somewhere")
+    monkeypatch.setenv("HOME", str(stranger))
     variables.prepare()
     assert "LOGNAME" not in os.environ
-    assert os.environ["HOME"] == "/somewhere"
+    assert os.environ["HOME"] == str(stranger)
     assert list(stranger.iterdir()) == []
+
+
+def test_a_home_that_cannot_be_written_is_replaced(
+    stranger: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Docker gives a user without an entry the home folder "/"."""
+    monkeypatch.setenv("HOME", "/no/such/home")
+    variables.prepare()
+    assert os.environ["HOME"] == str(stranger / f"minidual-{os.getuid()}")
 
 
 def test_a_user_with_an_entry_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:

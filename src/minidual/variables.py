@@ -24,11 +24,14 @@ def prepare() -> None:
     # mujoco and PyOpenGL pick their platform at their first import; with another one it may fail.
     os.environ["MUJOCO_GL"] = "egl"
     os.environ["PYOPENGL_PLATFORM"] = "egl"
-    if not any(os.environ.get(name) for name in _USER_NAMES) and _user_name() is None:
+    if _user_name() is not None:
+        return
+    if not any(os.environ.get(name) for name in _USER_NAMES):
         # PyTorch asks for the user's name at its import, and ends with KeyError.
         os.environ["LOGNAME"] = f"uid-{os.getuid()}"
-    if "HOME" not in os.environ and _user_name() is None:
-        # Without a home folder libraries write to a folder named "~", or end with RuntimeError.
+    home = os.environ.get("HOME")
+    if home is None or not os.access(home, os.W_OK):
+        # Libraries would write to a folder named "~", or end with an error. Docker says "/".
         folder = private_folder()
         if folder is not None:
             os.environ["HOME"] = str(folder)

@@ -142,5 +142,22 @@ def test_a_fault_of_many_episodes_is_named_once() -> None:
     assert fault.trouble == "out-of-sync"
 
 
+@pytest.mark.parametrize(
+    ("title", "trouble"),
+    [
+        ("env-check joints.count", "no-actuators"),
+        ("env-check libraries.unfit", ""),
+        ("plan left_arm.success_rate", ""),
+        ("plan both_arms.replan_max_s", "both-arms-timeout"),
+        ("carry internal_force_min_n", "penetration"),
+        ("recordings not_finite", "explosion"),
+        ("policy actions_in_limits", "beyond-limits"),
+        ("carry error", ""),
+    ],
+)
+def test_a_fault_leads_to_the_row_that_it_means(title: str, trouble: str) -> None:
+    assert found(title).trouble == trouble
+
+
 def test_without_faults_it_says_so() -> None:
     assert as_lines([]) == ["", "no known fault found"]

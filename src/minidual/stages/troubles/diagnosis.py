@@ -130,13 +130,14 @@ class Fault:
 
     @property
     def trouble(self) -> str:
-        """Name of the first row of the catalogue that this fault shows, or ""."""
+        """Name of the first row of the catalogue that this fault means, or ""."""
         own_name = self.name.rpartition("_arm.")[2].rpartition("_arms.")[2]
-        shown_by = (check(self.part, own_name), episode_fault(self.name))
-        for row in TROUBLES.values():
-            if any(reference in row.references for reference in shown_by):
-                return row.name
-        return ""
+        signs = (
+            check(_STAGES.get(self.part, self.part), own_name),
+            episode_fault(self.name),
+        )
+        shown = (row.name for row in TROUBLES.values() if any(map(row.is_shown_by, signs)))
+        return next(shown, "")
 
 
 def level_of(part: str, name: str, *, environment: bool = False) -> Level:

@@ -20,7 +20,7 @@ ENVIRONMENT = (
         '"unknown mesh extension" when the robot is loaded',
         "MuJoCo reads no DAE meshes",
         "visual meshes are converted when the model is built",
-        (check("env-check", "joints.count"), setting("robot.arm")),
+        (setting("robot.arm"), check("env-check", "libraries.unfit")),
     ),
     Trouble(
         2,

@@ -21,8 +21,8 @@ LEARNING = (
         "untrained, or another path",
         "zeros are refused; a missing checkpoint is named",
         (
-            check("train-act", "actions_in_limits"),
             refusal("all_zero"),
+            check("train-act", "actions_in_limits"),
             message("there is no checkpoint folder"),
         ),
     ),

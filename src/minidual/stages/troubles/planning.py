@@ -30,7 +30,7 @@ PLANNING = (
         '"Group not found"',
         "the robot's semantic description is not loaded",
         "the three groups are built in; a wrong name lists them",
-        (check("plan", "success_rate"), refusal("unknown_group")),
+        (refusal("unknown_group"), check("plan", "success_rate")),
     ),
     Trouble(
         18,
@@ -128,7 +128,7 @@ PLANNING = (
         "the planning library ends with a segmentation fault",
         "a state space without its projection",
         "spaces are set up in one place, with one version of the library",
-        (check("env-check", "libraries.unfit"),),
+        (command("minidual plan"), check("env-check", "libraries.unfit")),
     ),
     Trouble(
         28,

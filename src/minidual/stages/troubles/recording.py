@@ -103,6 +103,6 @@ RECORDING = (
         "the policy emits nonsense",
         "training and deployment normalise differently",
         "statistics lie in the checkpoint and are read with it",
-        (check("train-act", "actions_in_limits"), message("checkpoint {folder} lacks")),
+        (message("checkpoint {folder} lacks"), check("train-act", "actions_in_limits")),
     ),
 )

@@ -153,7 +153,7 @@ class Trouble:
         number: Row of the tutorial's table, 1 to 52.
         name: For `minidual doctor --explain`.
         answer: What minidual does about it.
-        references: What detects or mends it.
+        references: What detects or mends it, the surest sign first.
     """
 
     number: int
@@ -163,6 +163,11 @@ class Trouble:
     cause: str
     answer: str
     references: tuple[Reference, ...]
+
+    def is_shown_by(self, reference: Reference) -> bool:
+        """Return whether a failed check or a fault of an episode means this trouble."""
+        is_fault = reference.kind == "episode fault" and reference in self.references
+        return is_fault or reference == self.references[0]
 
     @property
     def probed(self) -> Literal["here", "in a run", ""]:
