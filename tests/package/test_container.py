@@ -50,7 +50,7 @@ def test_it_is_built_from_a_debian_image_and_an_index_alone() -> None:
 def test_its_packages_are_those_that_readme_and_env_check_name() -> None:
     assert installed(dockerfile()) - TOOLS == set(RENDERING_PACKAGES)
     assert installed(dockerfile()) >= TOOLS
-    assert INSTALL_RENDERING == criteria.CONTRAST_MIN.remedy
+    assert criteria.CONTRAST_MIN.remedy == INSTALL_RENDERING
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     needs = readme.partition("## What it needs")[2].partition("\n## ")[0]
     optional = "".join(re.findall(r"^- Optional:.*?(?=^- |\Z)", needs, re.MULTILINE | re.DOTALL))
