@@ -57,6 +57,7 @@ class StageContext(Context):
         summaries: {upstream stage: its summary}.
         code_changes: {upstream stage: modules changed since}; closing stages only.
         waivers: Own and inherited.
+        pictures: Whether to draw and record what people look at; checks do not depend on it.
     """
 
     folder: Path
@@ -65,6 +66,7 @@ class StageContext(Context):
     summaries: Mapping[str, str] = field(default_factory=dict[str, str])
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     waivers: tuple[Waiver, ...] = ()
+    pictures: bool = True
 
 
 @dataclass(frozen=True)

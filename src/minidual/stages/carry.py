@@ -131,11 +131,12 @@ def run(context: StageContext) -> StageResult:
     summary = summarise(results, stream(context.seed, "bootstrap/carry"))
     write_csv(context.folder / "trials.csv", [m.to_row() for m in results])
     shown = shown_trials(results)
-    logs = record_trials(context, Bench(METHOD, inputs), trials, results, shown)
-    with context.progress.task("films", len(shown)) as bar:
-        for label, i in shown.items():
-            _show_trial(context, label, trials[i], results[i], logs[label])
-            bar.advance()
+    if context.pictures:
+        logs = record_trials(context, Bench(METHOD, inputs), trials, results, shown)
+        with context.progress.task("films", len(shown)) as bar:
+            for label, i in shown.items():
+                _show_trial(context, label, trials[i], results[i], logs[label])
+                bar.advance()
     checks = carry_checks(results, config.carry.limits, task.scene.task)
     checks += reported_checks(results, summary)
     return StageResult(checks=checks, data={**summary.record(), "shown": shown})

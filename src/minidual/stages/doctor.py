@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from minidual.config.loader import load_config
 from minidual.config.root import Config
 from minidual.demos.checks import Thumbnails, camera_references, check_swapped, thumbnails
 from minidual.demos.episode import episode_paths, inspect_episode
@@ -25,6 +24,9 @@ from minidual.stages.troubles.trouble import LEVELS
 
 _LAST_STAGE = "carry"
 """The last of the stages that run again."""
+_QUERIES_N = 2
+_CARRIES_N = 1
+"""Queries of each group, and carries: enough to see a fault, few enough for a minute."""
 
 
 class Examination(NamedTuple):
@@ -95,7 +97,7 @@ def _fault(part: str, name: str, detail: str, remedy: str | None) -> Fault:
 
 
 def stage(name: str, context: ToolContext) -> Examination:
-    """Run a stage with the run's settings, and as many queries and trials as `smoke`."""
+    """Run a stage with the run's settings, at a small size, and without pictures."""
     entry = context.gate.table[name]
     folder = context.output / name
     folder.mkdir()
@@ -107,25 +109,22 @@ def stage(name: str, context: ToolContext) -> Examination:
         progress=context.progress,
         workers=context.workers,
         view=context.view,
+        pictures=False,
     )
     result = entry.load()(stage_context)
     return Examination(f"{len(result.checks)} checks", _failed(name, result.checks))
 
 
 def _small(config: Config) -> Config:
-    """Return the configuration with the sizes of the profile `smoke`, and a swing of one period."""
-    smoke = load_config("smoke").config
-    plan_sizes = {
-        "queries_n": smoke.plan.queries_n,
-        "second_queries_n": smoke.plan.second_queries_n,
-        "held": smoke.plan.held,
-    }
+    """Return the configuration with as few queries, moves and carries as tell, and a short swing."""
     period_s = 1.0 / config.env_check.sine_frequency_hz
     swing_s = min(max(1.0, period_s), config.env_check.sine_duration_s)
+    held = config.plan.held.model_copy(update={"moves_n": 2, "executed_n": 1})
+    plan_sizes = {"queries_n": _QUERIES_N, "second_queries_n": 0, "held": held}
     sections = {
         "env_check": config.env_check.model_copy(update={"sine_duration_s": swing_s}),
         "plan": config.plan.model_copy(update=plan_sizes),
-        "carry": config.carry.model_copy(update={"trials_n": smoke.carry.trials_n}),
+        "carry": config.carry.model_copy(update={"trials_n": _CARRIES_N}),
     }
     return config.model_copy(update=sections)
 

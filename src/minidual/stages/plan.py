@@ -53,8 +53,9 @@ def run(context: StageContext) -> StageResult:
     _write_queries(context, first, second)
     _write_allowed_pairs(context, robot)
     _write_trajectories(context, first, robot)
-    write_paths(folder / "paths.png", context.config.scene, first)
-    write_times(first, folder / "times.png", config.time_median_max_s.model_dump())
+    if context.pictures:
+        write_paths(folder / "paths.png", context.config.scene, first)
+        write_times(first, folder / "times.png", config.time_median_max_s.model_dump())
     checks = [
         *_query_checks(first, config, ""),
         *_query_checks(second, config, "second_seed."),
