@@ -2,7 +2,7 @@
 # docker run --rm -v "$PWD/runs:/minidual/runs" minidual
 FROM python:3.12-slim-bookworm
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends git make libegl1 libgl1-mesa-dri \
+    && apt-get install -y --no-install-recommends git make libegl1 libgl1-mesa-dri libopengl0 \
     && rm -rf /var/lib/apt/lists/* \
     && git config --system --add safe.directory /minidual
 # Another package index than the default: --build-arg PIP_INDEX_URL=... --build-arg UV_DEFAULT_INDEX=...

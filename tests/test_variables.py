@@ -133,6 +133,38 @@ def test_a_variable_that_picks_the_device_is_named_before_packages(
     assert ("apt-get" in told) == (device in (None, "0"))
 
 
+@pytest.mark.parametrize("missing", ["EGL", "OpenGL"])
+def test_a_command_without_opengl_names_the_packages(missing: str, tmp_path: Path) -> None:
+    """A slim container has neither library; libegl1 alone does not bring libOpenGL."""
+    program = f"""
+import sys
+import OpenGL.platform.ctypesloader as loader
+load = loader.loadLibrary
+gone = {{"EGL": ("EGL",), "OpenGL": ("OpenGL", "GL", "GLESv2", "GLESv1_CM")}}["{missing}"]
+def missing(dll, name, mode=None):
+    if name in gone:
+        raise OSError(name + " cannot be opened")
+    return load(dll, name, mode=mode)
+loader.loadLibrary = missing
+sys.argv = ["minidual", "plan", "--acm"]
+from minidual.cli.process import main
+main()
+"""
+    environment = {**os.environ, "PYOPENGL_PLATFORM": "egl", "MUJOCO_GL": "egl"}
+    environment.pop("MUJOCO_EGL_DEVICE_ID", None)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 4, done.stderr[-2000:]
+    assert variables.INSTALL_RENDERING in done.stderr
+    assert "libopengl0" in variables.RENDERING_PACKAGES
+
+
 def test_another_tools_variables_are_overridden_or_named() -> None:
     program = """
 import minidual, mujoco

@@ -10,8 +10,8 @@ import stat
 import tempfile
 from pathlib import Path
 
-RENDERING_PACKAGES = ("libegl1", "libgl1-mesa-dri")
-"""Debian packages that rendering without a screen needs."""
+RENDERING_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libopengl0")
+"""Debian packages that rendering without a screen needs; PyOpenGL looks for the last one."""
 INSTALL_RENDERING = f"apt-get install -y {' '.join(RENDERING_PACKAGES)}"
 
 _DEVICE = "MUJOCO_EGL_DEVICE_ID"

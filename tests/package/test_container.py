@@ -56,6 +56,8 @@ def test_its_packages_are_those_that_readme_and_env_check_name() -> None:
     optional = "".join(re.findall(r"^- Optional:.*?(?=^- |\Z)", needs, re.MULTILINE | re.DOTALL))
     assert installed(needs) - installed(optional) == set(RENDERING_PACKAGES)
     assert all(f"`{tool}`" in needs for tool in TOOLS)
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert set(RENDERING_PACKAGES) <= installed(ci)
     simulation = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
     assert all(package in simulation for package in RENDERING_PACKAGES)
 

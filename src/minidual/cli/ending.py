@@ -7,7 +7,8 @@ from collections.abc import Callable
 from minidual import emergency
 from minidual.cli.process import interrupt
 from minidual.cli.session import Session
-from minidual.errors import ExitCode, MinidualError, printable
+from minidual.errors import EnvironmentMissingError, ExitCode, MinidualError, printable
+from minidual.variables import rendering_remedy
 
 
 def end(session: Session, body: Callable[[Session], int]) -> int:
@@ -22,9 +23,20 @@ def end(session: Session, body: Callable[[Session], int]) -> int:
         pressed = emergency.pressed()
         if pressed:  # whatever error came of the arms that were stopped for it
             return _interrupted(session, error, f"emergency stop ({pressed})")
+        if not isinstance(error, MinidualError) and _is_opengl_import(error):
+            error = EnvironmentMissingError(
+                f"mujoco cannot load OpenGL: {error}", remedy=rendering_remedy(str(error))
+            )
         if isinstance(error, MinidualError):
             return _fail(session, error, error.message, error.remedy, error.exit_code)
         return _crashed(session, error)
+
+
+def _is_opengl_import(error: Exception) -> bool:
+    """Return whether an error came of the import of mujoco's OpenGL, which raises various types."""
+    codes = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+    modules = [code.co_filename for code in codes if code.co_name == "<module>"]
+    return any("/mujoco/egl/" in module for module in modules)
 
 
 def _interrupted(session: Session, error: BaseException, reason: str = "") -> int:
