@@ -3,12 +3,14 @@
 import logging
 import os
 from pathlib import Path
+from typing import Any, cast
 
-from numba import config as numba_config
+from numba.core import config
 
 from minidual.durable import expanded
 from minidual.variables import is_writable, private_folder
 
+numba_config = cast(Any, config)  # its fields are made when it is imported
 _LOGGER = logging.getLogger("minidual")
 _SAID = "MINIDUAL_UNCACHED_SAID"
 """Variable that tells worker processes that the message was printed."""

@@ -1,6 +1,6 @@
 """Order faults from below, and tell causes from what follows from them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -148,7 +148,7 @@ def level_of(part: str, name: str, *, environment: bool = False) -> Level:
     return next((level for pattern, level in _LEVELS if fnmatchcase(key, pattern)), Level.POLICY)
 
 
-def diagnose(faults: Iterable[Fault], upstream: dict[str, Sequence[str]]) -> list[Fault]:
+def diagnose(faults: Iterable[Fault], upstream: Mapping[str, Sequence[str]]) -> list[Fault]:
     """Return the faults from below, each once, with the cause that it follows from.
 
     Args:
@@ -187,7 +187,7 @@ def _merged(faults: Iterable[Fault]) -> list[Fault]:
     return merged
 
 
-def _causes(cause: Fault, fault: Fault, upstream: dict[str, Sequence[str]]) -> bool:
+def _causes(cause: Fault, fault: Fault, upstream: Mapping[str, Sequence[str]]) -> bool:
     """Return whether a fault can follow from another one that lies below it."""
     if cause.detail == fault.detail and cause.part != fault.part:
         return True  # what ended one part ends another
