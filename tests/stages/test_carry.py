@@ -21,8 +21,10 @@ from minidual.errors import UsageError
 from minidual.gate.canonical import digest
 from minidual.gate.check import Check
 from minidual.gate.progress import Progress
+from minidual.gate.stage import StageContext
 from minidual.plant.world import World
 from minidual.show.figures.film import Postures, film_trial
+from minidual.stages import carry
 from minidual.stages.carry import carry_checks, record_trials
 from minidual.stages.registry import STAGES
 from minidual.tasks.task import Trial
@@ -73,6 +75,26 @@ def test_results_do_not_depend_on_the_processes_and_a_recording_is_the_same_tria
     again, _ = Bench("impedance", inputs).record(trials[1], tmp_path / "trial.npz")
     assert repr(same_row(again)) == repr(same_row(alone[1]))
     assert (tmp_path / "trial.npz").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("pictures", [True, False])
+def test_pictures_and_recordings_can_be_left_out_and_the_checks_stay(
+    pictures: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`doctor` needs the numbers alone."""
+    drawn: list[str] = []
+    monkeypatch.setattr(carry, "_run_trials", lambda *_: results("impedance", 4))
+    monkeypatch.setattr(carry, "record_trials", lambda *_: {"median": None, "worst": None})
+    monkeypatch.setattr(carry, "_show_trial", lambda _context, label, *_: drawn.append(label))
+    config = load_config("smoke").config
+    context = StageContext(
+        config=config, seed=3, profile="smoke", folder=tmp_path, pictures=pictures
+    )
+    checks = carry.run(context).checks
+    assert drawn == (["median", "worst"] if pictures else [])
+    assert {check.name for check in checks} >= {"success_rate", "tilt_max_rad", "jerk_rms_median"}
 
 
 def test_a_trial_that_is_both_median_and_worst_is_recorded_as_both(tmp_path: Path) -> None:
