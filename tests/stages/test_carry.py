@@ -24,7 +24,7 @@ from minidual.gate.progress import Progress
 from minidual.gate.stage import StageContext
 from minidual.plant.world import World
 from minidual.show.figures.film import Postures, film_trial
-from minidual.stages import carry
+from minidual.stages import carry as carry_stage
 from minidual.stages.carry import carry_checks, record_trials
 from minidual.stages.registry import STAGES
 from minidual.tasks.task import Trial
@@ -85,14 +85,14 @@ def test_pictures_and_recordings_can_be_left_out_and_the_checks_stay(
 ) -> None:
     """`doctor` needs the numbers alone."""
     drawn: list[str] = []
-    monkeypatch.setattr(carry, "_run_trials", lambda *_: results("impedance", 4))
-    monkeypatch.setattr(carry, "record_trials", lambda *_: {"median": None, "worst": None})
-    monkeypatch.setattr(carry, "_show_trial", lambda _context, label, *_: drawn.append(label))
+    monkeypatch.setattr(carry_stage, "_run_trials", lambda *_: results(4))
+    monkeypatch.setattr(carry_stage, "record_trials", lambda *_: {"median": None, "worst": None})
+    monkeypatch.setattr(carry_stage, "_show_trial", lambda _context, label, *_: drawn.append(label))
     config = load_config("smoke").config
     context = StageContext(
         config=config, seed=3, profile="smoke", folder=tmp_path, pictures=pictures
     )
-    checks = carry.run(context).checks
+    checks = carry_stage.run(context).checks
     assert drawn == (["median", "worst"] if pictures else [])
     assert {check.name for check in checks} >= {"success_rate", "tilt_max_rad", "jerk_rms_median"}
 
