@@ -30,7 +30,7 @@ PLANNING = (
         '"Group not found"',
         "the robot's semantic description is not loaded",
         "the three groups are built in; a wrong name lists them",
-        (refusal("unknown_group"), check("plan", "success_rate")),
+        (refusal("unknown_group"), command("minidual plan --group both_arms --to ready")),
     ),
     Trouble(
         18,
