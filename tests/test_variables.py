@@ -133,16 +133,14 @@ def test_a_variable_that_picks_the_device_is_named_before_packages(
     assert ("apt-get" in told) == (device in (None, "0"))
 
 
-@pytest.mark.parametrize("missing", ["EGL", "OpenGL"])
-def test_a_command_without_opengl_names_the_packages(missing: str, tmp_path: Path) -> None:
-    """A slim container has neither library; libegl1 alone does not bring libOpenGL."""
-    program = f"""
+def test_a_command_without_libopengl_names_the_packages(tmp_path: Path) -> None:
+    """A slim container lacks it, and libegl1 does not bring it."""
+    program = """
 import sys
 import OpenGL.platform.ctypesloader as loader
 load = loader.loadLibrary
-gone = {{"EGL": ("EGL",), "OpenGL": ("OpenGL", "GL", "GLESv2", "GLESv1_CM")}}["{missing}"]
 def missing(dll, name, mode=None):
-    if name in gone:
+    if name in ("OpenGL", "GL", "GLESv2", "GLESv1_CM"):
         raise OSError(name + " cannot be opened")
     return load(dll, name, mode=mode)
 loader.loadLibrary = missing

@@ -85,7 +85,7 @@ def test_pictures_and_recordings_can_be_left_out_and_the_checks_stay(
 ) -> None:
     """`doctor` needs the numbers alone."""
     drawn: list[str] = []
-    monkeypatch.setattr(carry_stage, "_run_trials", lambda *_: results(4))
+    monkeypatch.setattr(carry_stage, "_run_trials", lambda *_: results(2))
     monkeypatch.setattr(carry_stage, "record_trials", lambda *_: {"median": None, "worst": None})
     monkeypatch.setattr(carry_stage, "_show_trial", lambda _context, label, *_: drawn.append(label))
     config = load_config("smoke").config
