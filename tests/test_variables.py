@@ -5,6 +5,7 @@ import os
 import pwd
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ def nobody(_: int) -> pwd.struct_passwd:
 def stranger(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A container's user without a passwd entry; returns the folder for temporary files."""
     monkeypatch.setattr(pwd, "getpwuid", nobody)
-    monkeypatch.setattr(variables.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
     for name in (*NAMES, "HOME"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
@@ -104,7 +105,7 @@ def test_without_a_place_for_temporary_files_there_is_no_folder(
     stranger: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(variables.tempfile, "gettempdir", lambda: str(stranger / "none"))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(stranger / "none"))
     assert variables.private_folder() is None
     variables.prepare()
     assert "HOME" not in os.environ

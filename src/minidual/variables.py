@@ -7,7 +7,6 @@ sets.
 import os
 import pwd
 import stat
-import tempfile
 from pathlib import Path
 
 RENDERING_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libopengl0")
@@ -50,6 +49,8 @@ def private_folder() -> Path | None:
 
     What lies there may be compiled code: a folder or link of somebody else is not used.
     """
+    import tempfile  # late: every command imports this module
+
     try:
         folder = Path(tempfile.gettempdir()) / f"minidual-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -63,6 +64,8 @@ def private_folder() -> Path | None:
 
 def is_writable(folder: Path) -> bool:
     """Return whether a file can be made in a folder, which is made if it is absent."""
+    import tempfile
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
