@@ -10,8 +10,9 @@ from typing import Any, NamedTuple, cast
 import yaml
 
 from minidual.config.document import Document, parse_value, read_document
+from minidual.config.methods import settings_model
 from minidual.config.root import Config
-from minidual.config.validation import keys_at, validate_document
+from minidual.config.validation import keys_at, validate_document, validate_section
 from minidual.durable import expanded, kind_of
 from minidual.errors import ConfigError, UsageError, unknown_name
 
@@ -56,7 +57,7 @@ class LoadedConfig(NamedTuple):
         resolved = self.config.model_dump(mode="json")
         for override in overrides:
             _apply(document, override, resolved)
-        config = validate_document(document, Config)
+        config = _validated(document)
         return LoadedConfig(
             config,
             self.profile,
@@ -136,10 +137,28 @@ def load_config(
     name, path = find_profile(profile)
     document, sources = _read_chain(path, ())
     document.source = path.name
-    loaded = LoadedConfig(validate_document(document, Config), name, sources, (), document)
+    loaded = LoadedConfig(_validated(document), name, sources, (), document)
     return loaded.with_overrides(
         [parse_override(item) if isinstance(item, str) else item for item in overrides],
     )
+
+
+def _validated(document: Document) -> Config:
+    """Return the configuration; sections of plug-in methods are checked with their own models.
+
+    Raises:
+        ConfigError: All problems.
+    """
+    config = validate_document(document, Config)
+    for name in config.methods.others:
+        section = ("methods", name)
+        try:
+            model = settings_model(name)
+        except UsageError as error:
+            where = document.origins.get(".".join(section), document.source)
+            raise ConfigError(f"{where}: {error.message}", remedy=error.remedy) from error
+        validate_section(document, section, model)
+    return config
 
 
 def _read_chain(path: Path, below: tuple[Path, ...]) -> tuple[Document, tuple[Path, ...]]:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 from minidual.config.base import AtLeast, Rate, StrictModel
 from minidual.config.control import ArbiterConfig, CarryConfig, EnvCheckConfig, SupervisorConfig
 from minidual.config.learning import DeployConfig, TeleopConfig, TrainConfig
+from minidual.config.methods import MethodsConfig
 from minidual.config.planning import PlanConfig
 from minidual.config.scene import RobotConfig, SceneConfig, SemanticsConfig
 from minidual.errors import unknown_name
@@ -93,6 +94,7 @@ class Config(StrictModel):
     teleop: TeleopConfig = TeleopConfig()
     train: TrainConfig = TrainConfig()
     deploy: DeployConfig = DeployConfig()
+    methods: MethodsConfig = MethodsConfig()
     benchmark: BenchmarkConfig = BenchmarkConfig()
     report: ReportConfig = ReportConfig()
     scene: SceneConfig = SceneConfig()

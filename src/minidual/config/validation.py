@@ -24,11 +24,32 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
     Raises:
         ConfigError: All problems.
     """
+    return validate_section(document, (), model)
+
+
+def validate_section[Model: BaseModel](
+    document: Document,
+    section: Sequence[str],
+    model: type[Model],
+) -> Model:
+    """Return a section of a document as a model.
+
+    Args:
+        document: The whole.
+        section: Keys that lead to the section.
+        model: Of the section.
+
+    Raises:
+        ConfigError: All problems.
+    """
+    tree: Any = document.tree
+    for key in section:
+        tree = tree[key]
     try:
-        return model.model_validate_json(json.dumps(document.tree), strict=True)
+        return model.model_validate_json(json.dumps(tree), strict=True)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        problems = [_problem(detail, document, model) for detail in details]
+        problems = [_problem(detail, document, section, model) for detail in details]
         remedies = [problem.remedy for problem in problems if problem.remedy]
         raise ConfigError(
             "\n".join(problem.text for problem in problems),
@@ -36,11 +57,16 @@ def validate_document[Model: BaseModel](document: Document, model: type[Model]) 
         ) from None
 
 
-def _problem(detail: Any, document: Document, model: type[BaseModel]) -> _Problem:
+def _problem(
+    detail: Any,
+    document: Document,
+    section: Sequence[str],
+    model: type[BaseModel],
+) -> _Problem:
     """Return one error of pydantic in the words of the document."""
     kind = detail["type"]
     location = _typed_location(
-        [str(part) for part in detail["loc"]],
+        [*section, *(str(part) for part in detail["loc"])],
         document.tree,
         missing=kind == "missing",
     )

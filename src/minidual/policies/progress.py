@@ -111,13 +111,17 @@ class TrainState:
 class ProgressFile:
     """Progress of the training with a fingerprint; `path` None keeps none.
 
+    Args:
+        name: Of the command, in the names of files that are set aside.
+
     Attributes:
         set_aside: Where damaged progress or that of another training was moved, or None.
     """
 
-    def __init__(self, path: Path | None, fingerprint: str) -> None:
+    def __init__(self, path: Path | None, fingerprint: str, name: str = "train-act") -> None:
         self._path = path
         self._fingerprint = fingerprint
+        self._name = name
         self.set_aside: Path | None = None
 
     def write(self, record: dict[str, Any]) -> None:
@@ -139,11 +143,11 @@ class ProgressFile:
         content = stored[DIGEST_BYTES:]
         # The checksum comes first: a damaged file would fail while it is loaded, or in training.
         if hashlib.sha256(content).digest() != digest:
-            self.set_aside = durable.set_aside(self._path, "train-act.damaged-progress")
+            self.set_aside = durable.set_aside(self._path, f"{self._name}.damaged-progress")
             return None
         record = torch.load(io.BytesIO(content), map_location=device, weights_only=True)
         if record.get("fingerprint") != self._fingerprint:
-            self.set_aside = durable.set_aside(self._path, "train-act.other-progress")
+            self.set_aside = durable.set_aside(self._path, f"{self._name}.other-progress")
             return None
         return record
 

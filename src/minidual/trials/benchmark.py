@@ -112,7 +112,7 @@ def _condition_trials(config: Config) -> dict[str, Mapping[str, int]]:
 
 def _why_not(method: str, name: str, inputs: MethodInputs) -> str:
     """Return why a method has no trials under a condition, or ""."""
-    cannot = METHODS[method].cannot(make_task(inputs.config), inputs.trained)
+    cannot = METHODS[method].cannot(make_task(inputs.config), inputs.of(method).trained)
     if cannot:
         return cannot
     return condition(name).why_not(method, inputs.config)

@@ -11,11 +11,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from minidual.config.base import StrictModel
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
-from minidual.registry import Registry
+from minidual.registry import Deferred, Registry
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial
+from minidual.trials.trainer import Trainer
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
     from minidual.plant.world import World
@@ -60,17 +62,34 @@ type Factory = Callable[[World, Kinematics, Trial], Method]
 """Makes the method of one trial."""
 
 
+class TrainedPolicy(NamedTuple):
+    """A checkpoint, and the task that it is trained on; empty for any."""
+
+    checkpoint: Path
+    task: str = ""
+
+
 class MethodInputs(NamedTuple):
     """What a method is built from.
 
     Attributes:
+        checkpoint: Its policy, if it has one.
         trained: The task of the checkpoint, empty for any.
+        policies: {learned method: its policy}, where several run; `of` chooses.
     """
 
     config: Config
     seed: int
     checkpoint: Path | None = None
     trained: str = ""
+    policies: Mapping[str, TrainedPolicy] = MappingProxyType({})
+
+    def of(self, method: str) -> MethodInputs:
+        """Return the inputs of one method: `checkpoint` and `trained` are those of its policy."""
+        policy = self.policies.get(method)
+        if policy is None:
+            return self
+        return self._replace(checkpoint=policy.checkpoint, trained=policy.task)
 
 
 type Build = Callable[[MethodInputs], Factory]
@@ -104,7 +123,10 @@ class MethodSpec(NamedTuple):
         senses_apart: The same where the hands do not hold one object all the way, if others.
         cannot: (task, trained) -> why it cannot do a task, or "".
         settings: {dotted path: value} of the configuration that it changes.
-        learned: Whether it drives the policy of train-act.
+        config: Model of its own settings, `methods.NAME...`; `inputs.config.methods.of` returns
+            them.
+        learned: Whether it drives a trained policy.
+        trainer: Trains its policy from an environment; that of `act` is the stage train-act.
     """
 
     build: Build
@@ -115,7 +137,9 @@ class MethodSpec(NamedTuple):
     senses_apart: Collection[str] | None = None
     cannot: Cannot = _can_any_task
     settings: Mapping[str, Any] = MappingProxyType({})
+    config: type[StrictModel] | None = None
     learned: bool = False
+    trainer: Deferred[Trainer] | None = None
 
     def reads(self, task: Task) -> Collection[str]:
         """Return the rows of SENSES that it reads in a task."""

@@ -80,6 +80,7 @@ class Bench:
         *,
         visuals: bool = False,
     ) -> None:
+        inputs = inputs.of(method)
         self.method = method
         self.seed = inputs.seed
         self.spec: MethodSpec = METHODS[method]
@@ -314,6 +315,7 @@ _BENCHES: dict[str, Bench] = {}
 
 
 def _bench(method: str, inputs: MethodInputs, condition: str) -> Bench:
+    inputs = inputs.of(method)
     settings = inputs.config.model_dump_json()
     key = f"{method}/{condition}/{inputs.checkpoint}/{inputs.seed}/{settings}"
     if key not in _BENCHES:
