@@ -187,7 +187,7 @@ class _Training:
             "step": float(self.model.num_timesteps),
             "processor_s": round(self.processor_s, 1),
             "validation_success_rate": rate,
-            "deviation": float(self.model.policy.log_std.exp().mean()),
+            "deviation": float(self.model.policy.log_std.detach().exp().mean()),
         }
         self.curve.append({**row, **measures})
 

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3.common.vec_env import VecEnv
 
-from minidual.errors import UsageError
+from minidual.errors import DataError, UsageError
 
 
 class SteppedWorlds(VecEnv):
@@ -25,6 +25,8 @@ class SteppedWorlds(VecEnv):
         UsageError: It resets in another way, or its spaces are not of real numbers.
     """
 
+    render_mode = None
+
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
@@ -39,8 +41,6 @@ class SteppedWorlds(VecEnv):
         super().__init__(env.num_envs, observations, actions)
         self._env = env
         self._actions: Any = None
-        self.infos: dict[str, Any] = {}
-        """Of the last step."""
 
     def reset(self) -> Any:
         """Begin an episode in every world; return the observations (N, n)."""
@@ -52,9 +52,14 @@ class SteppedWorlds(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
-        """Step every world."""
+        """Step every world.
+
+        Raises:
+            DataError: An observation or a reward is not finite.
+        """
         observations, rewards, terminated, truncated, infos = self._env.step(self._actions)
-        self.infos = infos
+        if not (np.isfinite(rewards).all() and np.isfinite(observations).all()):
+            raise DataError("the environment gave an observation or a reward that is not finite")
         ended = np.logical_or(terminated, truncated)
         records: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for world in np.flatnonzero(ended):
