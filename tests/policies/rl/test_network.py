@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -26,8 +27,7 @@ SIZES = (5, 16, 16, 3)
 def network() -> RlNetwork:
     rng = stream(3, "network")
     weights = [
-        rng.normal(size=(out, into)).astype(np.float32)
-        for into, out in zip(SIZES, SIZES[1:], strict=False)
+        rng.normal(size=(out, into)).astype(np.float32) for into, out in itertools.pairwise(SIZES)
     ]
     biases = [rng.normal(size=out).astype(np.float32) for out in SIZES[1:]]
     normalisation = Normalisation(
