@@ -40,7 +40,7 @@ def main() -> None:
     run: Path = arguments.run
     recorded = yaml.safe_load((run / "teleop-record" / "config.yaml").read_text("utf-8"))
     task = recorded["task"]
-    folder = FOLDER / task
+    folder = FOLDER / "act" / task
     remove(folder)
     halve(run / "train-act" / "checkpoint", folder)
     training = read_json(run / "train-act" / "train.json")

@@ -10,7 +10,7 @@ import pytest
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext
 from minidual.stages import demo as demo_module
-from minidual.stages.checkpoint_choice import chosen_checkpoint
+from minidual.stages.checkpoint_choice import chosen_policies
 from minidual.stages.demo import demo
 from minidual.trials.metrics import TrialMetrics
 from tests.support import trial_results
@@ -42,7 +42,7 @@ def films(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(demo_module, "film_takes", film)
     monkeypatch.setattr(
         "minidual.stages.checkpoint_choice.shipped_policy",
-        lambda task: tmp_policy if task == "rod_carry" else None,
+        lambda task, method: tmp_policy if (task, method) == ("rod_carry", "act") else None,
     )
     return names
 
@@ -80,13 +80,26 @@ def test_a_named_policy_comes_first_then_that_of_the_run_if_it_is_of_the_task(
     for folder in (named, own):
         (folder / "config.json").write_text("{}")
     (recorded / "config.yaml").write_text("task: pot_lift\n")
-    chosen = chosen_checkpoint(context(tmp_path, "pot_lift", checkpoint=str(named)), "pot_lift")
-    assert chosen == named
-    assert chosen_checkpoint(context(tmp_path, "pot_lift"), "pot_lift") == own
-    assert chosen_checkpoint(context(tmp_path, "rod_carry"), "rod_carry") == tmp_policy
-    assert chosen_checkpoint(context(tmp_path, "sort"), "sort") is None
+
+    def chosen(task: str, **options: Any) -> Path | None:
+        policy = chosen_policies(context(tmp_path, task, **options), ["moveit", "act"], task)
+        return policy["act"].checkpoint if policy else None
+
+    assert chosen("pot_lift", checkpoint=str(named)) == named
+    assert chosen("pot_lift", checkpoint=[f"act={named}"]) == named
+    assert chosen("pot_lift") == own
+    assert chosen("rod_carry") == tmp_policy
+    assert chosen("sort") is None
     with pytest.raises(UsageError, match="there is no policy"):
-        chosen_checkpoint(context(tmp_path, "sort", checkpoint=str(recorded)), "sort")
+        chosen("sort", checkpoint=str(recorded))
+    with pytest.raises(UsageError, match="the methods that drive a policy here are act"):
+        chosen("sort", checkpoint=f"moveit={named}")
+
+
+def test_whose_policy_it_is_must_be_said_where_several_methods_drive_one(tmp_path: Path) -> None:
+    named = context(tmp_path, "pot_lift", checkpoint="somewhere")
+    with pytest.raises(UsageError, match="say whose policy it is"):
+        chosen_policies(named, ["act", "rl"], "pot_lift")
 
 
 def test_a_start_below_zero_is_refused(tmp_path: Path) -> None:

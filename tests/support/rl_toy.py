@@ -10,11 +10,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from minidual.config.seeds import stream
-from tests.support.late import late
-
-lesson = late("minidual.policies.rl.lesson")
-cloned_ppo = late("minidual.policies.rl.cloned_ppo")
-network = late("minidual.policies.rl.network")
+from minidual.policies.rl.lesson import Demonstrated
+from minidual.policies.rl.network import Description
 
 STEPS_MAX = 12
 STEP_M = 0.2
@@ -79,7 +76,7 @@ class ToyLesson:
 
     @property
     def description(self) -> Any:
-        return network.Description("rod_carry", ("to_mark", "place"), "along", 10.0)
+        return Description("rod_carry", ("to_mark", "place"), "along", 10.0)
 
     def worlds(self, config: Any, wanted: Any) -> Points:
         return Points(wanted)
@@ -92,4 +89,4 @@ class ToyLesson:
         place = rng.uniform(-1.0, 1.0, 20 * count)
         observations = np.stack([to_mark, place], axis=-1).astype(np.float32)
         actions = np.clip(to_mark / STEP_M, -1.0, 1.0)[:, None].astype(np.float32)
-        return cloned_ppo.Demonstrated(observations, actions)
+        return Demonstrated(observations, actions)

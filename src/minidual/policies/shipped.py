@@ -1,4 +1,4 @@
-"""Policies that come with the package, one for each task that has one.
+"""Policies that come with the package, one for each method and task that has one.
 
 Weights are float16, at most 2 MB a policy. `policy.json` beside them says by which command they
 were made and what they reached. `scripts/ship_policy.py` writes both.
@@ -15,9 +15,9 @@ BYTES_MAX = 2_000_000
 """Of all files of one policy."""
 
 
-def shipped_policy(task: str, folder: Path = FOLDER) -> Path | None:
-    """Return the checkpoint folder of a task's policy, or None."""
-    checkpoint = folder / task
+def shipped_policy(task: str, method: str = "act", folder: Path = FOLDER) -> Path | None:
+    """Return the checkpoint folder of a method's policy for a task, or None."""
+    checkpoint = folder / method / task
     return checkpoint if (checkpoint / RECORD).is_file() else None
 
 

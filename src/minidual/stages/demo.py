@@ -6,7 +6,7 @@ from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult
 from minidual.show.figures.side_by_side import Take, film_takes, take
 from minidual.show.watch import watch_trials
-from minidual.stages.checkpoint_choice import chosen_checkpoint
+from minidual.stages.checkpoint_choice import chosen_policies
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Task, Trial
 from minidual.trials.benchmark import draw_under
@@ -30,13 +30,16 @@ def demo(context: ToolContext) -> ToolResult:
     if start < 0:
         raise UsageError(f"--start is {start}; it must be 0 or more")
     task = make_task(context.config)
-    checkpoint = chosen_checkpoint(context, task.name)
-    methods = [name for name in _METHODS if name != "act" or checkpoint is not None]
-    methods = [name for name in methods if not METHODS[name].cannot(task, "")]
-    inputs = MethodInputs(task.config, context.seed, checkpoint)
+    policies = chosen_policies(context, _METHODS, task.name)
+    methods = [
+        name
+        for name in _METHODS
+        if (name in policies or not METHODS[name].learned) and not METHODS[name].cannot(task, "")
+    ]
+    inputs = MethodInputs(task.config, context.seed, policies=policies)
     trial = draw_under(inputs, CLEAN, PURPOSE)(start)
     notes = [f"{name}: {METHODS[name].summary}" for name in methods]
-    if checkpoint is None:
+    if not policies:
         notes.append(f"no policy comes with the package for {task.name}; two methods are shown")
     film = ""
     if context.view is None:

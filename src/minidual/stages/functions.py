@@ -118,6 +118,13 @@ def try_out() -> ToolFunction:
 
 
 @Deferred
+def train() -> ToolFunction:
+    from minidual.stages.train import train
+
+    return train
+
+
+@Deferred
 def carry_perturb() -> ToolFunction:
     from minidual.stages.carry_tools import perturb
 

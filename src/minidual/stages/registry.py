@@ -174,6 +174,7 @@ TOOLS = (
         moves=True,
         settings={"task": "task"},
     ),
+    ToolEntry("train", functions.train, moves=True, settings={"task": "task"}),
     ToolEntry("doctor", functions.doctor, moves=True),
     ToolEntry(
         "view",

@@ -10,7 +10,7 @@ from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult, aligned
 from minidual.show.figures.side_by_side import Take, film_takes, take
 from minidual.show.watch import watch_trials
-from minidual.stages.checkpoint_choice import chosen_checkpoint
+from minidual.stages.checkpoint_choice import chosen_policies, require_policies
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial
 from minidual.trials.answers import answer, medians
@@ -36,8 +36,9 @@ def try_out(context: ToolContext) -> ToolResult:
     name = condition(options.get("condition", CLEAN)).name
     indices = _indices(options.get("trials", _TRIALS), options.get("first", 0))
     task = make_task(context.config)
-    checkpoint = _checkpoint(context, methods, task.name)
-    inputs = MethodInputs(task.config, context.seed, checkpoint)
+    policies = chosen_policies(context, methods, task.name)
+    require_policies(policies, methods, task.name)
+    inputs = MethodInputs(task.config, context.seed, policies=policies)
     for method in methods:
         check_able(method, [task], "")
         reason = condition(name).why_not(method, inputs.config)
@@ -72,20 +73,6 @@ def _indices(trials_n: int, first: int) -> range:
     if first < 0:
         raise UsageError(f"--first is {first}; it must be 0 or more")
     return range(first, first + trials_n)
-
-
-def _checkpoint(context: ToolContext, methods: Sequence[str], task: str) -> Path | None:
-    """Return the policy of the methods that need one."""
-    learned = [name for name in methods if METHODS[name].learned]
-    if not learned:
-        return None
-    checkpoint = chosen_checkpoint(context, task)
-    if checkpoint is not None:
-        return checkpoint
-    raise UsageError(
-        f"{learned[0]} needs a policy that is trained on '{task}', and there is none",
-        remedy="name its folder with --checkpoint PATH, or train one: minidual run --until train-act",
-    )
 
 
 def _run(

@@ -12,8 +12,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from minidual.config.base import StrictModel
+from minidual.config.methods import RlConfig
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
+from minidual.policies.rl.lesson import LESSONS
 from minidual.registry import Deferred, Registry
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial
@@ -108,6 +110,12 @@ def _can_the_task_it_is_trained_on(task: Task, trained: str) -> str:
     return f"its policy is trained on '{trained}'"
 
 
+def _can_what_is_learned_by_trying(task: Task, trained: str) -> str:
+    if task.name not in LESSONS:
+        return f"nobody has written a lesson for it; there are {', '.join(LESSONS) or 'none'}"
+    return _can_the_task_it_is_trained_on(task, trained)
+
+
 def _can_hold_one_object_together(task: Task, trained: str) -> str:
     return "" if task.together else "the hands hold no object together"
 
@@ -174,6 +182,19 @@ def _policy(inputs: MethodInputs) -> Factory:
     return factories.policy(inputs)
 
 
+def _learned_by_trying(inputs: MethodInputs) -> Factory:
+    from minidual.trials import reinforced
+
+    return reinforced.driven(inputs)
+
+
+@Deferred
+def _rl_trainer() -> Trainer:
+    from minidual.trials.reinforced import RlTrainer
+
+    return RlTrainer()
+
+
 def _replayed(inputs: MethodInputs) -> Factory:
     from minidual.trials import factories
 
@@ -216,6 +237,15 @@ ACT = MethodSpec(
     cannot=_can_the_task_it_is_trained_on,
     learned=True,
 )
+RL = MethodSpec(
+    _learned_by_trying,
+    "policy learned by reinforcement (PPO), from sensed poses, joints and grips",
+    senses=("pose", "feedback"),
+    cannot=_can_what_is_learned_by_trying,
+    config=RlConfig,
+    learned=True,
+    trainer=_rl_trainer,
+)
 REPLAY = MethodSpec(_replayed, "the plan of one demonstration, driven blind", senses=())
 HOLD = MethodSpec(_resting, "the arms rest", senses=())
 
@@ -227,6 +257,7 @@ METHODS: Registry[MethodSpec] = Registry(
         "impedance_open": IMPEDANCE_OPEN,
         "impedance_world": IMPEDANCE_WORLD,
         "act": ACT,
+        "rl": RL,
         "replay": REPLAY,
         "hold": HOLD,
     },

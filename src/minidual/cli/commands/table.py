@@ -21,6 +21,7 @@ from minidual.cli.commands.run import run
 from minidual.cli.commands.status import status
 from minidual.cli.commands.stop import stop
 from minidual.cli.commands.teleop_record import teleop_record
+from minidual.cli.commands.train import train
 from minidual.cli.commands.train_act import train_act
 from minidual.cli.commands.try_out import try_out
 from minidual.cli.commands.view import view
@@ -47,6 +48,7 @@ LEADER_COMMANDS: dict[str, Command] = {"calibrate": leader_calibrate}
 TOOL_COMMANDS: dict[str, Command] = {
     "demo": demo,
     "try": try_out,
+    "train": train,
     "doctor": doctor,
     "view": view,
     "replay": replay,

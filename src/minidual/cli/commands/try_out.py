@@ -33,8 +33,11 @@ def try_out(
         typer.Option(help="Number of the first start (default: 0)."),
     ] = None,
     checkpoint: Annotated[
-        str | None,
-        typer.Option(help="Folder of the policy (default: the run's train-act)."),
+        list[str] | None,
+        typer.Option(
+            metavar="[METHOD=]PATH",
+            help="Folder of a policy, repeatable (default: the run's, else the package's).",
+        ),
     ] = None,
     video: Annotated[
         bool | None,

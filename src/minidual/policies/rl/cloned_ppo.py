@@ -6,15 +6,15 @@ value would spoil the copied policy; and each update is followed by steps of clo
 falls to zero.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from stable_baselines3 import PPO
 from torch import nn
 
 from minidual.config.methods import RlConfig
+from minidual.policies.rl.lesson import Array32, Demonstrated
 from minidual.policies.rl.network import CLIPPED, Description, Layers, Normalisation, RlNetwork
 from minidual.policies.rl.vector_env import SteppedWorlds
 
@@ -29,15 +29,6 @@ _CLONE_STEPS_OF_UPDATE = 12
 """Steps of cloning after an update of PPO."""
 _DEVIATION_MIN = 1e-2
 """Least standard deviation for normalisation; some observations hardly change."""
-
-type Array32 = npt.NDArray[np.float32]
-
-
-class Demonstrated(NamedTuple):
-    """Observations (T, n) and actions (T, m) of demonstrations."""
-
-    observations: Array32
-    actions: Array32
 
 
 def normalisation_of(observations: Array32) -> Normalisation:

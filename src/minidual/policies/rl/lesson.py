@@ -1,17 +1,28 @@
 """What can be learned by reinforcement: worlds to try in, and perhaps demonstrations to begin from.
 
 Other distributions add lessons for tasks of their own through the entry point group
-`minidual.lessons` (docs/howto-rl.md).
+`minidual.lessons` (docs/howto-rl.md). This module imports no learning library: the table of methods
+asks it which tasks can be learned.
 """
 
-from typing import Any, NamedTuple, Protocol
+from __future__ import annotations
 
-from gymnasium.vector import VectorEnv
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from minidual.config.root import Config
-from minidual.policies.rl.cloned_ppo import Demonstrated
-from minidual.policies.rl.network import Description
+import numpy as np
+import numpy.typing as npt
+
 from minidual.registry import Registry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from gymnasium.vector import VectorEnv
+
+    from minidual.config.root import Config
+    from minidual.policies.rl.network import Description, RlNetwork
+
+type Array32 = npt.NDArray[np.float32]
 
 
 class WorldsWanted(NamedTuple):
@@ -28,6 +39,13 @@ class WorldsWanted(NamedTuple):
     seed: int
     purpose: str
     randomise: float
+
+
+class Demonstrated(NamedTuple):
+    """Observations (T, n) and actions (T, m) of successful demonstrations."""
+
+    observations: Array32
+    actions: Array32
 
 
 class Lesson(Protocol):
@@ -47,6 +65,10 @@ class Lesson(Protocol):
 
     def demonstrations(self, config: Config, count: int, seed: int) -> Demonstrated | None:
         """Return successful demonstrations, or None if there is nobody who shows them."""
+        ...
+
+    def driver(self, config: Config, seed: int, network: RlNetwork) -> Callable[..., Any]:
+        """Return the factory of trials that the network drives, as `MethodSpec.build` does."""
         ...
 
 

@@ -18,13 +18,8 @@ from minidual.config.root import Config
 from minidual.config.seeds import stream, subseed
 from minidual.errors import DataError
 from minidual.policies.progress import ProgressFile
-from minidual.policies.rl.cloned_ppo import (
-    ClonedPpo,
-    Demonstrated,
-    make_ppo,
-    normalisation_of,
-)
-from minidual.policies.rl.lesson import Lesson, WorldsWanted
+from minidual.policies.rl.cloned_ppo import ClonedPpo, make_ppo, normalisation_of
+from minidual.policies.rl.lesson import Demonstrated, Lesson, WorldsWanted
 from minidual.policies.rl.network import Description, Normalisation, RlNetwork
 from minidual.policies.rl.vector_env import SteppedWorlds
 

@@ -1,5 +1,6 @@
 """Figure of a training."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,4 +62,34 @@ def draw_loss(result: TrainResult, path: Path) -> None:
     losses.legend(frameon=False)
     rates.plot(steps, [row.learning_rate for row in result.curve], color=_LEARNING_RATE)
     rates.set(ylabel="learning rate", xlabel="step")
+    figure.savefig(path)
+
+
+def draw_curve(
+    rows: Sequence[Mapping[str, float]],
+    labels: Mapping[str, str],
+    path: Path,
+) -> None:
+    """Plot rates over the steps of a training.
+
+    Args:
+        rows: Each has "step" and the keys of `labels`; NaN where a rate was not measured.
+        labels: {key: legend}.
+        path: File of the figure; its suffix names the format.
+    """
+    figure, ((axes,),) = new_figure(1, 1, 9.0, 4.5)
+    steps = np.array([row["step"] for row in rows])
+    for (key, label), line in zip(labels.items(), _LINES, strict=False):
+        values = np.array([row[key] for row in rows], float)
+        measured = np.isfinite(values)
+        axes.plot(
+            steps[measured],
+            values[measured],
+            "o-",
+            color=line.colour,
+            label=label,
+            markersize=4,
+        )
+    axes.set(xlabel="step", ylabel="share of the episodes", ylim=(-0.03, 1.03))
+    axes.legend(frameon=False)
     figure.savefig(path)
