@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -80,3 +84,33 @@ def test_a_task_of_the_package_is_its_own_files(
         )
     assert result.success, result.text
     assert result == usual
+
+
+def test_a_learned_method_of_another_distribution_has_settings_and_a_training(
+    tmp_path: Path,
+) -> None:
+    """It is trained and tried from the command line, and its settings are checked."""
+    (module,) = howto.blocks("howto-trainer.md")
+    (toml,) = howto.blocks("howto-trainer.md", "toml")
+    page = (howto.DOCS / "howto-trainer.md").read_text(encoding="utf-8")
+    site = tmp_path / "site"
+    site.mkdir()
+    environment = howto.distribution(site, "paced", {"paced": module}, toml)
+
+    def minidual(words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "minidual.cli", *shlex.split(words)]
+        command += ["--runs-dir", str(tmp_path / "runs")]
+        return subprocess.run(command, env=environment, capture_output=True, text=True)
+
+    train, compare = re.findall(r"^minidual (.*)$", page, re.MULTILINE)
+    trained = minidual(train)
+    assert trained.returncode == 0, trained.stderr
+    assert "2 of 2" in trained.stdout
+    checkpoint = tmp_path / "runs" / "standard" / "train" / "paced" / "rod_carry" / "checkpoint"
+    assert json.loads((checkpoint / "config.json").read_text())["pace"] == 1.0
+    tried = minidual(compare)
+    assert tried.returncode == 0, tried.stderr
+    assert "paced" in tried.stdout
+    wrong = minidual("config show --set methods.paced.trials=0")
+    assert wrong.returncode == 2
+    assert "methods.paced.trials: must be greater than or equal to 1" in wrong.stderr

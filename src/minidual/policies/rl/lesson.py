@@ -72,5 +72,9 @@ class Lesson(Protocol):
         ...
 
 
-LESSONS: Registry[Lesson] = Registry("lesson", group="minidual.lessons")
+LESSONS: Registry[Lesson] = Registry(
+    "lesson",
+    {"pot_lift": "minidual.trials.lessons.pot_lift:POT_LIFT"},  # by name: it imports simulations
+    group="minidual.lessons",
+)
 """Lessons by task."""

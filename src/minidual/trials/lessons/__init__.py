@@ -1,0 +1,1 @@
+"""Lessons of the package: tasks that can be learned by reinforcement."""
