@@ -38,8 +38,8 @@ class SteppedWorlds(VecEnv):
         actions = env.single_action_space
         if not isinstance(observations, spaces.Box) or not isinstance(actions, spaces.Box):
             raise UsageError("a training by reinforcement reads and gives vectors of real numbers")
-        super().__init__(env.num_envs, observations, actions)
         self._env = env
+        super().__init__(env.num_envs, observations, actions)
         self._actions: Any = None
 
     def reset(self) -> Any:

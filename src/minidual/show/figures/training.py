@@ -1,5 +1,6 @@
 """Figure of a training."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -80,7 +81,7 @@ def draw_curve(
     figure, ((axes,),) = new_figure(1, 1, 9.0, 4.5)
     steps = np.array([row["step"] for row in rows])
     for (key, label), line in zip(labels.items(), _LINES, strict=False):
-        values = np.array([row[key] for row in rows], float)
+        values = np.array([row.get(key, math.nan) for row in rows], float)
         measured = np.isfinite(values)
         axes.plot(
             steps[measured],
