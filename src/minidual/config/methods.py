@@ -11,16 +11,6 @@ from minidual.errors import UsageError, check_name
 from minidual.registry import Registry
 
 
-class RewardConfig(StrictModel):
-    """Weights of the events of an episode; what shapes the reward belongs to the environment."""
-
-    success: float = Field(default=5.0, ge=0.0, le=1000.0)
-    violation: float = Field(default=0.5, ge=0.0, le=1000.0)
-    """Cost of an episode that ends by a violated condition."""
-    time: float = Field(default=0.01, ge=0.0, le=10.0)
-    """Cost of an action."""
-
-
 class RlConfig(StrictModel):
     """Training by reinforcement: PPO, seeded with scripted demonstrations.
 
@@ -36,7 +26,6 @@ class RlConfig(StrictModel):
     """Actions of each world between two updates."""
     randomise: Rate = 0.5
     """Share of the episodes with drawn masses, frictions and sensor offsets."""
-    reward: RewardConfig = RewardConfig()
 
     # Demonstrations
     demonstrations_n: int = Field(default=150, ge=0, le=100_000)
