@@ -22,6 +22,13 @@ class BenchmarkConfig(StrictModel):
     further_tasks: dict[str, Annotated[int, Field(ge=1, le=10000)]] = Field(default={})
     """Undisturbed trials of each method in other tasks, {task: trials}; at most `trials_n`."""
     methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
+    policies: dict[str, str] = Field(default={})
+    """Folder of the policy, or of policies by task, of a learned method.
+
+    Without: that of the run for `act`, those that come with the package for others.
+    """
+    policy_digests: dict[str, str] = Field(default={})
+    """Filled in: what the policies from outside the run are, {method/task: digest}."""
     conditions: AtLeast[tuple[str, ...]] = Field(default=("clean",), min_length=1)
     """Conditions, with `clean`; or `all`."""
     trials_n: AtLeast[int] = Field(default=30, ge=1, le=10000)

@@ -45,14 +45,21 @@ def overrides(settings: Mapping[str, str], values: Mapping[str, Any]) -> list[Ov
 
     Args:
         settings: {option: configuration path}.
-        values: {option: typed value, or None}. For a tuple in the configuration, "a,b" is typed.
+        values: {option: typed value, or None}. For a tuple in the configuration, "a,b" is typed; for
+            a mapping, "key=value", once or more.
+
+    Raises:
+        UsageError: What was typed for a mapping has no "=".
     """
     found: list[Override] = []
     for option, path in settings.items():
         typed = values.get(option)
-        if typed is None:
+        if typed is None or typed == []:
             continue
-        value = _words(str(typed)) if _is_tuple(path) else typed
+        if isinstance(_default(path), dict):
+            found += [_entry_override(path, option, word) for word in typed]
+            continue
+        value = _words(str(typed)) if isinstance(_default(path), tuple) else typed
         found.append(Override(path, value, f"--{option} {typed}"))
     return found
 
@@ -62,11 +69,19 @@ def _words(text: str) -> list[str]:
     return [word for word in words if word]
 
 
-def _is_tuple(path: str) -> bool:
+def _entry_override(path: str, option: str, typed: str) -> Override:
+    """Return the override of one entry of a mapping, typed as "key=value"."""
+    key, equals, value = typed.partition("=")
+    if not key or not equals:
+        raise UsageError(f"--{option} {typed}: type --{option} NAME=PATH")
+    return Override(f"{path}.{key}", value, f"--{option} {typed}")
+
+
+def _default(path: str) -> Any:
     value: Any = _DEFAULTS
     for name in path.split("."):
         value = getattr(value, name, None)
-    return isinstance(value, tuple)
+    return value
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ from minidual.policies.architectures import architecture
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
 from minidual.stages.checkpoint_choice import recorded_task
+from minidual.stages.policy_folders import outside_policies
 from minidual.tasks.catalogue import tasks_of
 from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
-from minidual.trials.methods import METHODS, MethodInputs, check_able
+from minidual.trials.methods import METHODS, MethodInputs, TrainedPolicy, check_able
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 from minidual.trials.trial_table import Series, count_results
 
@@ -324,7 +325,7 @@ def run(context: StageContext) -> StageResult:
 def network_notes(context: StageContext, methods: Sequence[str]) -> list[str]:
     """Name the network behind each method that drives the trained policy."""
     trained = context.upstream.get("train-act")
-    learned = [name for name in methods if METHODS[name].learned]
+    learned = [name for name in methods if METHODS[name].learned and _of_the_run(name)]
     if trained is None or not learned:
         return []
     network = architecture(read_json(trained / "train.json").get("architecture", "unknown"))
@@ -343,9 +344,23 @@ def _method_inputs(context: StageContext, methods: Sequence[str]) -> dict[str, M
     recorded = context.upstream.get("teleop-record")
     checkpoint = trained / "checkpoint" if trained is not None else None
     policy_task = recorded_task(recorded) if recorded is not None else ""
-    for name in methods:
-        check_able(name, tasks.values(), policy_task)
-    return {
-        name: MethodInputs(task.config, context.seed, checkpoint, policy_task)
-        for name, task in tasks.items()
-    }
+    own: dict[str, TrainedPolicy] = {}
+    if checkpoint is not None:
+        own = {
+            method: TrainedPolicy(checkpoint, policy_task)
+            for method in methods
+            if METHODS[method].learned and _of_the_run(method)
+        }
+    inputs: dict[str, MethodInputs] = {}
+    for name, task in tasks.items():
+        policies = {**own, **outside_policies(context.config, name)}
+        inputs[name] = MethodInputs(task.config, context.seed, policies=policies)
+    for method in methods:
+        trained_on = own[method].task if method in own else ""
+        check_able(method, tasks.values(), trained_on)
+    return inputs
+
+
+def _of_the_run(method: str) -> bool:
+    """Return whether the stage `train-act` trains a method's policy."""
+    return METHODS[method].trainer is None

@@ -178,7 +178,7 @@ def task_config() -> Resolve:
 
 @Deferred
 def benchmark_config() -> Resolve:
-    from minidual.tasks.catalogue import benchmark_config
+    from minidual.stages.policy_folders import benchmark_config
 
     return benchmark_config
 

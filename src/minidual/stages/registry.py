@@ -144,6 +144,7 @@ BENCHMARK = StageEntry(
         "methods": "benchmark.methods",
         "conditions": "benchmark.conditions",
         "trials": "benchmark.trials_n",
+        "policy": "benchmark.policies",
     },
 )
 REPORT = StageEntry(

@@ -112,9 +112,13 @@ def _condition_trials(config: Config) -> dict[str, Mapping[str, int]]:
 
 def _why_not(method: str, name: str, inputs: MethodInputs) -> str:
     """Return why a method has no trials under a condition, or ""."""
-    cannot = METHODS[method].cannot(make_task(inputs.config), inputs.of(method).trained)
+    own = inputs.of(method)
+    spec = METHODS[method]
+    cannot = spec.cannot(make_task(inputs.config), own.trained)
     if cannot:
         return cannot
+    if spec.learned and own.checkpoint is None:
+        return "it has no policy for the task"
     return condition(name).why_not(method, inputs.config)
 
 

@@ -28,6 +28,13 @@ def benchmark(
         int | None,
         typer.Option(help="Undisturbed trials of each method and task."),
     ] = None,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="METHOD=PATH",
+            help="Policy of a learned method, or a folder of them by task; repeatable.",
+        ),
+    ] = None,
     view_options: ViewOptions,
     gate_options: GateOptions,
     session: Session,
@@ -36,7 +43,14 @@ def benchmark(
 
     Examples:
         minidual benchmark --tasks rod_carry,handover --methods moveit,act
+        minidual benchmark --tasks pot_lift --methods moveit,impedance,rl
         minidual benchmark --conditions clean,push_+y,friction_0.3
     """
-    options = {"tasks": tasks, "methods": methods, "conditions": conditions, "trials": trials}
+    options = {
+        "tasks": tasks,
+        "methods": methods,
+        "conditions": conditions,
+        "trials": trials,
+        "policy": policy or None,
+    }
     return run_stage(session, "benchmark", options, gate_options, view_options)
