@@ -64,7 +64,7 @@ def scholar(monkeypatch: pytest.MonkeyPatch) -> Scholar:
     def run(method: str, inputs: Any, trials: Any, **_: Any) -> Any:
         assert (inputs.checkpoint / "config.json").is_file()
         for trial in trials:
-            yield trial_results.result(trial.index, trial.index % 2 == 0, method=method)
+            yield trial_results.result(trial.index, success=trial.index % 2 == 0, method=method)
 
     monkeypatch.setattr(train_module, "run_trials", run)
     return trainer
