@@ -18,7 +18,7 @@ class RlConfig(StrictModel):
     """
 
     # Experience
-    steps: int = Field(default=350_000, ge=1, le=1_000_000_000)
+    steps: int = Field(default=150_000, ge=1, le=1_000_000_000)
     """Actions of all worlds together."""
     worlds_n: int = Field(default=64, ge=1, le=4096)
     """Simulations that run side by side in the process."""
@@ -55,9 +55,9 @@ class RlConfig(StrictModel):
     """Standard deviation of the actions at first; an action is between -1 and 1."""
 
     # Bookkeeping
-    validation_starts: int = Field(default=32, ge=0, le=10_000)
+    validation_starts: int = Field(default=64, ge=0, le=10_000)
     """Starts of their own on which the policy is tested as it trains; 0: none."""
-    validate_every_updates: int = Field(default=10, ge=1, le=1_000_000)
+    validate_every_updates: int = Field(default=5, ge=1, le=1_000_000)
     threads: int = Field(default=1, ge=1, le=256)
     """Torch threads on the CPU."""
     device: Literal["cpu", "cuda"] = "cpu"
