@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from minidual.config.root import Config
@@ -41,6 +42,32 @@ def test_the_stage_writes_the_page_and_derives_its_checks(tmp_path: Path) -> Non
     assert (tmp_path / "out" / "report.html").is_file()
     assert (tmp_path / "out" / "report.json").is_file()
     assert result.data["state"] == "pass"
+
+
+def test_a_stage_that_passed_and_is_stale_does_not_pass(tmp_path: Path) -> None:
+    """Nothing above the report may need it: the benchmark can be without a policy."""
+    given = samples.make_run(tmp_path)
+    states = dict.fromkeys(given.verdicts, "pass") | {"deploy": "stale"}
+    others = {"summaries": given.summaries, "states": states}
+    result = run_report(given, tmp_path / "out", **others)
+    (failed,) = [check for check in result.checks if check.passed is False]
+    assert (failed.name, failed.observed) == ("stages_not_passing", 1)
+    assert "without one: deploy" in failed.why
+    assert result.data["state"] == "fail"
+
+
+def test_a_benchmark_without_a_policy_leaves_stages_missing(tmp_path: Path) -> None:
+    given = samples.make_run(tmp_path)
+    kept = {n: v for n, v in given.verdicts.items() if n in ("env-check", "plan", "carry")}
+    kept["benchmark"] = given.verdicts["benchmark"]
+    result = run_report(
+        dataclasses.replace(given, verdicts=kept),
+        tmp_path / "out",
+        summaries=given.summaries,
+    )
+    failed = {check.name: check for check in result.checks if check.passed is False}
+    assert "without one: teleop-record, train-act, deploy" in failed["stages_not_passing"].why
+    assert result.data["state"] == "fail"
 
 
 def test_a_waiver_reaches_the_page(tmp_path: Path) -> None:

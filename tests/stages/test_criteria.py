@@ -44,6 +44,23 @@ REPORTED = {
         "path_length_m",
     ],
 }
+CLOCKED = {
+    "env-check": ["control.step_median_us", "latency.wall_median_us"],
+    "plan": [
+        "first_plan_median_s",
+        "replan_median_s",
+        "replan_p99_s",
+        "replan_max_s",
+        "core_share",
+        "closed_chain.cpu_time_median_s",
+        "closed_chain.time_median_s",
+    ],
+    "carry": [],
+    "teleop-record": ["latency_p50_s", "latency_p99_s", "episodes_per_min", "recorded_per_min"],
+    "train-act": ["train_s", "samples_per_s", "inference_hz"],
+    "deploy": ["inference_hz"],
+    "benchmark": [],
+}
 REPORTED["plan"].append("closed_chain.draws_left_out_n")
 REPORTED["train-act"].append("validation_keyframe_rad")
 
@@ -58,3 +75,21 @@ def test_every_check_says_why_and_each_that_has_a_limit_what_to_do() -> None:
         assert all(bool(criterion.remedy) == bool(criterion.op) for criterion in criteria)
         reported[stage] = sorted(c.name for c in criteria if not c.op)
     assert reported == {stage: sorted(names) for stage, names in REPORTED.items()}
+
+
+def test_only_values_of_a_clock_may_differ_when_a_stage_finds_the_same_again() -> None:
+    """Seconds of the simulation are no times of a clock: a longer carry is another result."""
+    clocked = {
+        stage: sorted(c.name for c in criteria_of(module) if c.clocked)
+        for stage, module in MODULES.items()
+    }
+    assert clocked == {stage: sorted(names) for stage, names in CLOCKED.items()}
+
+
+def test_a_criterion_hands_on_that_a_clock_measures_it() -> None:
+    timed, counted = (
+        next(c for c in criteria_of(MODULES["train-act"]) if c.name == name)
+        for name in ("train_s", "parameters")
+    )
+    assert timed.report(1.0).clocked
+    assert not counted.report(1).clocked

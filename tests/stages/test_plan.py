@@ -36,6 +36,7 @@ from minidual.trials.planning.queries import (
 from minidual.trials.planning.retiming import retime
 from scripts.make_query_set import is_free, witness
 from tests.support.panda import GROUPS
+from tests.support.read_recorder import recorded, unlisted
 
 _PLANNED_STRAIGHT = 38
 """A stored query of poses whose planned posture is reached by the straight line."""
@@ -52,15 +53,25 @@ CONFIG = Config(
 @pytest.fixture(scope="module")
 def stage_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    return folder, run(StageContext(folder=folder, config=CONFIG, seed=5, profile="smoke"))
+    config, reads = recorded(CONFIG)
+    result = run(StageContext(folder=folder, config=config, seed=5, profile="smoke"))
+    return folder, result, reads
 
 
 def failing(checks):
     return {c.name for c in checks if c.passed is False}
 
 
+def test_stage_reads_no_value_that_its_verdict_does_not_record(stage_run):
+    """The model of the scene has cameras and marks, which none of its results show."""
+    _, _, reads = stage_run
+    looks = ("scene.camera", "scene.marks", "seed")
+    assert unlisted(reads, [*STAGES["plan"].reads, *looks]) == []
+    assert "scene.task.lift_height_m" in reads
+
+
 def test_stage_passes_and_writes_what_it_says(stage_run):
-    folder, result = stage_run
+    folder, result, _ = stage_run
     assert failing(result.checks) == set()
     names = {c.name for c in result.checks}
     for group in GROUPS:

@@ -60,6 +60,85 @@ def test_parameters_follow_options_and_leave_workers_out(name):
         assert digest(entry.parameters(changed.config)) != before, path
 
 
+JUDGED = ("goal_tolerance_m=0.03", "time_limit_s=20", "pinch_min_n=30", "yaw_tolerance_rad=0.05")
+"""Values of `scene.task` by which only the end of a trial is judged."""
+PLANNED = ("lift_height_m=0.2", "tilt_max_rad=0.05", "goal_range_rad=0.1", "start_range_rad=0.1")
+"""Values of `scene.task` that planning reads, and the model of the scene does not."""
+PLACED = ("start_range_m=0.08", "goal_xy_m=[0.45,-0.2]", "obstacle={}")
+"""Values of `scene.task` that the model of the scene reads."""
+
+
+@pytest.mark.parametrize(
+    ("value", "stale"),
+    [
+        *((value, {"carry"}) for value in JUDGED),
+        *((value, {"plan", "carry"}) for value in PLANNED),
+        *((value, {"env-check", "plan", "carry"}) for value in PLACED),
+    ],
+)
+def test_a_value_of_the_task_concerns_only_the_stages_that_read_it(value, stale):
+    before = load_config("standard").config
+    after = load_config("standard", [f"scene.task.{value}"]).config
+    names = ("env-check", "plan", "carry")
+    differing = {n for n in names if STAGES[n].parameters(after) != STAGES[n].parameters(before)}
+    assert differing == stale
+
+
+def test_a_shorter_carry_weakens_the_planning_of_it_too():
+    loaded = load_config("standard", ["scene.task.goal_xy_m=[0.5, 0.2]"])
+    for name in ("plan", "carry"):
+        (line,) = STAGES[name].weaker(loaded.config, loaded.reference())
+        assert line.startswith("scene.task.distance_m is 0.05")
+
+
+@pytest.mark.parametrize(
+    ("methods", "needed"),
+    [
+        ("moveit,impedance", ("carry",)),
+        ("hold", ("carry",)),
+        ("moveit,act", ("carry", "deploy")),
+        ("act", ("carry", "deploy")),
+        ("moveit,no_such_method", ("carry", "deploy")),
+    ],
+)
+def test_a_benchmark_needs_a_policy_only_for_a_method_that_drives_it(methods, needed):
+    config = load_config("standard", [f"benchmark.methods=[{methods}]"]).config
+    assert STAGES["benchmark"].required(config) == needed
+
+
+def test_every_other_stage_needs_what_it_requires():
+    config = load_config("standard").config
+    for entry in STAGES.values():
+        assert entry.required(config) == entry.requires
+
+
+def test_inputs_are_artefacts_of_upstream_stages():
+    for entry in STAGES.values():
+        for stage in entry.inputs or ():
+            assert stage in STAGES.upstream(entry.name)
+    assert STAGES["report"].inputs is None, "it may read all"
+
+
+@pytest.mark.parametrize(
+    ("stage", "path", "reads"),
+    [
+        ("deploy", "train-act/checkpoint/model.safetensors", True),
+        ("deploy", "train-act/seed-2/checkpoint/config.json", True),
+        ("deploy", "train-act/loss.csv", False),
+        ("deploy", "teleop-record/episodes/episode_0001.hdf5", True),
+        ("train-act", "teleop-record/lerobot/data/chunk-000/file-000.parquet", True),
+        ("train-act", "teleop-record/quality.csv", False),
+        ("teleop-record", "carry/trials.csv", False),
+        ("benchmark", "train-act/checkpoint/model.safetensors", True),
+        ("benchmark", "deploy/trials.csv", False),
+        ("report", "benchmark/benchmark.csv", True),
+    ],
+)
+def test_which_artefacts_a_stage_reads(stage, path, reads):
+    upstream, _, name = path.partition("/")
+    assert STAGES[stage].reads_artefact(upstream, name) is reads
+
+
 def test_asking_every_stage_for_its_parameters_imports_nothing_heavy():
     # mujoco (0.2 s) may come: the Task table names the world that its conditions look at.
     heavy = ("torch", "lerobot", "matplotlib", "ompl", "toppra", "pinocchio", "h5py")

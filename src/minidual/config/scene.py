@@ -201,12 +201,19 @@ class TaskConfig(StrictModel):
     rest_speed_m_per_s: AtMost[float] = Field(default=0.02, gt=0.0, le=10.0)
     time_limit_s: AtMost[float] = Field(default=15.0, gt=1.0, le=60.0)
 
+    @property
+    def distance_m(self) -> float:
+        """From start to goal."""
+        return round(math.dist(self.start_xy_m, self.goal_xy_m), 6)
+
+    @property
+    def turn_rad(self) -> float:
+        """From start to goal."""
+        return abs(self.goal_yaw_rad)
+
     def demands(self) -> dict[str, float]:
         """Return the distance from start to goal [m] and the turn [rad]."""
-        return {
-            "distance_m": round(math.dist(self.start_xy_m, self.goal_xy_m), 6),
-            "turn_rad": abs(self.goal_yaw_rad),
-        }
+        return {"distance_m": self.distance_m, "turn_rad": self.turn_rad}
 
 
 class CameraConfig(StrictModel):

@@ -48,6 +48,7 @@ class Check:
         unit: "" for ratios and counts.
         why: What the limit protects.
         remedy: What to do when it fails.
+        clocked: Whether a clock measured it: the same work again gives another value.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Check:
     unit: str = ""
     why: str = ""
     remedy: str = ""
+    clocked: bool = False
 
     def __post_init__(self) -> None:
         if not self.name or any(c.isspace() for c in self.name):
@@ -125,8 +127,22 @@ class Check:
         return f"{text}, limit {self.op} {with_unit(self.limit, self.unit)}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return JSON types, with result and margin."""
-        return canonical({**asdict(self), "passed": self.passed, "margin": self.margin})
+        """Return JSON types, with result and margin; `clocked` only if it is."""
+        record = {**asdict(self), "passed": self.passed, "margin": self.margin}
+        if not self.clocked:
+            del record["clocked"]
+        return canonical(record)
+
+    def content(self) -> dict[str, Any]:
+        """Return what the same work gives again: no text, and no value of a clock."""
+        return {
+            "name": self.name,
+            "observed": None if self.clocked else self.observed,
+            "op": self.op,
+            "limit": self.limit,
+            "unit": self.unit,
+            "passed": self.passed,
+        }
 
 
 def with_unit(value: Number | None, unit: str) -> str:

@@ -17,6 +17,7 @@ class Criterion:
         unit: "" for ratios and counts.
         why: What the limit protects, or what the reported value is.
         remedy: What to do if the limit does not hold.
+        clocked: Whether a clock measures it: the same work again gives another value.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Criterion:
     unit: str = ""
     why: str
     remedy: str = ""
+    clocked: bool = False
 
     def check(
         self,
@@ -50,6 +52,7 @@ class Criterion:
             unit=self.unit,
             why=self.why.format(**details),
             remedy=self.remedy.format(**details),
+            clocked=self.clocked,
         )
 
     def report(self, observed: Number, *, prefix: str = "", **details: object) -> Check:

@@ -23,8 +23,9 @@ class Fingerprint:
     A difference in the last five fields, the circumstances, only warns.
 
     Attributes:
-        inputs: sha256 of input artefacts by "stage/path".
-        upstream: sha256 of every upstream verdict; None if missing.
+        inputs: sha256 by "stage/path" of the upstream artefacts that the stage reads.
+        upstream: Digest of what every upstream stage found, or sha256 of its verdict; None if it
+            has none. See `minidual.gate.footing`.
     """
 
     parameters: dict[str, Any]

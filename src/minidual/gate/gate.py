@@ -1,19 +1,20 @@
 """Gates of a run: the state of each stage, and whether it may run; see docs/verdicts.md."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from minidual.config.loader import LoadedConfig, Override
-from minidual.errors import DataError, GateClosedError, UsageError
+from minidual.errors import DataError, MinidualError, UsageError
 from minidual.gate.canonical import canonical
 from minidual.gate.circumstances import circumstances_now
 from minidual.gate.fingerprint import Fingerprint
+from minidual.gate.footing import footing
 from minidual.gate.state import StageState, State
 from minidual.gate.store import RunStore, StageAttempt
 from minidual.gate.table import StageTable, overrides
-from minidual.gate.verdict import CONFIG_FILE, Verdict, manifest_changes, strays
+from minidual.gate.verdict import Verdict, manifest_changes, strays
 
 
 @dataclass
@@ -36,10 +37,48 @@ class Gate:
             self._states[name] = self._judge(name)
         return self._states[name]
 
+    def requires(self, name: str) -> tuple[str, ...]:
+        """Return the stages that must pass and be fresh for a stage, under its configuration."""
+        entry = self.table[name]
+        if entry.needs is None:
+            return entry.requires
+        try:
+            stored = self.store.verdict(name)
+            _, loaded = self.effective(name, None if stored is None else stored[0])
+        except MinidualError:  # the state of the stage says what is wrong
+            return entry.requires
+        return entry.required(loaded.config)
+
+    def needed(self, name: str) -> tuple[str, ...]:
+        """Return the stages that a stage requires, directly or not, in order."""
+        return self.table.upstream(name, self.requires)
+
+    def upstream(self, name: str) -> tuple[str, ...]:
+        """Return the stages whose verdicts count for a stage, in order.
+
+        A closing stage reports on all that may be required, needed or not.
+        """
+        if self.table[name].closing:
+            return self.table.upstream(name)
+        return self.needed(name)
+
+    def until(self, last: str | None, force: bool = False) -> tuple[str, ...]:
+        """Return `last` and its upstream stages, in order; without `last` every stage.
+
+        If `last` would run again, it does so under the configuration, without options.
+        """
+        if last is None:
+            return tuple(self.table)
+        gate = self
+        last = self.table[last].name  # refuses an unknown one
+        if force or self.state(last).state != "pass":
+            gate = Gate(self.table, self.store, self.loaded, {**self.options, last: {}})
+        return (*gate.upstream(last), last)
+
     def verdicts(self, name: str) -> dict[str, Verdict]:
         """Return {upstream stage: verdict}, without missing ones."""
         verdicts: dict[str, Verdict] = {}
-        for upstream in self.table.upstream(name):
+        for upstream in self.upstream(name):
             verdict = self.state(upstream).verdict
             if verdict is not None:
                 verdicts[upstream] = verdict
@@ -47,7 +86,7 @@ class Gate:
 
     def closed_by(self, name: str) -> list[StageState]:
         """Return the directly required stages that do not pass."""
-        required = map(self.state, self.table[name].requires)
+        required = map(self.state, self.requires(name))
         return [state for state in required if state.state != "pass"]
 
     def lowest(self) -> StageState | None:
@@ -66,7 +105,7 @@ class Gate:
         running: list[str] = []
         for name in names:
             fresh = self.state(name).state == "pass"
-            below = any(required in running for required in self.table[name].requires)
+            below = any(required in running for required in self.requires(name))
             if force or not fresh or below:
                 running.append(name)
         return running
@@ -101,38 +140,8 @@ class Gate:
         extras = [f"--{key} {value}" for key, value in self.table[name].extras(options).items()]
         return [f"--profile {loaded.profile}", *(item.text for item in loaded.overrides), *extras]
 
-    def closed_error(self, name: str, command: Callable[[str], str]) -> GateClosedError:
-        """Return the error with cause, failed check and command to type.
-
-        Args:
-            name: Stage whose gate is closed.
-            command: Turns "plan" into the full command.
-        """
-        unfinished = self._unfinished(name)
-        cause = unfinished[0]
-        message = f"the gate of {name} is closed: {cause.name} {_ended(cause)}"
-        if cause.state not in ("missing", "blocked") and cause.why():
-            message += f": {cause.why()}"
-        if len(unfinished) == 1:
-            remedy = command(cause.name)
-        else:
-            remedy = command(f"run --until {unfinished[-1].name}")
-        if cause.state == "fail" and cause.verdict is not None:
-            first = cause.verdict.failed_checks()[0]
-            if first.remedy:
-                remedy = f"{first.remedy.rstrip('.')}, then: {remedy}"
-        return GateClosedError(message, remedy=f"{remedy}; then this command again")
-
-    def _unfinished(self, name: str) -> list[StageState]:
-        """Return the upstream stages, in order, that keep the gate of `name` closed."""
-        upstream = self.table.upstream(name)
-        shut = {state.name for state in self.closed_by(name)}
-        for stage in upstream:
-            shut |= {state.name for state in self._shut(stage, self.state(stage).verdict)}
-        return [self.state(stage) for stage in upstream if stage in shut]
-
-    def _shut(self, name: str, verdict: Verdict | None) -> list[StageState]:
-        """Return the required stages that do not pass, without those that the verdict waived."""
+    def shut(self, name: str, verdict: Verdict | None) -> list[StageState]:
+        """Return the required stages that do not pass, without those that a verdict waived."""
         waived: dict[str, str] = {}
         for waiver in () if verdict is None else verdict.waivers:
             if waiver.stage == name:
@@ -169,11 +178,13 @@ class Gate:
         entry = self.table[name]
         options, loaded = self.effective(name, verdict)
         now = circumstances_now(self.table.libraries)
+        upstream = {stage: self.state(stage) for stage in self.upstream(name)}
+        stands_on = footing(entry, upstream)
         return Fingerprint(
             parameters=canonical(entry.parameters(loaded.config), f"{name}.parameters"),
             options=canonical(entry.extras(options), f"{name}.options"),
-            inputs=self._inputs(name),
-            upstream={up: self.state(up).verdict_sha256 for up in self.table.upstream(name)},
+            inputs=stands_on.inputs,
+            upstream=stands_on.upstream,
             seed=loaded.config.seed,
             profile=loaded.profile,
             version=now.version,
@@ -182,18 +193,6 @@ class Gate:
             libraries=now.libraries,
             code=entry.code(None if verdict is None else verdict.fingerprint.code),
         )
-
-    def _inputs(self, name: str) -> dict[str, str]:
-        """Return {"stage/path": sha256} of the artefacts of the required stages."""
-        inputs: dict[str, str] = {}
-        for required in self.table[name].requires:
-            verdict = self.state(required).verdict
-            if verdict is None:
-                continue
-            for path, artefact in verdict.artefacts.items():
-                if path != CONFIG_FILE:  # already part of its verdict
-                    inputs[f"{required}/{path}"] = artefact.sha256
-        return inputs
 
     def _judge(self, name: str) -> StageState:
         folder = self.store.stage_folder(name)
@@ -240,9 +239,20 @@ class Gate:
         made_for = verdict.acceptance_profile
         if made_for != self.loaded.config.acceptance:
             reasons.append(f"acceptance of the profile was {made_for}, is not now")
-        for upstream in self._shut(name, verdict):
+        shut = self.shut(name, verdict)
+        if self.table[name].closing and verdict.status == "pass":
+            shut += self._read_unneeded(name, verdict)
+        for upstream in shut:
             reasons.append(f"upstream stage {upstream.name} is {upstream.state}")
         return reasons
+
+    def _read_unneeded(self, name: str, verdict: Verdict) -> list[StageState]:
+        """Return the stages that a verdict reports on, that no gate asks for and do not pass."""
+        needed = self.needed(name)
+        read = [stage for stage, sha256 in verdict.fingerprint.upstream.items() if sha256]
+        unneeded = [stage for stage in read if stage in self.table and stage not in needed]
+        states = [self.state(stage) for stage in unneeded]
+        return [state for state in states if state.state != "pass"]
 
     def _judge_unfinished(self, name: str) -> StageState:
         attempt = self.store.attempt(name)
@@ -254,16 +264,6 @@ class Gate:
         if blocking:
             return StageState(name, "blocked", blocking)
         return StageState(name, "missing", ("it has not run",))
-
-
-def _ended(cause: StageState) -> str:
-    words = {
-        "pass": "passed",
-        "fail": "failed",
-        "missing": "has not run",
-        "error": "ended in error",
-    }
-    return words.get(cause.state, f"is {cause.state}")
 
 
 def _begun(attempt: StageAttempt) -> str:

@@ -11,6 +11,7 @@ from minidual.config.loader import LoadedConfig
 from minidual.durable import disk_errors, now_text
 from minidual.errors import ExitCode, MinidualError, UsageError
 from minidual.gate.canonical import canonical
+from minidual.gate.closed import closed_error
 from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.gate import Gate
 from minidual.gate.progress import Progress
@@ -123,7 +124,7 @@ class Runner:
 
         Stops at the first stage that does not pass, unless waived. Holds the run's lock throughout.
         """
-        names = self.table.until(end)
+        names = self._gate().until(end, force)
         command = self.command("run" if end is None else f"run --until {end}")
         with disk_errors(self.store.folder), self.store.writing(command, names):
             for name in self._gate().rerun(names, force):
@@ -157,7 +158,7 @@ class Runner:
             return StageOutcome(state, ran=False)
         closed = gate.closed_by(name)
         if closed and waiver is None:
-            raise gate.closed_error(name, self.command)
+            raise closed_error(gate, name, self.command)
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
         return StageOutcome(self._gate(gate.options).state(name), ran=True)
 
@@ -219,7 +220,15 @@ class Runner:
         loaded = attempt.loaded
         config_text = loaded.to_yaml()
         folder = self.store.begin(entry.name, config_text, entry.keeps, self._own_options(attempt))
-        upstream = {name: self.store.stage_folder(name) for name in attempt.upstream}
+        # A stage whose row names its inputs gets nothing else: it does not stand on the rest.
+        read = attempt.upstream if entry.inputs is None else entry.inputs
+        verdicts = attempt.upstream if entry.inputs is None else {}
+        upstream = {
+            name: self.store.stage_folder(name) for name in attempt.upstream if name in read
+        }
+        states: dict[str, str] = {}
+        if entry.closing:
+            states = {name: gate.state(name).state for name in gate.upstream(entry.name)}
         return StageContext(
             config=entry.resolved(loaded.config),
             seed=loaded.config.seed,
@@ -230,7 +239,8 @@ class Runner:
             view=self.view,
             folder=folder,
             upstream=Folders(upstream),
-            verdicts=attempt.upstream,
+            verdicts=verdicts,
+            states=states,
             summaries={up: self.table[up].summary for up in self.table.upstream(entry.name)},
             code_changes=gate.code_changes(entry.name) if entry.closing else {},
             waivers=attempt.waivers,

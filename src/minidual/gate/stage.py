@@ -52,8 +52,9 @@ class StageContext(Context):
 
     Attributes:
         folder: Temporary.
-        upstream: {upstream stage: its folder}.
-        verdicts: {upstream stage: its verdict}.
+        upstream: {upstream stage: its folder}; only those that the stage's row names as inputs.
+        verdicts: {upstream stage: its verdict}; none if the stage's row names inputs.
+        states: {upstream stage: its state}; closing stages only.
         summaries: {upstream stage: its summary}.
         code_changes: {upstream stage: modules changed since}; closing stages only.
         waivers: Own and inherited.
@@ -63,6 +64,7 @@ class StageContext(Context):
     folder: Path
     upstream: Mapping[str, Path] = field(default_factory=dict[str, Path])
     verdicts: Mapping[str, Verdict] = field(default_factory=dict[str, Verdict])
+    states: Mapping[str, str] = field(default_factory=dict[str, str])
     summaries: Mapping[str, str] = field(default_factory=dict[str, str])
     code_changes: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     waivers: tuple[Waiver, ...] = ()

@@ -5,6 +5,7 @@ import importlib.metadata
 import keyword
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
+from fnmatch import fnmatchcase
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -138,11 +139,14 @@ class StageEntry(_Entry[StageFunction]):
     """One stage.
 
     Attributes:
-        requires: Stages that must pass and be fresh.
+        requires: Stages that must pass and be fresh; at most, if there is `needs`.
         summary: Help without the full stop.
         reads: Configuration paths that the result depends on.
         resolve: From Config to Config; like `target`, and must import quickly.
         check: Raises UsageError before a run; like `target`.
+        needs: From Config to those of `requires` that it needs; like `resolve`. None: all.
+        inputs: {upstream stage: patterns of the artefacts that it reads}. None: it may read all of
+            them, and the verdicts.
         asides: Tools that run instead when their trigger is typed.
         keeps: Names in its folder that an attempt takes over from an interrupted one. If there are
             any, a replaced result is set aside.
@@ -154,6 +158,8 @@ class StageEntry(_Entry[StageFunction]):
     reads: tuple[str, ...] = ()
     resolve: str | Deferred[Callable[[Config], Config]] | None = None
     check: str | Deferred[Callable[[Config], None]] | None = None
+    needs: str | Deferred[Callable[[Config], Sequence[str]]] | None = None
+    inputs: Mapping[str, Sequence[str]] | None = None
     asides: tuple[ToolEntry, ...] = ()
     keeps: tuple[str, ...] = ()
     closing: bool = False
@@ -185,6 +191,22 @@ class StageEntry(_Entry[StageFunction]):
         with contextlib.suppress(MinidualError):  # what cannot is refused before the stage runs
             config = self.resolved(config)
         return {path: attrgetter(path)(config) for path in self.reads}
+
+    def required(self, config: Config) -> tuple[str, ...]:
+        """Return those of `requires` that a configuration needs; all if it is invalid."""
+        if self.needs is None:
+            return self.requires
+        try:
+            needed = _loaded(self.name, self.needs)(config)
+        except MinidualError:  # it is refused before the stage runs
+            return self.requires
+        return tuple(name for name in self.requires if name in needed)
+
+    def reads_artefact(self, stage: str, path: str) -> bool:
+        """Return whether it reads an artefact of an upstream stage."""
+        if self.inputs is None:
+            return stage in self.requires
+        return any(fnmatchcase(path, pattern) for pattern in self.inputs.get(stage, ()))
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
         """Return a line per count or limit in `reads` that is weaker than in `reference`."""
@@ -255,18 +277,30 @@ class StageTable(Registry[StageEntry]):
                     remedy="mend or uninstall that distribution",
                 ) from error
 
-    def until(self, last: str | None) -> tuple[str, ...]:
-        """Return `last` and its upstream stages, or all, in order."""
-        if last is None:
-            return tuple(self)
+    def until(self, last: str) -> tuple[str, ...]:
+        """Return `last` and its upstream stages, in order."""
         return (*self.upstream(last), last)
 
-    def upstream(self, name: str) -> tuple[str, ...]:
-        """Return the stages that `name` requires, directly or not, in order."""
+    def upstream(
+        self,
+        name: str,
+        requires: Callable[[str], Sequence[str]] | None = None,
+    ) -> tuple[str, ...]:
+        """Return the stages that `name` requires, directly or not, in order.
+
+        Args:
+            name: Stage.
+            requires: What a stage requires; by default what it requires at most.
+        """
+        if requires is None:
+            requires = self._requires_at_most
         needed: set[str] = set()
-        queue = list(self[name].requires)
+        queue = list(requires(name))
         while queue:
             stage = queue.pop()
             needed.add(stage)
-            queue += self[stage].requires
+            queue += requires(stage)
         return tuple(stage for stage in self if stage in needed)
+
+    def _requires_at_most(self, name: str) -> tuple[str, ...]:
+        return self[name].requires

@@ -101,6 +101,26 @@ class Verdict:
         """Return the checks that failed."""
         return [check for check in self.checks if check.passed is False]
 
+    def content(self) -> str:
+        """Return a digest of what was asked and found.
+
+        Times, texts, machine and code do not enter: the same work again has the same content.
+        """
+        made = self.fingerprint
+        return digest(
+            {
+                "stage": self.stage,
+                "seed": made.seed,
+                "profile": made.profile,
+                "parameters": made.parameters,
+                "options": made.options,
+                "checks": [check.content() for check in self.checks],
+                "acceptance_profile": self.acceptance_profile,
+                "waivers": [asdict(waiver) for waiver in self.waivers],
+                "weakened": self.weakened,
+            },
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Return JSON types, with derived values and a digest."""
         derived = {

@@ -49,6 +49,7 @@ INFERENCE_RATE = Criterion(
     unit="Hz",
     why="whole inference with pre- and post-processing must keep up with the arms",
     remedy="use the policy spatial_act, or a smaller image",
+    clocked=True,
 )
 HIDDEN_RATE = Criterion(
     "hidden_success_rate",

@@ -4,7 +4,7 @@
 learning take seconds to import.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from minidual.config.root import Config
 from minidual.gate.stage import StageFunction, ToolFunction
@@ -12,6 +12,7 @@ from minidual.registry import Deferred
 
 type Resolve = Callable[[Config], Config]
 type ConfigCheck = Callable[[Config], None]
+type Needs = Callable[[Config], Sequence[str]]
 
 # Stages
 
@@ -181,6 +182,16 @@ def benchmark_config() -> Resolve:
     from minidual.stages.policy_folders import benchmark_config
 
     return benchmark_config
+
+
+# Which of the stages that a stage may require a configuration needs
+
+
+@Deferred
+def benchmark_needs() -> Needs:
+    from minidual.trials.methods import benchmark_needs
+
+    return benchmark_needs
 
 
 # What checks a configuration before a run

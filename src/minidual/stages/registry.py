@@ -22,6 +22,31 @@ LIBRARIES = (
 )
 """Distributions whose versions verdicts record."""
 
+_TASK_LAYOUT = tuple(
+    f"scene.task.{name}"
+    for name in (
+        "start_xy_m",
+        "start_range_m",
+        "goal_xy_m",
+        "goal_yaw_rad",
+        "goal_range_m",
+        "distance_m",
+        "turn_rad",
+        "obstacle",
+    )
+)
+"""What places the objects, the obstacle, the marks and the cameras that see them."""
+_TASK_MOTION = tuple(
+    f"scene.task.{name}"
+    for name in (
+        "start_range_rad",
+        "goal_range_rad",
+        "lift_height_m",
+        "clear_height_m",
+        "tilt_max_rad",
+    )
+)
+"""What else planning a carry reads; how its end is judged is not among it."""
 _CARRY_SETTINGS = {
     "trials": "carry.trials_n",
     "object": "carry.object",
@@ -35,7 +60,19 @@ ENV_CHECK = StageEntry(
     summary=(
         "Simulation and joints: every joint read, mapped and driven, tracking, contacts, libraries"
     ),
-    reads=("robot", "env_check", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+    reads=(
+        "robot",
+        "env_check",
+        "scene.physics",
+        "scene.object",
+        "scene.more",
+        "scene.marks",
+        "scene.camera",
+        *_TASK_LAYOUT,
+        "arbiter",
+        "supervisor",
+        "teleop.rate_hz",
+    ),
     watchable=True,
     asides=(ToolEntry("env-check-bill", functions.env_check_bill),),
 )
@@ -44,8 +81,17 @@ PLAN = StageEntry(
     functions.plan,
     requires=("env-check",),
     summary="Plan collision-free motions for left_arm, right_arm and both_arms",
-    reads=("robot", "plan", "scene.physics", "scene.object", "scene.more", "scene.task"),
+    reads=(
+        "robot",
+        "plan",
+        "scene.physics",
+        "scene.object",
+        "scene.more",
+        *_TASK_LAYOUT,
+        *_TASK_MOTION,
+    ),
     check=functions.check_plan,
+    inputs={},
     watchable=True,
     settings={"queries": "plan.queries_n"},
     asides=(
@@ -68,6 +114,7 @@ CARRY = StageEntry(
     reads=("robot", "task", "carry", "scene", "arbiter", "supervisor"),
     resolve=functions.task_config,
     check=functions.check_carry,
+    inputs={},
     watchable=True,
     settings={**_CARRY_SETTINGS, "speed": "arbiter.speed_override"},
     asides=(
@@ -94,6 +141,7 @@ TELEOP_RECORD = StageEntry(
     reads=("robot", "task", "teleop", "plan.planner", "scene", "arbiter", "supervisor"),
     resolve=functions.task_config,
     check=functions.check_leader,
+    inputs={},
     keeps=("episodes", "rejected", "attempts", "inputs.json"),
     watchable=True,
     settings={"episodes": "teleop.episodes_n", "task": "task"},
@@ -105,6 +153,7 @@ TRAIN_ACT = StageEntry(
     summary="Train the policy on the recorded dataset",
     reads=("robot", "train"),
     check=functions.check_policy,
+    inputs={"teleop-record": ("lerobot/*",)},
     settings={"seeds": "train.seeds_n"},
 )
 DEPLOY = StageEntry(
@@ -115,6 +164,10 @@ DEPLOY = StageEntry(
     reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
     resolve=functions.task_config,
     check=functions.check_deploy,
+    inputs={
+        "train-act": ("checkpoint/*", "seed-*/checkpoint/*"),
+        "teleop-record": ("episodes/*",),
+    },
     watchable=True,
     settings={"trials": "deploy.trials", "task": "task"},
 )
@@ -138,6 +191,9 @@ BENCHMARK = StageEntry(
     ),
     resolve=functions.benchmark_config,
     check=functions.check_benchmark,
+    needs=functions.benchmark_needs,
+    # The recording's task is a parameter of its verdict.
+    inputs={"train-act": ("checkpoint/*", "train.json"), "teleop-record": ()},
     watchable=True,
     settings={
         "tasks": "benchmark.tasks",

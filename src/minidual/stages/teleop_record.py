@@ -62,6 +62,7 @@ LATENCY_P99 = Criterion(
     unit="s",
     why="wall time from reading the leader to its torque, 99th percentile",
     remedy="use fewer workers",
+    clocked=True,
 )
 EPISODES_PER_MIN = Criterion(
     "episodes_per_min",
@@ -69,6 +70,7 @@ EPISODES_PER_MIN = Criterion(
     unit="1/min",
     why="demonstrations kept, conversion included",
     remedy="use more workers, or fewer cameras",
+    clocked=True,
 )
 SYNC_ERROR_MAX = Criterion(
     "sync_error_max_s",
@@ -94,11 +96,12 @@ SUCCESS_RATE = Criterion(
     why="share of attempts that achieved the task; others are left out",
 )
 ATTEMPTS = Criterion("attempts", why="trials that were led")
-LATENCY_P50 = Criterion("latency_p50_s", unit="s", why="median of the same")
+LATENCY_P50 = Criterion("latency_p50_s", unit="s", why="median of the same", clocked=True)
 RECORDED_PER_MIN = Criterion(
     "recorded_per_min",
     unit="1/min",
     why="the rate of recording alone",
+    clocked=True,
 )
 
 

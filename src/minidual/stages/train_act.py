@@ -48,8 +48,8 @@ STEPS_DONE = Criterion(
     why="training must not have been cut by its time limit",
     remedy="raise train.time_limit_s",
 )
-TRAIN_TIME = Criterion("train_s", unit="s", why="time spent in training steps")
-SAMPLE_RATE = Criterion("samples_per_s", unit="1/s", why="training rate")
+TRAIN_TIME = Criterion("train_s", unit="s", why="time spent in training steps", clocked=True)
+SAMPLE_RATE = Criterion("samples_per_s", unit="1/s", why="training rate", clocked=True)
 PARAMETERS = Criterion("parameters", why="trainable parameters")
 OVERSHOOT_MAX = Criterion(
     "overshoot_max_rad",
@@ -60,6 +60,7 @@ INFERENCE_RATE = Criterion(
     "inference_hz",
     unit="Hz",
     why="whole inferences a second, one thread",
+    clocked=True,
 )
 VALIDATION_L1 = Criterion(
     "validation_l1",

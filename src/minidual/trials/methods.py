@@ -265,6 +265,18 @@ METHODS: Registry[MethodSpec] = Registry(
 )
 
 
+def benchmark_needs(config: Config) -> tuple[str, ...]:
+    """Return the stages that a benchmark needs: those of the policy only if a method drives it.
+
+    Raises:
+        UsageError: There is no such method.
+    """
+    methods = METHODS.names(config.benchmark.methods)
+    if any(METHODS[name].learned for name in methods):
+        return ("carry", "deploy")
+    return ("carry",)
+
+
 def check_able(method: str, tasks: Collection[Task], trained: str = "") -> None:
     """Raise UsageError for a method that can do none of these tasks."""
     spec = METHODS[method]

@@ -18,10 +18,14 @@ from minidual.stages.env_check.checks import measured_checks
 from minidual.stages.env_check.stage import run
 from minidual.stages.registry import STAGES
 from tests.support.env_check_samples import JOINT_NAMES, QUICK, all_failing_checks
+from tests.support.read_recorder import recorded, unlisted
 
 
 def run_stage(folder, **changes):
-    config = Config(env_check=QUICK.model_copy(update=changes))
+    return run_with(folder, Config(env_check=QUICK.model_copy(update=changes)))
+
+
+def run_with(folder, config):
     context = StageContext(folder=folder, config=config, seed=config.seed, profile="standard")
     return run(context)
 
@@ -32,7 +36,7 @@ def failed(result):
 
 @pytest.fixture(scope="module")
 def passed(tmp_path_factory):
-    """Return the stage's folder, its result and what measured_checks was given."""
+    """Return the stage's folder, its result, what measured_checks was given and values read."""
     folder = tmp_path_factory.mktemp("env-check")
     given = []
 
@@ -42,10 +46,16 @@ def passed(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("minidual.stages.env_check.stage.measured_checks", judged)
-        return folder, run_stage(folder), given
+        config, reads = recorded(Config(env_check=QUICK))
+        return folder, run_with(folder, config), given, reads
 
 
 class TestStage:
+    def test_it_reads_no_value_that_its_verdict_does_not_record(self, passed):
+        reads = passed[3]
+        assert unlisted(reads, [*STAGES["env-check"].reads, "seed"]) == []
+        assert "scene.task.goal_xy_m" in reads
+
     def test_it_passes_on_the_real_scene(self, passed):
         result = passed[1]
         assert failed(result) == set()
@@ -76,7 +86,7 @@ class TestStage:
         assert limits["control.step_median_us"] == 1000.0
 
     def test_its_artefacts_are_there_and_whole(self, passed):
-        folder, result, _ = passed
+        folder, result, *_ = passed
         assert {p.name for p in folder.iterdir()} == {
             "sine.mp4",
             "cameras.png",

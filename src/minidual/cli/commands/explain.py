@@ -30,7 +30,7 @@ def explain(
     entry = session.table[stage]
     gate = session.gate()
     state = gate.state(entry.name)
-    upstream = {name: gate.state(name).state for name in entry.requires}
+    upstream = {name: gate.state(name).state for name in gate.requires(stage)}
     lowest = gate.lowest()
     if not session.common.json:
         print_explanation(session.data, entry, state, upstream, session.in_this_run)

@@ -38,7 +38,7 @@ def run(
     """
     if key is not None:
         signature(key, b"")  # refuses a key that cannot sign before the work begins
-    names = session.table.until(until)
+    names = session.gate().until(until, gate_options.force)
     if not gate_options.yes:
         spare_finished(session, names, {}, gate_options.force)
     outcomes = _outcomes(session, until, view_options, gate_options)

@@ -60,12 +60,15 @@ class Report:
 
     @property
     def not_passing(self) -> list[str]:
-        """The preceding stages without a passing verdict."""
+        """The preceding stages without a passing, fresh verdict."""
         return [stage for stage in self.context.summaries if not self._passes(stage)]
 
     def _passes(self, stage: str) -> bool:
         verdict = self.context.verdicts.get(stage)
-        return verdict is not None and verdict.status == "pass"
+        if verdict is None:
+            return False
+        state = self.context.states.get(stage, verdict.status)
+        return state == verdict.status == "pass"
 
     @property
     def checks(self) -> list[Check]:

@@ -14,7 +14,7 @@ CHECK_WORDS: Mapping[str, Mapping[str, str]] = {
         "benchmark.methods=... and benchmark.conditions=... (docs/report.md, Settings)",
     },
     "stages_not_passing": {
-        "why": "a report is built on passing verdicts{without}",
+        "why": "a report is built on passing, fresh verdicts{without}",
         "remedy": "minidual status says what to run",
     },
 }

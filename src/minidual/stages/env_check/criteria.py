@@ -92,6 +92,7 @@ STEP_MEDIAN = Criterion(
     "for 1 kHz in real time",
     remedy="close other programs; "
     "OMP_NUM_THREADS=1 keeps the linear algebra from fighting over cores",
+    clocked=True,
 )
 LATE_STEPS = Criterion(
     "latency.late_steps",
@@ -104,6 +105,7 @@ LATENCY_MEDIAN = Criterion(
     "latency.wall_median_us",
     unit="us",
     why="computing time from propose() to the end of the step that drives the motors by it",
+    clocked=True,
 )
 STOP_TICKS = Criterion(
     "stop.ticks",
