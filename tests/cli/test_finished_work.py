@@ -31,11 +31,11 @@ ROOT = Path(__file__).parents[2]
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Hash every file of a run, but for the configuration of the latest command and the lock."""
+    """Hash every file of a run, but for what the latest command typed and the lock."""
     hashes: dict[str, str] = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in ("config.yaml", ".lock"):
+        if path.is_file() and name not in ("config.yaml", "remembered.json", ".lock"):
             hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return hashes
 

@@ -80,6 +80,7 @@ def run_stage(
     typed = {option: value for option, value in options.items() if value is not None}
     if not gate_options.yes:
         spare_finished(session, [name], {name: typed}, gate_options.force)
+    session.say_remembered()
     with session.view(view_options) as view:
         outcome = session.runner(view).run(
             name,
@@ -89,6 +90,7 @@ def run_stage(
         )
     if view is not None and not outcome.ran:
         session.say(f"nothing to watch: {name} is passing and fresh; --force runs it again")
+    session.drop_remembered()
     following = session.following()
     print_outcome(session.people, outcome, following)
     document = {**outcome_document(outcome), "next": following}
@@ -105,6 +107,7 @@ def run_tool(
     """Run a tool and print its result."""
     typed = {option: value for option, value in options.items() if was_typed(value)}
     config = session.loaded.with_overrides(overrides(tool.settings, typed)).config
+    session.say_remembered()
     folder = session.store.folder
     lock = nullcontext()
     if tool.moves:

@@ -5,6 +5,7 @@ options (`minidual.cli.signature`).
 """
 
 import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
@@ -32,7 +33,7 @@ class CommonOptions:
         _common(
             "--set",
             metavar="KEY=VALUE",
-            help="Override a configuration value, e.g. plan.queries_n=30.",
+            help="Override a configuration value, e.g. plan.queries_n=30; the run remembers it.",
         ),
     ] = None
     run: Annotated[
@@ -61,16 +62,26 @@ class CommonOptions:
     @property
     def flags(self) -> str:
         """The typed options that select run and result, after a space; "" if none was typed."""
-        options: list[tuple[str, str | int | None]] = [
-            ("--profile", None if self.profile == "standard" else self.profile),
-            ("--run", self.run),
-            ("--runs-dir", self.runs_dir),
-            ("--seed", self.seed),
-        ]
+        options: list[tuple[str, str | int | None]] = [("--seed", self.seed)]
         options += [("--set", setting) for setting in self.settings or ()]
-        return "".join(
-            f" {name} {shlex.quote(str(value))}" for name, value in options if value is not None
+        return self.place + _joined(options)
+
+    @property
+    def place(self) -> str:
+        """The typed options that select the run, like `flags`."""
+        return _joined(
+            [
+                ("--profile", None if self.profile == "standard" else self.profile),
+                ("--run", self.run),
+                ("--runs-dir", self.runs_dir),
+            ],
         )
+
+
+def _joined(options: Iterable[tuple[str, str | int | None]]) -> str:
+    return "".join(
+        f" {name} {shlex.quote(str(value))}" for name, value in options if value is not None
+    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ def spare_finished(
     Stages that stay the same are hard-linked.
 
     Args:
-        session: The command's; its --run changes.
+        session: The command's; it goes on in the other run.
         names: Stages that the command asks for.
         options: {stage: its typed options}.
         force: Whether fresh stages run again.
@@ -38,7 +37,7 @@ def spare_finished(
             return
         base = session.store
         own = own_run(session.common, base.run, options.values())
-        session.common = replace(session.common, run=own)
+        session.work_in(own)
         first, *others = replaced
         more = f" (and of {', '.join(others)})" if others else ""
         session.say(f"run '{base.run}' keeps its finished {first}{more}: {replaced[first]}")

@@ -6,18 +6,31 @@ import os
 import re
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import closing, contextmanager
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from minidual.cli.options import CommonOptions, ViewOptions
 from minidual.cli.process import interrupt
 from minidual.cli.terminal import ConsoleProgress, console
-from minidual.config.loader import LoadedConfig, Override, load_config
+from minidual.config.loader import (
+    LoadedConfig,
+    Override,
+    find_profile,
+    load_config,
+    parse_override,
+)
 from minidual.durable import expanded
-from minidual.errors import EnvironmentMissingError, UsageError, printable, unknown_name
+from minidual.errors import (
+    ConfigError,
+    EnvironmentMissingError,
+    UsageError,
+    printable,
+    unknown_name,
+)
 from minidual.gate.canonical import dumps
 from minidual.gate.gate import Gate
+from minidual.gate.memory import Memory, as_typed, memory_of, read_memory, without
 from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageTable, ToolEntry
@@ -50,15 +63,75 @@ class Session:
         self.tools = {tool.name: tool for tool in tools}
         self.people = console(stderr=True)
         self.data = console(stderr=False)
+        self._inherited: Memory = {}
+        self._loaded: dict[str, LoadedConfig] = {}
 
-    @cached_property
+    @property
+    def remembered(self) -> Memory:
+        """Settings of earlier commands in this run; not those that were typed again."""
+        memory = read_memory(self.store.folder)
+        if memory is None:
+            memory = self._inherited
+        return without(memory, [override.path for override in self._typed()])
+
+    @property
     def loaded(self) -> LoadedConfig:
-        """Resolved configuration."""
-        overrides: list[Override | str] = [*(self.common.settings or ())]
+        """Resolved configuration: profile, then what the run remembers, then what was typed.
+
+        Raises:
+            ConfigError: A remembered or typed value is invalid.
+        """
+        run = self.store.run
+        if run not in self._loaded:
+            self._loaded[run] = self._load(self.remembered)
+        return self._loaded[run]
+
+    def _load(self, remembered: Memory) -> LoadedConfig:
+        typed = self._typed()
+        try:
+            settings = [f"{path}={text}" for path, text in remembered.items()]
+            return load_config(self.common.profile, [*settings, *typed])
+        except ConfigError as error:
+            if not remembered:
+                raise
+            load_config(self.common.profile, typed)  # raises if what was typed is wrong
+            texts = " ".join(as_typed(remembered))
+            raise ConfigError(
+                f"{error.message}\nrun '{self.store.run}' remembers {texts}",
+                remedy=f"minidual config forget{self.common.place}",
+            ) from error
+
+    def _typed(self) -> list[Override]:
+        """Return --set, --seed and --workers as typed."""
+        typed = [parse_override(text) for text in self.common.settings or ()]
         for name, value in (("seed", self.common.seed), ("workers", self.common.workers)):
             if value is not None:
-                overrides.append(Override(name, value, f"--{name} {value}"))
-        return load_config(self.common.profile, overrides)
+                typed.append(Override(name, value, f"--{name} {value}"))
+        return typed
+
+    def reload(self) -> None:
+        """Read again what the run remembers."""
+        self._loaded.clear()
+
+    def work_in(self, run: str) -> None:
+        """Go on in another run; if it is new, it begins with what this one remembers."""
+        self._inherited = memory_of(self.loaded.overrides)
+        self.common = replace(self.common, run=run)
+
+    def drop_remembered(self) -> None:
+        """Leave out of printed commands what the run remembers by now."""
+        memory = read_memory(self.store.folder) or {}
+        if memory_of(self._typed()).items() <= memory.items():
+            loaded = self.loaded
+            self.common = replace(self.common, settings=None, seed=None)
+            self._loaded[self.store.run] = loaded
+
+    def say_remembered(self) -> None:
+        """Say which settings come from earlier commands, if there are any."""
+        texts = " ".join(as_typed(self.remembered))
+        if texts:
+            forget = f"minidual config forget{self.common.place}"
+            self.say(f"run '{self.store.run}' remembers {texts} (`{forget}` forgets it)", "dim")
 
     @property
     def root(self) -> Path:
@@ -73,7 +146,9 @@ class Session:
     @property
     def store(self) -> RunStore:
         """The run's folder."""
-        name = self.loaded.profile if self.common.run is None else self.common.run
+        name = self.common.run
+        if name is None:
+            name = find_profile(self.common.profile)[0]
         return RunStore(self.root, name)
 
     def require_folder(self) -> None:

@@ -183,5 +183,14 @@ def checks_of(
         if limit is None:
             op = None
         texts = {key: text.format(**names) for key, text in words[name].items()}
-        checks.append(Check(f"{prefix}{name}", observed, op, limit, **texts))
+        check = Check(
+            f"{prefix}{name}",
+            observed,
+            op,
+            limit,
+            unit=texts.get("unit", ""),
+            why=texts.get("why", ""),
+            remedy=texts.get("remedy", ""),
+        )
+        checks.append(check)
     return checks

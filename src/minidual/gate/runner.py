@@ -14,6 +14,7 @@ from minidual.gate.canonical import canonical
 from minidual.gate.closed import closed_error
 from minidual.gate.fingerprint import Fingerprint
 from minidual.gate.gate import Gate
+from minidual.gate.memory import memory_of, write_memory
 from minidual.gate.progress import Progress
 from minidual.gate.stage import Folders, StageContext, StageResult, closing_checks
 from minidual.gate.state import StageState
@@ -154,11 +155,13 @@ class Runner:
                 remedy='type --waive-gate "WHY"',
             )
         state = gate.state(name)
-        if state.state == "pass" and not force:
-            return StageOutcome(state, ran=False)
-        closed = gate.closed_by(name)
+        is_fresh = state.state == "pass" and not force
+        closed = [] if is_fresh else gate.closed_by(name)
         if closed and waiver is None:
             raise closed_error(gate, name, self.command)
+        write_memory(self.store.folder, memory_of(self.loaded.overrides))
+        if is_fresh:
+            return StageOutcome(state, ran=False)
         self._execute(gate, name, self._waivers(gate, name, closed, waiver))
         return StageOutcome(self._gate(gate.options).state(name), ran=True)
 

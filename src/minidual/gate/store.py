@@ -1,6 +1,7 @@
 """Run folders on disk.
 
 runs/<run>/config.yaml      configuration of the latest stage run
+runs/<run>/remembered.json  settings that later commands need not repeat
 runs/<run>/<stage>/         finished stage: artefacts, config.yaml, verdict.json; may be a link to a
                             folder elsewhere
 runs/<run>/.<stage>.tmp/    unfinished stage

@@ -41,12 +41,14 @@ def run(
     names = session.gate().until(until, gate_options.force)
     if not gate_options.yes:
         spare_finished(session, names, {}, gate_options.force)
+    session.say_remembered()
     outcomes = _outcomes(session, until, view_options, gate_options)
     code = ExitCode.PASS
     for outcome in outcomes:
         if outcome.exit_code != ExitCode.PASS:
             code = outcome.exit_code
             break
+    session.drop_remembered()
     gate = session.gate()
     store = session.store
     print_status(session.people, gate, f"run {store.run}", session.following(gate))

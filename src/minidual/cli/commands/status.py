@@ -49,6 +49,7 @@ def show_status(session: Session, *, explained: bool, key: Path | None = None) -
         print_status(session.data, gate, title, "" if explained else following)
         if explained:
             print_lowest(session.data, lowest, following, session.in_this_run)
+        session.say_remembered()
         if writer is not None:
             session.say(f"being written by {writer}")
     if differences is not None:
@@ -57,6 +58,7 @@ def show_status(session: Session, *, explained: bool, key: Path | None = None) -
         "run": store.run,
         "folder": store.folder,
         "profile": session.loaded.profile,
+        "remembered": session.remembered,
         "writer": writer,
         "stages": [state_document(gate.state(name)) for name in session.table],
         "lowest": None if lowest is None else lowest.name,

@@ -6,6 +6,7 @@ its row (`minidual.cli.rows`).
 
 from minidual.cli.commands.benchmark import benchmark
 from minidual.cli.commands.carry import carry
+from minidual.cli.commands.config_forget import config_forget
 from minidual.cli.commands.config_show import config_show
 from minidual.cli.commands.demo import demo
 from minidual.cli.commands.deploy import deploy
@@ -43,7 +44,7 @@ RUN_COMMANDS: dict[str, Command] = {
     "explain": explain,
     "stop": stop,
 }
-CONFIG_COMMANDS: dict[str, Command] = {"show": config_show}
+CONFIG_COMMANDS: dict[str, Command] = {"show": config_show, "forget": config_forget}
 LEADER_COMMANDS: dict[str, Command] = {"calibrate": leader_calibrate}
 TOOL_COMMANDS: dict[str, Command] = {
     "demo": demo,
