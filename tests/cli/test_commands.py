@@ -410,7 +410,7 @@ def test_status_writes_nothing(cli):
 def test_explain_tells_checks_margins_reasons_and_requirements(cli):
     cli.bench.first.observed = 0.5
     cli("first")
-    code, out, _ = cli("explain", "first")
+    code, out, _ = cli("explain", "first", "--all")
     assert code == 0
     for words in (
         "first is fail",
@@ -445,7 +445,7 @@ def test_options_of_a_stage_reach_it_and_are_written_down(cli):
 
 def test_smoke_is_labelled(cli):
     _, _, err = cli("first", "--profile", "smoke")
-    assert "profile 'smoke': wiring only, never acceptance" in err
+    assert "profile 'smoke': a quick test, never acceptance" in err
     assert cli.json("first", "--profile", "smoke")[1]["verdict"]["acceptance"] is False
 
 

@@ -1,12 +1,13 @@
 """Tables and explanations for people."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from minidual.gate.check import Check, with_unit
+from minidual.cli.checks_view import Wording, checks_view, explained
 from minidual.gate.gate import Gate
 from minidual.gate.runner import StageOutcome
 from minidual.gate.state import StageState
@@ -20,15 +21,7 @@ _STYLES = {
     "stale": "yellow",
     "incomplete": "yellow",
 }
-_RESULTS = {
-    True: Text("pass", "green"),
-    False: Text("FAIL", "bold red"),
-    None: Text("reported", "dim"),
-}
 _SHOWN_ARTEFACTS = 8
-
-Wording = Callable[[str], str]
-"""Completes the commands of a remedy."""
 
 
 def state_text(state: str) -> Text:
@@ -36,44 +29,22 @@ def state_text(state: str) -> Text:
     return Text(state, style=_STYLES.get(state, "dim"))
 
 
-def checks_table(checks: Sequence[Check], title: str, wording: Wording | None = None) -> Table:
-    """Return a table; with why and remedy if there is a `wording`."""
-    columns = [
-        Column("check", overflow="fold"),
-        Column("observed", justify="right", overflow="fold"),
-        Column("limit", justify="right", overflow="fold"),
-        Column("margin", justify="right", overflow="fold"),
-        Column("result", overflow="fold"),
-    ]
-    if wording is not None:
-        columns.append(Column("why, and what to do", overflow="fold", ratio=1))
-    table = Table(*columns, title=title, title_justify="left", show_lines=wording is not None)
-    for check in checks:
-        cells: list[str | Text] = [
-            check.name,
-            with_unit(check.observed, check.unit),
-            f"{check.op} {with_unit(check.limit, check.unit)}" if check.op else "",
-            check.margin_text(),
-            _RESULTS[check.passed],
-        ]
-        if wording is not None:
-            cells.append(wording(_explanation(check)))
-        table.add_row(*cells)
-    return table
-
-
-def _explanation(check: Check) -> str:
-    if check.passed is False and check.remedy:
-        return f"{check.why}\n{check.remedy}"
-    return check.why
-
-
 def label(verdict: Verdict) -> str:
     """Return why a verdict is no acceptance; empty if it is."""
+    reasons = [_quick_test(verdict), _less_asked(verdict)]
+    return "; ".join(reason for reason in reasons if reason)
+
+
+def _quick_test(verdict: Verdict) -> str:
+    if verdict.acceptance_profile:
+        return ""
+    profile = verdict.fingerprint.profile
+    return f"profile '{profile}': a quick test, never acceptance"
+
+
+def _less_asked(verdict: Verdict) -> str:
+    """Return what a verdict asks less than the profile, and the gates waived for it."""
     reasons: list[str] = []
-    if not verdict.acceptance_profile:
-        profile = verdict.fingerprint.profile
-        reasons.append(f"profile '{profile}': wiring only, never acceptance")
     if verdict.weakened:
         values = "; ".join(verdict.weakened)
         reasons.append(f"NO ACCEPTANCE, it asks for less than the profile: {values}")
@@ -81,11 +52,19 @@ def label(verdict: Verdict) -> str:
     return "; ".join(reasons)
 
 
-def print_outcome(console: Console, outcome: StageOutcome, following: str) -> None:
-    """Print a result and the next command."""
+def print_outcome(
+    console: Console,
+    entry: StageEntry,
+    outcome: StageOutcome,
+    following: str,
+) -> None:
+    """Print a result of the stage of a row, and the next command."""
     verdict = outcome.verdict
     took = f"{verdict.duration_s:.1f} s" if outcome.ran else "fresh"
-    _print_verdict(console, outcome.state, verdict, f"{verdict.stage}: {verdict.status}, {took}")
+    title = f"{verdict.stage}: {verdict.status}, {took}"
+    compared = entry.compared(verdict.fingerprint.parameters)
+    console.print(checks_view(console, verdict.checks, title, compared))
+    _print_rest(console, outcome.state, verdict)
     _lines(console, [following])
 
 
@@ -95,8 +74,18 @@ def print_explanation(
     state: StageState,
     upstream: Mapping[str, str],
     wording: Wording,
+    everything: bool = False,
 ) -> None:
-    """Print one stage; `upstream` is {required stage: state}."""
+    """Print one stage.
+
+    Args:
+        console: Where it is printed.
+        entry: Row of the stage.
+        state: Its state.
+        upstream: {required stage: state}.
+        wording: Completes the commands of a remedy.
+        everything: Whether all checks are printed, not only the failed ones.
+    """
     console.print(
         Text.assemble((entry.name, "bold"), " is ", state_text(state.state), f". {entry.summary}."),
     )
@@ -113,18 +102,20 @@ def print_explanation(
         f"verdict: {verdict.status}, {verdict.finished_at}, "
         f"profile '{made.profile}', seed {made.seed}"
     )
-    _print_verdict(console, state, verdict, title, wording)
+    console.print(Text(title, "italic"))
+    failed = verdict.failed_checks()
+    others = [check for check in verdict.checks if check.passed is not False]
+    console.print(explained([*failed, *others] if everything else failed, wording))
+    if others and not everything:
+        passed_n = sum(check.passed is True for check in others)
+        reported_n = len(others) - passed_n
+        _lines(console, [f"{passed_n} checks pass, {reported_n} are reported; --all shows them"])
+    _print_rest(console, state, verdict)
     _lines(console, [f"made with {text}" for text in verdict.overrides])
 
 
-def _print_verdict(
-    console: Console,
-    state: StageState,
-    verdict: Verdict,
-    title: str,
-    wording: Wording | None = None,
-) -> None:
-    console.print(checks_table(verdict.checks, title, wording))
+def _print_rest(console: Console, state: StageState, verdict: Verdict) -> None:
+    """Print what a verdict has beside its checks: labels, notes, warnings, artefacts."""
     _lines(console, [label(verdict)], "bold yellow")
     _lines(console, verdict.notes)
     _lines(console, [f"note: {warning}" for warning in state.warnings], "dim")
@@ -149,6 +140,8 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
         title=title,
         title_justify="left",
     )
+    quick_tests: dict[str, None] = {}
+    counts = Counter(warning for name in gate.table for warning in gate.state(name).warnings)
     for name in gate.table:
         state = gate.state(name)
         verdict = state.verdict
@@ -159,10 +152,15 @@ def print_status(console: Console, gate: Gate, title: str, following: str) -> No
             results = [check.passed for check in verdict.checks if check.passed is not None]
             checks = f"{sum(results)}/{len(results)}"
             took = f"{verdict.duration_s:.1f} s"
-            remarks += [label(verdict), *state.warnings]
+            remarks.append(_less_asked(verdict))
+            remarks += [warning for warning in state.warnings if counts[warning] == 1]
+            quick_tests[_quick_test(verdict)] = None
         remark = Text("\n".join(text for text in remarks if text))
         table.add_row(name, state_text(state.state), checks, took, remark)
     console.print(table)
+    _lines(console, list(quick_tests), "bold yellow")
+    shared = [f"note: {n} stages {warning}" for warning, n in counts.items() if n > 1]
+    _lines(console, shared, "dim")
     _lines(console, [following])
 
 

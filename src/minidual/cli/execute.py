@@ -92,7 +92,7 @@ def run_stage(
         session.say(f"nothing to watch: {name} is passing and fresh; --force runs it again")
     session.drop_remembered()
     following = session.following()
-    print_outcome(session.people, outcome, following)
+    print_outcome(session.people, entry, outcome, following)
     document = {**outcome_document(outcome), "next": following}
     session.finish(document, [session.store.verdict_path(name)])
     return outcome.exit_code

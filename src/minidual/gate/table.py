@@ -151,6 +151,8 @@ class StageEntry(_Entry[StageFunction]):
         keeps: Names in its folder that an attempt takes over from an interrupted one. If there are
             any, a replaced result is set aside.
         closing: Also checks waivers and code changes.
+        compares: Configuration path in `reads` of the names that its checks compare; tables show
+            them side by side.
     """
 
     requires: tuple[str, ...]
@@ -163,6 +165,7 @@ class StageEntry(_Entry[StageFunction]):
     asides: tuple[ToolEntry, ...] = ()
     keeps: tuple[str, ...] = ()
     closing: bool = False
+    compares: str = ""
 
     def code(self, known: Code | None = None) -> Code:
         """Return the code that the stage reaches; see `code_of`."""
@@ -207,6 +210,14 @@ class StageEntry(_Entry[StageFunction]):
         if self.inputs is None:
             return stage in self.requires
         return any(fnmatchcase(path, pattern) for pattern in self.inputs.get(stage, ()))
+
+    def compared(self, parameters: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the names that its checks compare, from the parameters of its verdict."""
+        section, _, rest = self.compares.partition(".")
+        value: Any = parameters.get(section)
+        for name in rest.split("."):
+            value = cast(dict[str, Any], value).get(name) if isinstance(value, dict) else None
+        return tuple(map(str, cast(list[Any], value))) if isinstance(value, list) else ()
 
     def weaker(self, config: Config, reference: Config) -> tuple[str, ...]:
         """Return a line per count or limit in `reads` that is weaker than in `reference`."""

@@ -192,6 +192,7 @@ BENCHMARK = StageEntry(
     resolve=functions.benchmark_config,
     check=functions.check_benchmark,
     needs=functions.benchmark_needs,
+    compares="benchmark.methods",
     # The recording's task is a parameter of its verdict.
     inputs={"train-act": ("checkpoint/*", "train.json"), "teleop-record": ()},
     watchable=True,

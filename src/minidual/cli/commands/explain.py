@@ -7,6 +7,7 @@ import typer
 from minidual.cli.commands.status import show_status
 from minidual.cli.console import print_explanation, print_lowest
 from minidual.cli.documents import state_document
+from minidual.cli.options import flag
 from minidual.cli.session import Session
 from minidual.errors import ExitCode
 
@@ -17,13 +18,17 @@ def explain(
         str | None,
         typer.Argument(metavar="stage", help="A stage; none shows what to look at first."),
     ] = None,
+    everything: Annotated[
+        bool,
+        flag("--all", "Show all checks of the stage, not only the failed ones."),
+    ] = False,
     session: Session,
 ) -> ExitCode:
-    """Explain one stage: checks, margins, remedies, staleness; or what to look at first.
+    """Explain one stage: failed checks, remedies, staleness; or what to look at first.
 
     Examples:
         minidual explain
-        minidual explain deploy
+        minidual explain deploy --all
     """
     if stage is None:
         return show_status(session, explained=True)
@@ -33,7 +38,7 @@ def explain(
     upstream = {name: gate.state(name).state for name in gate.requires(stage)}
     lowest = gate.lowest()
     if not session.common.json:
-        print_explanation(session.data, entry, state, upstream, session.in_this_run)
+        print_explanation(session.data, entry, state, upstream, session.in_this_run, everything)
         if state.state == "pass":
             session.say(f"to run it again: {session.common.command(f'{entry.name} --force')}")
         else:

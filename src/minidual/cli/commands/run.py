@@ -81,7 +81,8 @@ def _outcomes(
         ):
             outcomes.append(outcome)
             if outcome.ran:
-                print_outcome(session.people, outcome, "")
+                entry = session.table[outcome.state.name]
+                print_outcome(session.people, entry, outcome, "")
             else:
                 session.say(f"{outcome.state.name}: pass, fresh")
     return outcomes
