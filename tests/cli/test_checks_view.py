@@ -130,7 +130,7 @@ class TestCommands:
         short = self.say(failed, capsys, "explain", "first")
         assert "FAIL     quality is 0.5 n, limit >= 1 n" in short
         assert "size is 3 m" not in short
-        assert "0 checks pass, 1 are reported; --all shows them" in short
+        assert "other checks: 0 pass, 1 reported; --all shows them" in short
         full = self.say(failed, capsys, "explain", "first", "--all")
         assert full.index("quality is") < full.index("size is 3 m")
 

@@ -74,7 +74,7 @@ def test_other_options_go_to_a_run_of_their_own(toys):
     code, out, err = toys("first", "--queries", "3")
     assert code == 0
     assert out.strip() == str(toys.folder("toys-queries-3") / "first" / "verdict.json")
-    assert "run 'toys' keeps its finished first: made with --profile standard, typed was" in err
+    assert "run 'toys' keeps its finished first: made with --profile standard, asked for is" in err
     assert "working in run 'toys-queries-3' instead; --yes would replace it in 'toys'" in err
     assert "next: minidual second --run toys-queries-3" in err
     assert contents(toys.folder("toys")) == toys.before

@@ -141,10 +141,33 @@ def test_yes_changes_a_value_in_place_and_what_read_it_is_stale(cli):
     cli("first", "--set", "carry.trials_n=5")
     cli("second")
     cli("third")
-    assert cli("first", "--set", "carry.trials_n=6", "--yes")[0] == 0
+    code, _, err = cli("first", "--set", "carry.trials_n=6", "--yes")
+    assert code == 0
+    assert "stale with these values: second" in err
     assert cli.runs == ["toys"]
     assert cli.memory() == {"carry.trials_n": "6"}
     assert cli.states() == ["pass", "stale", "stale"]
+
+
+def test_a_new_value_that_only_another_finished_stage_read_asks_for_a_new_run(cli):
+    """The command itself has nothing to do; remembered, the value would outdate the second."""
+    cli("first", "--set", "carry.trials_n=5")
+    cli("second")
+    code, _, err = cli("first", "--set", "carry.trials_n=6")
+    assert code == 0
+    assert "run 'toys' keeps its finished second: parameter carry.trials_n was 5, is 6" in err
+    assert cli.runs == ["toys", "toys-carry.trials_n-6"]
+    assert cli.memory() == {"carry.trials_n": "5"}
+    assert cli.states()[:2] == ["pass", "pass"]
+    assert cli.memory("toys-carry.trials_n-6") == {"carry.trials_n": "6"}
+
+
+def test_the_same_value_typed_again_asks_for_no_new_run(cli):
+    cli("first", "--set", "carry.trials_n=5")
+    cli("second")
+    assert cli("first", "--set", "carry.trials_n=5", "--force")[0] == 0
+    assert cli("third", "--set", "carry.trials_n=5")[0] == 0
+    assert cli.runs == ["toys"]
 
 
 def test_a_value_typed_for_a_command_that_reads_only_is_not_remembered(cli):

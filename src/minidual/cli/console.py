@@ -109,7 +109,7 @@ def print_explanation(
     if others and not everything:
         passed_n = sum(check.passed is True for check in others)
         reported_n = len(others) - passed_n
-        _lines(console, [f"{passed_n} checks pass, {reported_n} are reported; --all shows them"])
+        _lines(console, [f"other checks: {passed_n} pass, {reported_n} reported; --all shows them"])
     _print_rest(console, state, verdict)
     _lines(console, [f"made with {text}" for text in verdict.overrides])
 

@@ -10,7 +10,7 @@ from minidual import emergency
 from minidual.cli.console import print_outcome
 from minidual.cli.documents import outcome_document
 from minidual.cli.options import GateOptions, ViewOptions
-from minidual.cli.own_run import spare_finished
+from minidual.cli.own_run import say_outdated, spare_finished
 from minidual.cli.session import Session
 from minidual.cli.terminal import ConsoleProgress
 from minidual.durable import disk_errors
@@ -80,6 +80,8 @@ def run_stage(
     typed = {option: value for option, value in options.items() if value is not None}
     if not gate_options.yes:
         spare_finished(session, [name], {name: typed}, gate_options.force)
+    else:
+        say_outdated(session, [name])
     session.say_remembered()
     with session.view(view_options) as view:
         outcome = session.runner(view).run(

@@ -19,9 +19,10 @@ def spare_finished(
     options: Mapping[str, Mapping[str, Any]],
     force: bool,
 ) -> None:
-    """Switch to another run if the command would replace stages finished with other options.
+    """Switch to another run if the command would replace or outdate finished stages.
 
-    Stages that stay the same are hard-linked.
+    It replaces those that it runs with other options. It outdates others that read a value which
+    the run would remember. Stages that stay the same are hard-linked.
 
     Args:
         session: The command's; it goes on in the other run.
@@ -32,7 +33,7 @@ def spare_finished(
     _refuse_wrong_values(session, names, options, force)
     while True:
         gate = session.gate(options)
-        replaced = gate.replaced(names, force)
+        replaced = gate.replaced(names, force) or outdated(session, names)
         if not replaced:
             return
         base = session.store
@@ -44,6 +45,41 @@ def spare_finished(
         session.say(f"working in run '{own}' instead; --yes would replace it in '{base.run}'")
         for name in _kept(gate, names, force):
             session.store.link(name, base)
+
+
+def outdated(session: Session, names: Sequence[str]) -> dict[str, str]:
+    """Return the finished stages that values typed now make stale, if the run remembers them.
+
+    Stages of the command and before it do not count: they run again, or close a gate.
+
+    Args:
+        session: The command's.
+        names: Stages that the command asks for.
+
+    Returns:
+        {stage: the values that it read}.
+    """
+    if not session.common.settings and session.common.seed is None:
+        return {}
+    before = session.gate_before()
+    now = session.gate()
+    own = {stage for name in names for stage in (*session.table.upstream(name), name)}
+    stale: dict[str, str] = {}
+    for name in session.table:
+        verdict = now.state(name).verdict
+        if name in own or verdict is None or before.state(name).state not in ("pass", "fail"):
+            continue
+        choices = verdict.fingerprint.choices(now.fingerprint(name, verdict))
+        if choices:
+            stale[name] = "; ".join(choices)
+    return stale
+
+
+def say_outdated(session: Session, names: Sequence[str]) -> None:
+    """Name the finished stages that values typed now make stale."""
+    stale = outdated(session, names)
+    if stale:
+        session.say(f"stale with these values: {', '.join(stale)}", "yellow")
 
 
 def _refuse_wrong_values(

@@ -171,6 +171,13 @@ class Session:
         """Return a gate of this run; `options` is {stage: its options}."""
         return Gate(self.table, self.store, self.loaded, options or {})
 
+    def gate_before(self) -> Gate:
+        """Return a gate of this run without what was typed now."""
+        settings = [
+            f"{path}={text}" for path, text in (read_memory(self.store.folder) or {}).items()
+        ]
+        return Gate(self.table, self.store, load_config(self.common.profile, settings))
+
     def runner(self, view: View | None = None) -> Runner:
         """Return a runner with progress and `view`."""
         progress = ConsoleProgress(self.people)

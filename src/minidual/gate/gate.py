@@ -116,7 +116,7 @@ class Gate:
         Changed code, profile files or upstream stages alone do not count.
 
         Returns:
-            {stage: how it was made and what was typed}.
+            {stage: how it was made and what is asked for}.
         """
         options = {name: self.options.get(name, {}) for name in names}
         gate = Gate(self.table, self.store, self.loaded, options, self._states)
@@ -131,7 +131,7 @@ class Gate:
                 continue
             if verdict.fingerprint.choices(gate.fingerprint(name, verdict)):
                 made_with = " ".join(sorted(made))
-                replaced[name] = f"made with {made_with}, typed was {' '.join(typed)}"
+                replaced[name] = f"made with {made_with}, asked for is {' '.join(typed)}"
         return replaced
 
     def typed(self, name: str) -> list[str]:

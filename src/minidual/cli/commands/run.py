@@ -8,7 +8,7 @@ import typer
 from minidual.cli.console import print_outcome, print_status
 from minidual.cli.documents import outcome_document
 from minidual.cli.options import GateOptions, ViewOptions
-from minidual.cli.own_run import spare_finished
+from minidual.cli.own_run import say_outdated, spare_finished
 from minidual.cli.session import Session
 from minidual.errors import ExitCode
 from minidual.gate.runner import StageOutcome
@@ -41,6 +41,8 @@ def run(
     names = session.gate().until(until, gate_options.force)
     if not gate_options.yes:
         spare_finished(session, names, {}, gate_options.force)
+    else:
+        say_outdated(session, names)
     session.say_remembered()
     outcomes = _outcomes(session, until, view_options, gate_options)
     code = ExitCode.PASS
