@@ -62,11 +62,13 @@ def explained(checks: Sequence[Check], wording: Wording) -> RenderableType:
     return Group(*parts)
 
 
-def _line(check: Check, more: str = "") -> Text:
-    """Return, for example, "pass  tilt_max_rad is 0.1 rad, limit <= 0.2 rad"."""
-    result = RESULTS[check.passed]
-    gap = " " * max(1, _INDENT - len(result))
-    return Text.assemble(result, gap, check.sentence(), more)
+def _line(check: Check, more: str = "") -> Table:
+    """Return, for example, "pass  tilt_max_rad is 0.1 rad, limit <= 0.2 rad", as one row."""
+    row = Table.grid()
+    row.add_column(width=_INDENT)
+    row.add_column(overflow="fold")
+    row.add_row(RESULTS[check.passed], check.sentence() + more)
+    return row
 
 
 def _table(checks: Sequence[Check], title: str) -> Table:
