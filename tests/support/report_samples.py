@@ -18,8 +18,10 @@ from minidual.gate.stage import StageContext
 from minidual.gate.verdict import Verdict, Waiver, build_manifest
 from minidual.show.report.figures import Figure, TrialRow, benchmark_figures
 from minidual.show.report.tables import Tables
+from minidual.show.report.words import Words
 from minidual.trials.benchmark import BenchmarkCell, conditions_data
 from minidual.trials.comparisons import compare_all, compare_with_clean
+from minidual.trials.contrasts import contrast_all
 from minidual.trials.metrics import MethodSummary, TrialMetrics, summarise
 
 METHODS = ("moveit", "impedance", "act")
@@ -109,10 +111,10 @@ _DRAWN: dict[str, list[Figure]] = {}
 def figures_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw equal figures once in all tests: drawing takes most of a report's time."""
 
-    def drawn(tables: Tables, trials: list[TrialRow]) -> list[Figure]:
-        key = repr((tables, trials))
+    def drawn(tables: Tables, trials: list[TrialRow], words: Words) -> list[Figure]:
+        key = repr((tables, trials, words.language))
         if key not in _DRAWN:
-            _DRAWN[key] = benchmark_figures(tables, trials)
+            _DRAWN[key] = benchmark_figures(tables, trials, words)
         return _DRAWN[key]
 
     monkeypatch.setattr("minidual.show.report.page.benchmark_figures", drawn)
@@ -217,6 +219,7 @@ def benchmark_data(trials: Sequence[TrialMetrics]) -> dict[str, Any]:
         "methods": methods_data(clean),
         "conditions": conditions_data(cells),
         "comparisons": compare_all(trials),
+        "contrasts": [contrast.to_row() for contrast in contrast_all(trials)],
         "losses": compare_with_clean(trials),
     }
 

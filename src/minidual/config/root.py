@@ -1,7 +1,7 @@
 """Root of the configuration, with small sections, and validated changes."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
@@ -55,6 +55,8 @@ class ReportConfig(StrictModel):
     """Configuration of `report`."""
 
     title: str = Field(default="minidual: a measured dual-arm system", min_length=1)
+    language: Literal["en", "zh"] = "en"
+    """Of the page; report.json is in English."""
 
 
 Origin = Annotated[str, Field(pattern=r"^https?://[a-z0-9.-]+(:[0-9]{1,5})?$", max_length=200)]

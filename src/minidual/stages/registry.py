@@ -211,6 +211,7 @@ REPORT = StageEntry(
     summary="Build the report from the verdicts: one offline HTML and report.json",
     reads=("report", "task", "benchmark"),
     closing=True,
+    settings={"lang": "report.language"},
 )
 
 STAGES = StageTable(

@@ -9,6 +9,8 @@ from minidual.durable import write_csv
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult, aligned
 from minidual.show.figures.side_by_side import Take, film_takes, take
+from minidual.show.report.sentences import sentence
+from minidual.show.report.words import Words
 from minidual.show.watch import watch_trials
 from minidual.stages.checkpoint_choice import chosen_policies, require_policies
 from minidual.tasks.catalogue import make_task
@@ -51,7 +53,7 @@ def try_out(context: ToolContext) -> ToolResult:
     write_csv(context.output / "trials.csv", rows, missing="does not apply")
     lines = [*aligned([_row(method, results) for method in methods]), ""]
     lines += _failures(results)
-    answers = _answers(methods, results, context.seed)
+    answers = _answers(task.name, methods, results, context.seed)
     lines += answers
     film = ""
     if options.get("video"):
@@ -131,13 +133,18 @@ def _failures(results: Sequence[TrialMetrics]) -> list[str]:
     return [*lines, ""] if lines else []
 
 
-def _answers(methods: Sequence[str], results: Sequence[TrialMetrics], seed: int) -> list[str]:
+def _answers(
+    task: str,
+    methods: Sequence[str],
+    results: Sequence[TrialMetrics],
+    seed: int,
+) -> list[str]:
     """Return a sentence for each pair of methods."""
     sentences: list[str] = []
     for place, first in enumerate(methods):
         for second in methods[place + 1 :]:
             pair = [trial for trial in results if trial.method in (first, second)]
-            sentences.append(answer(pair, seed))
+            sentences.append(sentence(answer(task, pair, seed), Words("en")))
     return sentences
 
 

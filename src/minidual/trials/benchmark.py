@@ -10,6 +10,7 @@ from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Trial
 from minidual.trials.comparisons import compare_all, compare_with_clean
 from minidual.trials.conditions import CLEAN, CONDITIONS, condition, parse_conditions
+from minidual.trials.contrasts import contrast_all
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import Cell, MethodSummary, TrialMetrics, summarise
 from minidual.trials.runner import Watch, run_trials
@@ -218,6 +219,7 @@ def benchmark_data(
         "methods": {cell.method: cell.record() for cell in cells if cell.condition == CLEAN},
         "conditions": conditions_data(cells),
         "comparisons": compare_all(trials, seed),
+        "contrasts": [contrast.to_row() for contrast in contrast_all(trials, seed)],
         "losses": compare_with_clean(trials, seed),
     }
 

@@ -4,6 +4,7 @@
 """
 
 import csv
+import html
 import io
 import math
 import re
@@ -21,6 +22,7 @@ from matplotlib.figure import Figure as Canvas
 from minidual.errors import DataError
 from minidual.show.report.indicators import INDICATORS, Indicator
 from minidual.show.report.tables import Cell, IndicatorValue, Row, Tables
+from minidual.show.report.words import Words
 from minidual.trials.conditions import CLEAN
 
 _STYLE_FILE = str(files("minidual.show.report") / "templates/figure.mplstyle")
@@ -29,9 +31,26 @@ INK = _STYLE["text.color"]
 GRID = _STYLE["grid.color"]
 FAINT = _STYLE["xtick.color"]
 _CSS = {INK: "var(--ink)", GRID: "var(--line)", FAINT: "var(--muted)"}
-COLOURS = ("#2f7fd1", "#e0782f", "#2f9e6e", "#9b6bd3", "#c94f7c", "#7a8694")
+
+
+class Look(NamedTuple):
+    """How a method is drawn: apart in colour, in grey and in shape."""
+
+    colour: str
+    marker: str
+
+
+LOOKS = (
+    Look("#1f5fa8", "o"),
+    Look("#e0782f", "s"),
+    Look("#1e7a52", "^"),
+    Look("#a983dd", "D"),
+    Look("#a83462", "v"),
+    Look("#7a8694", "P"),
+)
 """Of the methods, in the order of the columns."""
 _LIMIT = "#c8452f"
+_ENGLISH = Words("en")
 _WIDTH_IN = 5.2
 _BAND = 0.72
 """Share of the row height that a condition's methods use."""
@@ -93,7 +112,7 @@ def _row_chart(row_names: Sequence[str], name: str, height: float) -> Iterator[_
         chart.svg = buffer.getvalue()
 
 
-def success_figure(rows: Sequence[Row]) -> Figure | None:
+def success_figure(rows: Sequence[Row], words: Words = _ENGLISH) -> Figure | None:
     """Return the figure of success rates with intervals by condition; None without any rate."""
     if not any(cell.success for row in rows for cell in row.cells):
         return None
@@ -110,7 +129,7 @@ def success_figure(rows: Sequence[Row]) -> Figure | None:
                     _draw_absence(chart.axes, y, cell)
                 else:
                     label = cell.method if i == 0 else None
-                    _draw_rate(chart.axes, y, cell.success, _colour(k), label)
+                    _draw_rate(chart.axes, y, cell.success, look_of(k), label)
         chart.figure.legend(
             loc="outside upper center",
             ncols=methods_n,
@@ -118,22 +137,35 @@ def success_figure(rows: Sequence[Row]) -> Figure | None:
             fontsize=9,
         )
         chart.axes.set_xlim(-2, 102)
-        chart.axes.set_xlabel("success, %")
+        chart.axes.set_xlabel(_ENGLISH("figure.success_axis"))
+    methods = [cell.method for cell in rows[0].cells]
+    reasons = ("figure.spared", "figure.missing")
+    texts = {_ENGLISH(key): words(key) for key in ("figure.success_axis", *reasons)}
+    for method in methods:
+        texts |= {f"{method}: {_ENGLISH(key)}": f"{method}: {words(key)}" for key in reasons}
     return Figure(
         "success",
-        "Success" if len(rows) == 1 else "Success under each condition",
-        "Dots: share of trials that passed. Lines: 95 % Wilson interval.",
-        chart.svg,
+        words("figure.success" if len(rows) == 1 else "figure.success_conditions"),
+        words("figure.success_caption"),
+        _translated(chart.svg, texts),
     )
 
 
-def _colour(column: int) -> str:
-    return COLOURS[column % len(COLOURS)]
+def look_of(column: int) -> Look:
+    """Return how the method of a column is drawn."""
+    return LOOKS[column % len(LOOKS)]
+
+
+def _translated(svg: str, texts: Mapping[str, str]) -> str:
+    """Return an SVG with whole texts replaced: it is drawn with the widths of the English ones."""
+    for source, text in texts.items():
+        svg = svg.replace(f">{html.escape(source)}<", f">{html.escape(text)}<")
+    return svg
 
 
 def _draw_absence(axes: Any, y: float, cell: Cell) -> None:
     """Write why a cell has no success rate."""
-    reason = "does not apply" if cell.state == "spared" else "missing"
+    reason = _ENGLISH("figure.spared" if cell.state == "spared" else "figure.missing")
     axes.text(0, y, f"{cell.method}: {reason}", fontsize=7.5, va="center", color=FAINT)
 
 
@@ -141,17 +173,17 @@ def _draw_rate(
     axes: Any,
     y: float,
     rate: IndicatorValue,
-    colour: str,
+    look: Look,
     label: str | None,
 ) -> None:
     """Draw a success rate and its interval."""
     interval = [100 * rate.low, 100 * rate.high]
-    axes.plot(interval, [y, y], color=colour, linewidth=2.0, alpha=0.75)
+    axes.plot(interval, [y, y], color=look.colour, linewidth=2.0, alpha=0.75)
     axes.plot(
         100 * rate.value,
         y,
-        "o",
-        color=colour,
+        look.marker,
+        color=look.colour,
         markersize=6.5,
         markeredgewidth=0,
         label=label,
@@ -181,15 +213,17 @@ class _Point(NamedTuple):
 
 def strip_figure(
     indicator: Indicator,
-    methods: Mapping[str, str],
+    methods: Mapping[str, Look],
     trials: Sequence[TrialRow],
+    words: Words = _ENGLISH,
 ) -> Figure | None:
     """Return the figure of every trial and the median of the successes; None without values.
 
     Args:
         indicator: What is drawn.
-        methods: {method: its colour}.
+        methods: {method: its look}.
         trials: Rows of benchmark.csv.
+        words: Of the page's language.
     """
     points = _points(indicator, trials)
     if not points:
@@ -197,16 +231,26 @@ def strip_figure(
     largest = max(point.value for point in points)
     limit = (indicator.excellent or math.inf) * indicator.scale
     with _row_chart(tuple(methods), indicator.key, len(methods)) as chart:
-        for i, (method, colour) in enumerate(methods.items()):
+        for i, (method, look) in enumerate(methods.items()):
             own_points = [point for point in points if point.method == method]
-            _draw_strip(chart.axes, i, own_points, colour)
+            _draw_strip(chart.axes, i, own_points, look)
         if largest > _LIMIT_SHOWN_FROM * limit:
             _draw_limit(chart.axes, limit, f"excellent {indicator.excellent_text}")
             largest = max(largest, limit)
         chart.axes.set_xlim(0, largest * 1.08 or 1.0)
         chart.axes.locator_params(axis="x", nbins=6)
         chart.axes.set_xlabel(f"{indicator.title}, {indicator.unit}")
-    return Figure(indicator.key, indicator.title, indicator.meaning, chart.svg)
+    title = words.indicator(indicator)
+    unit = words.unit(indicator.unit)
+    excellent = indicator.excellent_text
+    texts = {
+        f"{indicator.title}, {indicator.unit}": f"{title}{words('comma')}{unit}",
+        f"excellent {excellent}": (
+            f"{words('figure.excellent')} {excellent.replace(indicator.unit, unit)}"
+        ),
+    }
+    svg = _translated(chart.svg, texts)
+    return Figure(indicator.key, title, words.meaning(indicator), svg)
 
 
 def _points(indicator: Indicator, trials: Sequence[TrialRow]) -> list[_Point]:
@@ -220,17 +264,17 @@ def _points(indicator: Indicator, trials: Sequence[TrialRow]) -> list[_Point]:
     return points
 
 
-def _draw_strip(axes: Any, row: int, points: Sequence[_Point], colour: str) -> None:
-    """Draw the trials of one method: dots for successes, crosses for failures, a bar at the median."""
+def _draw_strip(axes: Any, row: int, points: Sequence[_Point], look: Look) -> None:
+    """Draw the trials of one method: markers for successes, crosses for failures, a bar at the median."""
     for k, point in enumerate(points):
         spread = (0.5 + k * _GOLDEN) % 1.0
         y = row + _STRIP * (spread - 0.5)
         if point.success:
             dot = {"markersize": 4.5, "alpha": 0.7, "markeredgewidth": 0}
-            axes.plot(point.value, y, "o", color=colour, **dot)
+            axes.plot(point.value, y, look.marker, color=look.colour, **dot)
         else:
             cross = {"markersize": 5.5, "markeredgewidth": 1.4}
-            axes.plot(point.value, y, "x", color=colour, **cross)
+            axes.plot(point.value, y, "x", color=look.colour, **cross)
     successes = [point.value for point in points if point.success]
     if successes:
         median = statistics.median(successes)
@@ -252,15 +296,19 @@ def _draw_limit(axes: Any, limit: float, label: str) -> None:
     )
 
 
-def benchmark_figures(tables: Tables, trials: Sequence[TrialRow]) -> list[Figure]:
+def benchmark_figures(
+    tables: Tables,
+    trials: Sequence[TrialRow],
+    words: Words = _ENGLISH,
+) -> list[Figure]:
     """Return the figures of success under each condition, and of the undisturbed trials."""
     methods = {
-        cell.method: _colour(k)
+        cell.method: look_of(k)
         for k, cell in enumerate(tables.clean.cells)
         if cell.state != "spared"
     }
-    figures = [success_figure(tables.rows)]
+    figures = [success_figure(tables.rows, words)]
     for indicator in INDICATORS[1:]:
         shown = indicator if tables.own else replace(indicator, excellent=None)
-        figures.append(strip_figure(shown, methods, trials))
+        figures.append(strip_figure(shown, methods, trials, words))
     return [figure for figure in figures if figure is not None]

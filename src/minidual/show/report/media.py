@@ -8,6 +8,7 @@ from typing import NamedTuple
 from minidual.errors import DataError
 from minidual.gate.verdict import Verdict
 from minidual.show.report.wording import CAPTIONS
+from minidual.show.report.words import Words
 
 EMBED_BYTES = 1_500_000
 """Largest file that is embedded in the page."""
@@ -16,6 +17,7 @@ _MIME_TYPES = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
     ".jpeg": "image/jpeg",
+    ".svg": "image/svg+xml",
     ".mp4": "video/mp4",
 }
 
@@ -38,7 +40,12 @@ class Medium(NamedTuple):
     film: bool = False
 
 
-def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Medium]:
+def collect_media(
+    verdict: Verdict,
+    folder: Path,
+    page_folder: Path,
+    words: Words,
+) -> list[Medium]:
     """Return the pictures and films of a stage, without those in subfolders.
 
     Large files are copied into `page_folder`/media.
@@ -47,6 +54,7 @@ def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Med
         verdict: Verdict of the stage; names the files.
         folder: Folder of the stage.
         page_folder: Folder of the page.
+        words: Of the page's language.
 
     Raises:
         DataError: A file is missing.
@@ -66,7 +74,8 @@ def collect_media(verdict: Verdict, folder: Path, page_folder: Path) -> list[Med
             (page_folder / "media").mkdir(exist_ok=True)
             shutil.copyfile(path, page_folder / source)
         caption = captions.get(name) or path.stem.replace("_", " ").capitalize()
-        media.append(Medium(verdict.stage, name, caption, source, film=path.suffix == ".mp4"))
+        shown = words.caption(name, caption)
+        media.append(Medium(verdict.stage, name, shown, source, film=path.suffix == ".mp4"))
     return media
 
 

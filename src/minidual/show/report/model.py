@@ -14,11 +14,8 @@ from minidual.show.report.bench import BenchRecord
 from minidual.show.report.figures import Figure
 from minidual.show.report.media import Medium
 from minidual.show.report.tables import Tables
-from minidual.show.report.wording import CHECK_WORDS, commit, joined, moment
-
-_WIRING_ONLY = (
-    "Few trials and little training show that the parts fit together. The rates prove nothing else."
-)
+from minidual.show.report.wording import CHECK_WORDS, commit, moment
+from minidual.show.report.words import Words
 
 
 class Banner(NamedTuple):
@@ -45,6 +42,7 @@ class Report:
         figures: By task.
         media: Pictures and films of the stages.
         bench: Record of `make bench` that lies in the run; None without one.
+        headlines: At most five sentences on what the benchmark shows.
     """
 
     context: StageContext
@@ -52,6 +50,12 @@ class Report:
     figures: Mapping[str, Sequence[Figure]]
     media: Sequence[Medium]
     bench: BenchRecord | None = None
+    headlines: Sequence[str] = ()
+
+    @cached_property
+    def words(self) -> Words:
+        """Words of the page's language."""
+        return Words(self.context.config.report.language)
 
     @cached_property
     def analysis(self) -> Analysis:
@@ -84,6 +88,16 @@ class Report:
         missing = f"; missing: {shortened(holes)}" if holes else ""
         without = f"; without one: {', '.join(stages)}" if stages else ""
         return checks_of(CHECK_WORDS, rows, missing=missing, without=without)
+
+    @property
+    def _failed(self) -> list[str]:
+        """The failed checks of the report, one line each."""
+        words = self.words
+        failed = [check for check in self.checks if check.passed is False]
+        return [
+            words("banner.check", check=words.check(check), why=words.foreign(check.why))
+            for check in failed
+        ]
 
     @property
     def shown_checks(self) -> list[Check]:
@@ -143,45 +157,51 @@ class Report:
         context = self.context
         verdicts = context.verdicts.values()
 
-        gates = "1 gate" if len(context.waivers) == 1 else f"{len(context.waivers)} gates"
+        words = self.words
+        waivers_n = len(context.waivers)
         yield Banner(
             "tainted",
-            f"Tainted: {gates} opened by hand. This report cannot pass.",
-            [_waiver_line(waiver) for waiver in context.waivers],
+            words("banner.tainted_one" if waivers_n == 1 else "banner.tainted", n=waivers_n),
+            [self._waiver_line(waiver) for waiver in context.waivers],
         )
+        yield Banner("fail", words("banner.fail"), self._failed)
         yield Banner(
             "fail",
-            "This report does not pass",
-            [f"{check.sentence()}: {check.why}" for check in self.checks if check.passed is False],
-        )
-        yield Banner(
-            "fail",
-            "Results of other code: this report cannot pass",
+            words("banner.code"),
             [f"{stage}: {shortened(names)}" for stage, names in context.code_changes.items()],
         )
         yield Banner(
             "smoke",
-            f"{context.profile}: wiring only, not acceptance",
-            [] if self.accepts else [_WIRING_ONLY],
+            words("banner.smoke", profile=context.profile),
+            [] if self.accepts else [words("banner.wiring_only")],
         )
         yield Banner(
             "smoke",
-            f"Less was asked than the {context.profile} profile asks: not acceptance",
-            self.weakened,
+            words("banner.weakened", profile=context.profile),
+            [words.foreign(line) for line in self.weakened],
         )
         yield Banner(
             "note",
-            f"Values of the {context.profile} profile were overridden",
+            words("banner.overrides", profile=context.profile),
             sorted({override for verdict in verdicts for override in verdict.overrides}),
         )
         commits = sorted({commit(verdict.fingerprint.commit) for verdict in verdicts})
         yield Banner(
             "note",
-            f"The stages were run at {len(commits)} commits",
+            words("banner.commits", n=len(commits)),
             commits if len(commits) > 1 else [],
         )
 
-
-def _waiver_line(waiver: Waiver) -> str:
-    blocking = joined([f"{stage} was {state}" for stage, state in waiver.blocking.items()])
-    return f"gate of {waiver.stage}, {moment(waiver.at)}: “{waiver.reason}” ({blocking})"
+    def _waiver_line(self, waiver: Waiver) -> str:
+        words = self.words
+        blocking = [
+            words("banner.was", stage=stage, state=state)
+            for stage, state in waiver.blocking.items()
+        ]
+        return words(
+            "banner.waiver",
+            stage=waiver.stage,
+            at=moment(waiver.at),
+            reason=waiver.reason,
+            blocking=words("comma").join(blocking),
+        )

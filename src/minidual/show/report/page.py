@@ -22,14 +22,15 @@ from minidual.show.report.figures import benchmark_figures, read_trials
 from minidual.show.report.indicators import INDICATORS, three_digits
 from minidual.show.report.media import collect_media
 from minidual.show.report.model import Report
+from minidual.show.report.sentences import evidence, headline_sentences
 from minidual.show.report.tables import CERTAIN, Cell, Row, Tables, tabulate
-from minidual.tasks.failures import failure_words
+from minidual.show.report.words import Words
 from minidual.trials.benchmark import limits_of, trials_asked
 from minidual.trials.measures import MEASURES
 from minidual.trials.methods import METHODS
 
 TRIALS_FILE = "benchmark.csv"
-_SCHEMA = 4
+_SCHEMA = 5
 
 _DAMAGED = (
     LookupError,
@@ -51,8 +52,7 @@ _PAGES = jinja2.Environment(
 _PAGES.filters |= {
     "commit": wording.commit,
     "duration": wording.duration,
-    "fault": failure_words,
-    "joined": wording.joined,
+    "evidence": evidence,
     "moment": wording.moment,
     "percent": wording.percent,
     "points": wording.points,
@@ -83,10 +83,11 @@ def build_report(context: StageContext, folder: Path) -> Report:
 
 def _gather(context: StageContext, folder: Path) -> Report:
     """Return the report's content; large films are copied into `folder`."""
+    words = Words(context.config.report.language)
     media = [
         medium
         for stage, verdict in context.verdicts.items()
-        for medium in collect_media(verdict, context.upstream[stage], folder)
+        for medium in collect_media(verdict, context.upstream[stage], folder, words)
     ]
     tables = _tables(context)
     benchmark = context.verdicts.get("benchmark")
@@ -94,9 +95,11 @@ def _gather(context: StageContext, folder: Path) -> Report:
     figures = {}
     for task, of_task in tables.items():
         own_trials = [trial for trial in trials if trial["task"] == task]
-        figures[task] = benchmark_figures(of_task, own_trials)
+        figures[task] = benchmark_figures(of_task, own_trials, words)
     bench = read_bench(context.folder.parent / BENCH_FILE)
-    return Report(context, tables, figures, media, bench)
+    data = benchmark.data["tasks"] if benchmark else {}
+    headlines = headline_sentences({task: data[task] for task in tables if task in data}, words)
+    return Report(context, tables, figures, media, bench, headlines)
 
 
 def _tables(context: StageContext) -> dict[str, Tables]:
@@ -127,13 +130,16 @@ def _write_figures(report: Report, folder: Path) -> None:
 
 def render_page(report: Report) -> str:
     """Return one self-contained HTML page."""
+    words = report.words
     return _PAGES.get_template("report.html.j2").render(
         report=report,
+        words=words,
+        t=words,
         indicators=INDICATORS,
         measures=MEASURES,
         digits=three_digits,
         certain=CERTAIN,
-        described={name: _described(report.context, name) for name in _methods(report.context)},
+        described={name: _described(report, name) for name in _methods(report.context)},
     )
 
 
@@ -155,16 +161,20 @@ def _methods(context: StageContext) -> tuple[str, ...]:
     return tuple(context.config.benchmark.methods)
 
 
-def _described(context: StageContext, method: str) -> MethodDescription:
+def _described(report: Report, method: str) -> MethodDescription:
     """Return a method in words; one that the table of methods does not have is named only."""
     if method not in METHODS:
         return MethodDescription(method)
+    words = report.words
     spec = METHODS[method]
-    network = _network(context)
+    network = _network(report.context)
+    summary = words.method(method, spec.summary)
     if not spec.learned or network is None:
-        return MethodDescription(method, spec.summary)
-    summary = f"{spec.summary}: {network.summary}" if network.summary else spec.summary
-    return MethodDescription(f"{method} ({network.name})", summary, network.beside)
+        return MethodDescription(method, summary)
+    if network.summary and words.is_source:
+        summary = f"{summary}: {network.summary}"
+    beside = words("beside", text=network.beside) if network.beside and words.is_source else ""
+    return MethodDescription(f"{method} ({network.name})", summary, beside)
 
 
 def _network(context: StageContext) -> Architecture | None:
@@ -181,6 +191,7 @@ def document(report: Report) -> dict[str, Any]:
         "schema": _SCHEMA,
         "title": context.config.report.title,
         "state": report.state,
+        "headlines": list(report.headlines),
         "acceptance": report.state == "pass",
         "profile": context.profile,
         "seed": context.seed,

@@ -133,19 +133,45 @@ class Tables(NamedTuple):
     Attributes:
         rows: One per condition.
         pairs: Comparisons of methods, undisturbed.
-        partings: Comparisons of methods under a disturbance that are significant.
+        disturbed_pairs: Comparisons of methods under disturbances.
         own: Whether it is the run's own task, for which the limits of "excellent" were set.
     """
 
     rows: tuple[Row, ...]
     pairs: Sequence[Pair] = ()
-    partings: Sequence[Pair] = ()
+    disturbed_pairs: Sequence[Pair] = ()
     own: bool = True
 
     @property
     def clean(self) -> Row:
         """The undisturbed row."""
         return self.rows[0]
+
+    def measured(self, name: str) -> bool:
+        """Return whether any method has a further measure, undisturbed."""
+        return any(cell.further.get(name) is not None for cell in self.clean.cells)
+
+    @property
+    def most_tried(self) -> Row:
+        """The row with most trials; of equals the first."""
+        return max(self.rows, key=lambda row: max((c.trials or 0 for c in row.cells), default=0))
+
+    @property
+    def summary_rows(self) -> list[Row]:
+        """The undisturbed row, and the disturbed one with more trials than it."""
+        return [self.clean] if self.most_tried is self.clean else [self.clean, self.most_tried]
+
+    @property
+    def shown_pairs(self) -> list[Pair]:
+        """Comparisons of methods in the summary rows."""
+        most_tried = self.most_tried.condition
+        of_it = [pair for pair in self.disturbed_pairs if pair["condition"] == most_tried]
+        return [*self.pairs, *of_it]
+
+    @property
+    def partings(self) -> list[Pair]:
+        """Significant comparisons of methods under a disturbance."""
+        return [pair for pair in self.disturbed_pairs if pair["shown"]]
 
     @property
     def cells(self) -> Iterator[Cell]:
@@ -230,8 +256,7 @@ def tabulate(
     pairs = data.get("comparisons", [])
     clean_pairs = corrected([pair for pair in pairs if pair["condition"] == CLEAN])
     disturbed_pairs = corrected([pair for pair in pairs if pair["condition"] != CLEAN])
-    partings = [pair for pair in disturbed_pairs if pair["shown"]]
-    return Tables(tuple(rows), clean_pairs, partings, own)
+    return Tables(tuple(rows), clean_pairs, disturbed_pairs, own)
 
 
 def _cell(
