@@ -40,8 +40,8 @@ def test_the_stage_grades_it_like_any_other(page: dict[str, Any], tmp_path: Path
     checks = train_checks(page["result"], emitted, config.train, DUAL_PANDA)
     assert [c.name for c in checks if c.passed is False] == []
     write_loss_csv(page["result"].curve, tmp_path / "loss.csv")
-    draw_loss(page["result"], tmp_path / "loss.png")
-    assert (tmp_path / "loss.png").stat().st_size > 10_000
+    draw_loss(page["result"], tmp_path / "loss.svg")
+    assert (tmp_path / "loss.svg").stat().st_size > 10_000
 
 
 def test_the_checkpoint_says_of_which_kind_it_is(page: dict[str, Any]) -> None:

@@ -106,8 +106,8 @@ def test_records_hold_the_curve(demos: Demonstrations, tmp_path: Path) -> None:
     assert [line.split(",")[0] for line in lines[1:]] == ["2", "4"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        draw_loss(result, tmp_path / "loss.png")
-    assert (tmp_path / "loss.png").stat().st_size > 10_000
+        draw_loss(result, tmp_path / "loss.svg")
+    assert (tmp_path / "loss.svg").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

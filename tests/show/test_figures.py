@@ -1,11 +1,13 @@
 """Figures are functions of data: they draw what they are given, for any number of joints."""
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from minidual.config.root import Config
@@ -15,6 +17,7 @@ from minidual.robot.pair import robot_from
 from minidual.show.figures import canvas
 from minidual.show.figures.film import Postures, draw_failures, film_postures, sheet_of_postures
 from minidual.show.figures.trial import draw_trial
+from minidual.show.report.figures import LOOKS
 from minidual.trials.benchmark import draw_under
 from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
@@ -55,11 +58,13 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
         log,
         config.scene,
         robot,
-        tmp_path / "trial.png",
+        tmp_path / "trial.svg",
         goal=np.array([0.53, -0.28, 0.01]),
         title="a title",
     )
-    assert imread(tmp_path / "trial.png").std() > 0.02
+    svg = (tmp_path / "trial.svg").read_text(encoding="utf-8")
+    assert ">a title</text>" in svg
+    assert svg.count("<path") > 20
     goals = [line.get_ydata()[0] for line in drawn[0][1][0, 0].lines if line.get_linestyle() == ":"]
     assert goals == [0.53, -0.28, 0.01]  # of this trial, not the middle of its range
     torque = drawn[0][1][1, 1]
@@ -68,6 +73,26 @@ def test_a_trial_is_drawn_with_the_joints_of_its_arm(
     ]
     assert torque.lines[joints - 1].get_ydata()[0] == pytest.approx(0.9)  # the larger of both arms
     assert torque.lines[0].get_ydata()[0] == pytest.approx(0.5)
+
+
+def test_the_same_plot_gives_the_same_bytes_without_a_date(tmp_path: Path) -> None:
+    written: list[bytes] = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        figure, axes = canvas.new_figure(1, 1, 4.0, 3.0)
+        axes[0, 0].plot([0.0, 1.0], [1.0, 0.0])
+        canvas.save_plot(figure, tmp_path / folder / "plot.svg")
+        written.append((tmp_path / folder / "plot.svg").read_bytes())
+    assert written[0] == written[1]
+    assert b"<dc:date>" not in written[0]
+
+
+def test_lines_and_markers_are_told_apart_without_colour() -> None:
+    """Printed in grey, neither two lines of a plot nor two methods of the report look the same."""
+    assert len({str(style) for _, style in canvas.LINES}) == len(canvas.LINES) >= 7
+    assert len({look.marker for look in LOOKS}) == len(LOOKS) >= 6
+    greys = [np.dot(to_rgb(look.colour), (0.299, 0.587, 0.114)) for look in LOOKS]
+    assert min(abs(one - next_one) for one, next_one in pairwise(greys)) > 0.08
 
 
 def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> None:

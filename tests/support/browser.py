@@ -125,15 +125,16 @@ class Browser:
         """Open an address and wait until the page is loaded."""
         answer = self.call("Page.navigate", url=url)
         end = time.monotonic() + limit_s
-        while time.monotonic() < end and self._evaluate("document.readyState") != "complete":
+        while time.monotonic() < end and self.evaluate("document.readyState") != "complete":
             time.sleep(0.2)
         return answer
 
     def text(self):
         """Return the words that the page shows."""
-        return str(self._evaluate("document.body.innerText"))
+        return str(self.evaluate("document.body.innerText"))
 
-    def _evaluate(self, expression):
+    def evaluate(self, expression):
+        """Return the value of an expression in the page."""
         try:
             answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         except RuntimeError:  # the page before has gone, the next one is not there yet

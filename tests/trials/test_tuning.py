@@ -131,7 +131,7 @@ def test_the_profile_that_is_written_loads(plant, tmp_path):
         result.data["settings"]["carry.impedance.internal_force_n"],
         abs=0.01,
     )
-    assert (tmp_path / "carry-tune" / "tuning.png").stat().st_size > 10_000
+    assert (tmp_path / "carry-tune" / "tuning.svg").stat().st_size > 10_000
     assert (tmp_path / "carry-tune" / "tuning.csv").read_text().startswith("phase,")
 
 

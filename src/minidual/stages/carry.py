@@ -181,7 +181,7 @@ def _show_trial(
         log,
         task.scene,
         robot_from(config.robot),
-        context.folder / f"{label}.png",
+        context.folder / f"{label}.svg",
         goal=pose_of(carried, trial.goal[task.carried])[:3, 3],
         title=f"{config.carry.object}, {config.carry.motion}: "
         f"{label} trial ({result.index}): {result.text}",

@@ -83,13 +83,13 @@ def tune(context: ToolContext) -> ToolResult:
         f"# Found by `minidual carry --tune`, seed {context.seed}: "
         f"{tuning.least_force_n:.1f} N is the least squeeze that\n"
         f"# held {CARRIES_N} of {CARRIES_N} carries; "
-        "see tuning.csv and tuning.png beside this file.\n"
+        "see tuning.csv and tuning.svg beside this file.\n"
     )
     profile = _tuned_profile(context, config, settings)
     write_text(context.output / "tuned.yaml", head + yaml.safe_dump(profile, sort_keys=False))
     steps = [step.row() for step in tuning.steps]
     write_csv(context.output / "tuning.csv", steps)
-    draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.png")
+    draw_tuning(tuning, config.scene.task.internal_force_min_n, context.output / "tuning.svg")
     final_rows = [row for row in steps if row["phase"] in ("final", "compared")]
     command = context.command("run --until carry")
     path = shlex.quote(str(context.folder / "tuned.yaml"))

@@ -55,7 +55,7 @@ def run(context: StageContext) -> StageResult:
     _write_trajectories(context, first, robot)
     if context.pictures:
         write_paths(folder / "paths.png", context.config.scene, first)
-        write_times(first, folder / "times.png", config.time_median_max_s.model_dump())
+        write_times(first, folder / "times.svg", config.time_median_max_s.model_dump())
     checks = [
         *_query_checks(first, config, ""),
         *_query_checks(second, config, "second_seed."),

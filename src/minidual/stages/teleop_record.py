@@ -179,7 +179,7 @@ class _Demonstrations:
 
 
 def run(context: StageContext) -> StageResult:
-    """Record, convert and film; write quality.csv and quality.png."""
+    """Record, convert and film; write quality.csv and quality.svg."""
     folder = context.folder
     teleop = context.config.teleop
     job = _job(context)
@@ -195,7 +195,7 @@ def run(context: StageContext) -> StageResult:
         context.progress.note("filming the first demonstration again")
         film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
     tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
-    draw_quality(recorded.attempts, tests, teleop.jerk_max_rad_s3, folder / "quality.png")
+    draw_quality(recorded.attempts, tests, teleop.jerk_max_rad_s3, folder / "quality.svg")
     rejected = [a for a in attempts if not a.kept]
     data = {
         "rejected": {str(a.trial.index): a.reason for a in rejected},

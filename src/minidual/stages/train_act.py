@@ -28,7 +28,7 @@ LOSS_RATIO = Criterion(
     "loss_ratio",
     "<",
     why="training L1 at the end over that of the first steps; it must have learned something",
-    remedy="raise train.steps, or look at loss.png for a learning rate that is too high",
+    remedy="raise train.steps, or look at loss.svg for a learning rate that is too high",
 )
 ACTIONS_IN_LIMITS = Criterion(
     "actions_in_limits",
@@ -198,10 +198,10 @@ def _write_records(
     result: TrainResult,
     emitted: EmittedActions,
 ) -> dict[str, Any]:
-    """Write loss.csv, loss.png and train.json; return what train.json holds."""
+    """Write loss.csv, loss.svg and train.json; return what train.json holds."""
     folder = _training_folder(context, k)
     write_loss_csv(result.curve, folder / "loss.csv")
-    draw_loss(result, folder / "loss.png")
+    draw_loss(result, folder / "loss.svg")
     cameras = {name: list(demos.images[name].shape[1:3]) for name in demos.cameras}
     extra = {
         "policy": context.config.train.policy,

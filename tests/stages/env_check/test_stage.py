@@ -90,7 +90,7 @@ class TestStage:
         assert {p.name for p in folder.iterdir()} == {
             "sine.mp4",
             "cameras.png",
-            "tracking.png",
+            "tracking.svg",
             "joints.csv",
         }
         with av.open(str(folder / "sine.mp4")) as film:

@@ -8,11 +8,13 @@ import numpy as np
 
 from minidual.config.seeds import stream
 from minidual.motion.api import PLAN_PHASES
-from minidual.show.figures.canvas import INK, LIMIT, new_figure
+from minidual.show.figures.canvas import BLUE, GREEN, INK, LIMIT, ORANGE, new_figure, save_plot
 from minidual.trials.planning.evaluate import QueryOutcome
 
 _PHASES = tuple(phase for phase in PLAN_PHASES if phase != "scene")
 """Phases that count as planning time."""
+_FILLS = (BLUE, ORANGE, GREEN, "#7d5bbf", "#b04066", "#66717e")
+_HATCHES = ("", "//", "..", "\\\\", "xx", "--")
 
 
 def write_times(
@@ -30,7 +32,7 @@ def write_times(
     figure, ((spread, shares),) = new_figure(1, 2, 11.0, 4.2)
     _draw_spread(spread, outcomes, median_max_s)
     _draw_phases(shares, outcomes)
-    figure.savefig(path)
+    save_plot(figure, path)
 
 
 def _draw_spread(
@@ -74,9 +76,18 @@ def _draw_phases(axis: Any, outcomes: Mapping[str, Sequence[QueryOutcome]]) -> N
     """Draw the median time of each phase, a stacked bar per group."""
     groups = list(outcomes)
     left_ms = np.zeros(len(groups))
-    for phase in _PHASES:
+    for k, phase in enumerate(_PHASES):
         medians_ms = np.array([_median_ms(outcomes[group], phase) for group in groups])
-        axis.barh(groups, medians_ms, left=left_ms, label=phase, height=0.55)
+        axis.barh(
+            groups,
+            medians_ms,
+            left=left_ms,
+            label=phase,
+            height=0.55,
+            hatch=_HATCHES[k % len(_HATCHES)],
+            color=_FILLS[k % len(_FILLS)],
+            edgecolor="white",
+        )
         left_ms += medians_ms
     axis.set_xlabel("median time of each phase [ms]")
     axis.legend(

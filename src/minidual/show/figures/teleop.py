@@ -8,8 +8,10 @@ import numpy as np
 
 from minidual.demos.episode import read_episode
 from minidual.demos.rig import Attempt
-from minidual.show.figures.canvas import BLUE, LIMIT, new_figure
+from minidual.show.figures.canvas import BLUE, GREEN, INK, LIMIT, ORANGE, new_figure, save_plot
 from minidual.tasks.task import Trial, placement
+
+_MARKERS = ("o", "s", "^", "D")
 
 
 def draw_quality(
@@ -30,7 +32,7 @@ def draw_quality(
     _draw_starts(starts, attempts, tested)
     _draw_jerks(jerks, attempts, jerk_limit_rad_s3)
     _draw_motion(motion, attempts)
-    figure.savefig(path)
+    save_plot(figure, path)
 
 
 def _draw_starts(axis: Any, attempts: Sequence[Attempt], tested: Sequence[Trial]) -> None:
@@ -91,14 +93,19 @@ def _draw_motion(axis: Any, attempts: Sequence[Attempt]) -> None:
     t = episode.timestamps - episode.timestamps[0]
     joints_per_arm = episode.qpos.shape[1] // 2
     shown_joints = dict.fromkeys((0, 1, joints_per_arm // 2, joints_per_arm - 1))
+    colours = (BLUE, ORANGE, GREEN, INK)
     for k, joint in enumerate(shown_joints):
-        colour = f"C{k}"
+        colour = colours[k % len(colours)]
         axis.plot(t, episode.action[:, joint], color=colour, lw=0.9, ls="--")
         axis.plot(
             t,
             episode.qpos[:, joint],
             color=colour,
             lw=1.2,
+            ls="-",
+            marker=_MARKERS[k % len(_MARKERS)],
+            markevery=max(1, len(t) // 8),
+            ms=4,
             label=f"left joint {joint + 1}",
         )
     axis.set(

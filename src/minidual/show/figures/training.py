@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from minidual.policies.kinds import TrainResult
-from minidual.show.figures.canvas import new_figure
+from minidual.show.figures.canvas import new_figure, save_plot
 
 
 class _Line(NamedTuple):
@@ -32,9 +32,10 @@ class _Line(NamedTuple):
 
 _LINES = (
     _Line("l1", "training, action L1", "#1f5fa8", "-"),
-    _Line("keyframe", "training, keyframe L1", "#c96f1d", "-"),
+    _Line("keyframe", "training, keyframe L1", "#c96f1d", "--"),
     _Line("validation_l1", "held-out episodes, action L1", "#1d7f4f", "o-", smoothed=False),
 )
+_MARKERS = ("o", "s", "^")
 _UNSMOOTHED = "#9ec5e8"
 _LEARNING_RATE = "#666666"
 
@@ -63,7 +64,7 @@ def draw_loss(result: TrainResult, path: Path) -> None:
     losses.legend(frameon=False)
     rates.plot(steps, [row.learning_rate for row in result.curve], color=_LEARNING_RATE)
     rates.set(ylabel="learning rate", xlabel="step")
-    figure.savefig(path)
+    save_plot(figure, path)
 
 
 def draw_curve(
@@ -76,21 +77,22 @@ def draw_curve(
     Args:
         rows: Each has "step" and the keys of `labels`; NaN where a rate was not measured.
         labels: {key: legend}.
-        path: File of the figure; its suffix names the format.
+        path: Of the figure.
     """
     figure, ((axes,),) = new_figure(1, 1, 9.0, 4.5)
     steps = np.array([row["step"] for row in rows])
-    for (key, label), line in zip(labels.items(), _LINES, strict=False):
+    drawn = zip(labels.items(), _LINES, _MARKERS, strict=False)
+    for (key, label), line, marker in drawn:
         values = np.array([row.get(key, math.nan) for row in rows], float)
         measured = np.isfinite(values)
         axes.plot(
             steps[measured],
             values[measured],
-            "o-",
+            f"{marker}-",
             color=line.colour,
             label=label,
             markersize=4,
         )
     axes.set(xlabel="step", ylabel="share of the episodes", ylim=(-0.03, 1.03))
     axes.legend(frameon=False)
-    figure.savefig(path)
+    save_plot(figure, path)

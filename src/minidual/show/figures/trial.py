@@ -8,7 +8,16 @@ import numpy as np
 
 from minidual.config.scene import SceneConfig
 from minidual.robot.pair import Array, Robot
-from minidual.show.figures.canvas import BLUE, GREEN, INK, ORANGE, limit_line, new_figure
+from minidual.show.figures.canvas import (
+    BLUE,
+    GREEN,
+    INK,
+    LINES,
+    ORANGE,
+    limit_line,
+    new_figure,
+    save_plot,
+)
 from minidual.trials.measures import TrialLog
 
 
@@ -30,12 +39,13 @@ def draw_trial(
     for axis, columns in ((motion, 2), (tilt, 1), (force, 1), (torque, 4)):
         axis.legend(ncols=columns, frameon=False, fontsize=8)
     figure.suptitle("\n".join(textwrap.wrap(title, 110)), fontsize=12)
-    figure.savefig(path)
+    save_plot(figure, path)
 
 
 def _draw_motion(axis: Any, log: TrialLog, scene: SceneConfig, goal: Array) -> None:
-    for k, (name, colour) in enumerate((("x", BLUE), ("y", ORANGE), ("z", GREEN))):
-        axis.plot(log.t, log.position[:, k], color=colour, label=name)
+    looks = (("x", BLUE, "-"), ("y", ORANGE, "--"), ("z", GREEN, "-."))
+    for k, (name, colour, style) in enumerate(looks):
+        axis.plot(log.t, log.position[:, k], color=colour, ls=style, label=name)
         axis.axhline(goal[k], color=colour, lw=0.8, ls=":")
     obstacle = scene.task.obstacle
     if obstacle is not None:
@@ -53,7 +63,7 @@ def _draw_forces(axis: Any, log: TrialLog, scene: SceneConfig) -> None:
     task = scene.task
     axis.plot(log.t, log.pinch[:, 0], color=BLUE, label="pinch, left hand")
     axis.plot(log.t, log.pinch[:, 1], color=ORANGE, ls="--", label="pinch, right hand")
-    axis.plot(log.t, log.internal_force, color=INK, label="internal force")
+    axis.plot(log.t, log.internal_force, color=INK, lw=2, label="internal force")
     limit_line(axis, task.pinch_min_n, "least allowed in the air")
     if task.internal_force_min_n != task.pinch_min_n:
         limit_line(axis, task.internal_force_min_n, "least squeeze allowed in the air", ":")
@@ -66,6 +76,7 @@ def _draw_torques(axis: Any, log: TrialLog, robot: Robot) -> None:
     left, right = np.split(np.abs(log.tau) / robot.tau_max, 2, axis=1)
     larger = np.maximum(left, right)
     for joint, ratio in enumerate(larger.T, start=1):
-        axis.plot(log.t, ratio, lw=1, label=f"joint {joint}")
+        colour, style = LINES[(joint - 1) % len(LINES)]
+        axis.plot(log.t, ratio, lw=1, color=colour, ls=style, label=f"joint {joint}")
     limit_line(axis, 1.0, None)
     axis.set(title="Motor torque / limit, larger of both arms", xlabel="s", ylim=(0, 1.25))

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from minidual.show.figures.canvas import INK, LIMIT, limit_line, new_figure
+from minidual.show.figures.canvas import INK, LIMIT, limit_line, new_figure, save_plot
 from minidual.trials.tuning import OSCILLATION_MAX_M, Tuning, TuningStep
 
 _SQUEEZE = "commanded squeeze (N)"
@@ -28,7 +28,7 @@ def draw_tuning(tuning: Tuning, needed_n: float, path: Path) -> None:
     for axis in figure.axes:
         axis.set_ylim(0, None)
         axis.legend(frameon=False, fontsize=8)
-    figure.savefig(path)
+    save_plot(figure, path)
 
 
 def _draw_force(axis: Any, tuning: Tuning, needed_n: float) -> None:

@@ -24,24 +24,24 @@ CAPTIONS: Mapping[str, Mapping[str, str]] = {
     "env-check": {
         "sine.mp4": "All joints follow a sine",
         "cameras.png": "What each camera sees at home",
-        "tracking.png": "Step, sine and single joints: target against measurement",
+        "tracking.svg": "Step, sine and single joints: target against measurement",
     },
     "plan": {
         "paths.png": "One query a group: paths of the hands among the obstacles",
-        "times.png": "Planning times and their phases",
+        "times.svg": "Planning times and their phases",
     },
     "carry": {
         "carry.mp4": "The median carry under object impedance control",
         "worst.mp4": "The worst carry: the first failure, or the largest tilt",
-        "median.png": "The median trial",
-        "worst.png": "The worst trial: the first failure, or the largest tilt",
+        "median.svg": "The median trial",
+        "worst.svg": "The worst trial: the first failure, or the largest tilt",
     },
     "teleop-record": {
         "demonstration.mp4": "A recorded demonstration",
-        "quality.png": "Quality of every episode",
+        "quality.svg": "Quality of every episode",
     },
     "train-act": {
-        "loss.png": "Training and validation loss",
+        "loss.svg": "Training and validation loss",
     },
     "deploy": {
         "success.mp4": "The policy succeeds on a start held out from training",

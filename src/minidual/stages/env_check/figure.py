@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from minidual.config.control import EnvCheckConfig
 from minidual.robot.pair import Robot
-from minidual.show.figures.canvas import BLUE, INK, ORANGE, limit_line, new_figure
+from minidual.show.figures.canvas import BLUE, INK, ORANGE, limit_line, new_figure, save_plot
 from minidual.stages.env_check.checks import Measurements
 from minidual.stages.env_check.tracking import Tracking
 
@@ -25,8 +25,7 @@ def save_tracking(path: Path, m: Measurements, limits: EnvCheckConfig, robot: Ro
     _draw_rise_times(rise, m, limits.rise_max_s, robot)
     for axes in (norm, alone, swing, rise):
         axes.legend(frameon=False, fontsize=8)
-    # No date in the file: the same run writes the same bytes.
-    figure.savefig(path, metadata={"Software": None})
+    save_plot(figure, path)
 
 
 def _draw_norm(axes: Axes, step: Tracking, limit_rad: float) -> None:

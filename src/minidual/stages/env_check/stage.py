@@ -31,7 +31,7 @@ _PARTS = 8
 
 
 def run(context: StageContext) -> StageResult:
-    """Measure; write joints.csv, sine.mp4, cameras.png and tracking.png."""
+    """Measure; write joints.csv, sine.mp4, cameras.png and tracking.svg."""
     config = context.config
     robot = robot_from(config.robot)
     with context.progress.task("environment", _PARTS) as task:
@@ -47,7 +47,7 @@ def run(context: StageContext) -> StageResult:
             context.folder / "joints.csv",
             [asdict(response) for response in measurements.responses],
         )
-        save_tracking(context.folder / "tracking.png", measurements, config.env_check, robot)
+        save_tracking(context.folder / "tracking.svg", measurements, config.env_check, robot)
         task.advance(note="film")
     notes = [
         f"pictures are drawn by {measurements.cameras.gl_renderer}",
