@@ -15,7 +15,7 @@ from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.show.report.indicators import INDICATORS
 from minidual.show.report.page import build_report
-from minidual.show.report.words import TEXTS, Words, zh
+from minidual.show.report.words import TEXTS, Words, zh_names
 from minidual.stages.registry import STAGES
 from minidual.tasks.failures import FAILURES
 from minidual.trials.conditions import CONDITIONS
@@ -59,7 +59,7 @@ def test_no_template_has_words_of_its_own() -> None:
 
 
 def test_everything_that_verdicts_name_has_a_chinese_name() -> None:
-    names = zh.NAMES
+    names = zh_names.NAMES
     assert set(CONDITIONS) <= set(names.conditions)
     assert set(METHODS) <= set(names.methods)
     assert {entry.name for entry in STAGES.values()} <= set(names.stages)

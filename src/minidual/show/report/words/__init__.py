@@ -10,7 +10,7 @@ from markupsafe import Markup
 from minidual.config.root import ReportConfig
 from minidual.gate.check import Check, with_unit
 from minidual.show.report.indicators import Indicator
-from minidual.show.report.words import en, zh
+from minidual.show.report.words import en, zh, zh_names
 from minidual.show.report.words.names import Names
 from minidual.tasks.failures import FAILURES, FailureName
 from minidual.trials.measures import Measure
@@ -32,7 +32,7 @@ class Words:
     def __init__(self, language: Language) -> None:
         self.language = language
         self._text = TEXTS[language]
-        self._names: Names | None = zh.NAMES if language == "zh" else None
+        self._names: Names | None = zh_names.NAMES if language == "zh" else None
 
     def __call__(self, key: str, **values: Any) -> str:
         """Return the text of a key, its fields filled in; HTML if a field is HTML."""
