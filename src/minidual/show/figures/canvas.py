@@ -14,7 +14,7 @@ LIMIT = "#c0392b"
 BLUE = "#2f6db5"
 ORANGE = "#e07b27"
 GREEN = "#3a9a5b"
-_STYLES = {"svg.fonttype": "none"}
+_STYLES: dict[Any, Any] = {"svg.fonttype": "none"}
 """Text stays text: it can be searched, and has the font of the page."""
 LINES = (
     (BLUE, "-"),
