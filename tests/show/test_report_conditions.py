@@ -234,7 +234,7 @@ def test_losses_and_pairs_are_listed_only_where_the_trials_show_them(
     words = re.sub(r"<[^>]*>", "", built(given, tmp_path)[1])
     assert "act under push +x: −75 points on 20 starts (95 % interval −" in words
     assert "push +x: moveit against act +95 points" in words
-    assert "act under push +x: 20 × grip lost; it stopped itself in 20." in words
+    assert "act under push +x: 20 × grip lost; stopped itself in 20." in words
     few = samples.benchmark_data(samples.disturbed_trials(4))
     assert table(few).losses == []
 
@@ -282,7 +282,7 @@ def test_each_task_has_its_own_tables_and_figures(
     )
     assert text.count("Thinnest margins") == 1
     assert text.count("Success in each task") == 1
-    assert '<th scope="row"><a href="#comparison-handover">handover</a></th>' in text
+    assert '<th scope="row"><a href="#comparison-handover">handover</a>' in text
     # The excellent limits were set for the run's own task.
     assert text.count('<th scope="row">excellent</th>') == text.count("Star: better than") == 1
     first, second = (report.tables[task] for task in (samples.TASK, "handover"))
