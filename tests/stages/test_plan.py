@@ -105,8 +105,8 @@ def test_stage_passes_and_writes_what_it_says(stage_run):
         assert int(row["audited_n"]) > 100
         assert 0.0 < float(row["jerk_ratio"]) <= 0.951
         assert row["direct"] != "True" or row["line_blocked"] == "False"
-    for name in ("paths.png", "times.svg"):
-        assert (folder / name).stat().st_size > 20_000
+    assert (folder / "paths.png").stat().st_size > 20_000
+    assert ">left_arm</text>" in (folder / "times.svg").read_text(encoding="utf-8")
     trajectory = json.loads((folder / "trajectory_both_arms.json").read_text())
     assert len(trajectory["q_rad"][0]) == 14
     json.dumps(result.data, allow_nan=False)
