@@ -56,7 +56,7 @@ def pixel_of(point: Array, rectangle: dict[str, float]) -> tuple[float, float]:
 
 
 def rectangle_of(browser: Browser, expression: str) -> dict[str, float]:
-    found: Any = browser._evaluate(
+    found: Any = browser.evaluate(
         f"(() => {{ const e = {expression}; if (!e) return null; "
         "const r = e.getBoundingClientRect(); "
         "return {x: r.x, y: r.y, width: r.width, height: r.height}; })()",
@@ -79,7 +79,7 @@ def mouse(browser: Browser, kind: str, x: float, y: float, buttons: int = 1) -> 
 def click(browser: Browser, label: str) -> None:
     expression = f"[...document.querySelectorAll('button')].find(b => b.innerText == '{label}')"
     assert browser.until(lambda: bool(rectangle_of(browser, expression)), limit_s=60.0)
-    browser._evaluate(f"({expression}).scrollIntoView({{block: 'center'}})")
+    browser.evaluate(f"({expression}).scrollIntoView({{block: 'center'}})")
     rectangle = rectangle_of(browser, expression)
     x = rectangle["x"] + rectangle["width"] / 2.0
     y = rectangle["y"] + rectangle["height"] / 2.0

@@ -169,7 +169,8 @@ def _described(report: Report, method: str) -> MethodDescription:
     spec = METHODS[method]
     network = _network(report.context)
     summary = words.method(method, spec.summary)
-    if not spec.learned or network is None:
+    drives_network = spec.learned and spec.trainer is None
+    if not drives_network or network is None:
         return MethodDescription(method, summary)
     if network.summary and words.is_source:
         summary = f"{summary}: {network.summary}"

@@ -47,6 +47,7 @@ NAMES = Names(
         "moveit": "规划器：OMPL 规划到物体，持物时作闭链规划；关节轨迹控制",
         "impedance": "双手同持一物时用物体阻抗控制与内力控制；否则按规划运动，接触处用单手阻抗控制",
         "act": "由训练得到的策略驱动双臂",
+        "rl": "由强化学习（PPO）得到的策略，输入为位姿、关节和夹爪",
         "impedance_open": "impedance，但没有内力反馈",
         "impedance_world": "impedance，但内力方向固定在世界坐标系中",
         "replay": "在每个起始状态上重放首次演示的规划（基线）",
