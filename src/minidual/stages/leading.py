@@ -50,9 +50,9 @@ def _station(context: StageContext, leader: type[Leader], view: Any, stack: Exit
     stations: list[Station] = [LineStation(context.progress.note)]
     if view is not None:
         stations.append(view.lead_page())
-    has_terminal = sys.stdin is not None and sys.stdin.isatty()
-    if has_terminal and not leader.features.terminal:
-        terminal = Terminal(sys.stdin.fileno(), "the station")
+    stdin = sys.stdin
+    if stdin is not None and stdin.isatty() and not leader.features.terminal:
+        terminal = Terminal(stdin.fileno(), "the station")
         stations.append(stack.enter_context(closing(KeyStation(terminal))))
         context.progress.note(BUTTON_KEYS_USAGE)
     return Stations(stations)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from minidual.cli.app import run_command_line
 from minidual.config.leading import MirrorConfig
 from minidual.demos.alignment import AlignmentGate
 from minidual.demos.leader import LeaderSample
@@ -20,6 +22,7 @@ from minidual.demos.leaders.gello_calibration import calibrate
 from minidual.demos.leaders.gello_file import read_gello_file
 from minidual.errors import ConfigError, EnvironmentMissingError
 from minidual.robot.pair import DUAL_PANDA, Array
+from minidual.stages.registry import STAGES, TOOLS
 from tests.support.dynamixel_bus import EmulatedBus
 
 pytest.importorskip("dynamixel_sdk", reason="the extra minidual[gello] is not installed")
@@ -222,3 +225,26 @@ def test_a_file_that_does_not_fit_is_refused_with_its_place(
 ) -> None:
     with pytest.raises(ConfigError, match=error):
         read_gello_file(file_of(buses, tmp_path, **changes), DUAL_PANDA)
+
+
+def test_the_command_writes_the_offsets_and_says_how_far_each_joint_was_off(
+    buses: list[EmulatedBus],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = file_of(buses, tmp_path, offsets_rad=[0.0] * 7)
+    words = ["leader", "calibrate", str(path), "--json", "--runs-dir", str(tmp_path / "runs")]
+    assert run_command_line(words, STAGES, TOOLS) == 0
+    document = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(document["arms"]["left"]["offsets_rad"], OFFSETS, atol=1e-5)
+    np.testing.assert_allclose(document["arms"]["right"]["off_rad"], 0.0, atol=2e-3)
+    assert read_gello_file(path, DUAL_PANDA).left.offsets_rad[1] == pytest.approx(np.pi / 2)
+
+
+def test_the_command_names_a_file_that_is_missing(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["leader", "calibrate", str(tmp_path / "none.yaml")]
+    assert run_command_line([*words, "--runs-dir", str(tmp_path / "runs")], STAGES, TOOLS) == 2
+    assert "none.yaml cannot be read" in capsys.readouterr().err

@@ -78,7 +78,7 @@ class DynamixelBus:
         ticks = [
             self._reader.getData(servo, _POSITION_ADDRESS, _POSITION_BYTES) for servo in self._ids
         ]
-        signed = np.array(ticks, dtype=np.uint32).view(np.int32)
+        signed = np.array(ticks, dtype=np.uint32).view(np.int32).astype(np.float64)
         return (signed - _MIDDLE_TICKS) * (2.0 * np.pi / _TICKS_PER_TURN)
 
     def close(self) -> None:
