@@ -35,7 +35,7 @@ EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "lead_over_udp.py"
 
 @pytest.fixture
 def leader() -> Iterator[NetworkLeader]:
-    made = NetworkLeader(DUAL_PANDA, NetworkConfig(port=0, silence_max_s=0.2))
+    made = NetworkLeader(DUAL_PANDA, NetworkConfig(port=0, silence_max_s=1.5))
     yield made
     made.close()
 
@@ -77,7 +77,7 @@ def test_the_newest_target_leads_with_its_grippers_and_buttons(
     assert sample is not None
     np.testing.assert_array_equal(sample.openings, [0.25, 1.0])
     assert sample.pressed == (Button.START,)
-    assert 0.0 <= (sample.age_s or 0.0) < 0.2
+    assert 0.0 <= (sample.age_s or 0.0) < 1.5
     again = leader.read(0.04)
     assert again is not None
     assert again.pressed == (), "a button is pressed once"
@@ -158,7 +158,7 @@ def test_silence_is_no_reading_and_a_restarted_program_takes_over_after_it(
     send(link, message(0, sender="intruder", q=(HOME + 0.1).tolist()))
     np.testing.assert_array_equal(q_of(leader.read(0.0)), HOME)
     assert leader.counts == {"from another sender": 1}
-    time.sleep(0.25)
+    time.sleep(1.6)
     assert leader.read(0.0) is None
     send(link, message(0, sender="restarted", q=(HOME + 0.1).tolist()))
     np.testing.assert_allclose(q_of(leader.read(0.0)), HOME + 0.1)
