@@ -47,15 +47,19 @@ def test_a_stage_loads_and_its_parameters_are_json(name):
         assert json.loads(json.dumps(parameters, allow_nan=False)) == parameters
 
 
+CHOICES = {"report.language": "zh"}
+"""Other values of options that take only some texts."""
+
+
 @pytest.mark.parametrize("name", ORDER)
 def test_parameters_follow_options_and_leave_workers_out(name):
     entry = STAGES[name]
     loaded = load_config("smoke")
     before = digest(entry.parameters(loaded.config))
     assert digest(entry.parameters(load_config("smoke", ["workers=1"]).config)) == before
-    others = {str: "another", float: 0.7, int: 7, tuple: ["moveit"]}
+    others = {str: "another", float: 0.7, int: 7, tuple: ["moveit"], dict: {"act": "elsewhere"}}
     for path in entry.settings.values():
-        value = others[type(attrgetter(path)(loaded.config))]
+        value = CHOICES.get(path, others[type(attrgetter(path)(loaded.config))])
         changed = load_config("smoke", [f"{path}={json.dumps(value)}"])
         assert digest(entry.parameters(changed.config)) != before, path
 
@@ -96,6 +100,7 @@ def test_a_shorter_carry_weakens_the_planning_of_it_too():
     [
         ("moveit,impedance", ("carry",)),
         ("hold", ("carry",)),
+        ("moveit,rl", ("carry",)),
         ("moveit,act", ("carry", "deploy")),
         ("act", ("carry", "deploy")),
         ("moveit,no_such_method", ("carry", "deploy")),
@@ -104,6 +109,14 @@ def test_a_shorter_carry_weakens_the_planning_of_it_too():
 def test_a_benchmark_needs_a_policy_only_for_a_method_that_drives_it(methods, needed):
     config = load_config("standard", [f"benchmark.methods=[{methods}]"]).config
     assert STAGES["benchmark"].required(config) == needed
+
+
+def test_a_policy_from_elsewhere_needs_no_training_and_is_no_acceptance():
+    settings = ["benchmark.methods=[moveit, impedance, act]", "benchmark.policies={act: elsewhere}"]
+    loaded = load_config("standard", settings)
+    assert STAGES["benchmark"].required(loaded.config) == ("carry",)
+    weaker = STAGES["benchmark"].weaker(loaded.config, loaded.reference())
+    assert any("benchmark.own_policies" in line for line in weaker)
 
 
 def test_every_other_stage_needs_what_it_requires():

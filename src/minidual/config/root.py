@@ -118,8 +118,8 @@ class Config(StrictModel):
         `benchmark.tasks` replaces `further_tasks`: neither says alone what is asked for.
 
         Returns:
-            The undisturbed trials of each named or further task, and whether the benchmark has the
-            run's own task.
+            The undisturbed trials of each named or further task, whether the benchmark has the
+            run's own task, and whether no policy from elsewhere was named.
         """
         benchmark = self.benchmark
         if benchmark.tasks:
@@ -129,6 +129,7 @@ class Config(StrictModel):
         return {
             "benchmark.tasks": trials,
             "benchmark.own_task": not benchmark.tasks or self.task in benchmark.tasks,
+            "benchmark.own_policies": not benchmark.policies,
         }
 
 
