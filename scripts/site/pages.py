@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 PAGE_PATTERNS = ("*.md", "docs/**/*.md", "*/README.md")
+_NOT_PAGES = ("build/", "dist/")
 _INDEX = "docs/README.md"
 _HOME = "README.md"
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -24,9 +25,8 @@ type Nav = list[dict[str, Any]]
 def pages_of(root: Path) -> list[str]:
     """Return the pages of a repository, relative to it."""
     found = {path for pattern in PAGE_PATTERNS for path in root.glob(pattern)}
-    hidden = {".git", ".venv", "build", "node_modules"}
-    names = [path.relative_to(root) for path in found]
-    return sorted(name.as_posix() for name in names if name.parts[0] not in hidden)
+    names = [path.relative_to(root).as_posix() for path in found]
+    return sorted(name for name in names if not name.startswith((".", *_NOT_PAGES)))
 
 
 def linked_files(root: Path, page: str) -> list[str]:
