@@ -88,7 +88,7 @@ def _value(parameter: Any) -> str:
     if getattr(parameter, "is_flag", False):
         return ""
     if parameter.param_type_name == "option" and parameter.metavar:
-        return f"`{_cell(parameter.metavar)}`"
+        return f"`{parameter.metavar.strip()}`"  # in code, a bar separates no cells
     annotation = parameter.type_descriptor.annotation
     return {str: "text", int: "integer", float: "number"}.get(annotation, "text")
 

@@ -78,19 +78,29 @@ def _without_folder_links(root: Path, page: str) -> str:
 
 
 def navigation(root: Path, pages: list[str], references: Nav) -> Nav:
-    """Return the navigation: the sections of the index, the references, and what is left."""
+    """Return the navigation: the sections of the index, the references, Chinese, and what is left."""
     nav: Nav = [{"Home": _HOME}, {"All pages": _INDEX}]
     named = {_HOME, _INDEX}
     for section, text in sections((root / _INDEX).read_text(encoding="utf-8")).items():
         entries: Nav = list(references) if section == "Reference" else []
         for target in _LINK.findall(text):
             page = f"docs/{target.partition('#')[0]}"
-            if page in pages and page not in named:
+            if page in pages and page not in named and not is_chinese(page):
                 named.add(page)
                 entries.append({title_of(root / page): page})
         nav.append({section: entries})
+    chinese: Nav = [{title_of(root / page): page} for page in pages if is_chinese(page)]
+    named |= {page for page in pages if is_chinese(page)}
     rest: Nav = [{title_of(root / page): page} for page in pages if page not in named]
-    return [*nav, {"More": rest}] if rest else nav
+    return [
+        *nav,
+        *({title: part} for title, part in {"中文": chinese, "More": rest}.items() if part),
+    ]
+
+
+def is_chinese(page: str) -> bool:
+    """Return whether a page is in Chinese."""
+    return page.startswith("docs/zh/") or page.endswith(".zh.md")
 
 
 def sections(index: str) -> dict[str, str]:
@@ -104,7 +114,7 @@ def title_of(page: Path) -> str:
     """Return the first heading of a page, up to a colon, without marks."""
     heading = re.search(r"^# +(.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     title = page.stem if heading is None else heading.group(1)
-    return re.sub(r"[`*]", "", title.partition(":")[0]).strip()
+    return re.sub(r"[`*]", "", re.split("[:：]", title)[0]).strip()
 
 
 def _write(path: Path, text: str) -> None:

@@ -36,7 +36,7 @@ def settings_reference() -> str:
 def _section(model: StrictModel, path: str) -> list[str]:
     """Return the heading and table of a model, then the sections of the models in it."""
     lines = ["", f"## {path or 'Top level'}", ""]
-    about = inspect.cleandoc(type(model).__doc__ or "")
+    about = _linked(inspect.cleandoc(type(model).__doc__ or ""))
     lines += [about, ""] if about else []
     meanings = field_comments(type(model))
     rows: list[str] = []
@@ -54,8 +54,13 @@ def _section(model: StrictModel, path: str) -> list[str]:
 
 
 def _row(path: str, field: FieldInfo, value: Any, meaning: str) -> str:
-    cells = [f"`{path}`", _shown(value), _kind(field), meaning]
-    return f"| {' | '.join(_cell(cell) for cell in cells)} |"
+    cells = [f"`{path}`", _shown(value), _kind(field), _cell(_linked(meaning))]
+    return f"| {' | '.join(cells)} |"
+
+
+def _linked(text: str) -> str:
+    """Return a text in which the pages of the documentation are links."""
+    return re.sub(r"\bdocs/([a-z0-9-]+)\.md", r"[\1](../docs/\1.md)", text)
 
 
 def _shown(value: Any) -> str:
@@ -119,31 +124,41 @@ def type_in_words(kind: Any) -> str:
 
 def _list_in_words(items: tuple[Any, ...]) -> str:
     if items[-1] is Ellipsis:
-        return f"list of {type_in_words(items[0])}"
-    return f"list of {len(items)} ({type_in_words(items[0])})"
+        return f"list of {_several(type_in_words(items[0]))}"
+    return f"list of {len(items)} {_several(type_in_words(items[0]))}"
 
 
-_BOUNDS: dict[type, tuple[str, str]] = {
-    bounds.Ge: ("ge", ">="),
-    bounds.Gt: ("gt", ">"),
-    bounds.Le: ("le", "<="),
-    bounds.Lt: ("lt", "<"),
-}
+def _several(kind: str) -> str:
+    """Return the plural of a type's name."""
+    return f"{kind}s" if kind in ("text", "number", "integer", "section") else kind
+
+
+_SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
 def bounds_in_words(metadata: Any) -> list[str]:
-    """Return the bounds of a field, such as ">= 0"."""
-    words: list[str] = []
+    """Return the bounds of a field in words: "0 to 1", or ">= 0"."""
+    limits = _limits(metadata)
+    if {"ge", "le"} <= limits.keys():
+        return [f"{_limit(limits['ge'])} to {_limit(limits['le'])}"]
+    return [f"{_SIGNS[name]} {_limit(limit)}" for name, limit in limits.items()]
+
+
+def _limits(metadata: Any) -> dict[str, float]:
+    """Return {name in _SIGNS: limit}."""
+    limits: dict[str, float] = {}
     for item in metadata:
         if isinstance(item, FieldInfo):
-            words += bounds_in_words(item.metadata)
-        elif type(item) in _BOUNDS:
-            name, sign = _BOUNDS[type(item)]
-            limit = getattr(item, name)
-            words.append(
-                f"{sign} {limit:g}" if limit < 2**53 else f"{sign} 2^{limit.bit_length() - 1}"
-            )
-    return words
+            limits |= _limits(item.metadata)
+        if isinstance(item, bounds.Ge | bounds.Gt | bounds.Le | bounds.Lt):
+            limits |= {name: getattr(item, name) for name in _SIGNS if hasattr(item, name)}
+    return limits
+
+
+def _limit(limit: float) -> str:
+    if isinstance(limit, int) and limit >= 2**53:
+        return f"2^{limit.bit_length() - 1}"
+    return f"{limit:g}"
 
 
 def field_comments(model: type) -> dict[str, str]:

@@ -50,6 +50,7 @@ def repository(tmp_path: Path) -> Path:
         "docs/start.md": "# Start: the first hour\n\nSee [words](words.md#a-word).\n",
         "docs/words.md": "# Words\n\n## A word\n\nText.\n",
         "docs/other.md": "# Other\n",
+        "docs/zh/start.md": "# 开始：第一小时\n",
         "examples/scene.yaml": "table: true\n",
     }
     for name, text in files.items():
@@ -65,6 +66,7 @@ def test_the_navigation_is_that_of_the_index(repository: Path, tmp_path: Path) -
         {"All pages": "docs/README.md"},
         {"Guides": [{"Start": "docs/start.md"}]},
         {"Reference": [{"All options": "reference/all-options.md"}, {"Words": "docs/words.md"}]},
+        {"中文": [{"开始": "docs/zh/start.md"}]},
         {"More": [{"Other": "docs/other.md"}]},
     ]
     assert (tmp_path / "pages" / "examples" / "scene.yaml").is_file()
@@ -142,9 +144,10 @@ def test_a_setting_has_its_type_bounds_and_meaning() -> None:
     rows = {row.split("`")[1]: row for row in settings_reference().splitlines() if "| `" in row}
     assert "`20260`" in rows["seed"]
     assert "integer, >= 0, < 2^63" in rows["seed"]
+    assert "integer, 1 to 512" in rows["workers"]
     assert field_comments(Config)["seed"] in rows["seed"]
     assert "acceptance asks for at least" in rows["benchmark.trials_n"]
-    assert type_in_words(dict[str, tuple[float, float]]) == "mapping to list of 2 (number)"
+    assert type_in_words(dict[str, tuple[float, float]]) == "mapping to list of 2 numbers"
     assert type_in_words(bool | None) == "true or false or null"
 
 
