@@ -118,7 +118,7 @@ def test_a_wrong_word_is_refused_before_the_first_trial(
 
 def test_the_faster_series_is_named() -> None:
     comparison = compare(series(), series("quick", faster(1.0)))
-    assert comparison.sentence.startswith("quick is 1.0")
+    assert comparison.sentence.startswith("On rod_carry, quick is 1.0")
     assert comparison.duration_difference_s == pytest.approx(1.045)
     low_s, high_s = comparison.duration_interval_s
     assert 1.0 <= low_s < high_s < 1.1

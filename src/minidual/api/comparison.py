@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 from minidual.api.trials import Trials
 from minidual.errors import UsageError
+from minidual.show.report.sentences import sentence
+from minidual.show.report.words import Words
 from minidual.trials.answers import answer
 from minidual.trials.comparisons import compare_all
 from minidual.trials.metrics import Cell, TrialMetrics
@@ -53,7 +55,7 @@ def compare(first: Trials, second: Trials) -> Comparison:
     trials = [*_labelled(first), *_labelled(second)]
     (row,) = compare_all(trials, first.seed)
     return Comparison(
-        sentence=answer(trials, first.seed),
+        sentence=sentence(answer(first.task, trials, first.seed), Words("en")),
         first=first.label,
         second=second.label,
         trials_n=int(row["trials_n"]),

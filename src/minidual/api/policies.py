@@ -8,7 +8,7 @@ from minidual.durable import expanded
 from minidual.errors import UsageError
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import PolicyRuntime
-from minidual.policies.shipped import FOLDER, shipped_policy
+from minidual.policies.shipped import shipped_policy
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import TASKS
 
@@ -41,19 +41,20 @@ def load_policy(
     return load_runtime(checkpoint, config.deploy, robot_from(RobotConfig(arm=arm)))
 
 
-def checkpoint_of(policy: str | Path) -> Path:
-    """Return the checkpoint folder of a task's shipped policy, or a folder that holds one.
+def checkpoint_of(policy: str | Path, method: str = "act") -> Path:
+    """Return the checkpoint folder of a method's shipped policy for a task, or a folder with one.
 
     Raises:
         UsageError: There is none.
     """
-    shipped = shipped_policy(policy) if isinstance(policy, str) and policy in TASKS else None
-    if shipped is not None:
-        return shipped
+    if isinstance(policy, str) and policy in TASKS:
+        shipped = shipped_policy(policy, method)
+        if shipped is not None:
+            return shipped
     folder = expanded(str(policy))
     if (folder / _CONFIG).is_file():
         return folder
-    tasks = ", ".join(sorted(path.name for path in FOLDER.iterdir() if shipped_policy(path.name)))
+    tasks = ", ".join(task for task in TASKS if shipped_policy(task, method)) or "none"
     raise UsageError(
         f"there is no policy '{policy}': it is neither the folder of a checkpoint (with"
         f" {_CONFIG}) nor a task that a policy comes with the package for ({tasks})",

@@ -181,13 +181,7 @@ def _inputs(
     task = make_task(config)
     checkpoint = None
     if METHODS[method].learned:
-        checkpoint = shipped_policy(task.name) if policy is None else checkpoint_of(policy)
-        if checkpoint is None:
-            raise UsageError(
-                f"{method} needs a policy that is trained on '{task.name}', and none comes with"
-                " the package",
-                remedy="give policy=FOLDER of a checkpoint that train-act wrote",
-            )
+        checkpoint = _checkpoint(method, task.name, policy)
     elif policy is not None:
         raise UsageError(f"the method '{method}' takes no policy")
     check_able(method, [task], "")
@@ -195,3 +189,20 @@ def _inputs(
     if reason:
         raise UsageError(f"{method} has no trials under '{name}': {reason}")
     return MethodInputs(task.config, config.seed, checkpoint)
+
+
+def _checkpoint(method: str, task: str, policy: str | Path | None) -> Path:
+    """Return the policy of a learned method.
+
+    Raises:
+        UsageError: There is none.
+    """
+    if policy is not None:
+        return checkpoint_of(policy, method)
+    shipped = shipped_policy(task, method)
+    if shipped is None:
+        raise UsageError(
+            f"{method} needs a policy that is trained on '{task}', and none comes with the package",
+            remedy="give policy=FOLDER of a checkpoint that you have trained",
+        )
+    return shipped
