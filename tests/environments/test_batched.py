@@ -64,7 +64,7 @@ def test_the_next_trial_begins_in_the_step_in_which_one_ends():
     env = BatchedEnv(2, CONFIG, fast=True, purpose="test")
     env.reset()
     env.worlds._time[0] = env.task.time_limit_s - 0.1
-    env._elapsed_s[0] = env.task.time_limit_s - 0.1
+    env.referee._elapsed_s[0] = env.task.time_limit_s - 0.1
     observation, _, terminated, truncated, info = env.step(still(env))
     assert truncated.tolist() == [True, False]
     assert not terminated.any()
@@ -78,6 +78,7 @@ def test_the_next_trial_begins_in_the_step_in_which_one_ends():
 
 def test_a_world_that_diverges_ends_and_the_others_go_on(env):
     env.reset(options={"first": 0})
+    env.step(still(env))
     env.worlds._state.qvel[1, 0] = np.nan
     _, reward, terminated, _, info = env.step(still(env))
     assert terminated.tolist() == [False, True, False]

@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AsyncVectorEnv
 
 from minidual.config.scene import CameraConfig, SceneConfig, TaskConfig
 from minidual.environments.task_env import TaskEnv
@@ -188,3 +189,24 @@ def test_errors_name_what_exists(env):
         env.reset(options={"trial": (0, 0, 0)})
     with pytest.raises(UsageError, match="before it was reset"):
         TaskEnv().step(action())
+
+
+def _with_pictures():
+    small = SceneConfig(camera=CameraConfig(width_px=32, height_px=24))
+    return TaskEnv(small, images=("high",))
+
+
+def test_forked_workers_with_pictures_end_with_a_message_and_spawned_ones_draw():
+    """The parent has drawn: forked workers would hang for ever."""
+    made = _with_pictures()
+    made.reset(seed=0)
+    forked = AsyncVectorEnv([_with_pictures], context="fork")
+    with pytest.raises(UsageError, match="forked"):
+        forked.reset(seed=0)
+    spawned = AsyncVectorEnv([_with_pictures], context="spawn")
+    try:
+        observation, _ = spawned.reset(seed=0)
+        assert observation["images"]["high"].std() > 5.0
+    finally:
+        spawned.close()
+        made.close()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+from concurrent.futures import ThreadPoolExecutor
+
 import av
 import mujoco
 import numpy as np
@@ -195,3 +199,36 @@ def test_every_start_and_goal_of_a_task_is_well_in_the_recorded_picture(name: st
 def test_the_picture_that_cut_bottles_off_is_told() -> None:
     """The negative control: 128 pixels and 64 degrees cut bottles of `handover` off."""
     assert seen_from("handover", 128, 64.1) > 0.97
+
+
+def test_a_camera_used_in_another_thread_says_so(visual_world):
+    with Camera(visual_world.model, 64, 48) as camera, ThreadPoolExecutor(1, "other") as pool:
+        drawn = pool.submit(camera.picture, visual_world.data, "high")
+        with pytest.raises(UsageError, match=r"made in thread 'MainThread' was used in 'other_0'"):
+            drawn.result(timeout=30)
+        assert camera.picture(visual_world.data, "high").std() > 10.0
+
+
+def _draws(model) -> str:
+    """Return the error of a camera made here, or ""."""
+    try:
+        Camera(model, 64, 48).close()
+    except UsageError as error:
+        return f"{error.message}; {error.remedy}"
+    return ""
+
+
+def test_a_process_forked_after_a_picture_is_told_to_spawn(visual_world):
+    """It would hang otherwise; a forked process answers within the time limit of the test."""
+    with Camera(visual_world.model, 64, 48) as camera:
+        camera.picture(visual_world.data, "high")
+        reader, writer = multiprocessing.Pipe(duplex=False)
+        fork = multiprocessing.get_context("fork")
+        child = fork.Process(target=lambda: writer.send(_draws(visual_world.model)))
+        child.start()
+        assert reader.poll(60)
+        answer = reader.recv()
+        child.join(10)
+    assert f"forked from process {os.getpid()}" in answer
+    assert 'context="spawn"' in answer
+    assert _draws(visual_world.model) == ""

@@ -32,8 +32,8 @@ from gymnasium.vector.utils import batch_space
 from minidual.config.root import Config, changed
 from minidual.environments.actions import ACTIONS, arms_of
 from minidual.environments.draws import Disturbed, Draws
-from minidual.environments.judging import TransportJudges
 from minidual.environments.observations import CLIP, LIFT, Seen, Truth, observe, size_of
+from minidual.environments.referee import Flags, Referee
 from minidual.environments.rewards import LIFT_REWARD, LiftState, Reward, RewardTerm
 from minidual.environments.senses import JointReadings, PoseSensors, Sensed, Senses
 from minidual.environments.transport_kernel import Scene
@@ -51,11 +51,6 @@ RATE_HZ = 10
 """Rate of actions."""
 FAST_PHYSICS = {"scene.physics.timestep_s": 0.002, "scene.physics.impratio": 10.0}
 """Half the cost of a trial's physics; lifts learnt with it carry over, insertions do not."""
-_DIVERGED = "diverged"
-_STOPPED = "stopped"
-"""Names of failures beside those of conditions."""
-
-Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float32]
 
 
@@ -136,19 +131,16 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.config = self.task.config
         self.draws = Draws(self.task, purpose, first, condition)
         self.frozen = None if frozen is None else SIDES.index(frozen)
-        self._supervised = supervised
         self._end_at_violation = end_at_violation
-        self._linger_s = linger_s
         self._ticks_n = _ticks(rate_hz)
-        self._period_s = self._ticks_n * TICK_S
         self._make_worlds(threads)
+        self.referee = Referee(self.task, self.worlds, self.trials[0], linger_s, supervised)
         self.actions = ACTIONS[action](self.arms, num_envs)
         self.terms = tuple(observation)
         self.privileged = tuple(privileged)
         self._reward = Reward(reward, num_envs, discount)
         self._make_spaces()
         self._all = np.arange(num_envs)
-        self._elapsed_s = np.zeros(num_envs)
         self._started = False
 
     def _make_worlds(self, threads: int) -> None:
@@ -166,14 +158,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         if self._condition is not None:
             self.worlds.differ()
         self.trials = [task.trial(self.draws.seed, self.draws.purpose, 0)] * self.num_envs
-        self.judges = TransportJudges(task, self.trials[0], self.worlds.solids, self.num_envs)
         self._sensors = PoseSensors(task.config.carry.sensing, self.num_envs, self.worlds.dt)
         self._senses = Senses(self.arms.frames, self.num_envs)
         self._substeps = round(TICK_S / self.worlds.dt)
-        self._goals = np.zeros((self.num_envs, 3))
-        self._grasps = np.stack([task.objects[task.carried].grasps[side] for side in SIDES])
-        self._diverged = np.zeros(self.num_envs, dtype=bool)
-        self._stopped = np.zeros(self.num_envs, dtype=bool)
 
     def _make_spaces(self) -> None:
         size = size_of(self.terms, self.arms.robot)
@@ -208,7 +195,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.draws.next_index = options.get("first", self.draws.next_index)
         self._begin(self._all)
         self._started = True
-        return self._observe(), self._info(self._state())
+        return self._observe(), self._info(self.referee.state(self.sensed))
 
     def step(self, actions: npt.ArrayLike) -> tuple[Floats, Array, Flags, Flags, dict[str, Any]]:
         """Hold actions (N, k) for one period.
@@ -224,15 +211,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             target, opening = self._commanded()
             self.worlds.advance(target, opening, self._substeps, self._watch)
         self.sensed = self._sense(self._sensors.read(self._all))
-        self._note_faults()
-        state = self._state()
+        self.referee.note(self._ticks_n * TICK_S)
+        state = self.referee.state(self.sensed)
         paid = self._reward.pay(state)
         reward = np.sum(list(paid.values()), axis=0)
-        terminated = state.succeeded | self._finished_long | self._diverged
+        terminated = self.referee.finished | self.referee.diverged
         if self._end_at_violation:
             terminated |= state.violated
-        late = self.worlds.time_s >= self.task.time_limit_s - 1e-9
-        truncated = late & ~terminated
+        truncated = self.referee.late & ~terminated
         observation = self._observe()
         info = self._info(state)
         info["reward_terms"] = paid
@@ -275,16 +261,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
 
     def _watch(self, scene: Scene) -> None:
         """Judge one physics step, and let the sensors take their samples."""
-        self.judges.observe(scene)
+        self.referee.observe(scene)
         self._sensors.note(scene.R, scene.p)
-
-    def _note_faults(self) -> None:
-        """Note worlds that have diverged, or in which the supervisor would have stopped the arms."""
-        expected_s = self._elapsed_s + self._period_s
-        self._diverged |= ~(np.abs(self.worlds.time_s - expected_s) < 0.5 * self.worlds.dt)
-        self._elapsed_s = expected_s
-        if self._supervised:
-            self._stopped |= ~(self.worlds.strain <= 1.0)
 
     def _sense(self, poses: Array) -> Sensed:
         """Return the readings of this moment, with sensed poses (N, 4, 4)."""
@@ -306,40 +284,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         return Truth(
             self.worlds.object_poses()[:, None],
             self.worlds.object_twists(),
-            self.judges.state["pinch"].copy(),
+            self.referee.judges.state["pinch"].copy(),
             self._sensors.offset,
-        )
-
-    @property
-    def _finished_long(self) -> Flags:
-        """Whether a trial has been finished for `linger_s` (N,)."""
-        since_s = self.worlds.time_s - self.judges.state["done_s"]  # NaN while it is not finished
-        return since_s >= self._linger_s - 1e-9
-
-    def _state(self) -> LiftState:
-        """Return what rewards read."""
-        judged = self.judges.state
-        limits = self.judges.limits
-        body = self.task.objects[self.task.carried]
-        violated = self.judges.violated | self._stopped | self._diverged
-        return LiftState(
-            hands=self.sensed.hands,
-            opening=self.sensed.gripper,
-            grasps=self._grasps,
-            xyz=judged["xyz"].copy(),
-            yaw=judged["yaw"].copy(),
-            tilt=judged["tilt"].copy(),
-            clearance=judged["clearance"].copy(),
-            rest_m=body.body.rest_height_m,
-            pinch_n=judged["pinch"].copy(),
-            lifted_m=judged["lifted_m"].copy(),
-            goal=self._goals,
-            rise_m=limits.rise,
-            tilt_max=limits.tilt,
-            symmetry=body.symmetry,
-            strain=self.worlds.strain,
-            violated=violated,
-            succeeded=self.judges.succeeded & self._finished_long & ~violated,
         )
 
     def _info(self, state: LiftState) -> dict[str, Any]:
@@ -355,39 +301,15 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         """Start new trials in some worlds; return the observations of all, and fill `info`."""
         info["final_obs"] = observation
         info["_final_obs"] = ended.copy()
-        info["final_info"] = self._outcomes()
+        info["final_info"] = self.referee.outcomes(self.trials, info["success"])
         info["_final_info"] = ended.copy()
         if self.privileged:
             info["final_privileged"] = info["privileged"]
         self._begin(np.flatnonzero(ended))
         first = self._observe()
         if self.privileged:
-            info["privileged"] = self._info(self._state())["privileged"]
+            info["privileged"] = self._info(self.referee.state(self.sensed))["privileged"]
         return np.where(ended[:, None], first, observation)
-
-    def _outcomes(self) -> dict[str, Any]:
-        """Return how the trials of all worlds stand (N,), by name."""
-        judged = self.judges.state
-        state = self._state()
-        failures = [self.failure(world) for world in range(self.num_envs)]
-        pinch_n = judged["pinch_least"]
-        return {
-            "success": state.succeeded,
-            "failure": np.array(failures, dtype=object),
-            "trial": np.array([trial.index for trial in self.trials]),
-            "time_s": self.worlds.time_s,
-            "highest_m": judged["highest_m"].copy(),
-            "tilt_max_rad": judged["tilt_max"].copy(),
-            "pinch_min_n": np.where(np.isfinite(pinch_n), pinch_n, 0.0),
-        }
-
-    def failure(self, world: int) -> str:
-        """Return the name of what a world's trial violated first, or ""."""
-        if self._diverged[world]:
-            return _DIVERGED
-        if self._stopped[world] and not self.judges.violated[world]:
-            return _STOPPED
-        return self.judges.failure(world)
 
     def _begin(self, worlds: Indices) -> None:
         """Start the next trials in some worlds."""
@@ -398,27 +320,16 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             trial = self._draw(world)
             starts.append(placement(trial.start[name]))
             goals.append(placement(trial.goal[name]))
-        self._goals[worlds] = goals
         self.worlds.reset(worlds, starts, goals)
-        self.judges.reset(worlds)
+        self.referee.reset(worlds, np.array(starts), np.array(goals))
         self.actions.reset(worlds)
-        self._diverged[worlds] = False
-        self._stopped[worlds] = False
-        self._elapsed_s[worlds] = 0.0
-        self._show_start(worlds, np.array(starts), np.array(goals))
-
-    def _show_start(self, worlds: Indices, starts: Array, goals: Array) -> None:
-        """Let sensors, judges' views and rewards begin with the first state."""
         self._sensors.begin(worlds, self.worlds.object_poses())
         poses = self._sensors.read(worlds)
-        self._senses.reset(worlds, poses[worlds, None], goals)
-        judged = self.judges.state
-        judged["xyz"][worlds] = self.worlds.object_poses()[worlds, :3, 3]
-        judged["yaw"][worlds] = starts[:, 2]
+        self._senses.reset(worlds, poses[worlds, None], np.array(goals))
         chosen = np.zeros(self.num_envs, dtype=bool)
         chosen[worlds] = True
         self.sensed = self._sense(poses)
-        self._reward.restart(self._state(), chosen)
+        self._reward.restart(self.referee.state(self.sensed), chosen)
 
     def _draw(self, world: int) -> Trial:
         """Draw the next trial for a world, with its sensor's offset and its model."""

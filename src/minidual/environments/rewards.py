@@ -1,7 +1,7 @@
 """Rewards: small terms, composed in a list.
 
 A `gain` pays the increase of a potential, so that what is lost again is paid back (Ng, Harada,
-Russell 1999); a `rate` pays in each step, an `event` when it happens. Terms read the true state.
+Russell 1999); a `rate` pays in each step, an `event` once, when it begins. Terms read the true state.
 """
 
 from __future__ import annotations
@@ -231,26 +231,30 @@ class Reward:
     ) -> None:
         self.terms = tuple(terms)
         self._discount = discount
-        self._potential = {term.name: np.zeros(worlds_n) for term in self.terms}
+        self._last = {term.name: np.zeros(worlds_n) for term in self.terms}
 
     def restart(self, state: LiftState, worlds: Flags) -> None:
-        """Take the potentials of new trials."""
+        """Take the potentials of new trials, in which no event has happened."""
         for term in self.terms:
-            if term.kind == "gain":
-                value = _finite(term.value(state))
-                self._potential[term.name][worlds] = value[worlds]
+            value = _finite(term.value(state)) if term.kind == "gain" else np.zeros(len(worlds))
+            self._last[term.name][worlds] = value[worlds]
 
     def pay(self, state: LiftState) -> Mapping[str, Array]:
-        """Return what each term pays (N,), weighted, and keep the potentials."""
+        """Return what each term pays (N,), weighted."""
         paid: dict[str, Array] = {}
         for term in self.terms:
             value = _finite(term.value(state))
-            if term.kind == "gain":
-                gain = self._discount * value - self._potential[term.name]
-                self._potential[term.name] = value
-                value = gain
-            paid[term.name] = term.weight * value
+            last = self._last[term.name]
+            self._last[term.name] = value
+            paid[term.name] = term.weight * self._of_kind(term, value, last)
         return paid
+
+    def _of_kind(self, term: RewardTerm, value: Array, last: Array) -> Array:
+        if term.kind == "gain":
+            return self._discount * value - last
+        if term.kind == "event":
+            return np.maximum(0.0, value - last)
+        return value
 
 
 def _finite(values: Array) -> Array:

@@ -10,24 +10,21 @@ import numpy as np
 from mujoco import batch
 
 from minidual.config.control import SupervisorConfig
-from minidual.config.scene import OBSTACLE, SceneConfig
-from minidual.control.gripper import JOINT_PINCH_N, advance_constants
-from minidual.control.joint_control import RAMP_S, REFERENCE_RAD_S, SERVO_RAD_S, reference_bounds
-from minidual.control.observer import CONTACT_MODES, FILTER_S, LEAST_NM
+from minidual.config.scene import SceneConfig
 from minidual.environments.kernels import (
     CLOSED,
     LATE_STEPS,
     STRAIN_N,
     TORQUE_SHARE,
     Addresses,
-    Bounds,
     Driven,
-    Law,
     State,
     drive,
     feel,
     wrenches,
 )
+from minidual.environments.laws import control_law, hand_force_bounds, supervised_bounds
+from minidual.environments.touch import FIRST_TOUCH, add_touch_sensors, solids_of
 from minidual.environments.transport_kernel import Scene
 from minidual.plant.addresses import map_joints
 from minidual.plant.bodies import contact_sensor
@@ -49,7 +46,6 @@ RANDOMISED = (
 """Fields of the model that may differ between worlds."""
 _FELT_EVERY_S = 0.01
 _AT_NEW_STATE = int(mujoco.mjtStage.mjSTAGE_VEL)
-_COUNT = 0  # `reduce` of MuJoCo's contact sensors: none
 _PADS_N = 12
 
 
@@ -87,14 +83,14 @@ class Worlds:
         self.worlds_n = worlds_n
         self.name = scene.object.name
         spec = build_spec(scene, robot, visuals=False)
-        touches_n = _add_touch_sensors(spec, scene, robot)
+        touches_n = add_touch_sensors(spec, scene, robot)
         self.model = spec.compile()
         self.dt = float(self.model.opt.timestep)
         self._frames = frames
         self._batch = batch.Batch(self.model, worlds_n, threads, persistent=True)
         self._bind(touches_n)
         self._at = self._addresses()
-        self._law = self._control_law()
+        self._law = control_law(robot, scene.physics.finger_force_max_n, self.dt)
         self.driven = Driven(
             np.zeros((worlds_n, robot.dof)),
             np.ones((worlds_n, 2)),
@@ -102,7 +98,8 @@ class Worlds:
             np.ones((worlds_n, 4, 2)),
         )
         supervisor = SupervisorConfig() if supervisor is None else supervisor
-        self._bounds, self._force_max_n = self._supervised(supervisor)
+        self._bounds = supervised_bounds(robot, supervisor, self.dt)
+        self._force_max_n = hand_force_bounds(supervisor)
         self._late_steps = supervisor.deviation_s / self.dt
         self._feel_every = max(1, round(_FELT_EVERY_S / self.dt))
         self._steps = 0
@@ -137,7 +134,7 @@ class Worlds:
         )
         first = int(model.sensor(first_finger).adr[0])
         self._pads = sensors[:, first : first + _PADS_N].reshape(self.worlds_n, 4, 3)
-        touch = int(model.sensor("touch0").adr[0])
+        touch = int(model.sensor(FIRST_TOUCH).adr[0])
         self._touches = np.zeros((self.worlds_n, 4))
         self._touch_data = sensors[:, touch : touch + touches_n]
         self._body = int(model.body(self.name).id)
@@ -148,7 +145,7 @@ class Worlds:
         self._R = np.zeros((self.worlds_n, 3, 3))
         self._p = np.zeros((self.worlds_n, 3))
         self._axes = np.zeros((self.worlds_n, 2, 3))
-        self.solids = _solids(model, self.scene, self._body)
+        self.solids = solids_of(model, self.scene, self._body)
 
     @property
     def _palm_link(self) -> str:
@@ -168,34 +165,6 @@ class Worlds:
             model.M_rowadr,
             model.M_colind,
         )
-
-    def _control_law(self) -> Law:
-        robot = self.robot
-        return Law(
-            bounds=reference_bounds(robot),
-            tau_max=robot.tau_max.copy(),
-            gripper=advance_constants(self.dt, robot.hand.travel_m),
-            dt_s=self.dt,
-            ramp_s=RAMP_S,
-            reference_rad_s=REFERENCE_RAD_S,
-            servo_rad_s=SERVO_RAD_S,
-            damping=float(robot.arm.damping),
-            dry=float(robot.arm.friction),
-            pinch_n=min(JOINT_PINCH_N, self.scene.physics.finger_force_max_n),
-        )
-
-    def _supervised(self, config: SupervisorConfig) -> tuple[Bounds, Array]:
-        """Return the supervisor's bounds, and those of a hand's force (2,) [N]."""
-        modes = [CONTACT_MODES["free motion"], CONTACT_MODES["closed hands"]]
-        tau_max = self.robot.tau_max
-        torques = [np.maximum(mode.torque_share * tau_max, LEAST_NM) for mode in modes]
-        bounds = Bounds(
-            torque=config.contact_scale * np.array(torques),
-            deviation=config.deviation_scale * np.array([mode.deviation_rad for mode in modes]),
-            share=-math.expm1(-self.dt / FILTER_S),
-            travel_m=float(self.robot.hand.travel_m),
-        )
-        return bounds, config.contact_scale * np.array([mode.force_n for mode in modes])
 
     # Measurements ------------------------------------------------------------------------------
 
@@ -357,40 +326,3 @@ class Worlds:
         mode = self._feelings[:, CLOSED].astype(int)
         np.maximum(self._hand_share, force_n / self._force_max_n[mode], out=self._hand_share)
         self._late |= self._feelings[:, LATE_STEPS] > self._late_steps
-
-
-def _add_touch_sensors(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> int:
-    """Count contacts: object with table, with each arm, and obstacle with anything; return how many counts.
-
-    A trial's judge reads MuJoCo's list of contacts, which a batch does not give.
-    """
-    count = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
-    body = mujoco.mjtObj.mjOBJ_BODY
-    below = mujoco.mjtObj.mjOBJ_XBODY
-    name = scene.object.name
-    rows: list[dict[str, object]] = [{"objtype": body, "objname": "table"}]
-    for joint in robot.joint_names[:: robot.dof_per_arm]:
-        link = spec.joint(joint).parent.name
-        rows.append({"objtype": below, "objname": link})
-    for row in rows:
-        row.update(reftype=body, refname=name)
-    if scene.task.obstacle is not None:
-        rows.append({"objtype": mujoco.mjtObj.mjOBJ_GEOM, "objname": OBSTACLE})
-    for index, row in enumerate(rows):
-        spec.add_sensor(
-            name=f"touch{index}",
-            type=mujoco.mjtSensor.mjSENS_CONTACT,
-            intprm=[count, _COUNT, 1],
-            **row,
-        )
-    return len(rows)
-
-
-def _solids(model: mujoco.MjModel, scene: SceneConfig, body: int) -> Array:
-    """Return the rows (k, 8) of the object's parts, see `tasks.truth.ObjectTruth`."""
-    first = int(model.body_geomadr[body])
-    rows: list[list[float]] = []
-    for geom, part in enumerate(scene.object.solids, first):
-        position_m = model.geom_pos[geom].tolist()
-        rows.append([*position_m, *part.half_m, part.shape == "cylinder", "xyz".index(part.axis)])
-    return np.array(rows, dtype=float)

@@ -1,5 +1,7 @@
 """Off-screen rendering and video."""
 
+import os
+import threading
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from fractions import Fraction
@@ -12,7 +14,7 @@ import numpy.typing as npt
 
 from minidual.config.scene import CameraConfig
 from minidual.durable import replacing
-from minidual.errors import EnvironmentMissingError, check_name
+from minidual.errors import EnvironmentMissingError, UsageError, check_name
 from minidual.plant.contact import GROUP_COLLISION
 from minidual.variables import rendering_remedy
 
@@ -26,6 +28,8 @@ class StampedImage(NamedTuple):
     stamp_s: float
 
 
+_drawing_process: list[int] = []
+"""The process that made the first OpenGL context here; a forked one inherits the note."""
 _CLOSE_UP_M = 0.9
 _CLOSE_UP_AZIMUTH_DEG = 150.0
 _CLOSE_UP_ELEVATION_DEG = -25.0
@@ -41,7 +45,11 @@ def off_screen(
 
     Raises:
         EnvironmentMissingError: There is no OpenGL.
+        UsageError: This process was forked from one that had drawn.
     """
+    if not _drawing_process:
+        _drawing_process.append(os.getpid())
+    _check_not_forked(_drawing_process[0])
     try:
         return mujoco.Renderer(model, height_px, width_px, **options)
     except Exception as error:  # GL backends raise various types
@@ -49,6 +57,22 @@ def off_screen(
             f"cannot create an off-screen OpenGL context by EGL: {error}",
             remedy=rendering_remedy(str(error)),
         ) from error
+
+
+def _check_not_forked(process: int) -> None:
+    """Raise UsageError in another process than the one that drew first.
+
+    EGL's state does not survive a fork: the first picture would hang for ever.
+    """
+    if process == os.getpid():
+        return
+    raise UsageError(
+        f"this process was forked from process {process}, which had drawn a picture:"
+        " OpenGL by EGL would hang here",
+        remedy='start worker processes with context="spawn", for example'
+        ' gymnasium.vector.AsyncVectorEnv(makers, context="spawn"), or draw nothing before they'
+        " start",
+    )
 
 
 def free_camera(
@@ -67,7 +91,7 @@ def free_camera(
 
 
 class Camera(AbstractContextManager["Camera"]):
-    """Renders images of one size; close it after use.
+    """Renders images of one size, in the process and thread that made it; close it after use.
 
     `supersample` is the anti-aliasing factor.
     """
@@ -82,6 +106,8 @@ class Camera(AbstractContextManager["Camera"]):
         supersample: int = 1,
     ) -> None:
         self._supersample = supersample
+        self._process = os.getpid()
+        self._thread = threading.current_thread()
         self._renderer = off_screen(model, width_px * supersample, height_px * supersample)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[GROUP_COLLISION] = 0
@@ -109,12 +135,14 @@ class Camera(AbstractContextManager["Camera"]):
 
     def close_up(self, data: mujoco.MjData, at: npt.ArrayLike) -> Image:
         """Return the image (H, W, 3) of a camera 0.9 m in front of a place (3,) [m]."""
+        self._check_place()
         eye = free_camera(at, _CLOSE_UP_M, _CLOSE_UP_AZIMUTH_DEG, _CLOSE_UP_ELEVATION_DEG)
         self._renderer.update_scene(data, eye, scene_option=self._option)
         return self._renderer.render()
 
     def bodies_seen(self, data: mujoco.MjData, camera: str) -> dict[str, float]:
         """Return each visible body's share of the image."""
+        self._check_place()
         self._renderer.enable_segmentation_rendering()
         try:
             self._update(data, camera)
@@ -130,7 +158,19 @@ class Camera(AbstractContextManager["Camera"]):
             shares[body] = shares.get(body, 0.0) + int(count) / ids.size
         return shares
 
+    def _check_place(self) -> None:
+        """Raise UsageError in a forked process or another thread: an OpenGL context belongs to one."""
+        _check_not_forked(self._process)
+        thread = threading.current_thread()
+        if thread is not self._thread:
+            raise UsageError(
+                f"a camera made in thread '{self._thread.name}' was used in '{thread.name}':"
+                " an OpenGL context belongs to one thread",
+                remedy="make a camera in each thread that draws",
+            )
+
     def _update(self, data: mujoco.MjData, camera: str) -> None:
+        self._check_place()
         check_name("camera", camera, self._names)
         self._renderer.update_scene(data, camera, scene_option=self._option)
 
