@@ -18,10 +18,11 @@ from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import pipeline_of, solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.states import Segment, State
 from minidual.skills.supervised import trial_supervisor
 from minidual.skills.things import thing_of

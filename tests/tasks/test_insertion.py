@@ -18,9 +18,10 @@ from minidual.motion.ik import solvers
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_x, rot_z
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import solve
 from minidual.skills.pipeline import inserting
-from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.states import State
 from minidual.skills.supervised import SceneClearance
 from minidual.skills.things import thing_of

@@ -19,9 +19,10 @@ from minidual.motion.api import Planner
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, SIDES, pose, rot_z
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.cycle import solve
 from minidual.skills.pipeline.search import TaskFailedError
-from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.states import State
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Judge, Outcome, begin

@@ -58,6 +58,8 @@ class HandImpedance(ComputedTorque):
         self.other: InHand | None = None
         """What the other hand holds, if the reference moves with it; both from the next engagement on."""
         self._other = self.other
+        self.backed_m = 0.0
+        """The reference is drawn back by so much along the object's y axis."""
         K, most = np.repeat(
             [[STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], [FORCE_MAX_N, MOMENT_MAX_NM]],
             3,
@@ -72,6 +74,7 @@ class HandImpedance(ComputedTorque):
         """Set the damping from q (n,), and forget what was learnt."""
         held = self._held = self.held
         self._other = self.other
+        self.backed_m = 0.0
         self._learnt = np.zeros(6)
         T, J = self._placed(q)
         M = self._kinematics.mass_matrix(q)[self._joints, self._joints]
@@ -82,6 +85,23 @@ class HandImpedance(ComputedTorque):
         )
         self._law["D"], self._law["centre"] = DAMPING_RATIO * (half + half.T), held.centre_m
         self._law["T_tcp_object"] = held.T_tcp_object
+
+    def correct(self, held: InHand, other: InHand | None) -> None:
+        """Take another estimate of what both hands hold; damping and what was learnt stay."""
+        self._held = self.held = held
+        self._other = self.other = other
+        self._law["T_tcp_object"] = held.T_tcp_object
+
+    def lag(self, q: Array, q_ref: Array) -> Array:
+        """Return how far the object is behind its reference (3,) [m], in the reference's axes.
+
+        The reference counts as it is planned, not drawn back.
+        """
+        T_ref = self._wanted(q, q_ref)
+        T = np.empty((4, 4))
+        held = self._held.T_tcp_object
+        from_hand(self._hands.views, self._arm, held, _AT_TCP, False, T)
+        return T_ref[:3, :3].T @ (T_ref[:3, 3] - T[:3, 3])
 
     def torque(
         self,
@@ -94,6 +114,8 @@ class HandImpedance(ComputedTorque):
     ) -> Array:
         """See `ComputedTorque`; of its own arm, or raise SingularPostureError."""
         T_ref = self._wanted(q, q_ref)
+        if self.backed_m:
+            T_ref[:3, 3] -= self.backed_m * T_ref[:3, 1]
         qdd = a_ref.copy()
         push = np.zeros(len(q)) if load is None else load.copy()
         of_hand = self._law, self._hands.views, self._arm, T_ref

@@ -7,21 +7,19 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
-from minidual.control.hand_impedance import InHand
 from minidual.control.reflexes import ReflexError
-from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
 from minidual.motion.api import Planner
 from minidual.plant.world import World
-from minidual.robot.pair import SIDES, Array, inverse, pose
+from minidual.robot.pair import SIDES, Array
 from minidual.skills.cycle import solve
 from minidual.skills.pipeline.drive import Drive
 from minidual.skills.pipeline.hands import retreat
 from minidual.skills.pipeline.search import Pipeline, Solution, TaskFailedError
 from minidual.skills.pipeline.stage import Stage
-from minidual.skills.states import OPEN, Segment, State, moved
+from minidual.skills.states import Segment, State, moved
 from minidual.tasks.task import Task, Trial, level_part, placement, pose_of
 
 _TRIES = 3
@@ -190,55 +188,3 @@ def _at_known_height(
 def _stage_of(solution: Solution, segment: Segment) -> int:
     """Return the index of the stage of a segment."""
     return next(k for k, part in enumerate(solution.parts) if segment in part)
-
-
-class CompliantCarry(PlannedCarry):
-    """One planned trial; the `soft` hands of a segment run under impedance."""
-
-    by_force = True
-
-    def _take_control(self, segment: Segment) -> None:
-        stack = self.stack
-        self._note_grasps(segment)
-        names = DEFAULT_CONTROLLERS
-        if segment.soft:
-            names = tuple(f"{side}_{'hand' if side in segment.soft else 'arm'}" for side in SIDES)
-        if names == stack.manager.active:
-            return
-        left, right = (hand.law for hand in stack.hands)
-        inserts = segment.phase == "insert"
-        left.other = right.held if inserts else None
-        right.other = left.held if inserts else None
-        stack.switch_controllers(names)
-
-    def _note_grasps(self, segment: Segment) -> None:
-        """Note where in closed hands objects are, from where they lay."""
-        tips = self.stack.kinematics.tcp_poses(self.world.q)
-        laws = [hand.law for hand in self.stack.hands]
-        for T_world_tcp, law, opening in zip(tips, laws, segment.openings, strict=True):
-            if law.held.name:
-                self._poses[law.held.name] = T_world_tcp @ law.held.T_tcp_object
-            if opening == OPEN:
-                law.held = InHand()
-        if segment.scene is None:
-            return
-        for attached in segment.scene.attached:
-            arm = self.world.robot.tcp_names.index(attached.link)
-            law = laws[arm]
-            if law.held.name != attached.name:
-                planned = attached.shape.T_parent_shape
-                sensed = inverse(tips[arm]) @ self._poses[attached.name]
-                touches_m = self.task.objects[attached.name].touches_m
-                law.held = InHand(attached.name, _centred(sensed, planned), planned, touches_m)
-
-
-def _centred(T_tcp_object: Array, planned: Array) -> Array:
-    """Return the pose after fingers, closing along y, have centred and turned the object.
-
-    Args:
-        T_tcp_object: (4, 4), sensed.
-        planned: (4, 4), in the plan.
-    """
-    turn = pin.log3(T_tcp_object[:3, :3] @ planned[:3, :3].T) * [0.0, 1.0, 0.0]
-    x, _, z = T_tcp_object[:3, 3]
-    return pose(pin.exp3(turn) @ planned[:3, :3], (x, planned[1, 3], z))

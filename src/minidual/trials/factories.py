@@ -17,9 +17,10 @@ from minidual.plant.world import World
 from minidual.policies.pilot import PolicyPilot, load_runtime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, robot_from
+from minidual.skills.compliant_carry import CompliantCarry
 from minidual.skills.impedance_carry import ImpedanceCarry
 from minidual.skills.pipeline.drive import Drive
-from minidual.skills.planned_carry import CompliantCarry, PlannedCarry
+from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.states import OPEN, still
 from minidual.skills.supervised import trial_supervisor
 from minidual.skills.things import thing_of
@@ -101,12 +102,17 @@ def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Fa
         # Same sensor, noise and stream as object impedance: both start from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
         poses: dict[str, Array] = {}
+        sensors: dict[str, Sensors] = {}
         for name in task.objects:
-            sample = Sensors(world, config.carry.sensing, rng, name).sense().pose
+            sensors[name] = Sensors(world, config.carry.sensing, rng, name)
+            sample = sensors[name].sense().pose
             if sample is None:
                 raise RuntimeError(f"the first reading of the sensors holds no pose of '{name}'")
             poses[name] = sample.T_world_object
-        return plan(world, kinematics, trial, poses)
+        carry = plan(world, kinematics, trial, poses)
+        if isinstance(carry, CompliantCarry):
+            carry.sensors = sensors
+        return carry
 
     return make
 
