@@ -1,4 +1,4 @@
-"""`make bench`, or `python -m scripts.bench [control] [carry] [planning] [hard] [options]`.
+"""`make bench`, or `python -m scripts.bench [control] [carry] [planning] [hard] [environments] [options]`.
 
 A bench measures against a yardstick of the same run: an absolute time says as much about the machine
 and its other work as about the code.
@@ -24,9 +24,10 @@ BENCHES: Registry[Bench] = Registry(
         "carry": "scripts.bench.carry:measure",
         "planning": "scripts.bench.planning:measure",
         "hard": "scripts.bench.hard:measure",
+        "environments": "scripts.bench.environments:measure",
     },
 )
-REPEATS_N = {"control": 2000, "carry": 4000, "planning": 20, "hard": 50}
+REPEATS_N = {"control": 2000, "carry": 4000, "planning": 20, "hard": 50, "environments": 1500}
 _REPEATS_N_DEFAULT = 20
 ONLY_NAMED = ("hard",)
 """They take many minutes, so they run only if named."""
