@@ -137,7 +137,7 @@ def test_a_condition_changes_each_world_and_the_offset_of_its_sensor():
     masses = env.worlds._own["body_mass"][:, env.worlds._body]
     assert len(set(masses)) == 2
     assert env.worlds.model.body_mass[env.worlds._body] == pytest.approx(1.0)
-    offset = env._sensors.offset
+    offset = env._readings.offset
     assert (np.abs(offset[:, :3]) > 0.0).all()
     away = env.sensed.objects[:, 0, :3, 3] - env.worlds.object_poses()[:, :3, 3]
     assert np.abs(away - offset[:, :3]).max() < 0.003

@@ -33,9 +33,10 @@ from minidual.config.root import Config, changed
 from minidual.environments.actions import ACTIONS, arms_of
 from minidual.environments.draws import Disturbed, Draws
 from minidual.environments.observations import CLIP, LIFT, Seen, Truth, observe, size_of
+from minidual.environments.readings import Readings
 from minidual.environments.referee import Flags, Referee
 from minidual.environments.rewards import LIFT_REWARD, LiftState, Reward, RewardTerm
-from minidual.environments.senses import JointReadings, PoseSensors, Sensed, Senses
+from minidual.environments.senses import Sensed
 from minidual.environments.transport_kernel import Scene
 from minidual.environments.worlds import Worlds
 from minidual.errors import UsageError, check_name, unknown_name
@@ -158,8 +159,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         if self._condition is not None:
             self.worlds.differ()
         self.trials = [task.trial(self.draws.seed, self.draws.purpose, 0)] * self.num_envs
-        self._sensors = PoseSensors(task.config.carry.sensing, self.num_envs, self.worlds.dt)
-        self._senses = Senses(self.arms.frames, self.num_envs)
+        self._readings = Readings(self.worlds, task.config.carry.sensing, self.arms.frames)
         self._substeps = round(TICK_S / self.worlds.dt)
 
     def _make_spaces(self) -> None:
@@ -210,7 +210,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             self.actions.step((tick + 1) / self._ticks_n)
             target, opening = self._commanded()
             self.worlds.advance(target, opening, self._substeps, self._watch)
-        self.sensed = self._sense(self._sensors.read(self._all))
+        self._readings.read()
         self.referee.note(self._ticks_n * TICK_S)
         state = self.referee.state(self.sensed)
         paid = self._reward.pay(state)
@@ -229,6 +229,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the simulations."""
+
+    @property
+    def sensed(self) -> Sensed:
+        """What a policy may read now, a row a world."""
+        return self._readings.latest
 
     # One step ----------------------------------------------------------------------------------
 
@@ -262,20 +267,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
     def _watch(self, scene: Scene) -> None:
         """Judge one physics step, and let the sensors take their samples."""
         self.referee.observe(scene)
-        self._sensors.note(scene.R, scene.p)
-
-    def _sense(self, poses: Array) -> Sensed:
-        """Return the readings of this moment, with sensed poses (N, 4, 4)."""
-        worlds = self.worlds
-        arms = JointReadings(
-            worlds.time_s,
-            worlds.q,
-            worlds.tau,
-            worlds.gripper,
-            worlds.grip_n,
-            worlds.hand_wrench.copy(),
-        )
-        return self._senses.read(arms, poses[:, None])
+        self._readings.note(scene)
 
     def _observe(self) -> Floats:
         return observe(self.terms, Seen(self.sensed, self.actions, self.task, self._truth()))
@@ -285,7 +277,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
             self.worlds.object_poses()[:, None],
             self.worlds.object_twists(),
             self.referee.judges.state["pinch"].copy(),
-            self._sensors.offset,
+            self._readings.offset,
         )
 
     def _info(self, state: LiftState) -> dict[str, Any]:
@@ -323,19 +315,16 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         self.worlds.reset(worlds, starts, goals)
         self.referee.reset(worlds, np.array(starts), np.array(goals))
         self.actions.reset(worlds)
-        self._sensors.begin(worlds, self.worlds.object_poses())
-        poses = self._sensors.read(worlds)
-        self._senses.reset(worlds, poses[worlds, None], np.array(goals))
+        self._readings.begin(worlds, np.array(goals))
         chosen = np.zeros(self.num_envs, dtype=bool)
         chosen[worlds] = True
-        self.sensed = self._sense(poses)
         self._reward.restart(self.referee.state(self.sensed), chosen)
 
     def _draw(self, world: int) -> Trial:
         """Draw the next trial for a world, with its sensor's offset and its model."""
         draw = self.draws.next()
         self.trials[world] = draw.trial
-        self._sensors.reset(world, draw.sensing)
+        self._readings.draw(world, draw.sensing)
         if self._condition is not None:
             model = self.worlds.model
             with self._condition.applied(model, self.task, draw.trial, draw.disturbance):

@@ -231,7 +231,7 @@ class Reward:
     ) -> None:
         self.terms = tuple(terms)
         self._discount = discount
-        self._last = {term.name: np.zeros(worlds_n) for term in self.terms}
+        self._last: dict[str, Array] = {term.name: np.zeros(worlds_n) for term in self.terms}
 
     def restart(self, state: LiftState, worlds: Flags) -> None:
         """Take the potentials of new trials, in which no event has happened."""

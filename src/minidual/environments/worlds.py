@@ -268,7 +268,8 @@ class Worlds:
         driven.target[worlds] = home
         driven.opening[worlds] = 1.0
         driven.reference[worlds] = 0.0
-        driven.reference[np.ix_(worlds, [0, 3, 4])] = home
+        for row in (0, 3, 4):  # position, and both ends of the ramp
+            driven.reference[worlds, row] = home
         travel_m = self.robot.hand.travel_m
         rows = [[1.0, 1.0], [travel_m, travel_m], [math.nan, math.nan], [0.0, 0.0]]
         driven.hands[worlds] = np.array(rows)
