@@ -5,7 +5,7 @@ are the reference: tests compare them (tests/environments/test_judging.py).
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +60,8 @@ JUDGED = np.dtype(
     ]
 )
 """What the judge keeps of a world."""
+type Judged = Any
+"""A row of JUDGED, with its fields as attributes."""
 
 
 class Limits(NamedTuple):
@@ -117,14 +119,14 @@ def _remainder(x: float, period: float) -> float:
 
 
 @njit
-def _moved(s: np.void, place: Array, reach: float) -> float:
+def _moved(s: Judged, place: Array, reach: float) -> float:
     """Return how far the object's centre or ends are from where they were at a place."""
     turned = abs(_remainder(s.yaw - place[2], math.tau))
     return math.hypot(s.xyz[0] - place[0], s.xyz[1] - place[1]) + reach * turned
 
 
 @njit
-def _put(place: Array, s: np.void) -> None:
+def _put(place: Array, s: Judged) -> None:
     """Write where the object is: x, y and yaw."""
     place[0] = s.xyz[0]
     place[1] = s.xyz[1]
@@ -154,7 +156,7 @@ def _presses(seen: Array) -> float:
 
 
 @njit
-def _too_fast(s: np.void, now: float, limit: float) -> bool:
+def _too_fast(s: Judged, now: float, limit: float) -> bool:
     square = 0.0
     for k in range(3):
         square += (s.xyz[k] - s.last_xyz[k]) ** 2
@@ -166,7 +168,7 @@ def _too_fast(s: np.void, now: float, limit: float) -> bool:
 
 
 @njit
-def _strays(s: np.void, limits: Limits) -> bool:
+def _strays(s: Judged, limits: Limits) -> bool:
     """Return whether the object has moved too far near the table."""
     if s.clearance >= limits.high:
         s.low = False
@@ -178,7 +180,7 @@ def _strays(s: np.void, limits: Limits) -> bool:
 
 
 @njit
-def _unsettled(s: np.void, now: float, touched: bool, limits: Limits) -> bool:
+def _unsettled(s: Judged, now: float, touched: bool, limits: Limits) -> bool:
     """Return whether the object is let go above the table, or moves after its release."""
     if s.clearance >= limits.high:
         s.lifted = True
@@ -203,7 +205,7 @@ def _unsettled(s: np.void, now: float, touched: bool, limits: Limits) -> bool:
 
 
 @njit
-def _ends(s: np.void, seen: Array, touches: Array, goal: Array, limits: Limits) -> bool:
+def _ends(s: Judged, seen: Array, touches: Array, goal: Array, limits: Limits) -> bool:
     """Return whether the final conditions hold."""
     off = _remainder(s.yaw - goal[2], limits.period)
     if not s.highest_m > AIRBORNE_M or s.clearance > AIRBORNE_M:
@@ -219,7 +221,7 @@ def _ends(s: np.void, seen: Array, touches: Array, goal: Array, limits: Limits) 
 
 @njit
 def _violated(
-    s: np.void, seen: Array, now: float, touches: Array, airborne: bool, limits: Limits
+    s: Judged, seen: Array, now: float, touches: Array, airborne: bool, limits: Limits
 ) -> int:
     """Update what the conditions remember; return the number of the first that is violated, or 0."""
     broken = 0
@@ -251,7 +253,7 @@ def judge(scene: Scene, limits: Limits, judged: npt.NDArray[np.void]) -> None:
     right = np.empty(3)
     solids = scene.solids.copy()
     for i in range(len(judged)):
-        s = judged[i]
+        s: Judged = judged[i]
         R[:] = scene.R[i]
         p[:] = scene.p[i]
         pads[:] = scene.pads[i]
