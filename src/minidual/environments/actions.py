@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from minidual.environments.kernels import Rest, place_hands, reach
 from minidual.environments.senses import Sensed, hand_yaw
@@ -137,7 +138,7 @@ class DownwardHands(Actions):
         self._before[worlds] = self._start
 
     @property
-    def closed(self) -> Array:
+    def closed(self) -> npt.NDArray[np.bool_]:
         """Whether both hands are told to close (N,)."""
         return self.opening.sum(axis=1) < 0.5
 
