@@ -104,7 +104,7 @@ def test_bad_input_gets_a_message(env):
         env.step(np.full((3, 10), np.nan))
     with pytest.raises(UsageError, match="finite numbers"):
         env.step(np.zeros((2, 10)))
-    with pytest.raises(UsageError, match="there are purpose, first"):
+    with pytest.raises(UsageError, match="there are first, purpose"):
         env.reset(options={"trial": 1})
     with pytest.raises(UsageError, match="before it was reset"):
         BatchedEnv(1, CONFIG, fast=True).step(np.zeros((1, 10)))
