@@ -7,10 +7,10 @@ import pytest
 
 from minidual.config.control import SensingConfig
 from minidual.config.root import Config
-from minidual.environments.actions import ACTIONS, LEAD_M, arms_of, turned_together
+from minidual.environments.actions import ACTIONS, LEAD_M, arms_of, turned_plane, turned_together
 from minidual.environments.kernels import place_hands
 from minidual.environments.observations import LIFT, OBSERVATIONS, Seen, Truth, observe, size_of
-from minidual.environments.senses import JointReadings, PoseSensors, Senses, rotations
+from minidual.environments.senses import JointReadings, PoseSensors, Senses, hand_yaw, rotations
 from minidual.errors import UsageError
 from minidual.robot.pair import DUAL_PANDA
 from minidual.tasks.catalogue import make_task
@@ -80,10 +80,13 @@ def test_hand_increments_move_each_hand():
 
 
 def test_pair_increments_move_both_and_apart():
+    """Apart is along the line between hands over an object: across their fingers."""
     _, before, after = driven("pair_increments", [0, 0.5, 0, 0, 0, 1, 0, 0, 0, 0])
+    frame = hand_yaw(before).mean() - np.pi / 2.0
+    along = turned_plane(np.array([[0.0, 0.04]]), np.array([frame]))[0]
     moved = (after - before)[:, :3, 3]
     assert moved.mean(axis=0) == pytest.approx([0.0, 0.025, 0.0], abs=1e-4)
-    assert moved[0] - moved[1] == pytest.approx([0.0, 0.04, 0.0], abs=1e-4)
+    assert moved[0] - moved[1] == pytest.approx([*along, 0.0], abs=1e-4)
 
 
 def test_closed_hands_turn_about_the_point_between_them_and_open_ones_in_place():

@@ -106,7 +106,7 @@ def test_along_pays_the_lifted_pot_alone():
 def test_lower_and_release_pay_over_the_goal():
     high = np.array([[0.48, -0.15, REST_M + 0.12]])
     down = np.array([[0.48, -0.15, REST_M]])
-    assert value(rewards.lower, xyz=high, **UP) == 0.0
+    assert value(rewards.lower, xyz=high, **UP) == pytest.approx(0.0, abs=1e-9)
     assert value(rewards.lower, xyz=down, **UP) == 1.0
     assert value(rewards.lower, xyz=down) == 0.0
     assert value(rewards.release, xyz=down, **UP) == 1.0

@@ -26,7 +26,7 @@ _APART = np.array([0.02, 0.02, 0.015, 0.10])
 _LOWEST_M = np.array([0.2, -0.55, 0.03])
 _HIGHEST_M = np.array([0.75, 0.55, 0.60])
 """Places that the targets of hands may take: over the table, where both arms reach."""
-_TURN_RAD = 1.3
+_TURN_RAD = 2.2
 """Largest turn of a hand from the direction that it has over an object along y."""
 _ALONG_Y_RAD = np.pi / 2.0
 LEAD_M = 0.012

@@ -76,7 +76,7 @@ class AskewSearch:
         self._goal = np.zeros(2)
         self._from = np.zeros(2)
         self._turning_s = now_s
-        self._next_s = now_s
+        self._next_s = now_s + _TRY_S
         self._back_m = 0.0
         self.tries_n = 0
         self._aim(0, now_s)
