@@ -155,21 +155,21 @@ def test_the_script_lifts_the_pot_and_the_judge_counts_it():
 def equal(pair: Pair, recorder: TargetRecorder, episode: int) -> bool:
     """Play an episode in both environments; check what must agree and return whether all does.
 
-    Both end within two control steps; until then, contacts let joints differ by 5 mrad at most.
+    Both end within two control steps; after 2 s their joints differ by 2 mrad at most.
     """
     targets = recorder.targets(episode)
     batched = pair.play_batched(episode, targets)
     single = pair.play_single(targets)
     same_end = abs(batched.steps_n - single.steps_n) <= 2
     same_faults = bool(batched.failures) == bool(single.failures)
-    same_joints = float(np.abs(batched.q - single.q).max()) < 0.005
+    same_joints = float(np.abs(batched.q - single.q).max()) < 0.002
     return same_end and same_faults and same_joints and batched.success == single.success
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_hundred_random_episodes_end_as_in_a_single_environment():
-    """Contacts amplify rounding: two of a hundred may part at a limit."""
+    """Scripted lifts under noise of three sizes; contacts amplify rounding: two may part at a limit."""
     pair = Pair()
     recorder = TargetRecorder()
     equals = [equal(pair, recorder, episode) for episode in range(100)]
