@@ -8,8 +8,10 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from minidual.config.root import Config
+from minidual.environments.actions import downward_poses
 from minidual.environments.batched import BatchedEnv
 from minidual.environments.evaluation import evaluate
+from minidual.environments.kernels import reach
 from minidual.environments.rewards import TOGETHER
 from minidual.environments.scripted import LiftScript
 from minidual.errors import UsageError
@@ -86,16 +88,21 @@ def test_a_world_that_diverges_ends_and_the_others_go_on(env):
     assert np.isfinite(reward).all()
 
 
-def test_a_hand_that_presses_on_the_table_stops_the_trial(env):
-    env.reset(options={"first": 0})
-    down = still(env)
-    down[:, 2] = -1.0
-    failures = set()
-    for _ in range(12):
-        _, _, terminated, _, info = env.step(down)
-        if terminated.any():
-            failures |= set(info["final_info"]["failure"][terminated])
-    assert failures == {"stopped"}
+def test_a_hand_that_presses_on_the_table_stops_the_trial():
+    """Joint targets of hands 30 mm below the table top: the supervisor's bounds end the trial."""
+    env = BatchedEnv(1, CONFIG, action="joint_targets", rate_hz=10, fast=True, purpose="test")
+    env.reset()
+    below = np.array([[[0.4, 0.3, -0.03, np.pi / 2.0], [0.4, -0.3, -0.03, np.pi / 2.0]]])
+    q = env.worlds.q
+    reach(env.arms.rest, downward_poses(below), q)
+    way = q - env.arms.robot.home
+    for step in range(60):
+        targets = env.arms.robot.home + min(1.0, step / 30.0) * way
+        _, _, terminated, _, info = env.step(np.c_[targets, 1.0, 1.0])
+        if terminated[0]:
+            assert info["final_info"]["failure"][0] == "stopped"
+            return
+    pytest.fail("nothing stopped the hands")
 
 
 def test_bad_input_gets_a_message(env):
