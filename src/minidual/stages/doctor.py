@@ -27,6 +27,8 @@ _LAST_STAGE = "carry"
 _QUERIES_N = 2
 _CARRIES_N = 1
 """Queries of each group, and carries: enough to see a fault, few enough for a minute."""
+_SEED = 1
+"""Of the stages that run again. The draws of some seeds take a minute to find."""
 
 
 class Examination(NamedTuple):
@@ -103,7 +105,7 @@ def stage(name: str, context: ToolContext) -> Examination:
     folder.mkdir()
     stage_context = StageContext(
         config=entry.resolved(_small(context.config), checked=True),
-        seed=context.seed,
+        seed=_SEED,
         profile="smoke",
         folder=folder,
         progress=context.progress,
