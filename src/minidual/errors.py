@@ -34,7 +34,8 @@ class MinidualError(Exception):
 
     def __init__(self, message: str, *, remedy: str | None = None) -> None:
         super().__init__(message)
-        self.message = message
+        # Gymnasium raises a worker's error anew, as its class called with the error itself.
+        self.message = str(message)
         self.remedy = remedy
 
     def __str__(self) -> str:

@@ -109,6 +109,8 @@ class CompliantCarry(PlannedCarry):
     def _part(self, arm: int) -> HeldPart:
         """Return what a hand holds, with how askew its fingers say that it stands."""
         held = self.stack.hands[arm].law.held
+        if not held.name:
+            return HeldPart(held, 0.0)
         width_m = 2.0 * self.task.objects[held.name].body.half_width_m
         gap_m = 2.0 * float(self.world.fingers[arm])
         return part_in_hand(held, gap_m, width_m, self._turns.get(held.name, []))
