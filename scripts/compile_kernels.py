@@ -30,7 +30,7 @@ def _step_environment() -> None:
     """Compile the kernels of batched worlds, which have no signatures."""
     env = BatchedEnv(1, Config(task="pot_lift"), fast=True)
     env.reset()
-    env.step(np.zeros(env.action_space.shape))
+    env.step(np.zeros((1, len(env.actions.names))))
 
 
 if __name__ == "__main__":

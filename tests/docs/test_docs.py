@@ -122,6 +122,8 @@ def test_gymnasium_page_opens_the_environment(tmp_path: Path) -> None:
     names = run_blocks("gymnasium.md", tmp_path)
     assert names["env"].observation_space.contains(names["observation"])
     names["env"].close()
+    assert names["envs"].observation_space.contains(names["observations"])
+    assert names["rewards"].shape == (4,)
 
 
 @pytest.mark.slow
