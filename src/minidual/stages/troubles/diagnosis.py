@@ -13,6 +13,7 @@ _MOTIONS = (
     "env-check tracking.*",
     "env-check control.stopped",
     "env-check contacts.sine",
+    "env-check latency.*",
     "env-check stop.*",
     "env-check video.frames",
     "plan closed_chain.driven_n",
