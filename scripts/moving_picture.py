@@ -1,36 +1,38 @@
-"""Turn a film into an animated WebP for a page that shows no video.
+"""Make the moving picture of README.md: force control carries the rod, with the hands' forces.
 
-minidual carry
-python scripts/moving_picture.py runs/standard/carry/carry.mp4 docs/carry.webp
+python -m scripts.moving_picture docs/demo.webp
 """
 
-import itertools
 import sys
 
-import av
+from PIL import Image
 
-WIDTH_PX = 480
-EVERY = 3
-QUALITY = 55
+from minidual.config.loader import load_config
+from minidual.show.figures.side_by_side import FPS, frames_of, take
+from minidual.tasks.catalogue import make_task
+from minidual.trials.methods import MethodInputs
+
+METHOD = "impedance"
+TASK = "rod_carry"
+SIZE_PX = (640, 360)
+QUALITY = 60
 
 
-def main(film: str, target: str) -> None:
-    """Write every third frame of `film` at its own speed."""
-    with av.open(film) as container:
-        stream = container.streams.video[0]
-        period_ms = round(1000.0 * EVERY / float(stream.average_rate or 0))
-        decoded = itertools.islice(container.decode(stream), 0, None, EVERY)
-        frames = [frame.to_image() for frame in decoded]
-    for frame in frames:
-        frame.thumbnail((WIDTH_PX, WIDTH_PX))
+def main(target: str, task: str = TASK) -> None:
+    """Run trial 0 of the task and write it as an animated WebP, as fast as it happened."""
+    config = load_config("standard", [f"task={task}"]).config
+    trial = make_task(config).trial(config.seed, "film", 0)
+    shown = take(METHOD, MethodInputs(config, config.seed), trial)
+    print(f"{task}, {METHOD}: {shown.result.text}")
+    frames = [Image.fromarray(frame) for frame in frames_of([shown], size_px=SIZE_PX)]
     frames[0].save(
         target,
         save_all=True,
         append_images=frames[1:],
-        duration=period_ms,
+        duration=round(1000 / FPS),
         loop=0,
         quality=QUALITY,
-        method=6,
+        method=4,
     )
 
 

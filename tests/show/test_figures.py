@@ -11,11 +11,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from minidual.config.root import Config
-from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.pair import robot_from
 from minidual.show.figures import canvas
 from minidual.show.figures.film import Postures, draw_failures, film_postures, sheet_of_postures
+from minidual.show.figures.film_model import film_model
 from minidual.show.figures.trial import draw_trial
 from minidual.show.report.figures import LOOKS
 from minidual.trials.benchmark import draw_under
@@ -100,7 +100,7 @@ def test_a_sheet_and_a_film_show_the_postures_that_were_kept(tmp_path: Path) -> 
     scene = Config().scene
     world = World(scene)
     keep = Postures(0.001)
-    model = build_model(scene, visuals=True)
+    model = film_model(scene)
     for _ in range(3):
         world.step()
         keep(world)

@@ -25,7 +25,7 @@ _HAND_FOVY_DEG = 62.0
 
 def add_cameras(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     """Add `high`, `overview` and one camera a hand."""
-    R_high = _facing(_HIGH_AT, _HIGH_TARGET)
+    R_high = facing(_HIGH_AT, _HIGH_TARGET)
     _add_camera(spec, "high", _HIGH_AT, R_high, _high_fovy_deg(scene, R_high))
     add_camera(spec, "overview", _OVERVIEW_AT, _OVERVIEW_TARGET, _OVERVIEW_FOVY_DEG)
     # The tilt about y, then a quarter turn about z.
@@ -50,7 +50,7 @@ def add_camera(
     fovy_deg: float,
 ) -> None:
     """Add an upright camera at a place [m] that faces another one."""
-    _add_camera(spec, name, at, _facing(at, target), fovy_deg)
+    _add_camera(spec, name, at, facing(at, target), fovy_deg)
 
 
 def _add_camera(spec: mujoco.MjSpec, name: str, at: Position, R: Array, fovy_deg: float) -> None:
@@ -59,7 +59,7 @@ def _add_camera(spec: mujoco.MjSpec, name: str, at: Position, R: Array, fovy_deg
     spec.worldbody.add_camera(name=name, pos=at, quat=quat.tolist(), fovy=fovy_deg)
 
 
-def _facing(position: Position, target: Position) -> Array:
+def facing(position: Position, target: Position) -> Array:
     """Return the axes (3, 3) of an upright camera that faces `target`."""
     z: Array = np.subtract(position, target)
     z /= np.linalg.norm(z)

@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
@@ -121,9 +121,17 @@ class Camera(AbstractContextManager["Camera"]):
         """Return the camera of recordings and policies."""
         return cls(model, config.width_px, config.height_px, supersample=config.supersample)
 
-    def picture(self, data: mujoco.MjData, camera: str) -> Image:
-        """Return the image (H, W, 3) of `camera`."""
-        return self.stamped(data, camera).image
+    def picture(
+        self,
+        data: mujoco.MjData,
+        camera: str,
+        decorate: Callable[[mujoco.MjvScene], None] | None = None,
+    ) -> Image:
+        """Return the image (H, W, 3) of `camera`; `decorate` may add geoms to what is drawn."""
+        self._update(data, camera)
+        if decorate is not None:
+            decorate(self._renderer.scene)
+        return _shrunk(self._renderer.render(), self._supersample)
 
     def stamped(self, data: mujoco.MjData, camera: str) -> StampedImage:
         """Return the image (H, W, 3) of `camera` with the time of the rendered state."""

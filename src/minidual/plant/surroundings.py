@@ -19,6 +19,7 @@ from minidual.robot.pair import Robot
 _TABLE_HALF_M = (0.6, 0.8, 0.02)
 _TABLE_CENTRE_X_M = 0.38
 _LEG_INSET_M = 0.06
+TABLE_RGBA = (0.42, 0.47, 0.50, 1.0)
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 
@@ -82,7 +83,7 @@ def _add_table(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
         name="table_top",
         type=_BOX,
         size=list(_TABLE_HALF_M),
-        rgba=[0.42, 0.47, 0.50, 1],
+        rgba=list(TABLE_RGBA),
     )
     top.friction = [scene.object.friction, 0.005, 0.0001]
     top.solref = SOLREF

@@ -19,13 +19,12 @@ from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
+from minidual.show.forces import force_arrows
 from minidual.show.view import View
-from minidual.show.view.overlay import ARM_RGB, NO_PREVIEW, Arrow, Overlay, PathLine, Preview
+from minidual.show.view.overlay import ARM_RGB, NO_PREVIEW, Overlay, PathLine, Preview
 from minidual.trials.methods import Method
 from minidual.trials.runner import Bench, StepHook, Watch
 
-_ARROW_OFFSET_M = np.array([0.05, 0.0, 0.0])
-"""Of force arrows from the hands, where the object would hide them."""
 _BRAKE_EVERY_S = 0.01
 _LAG_MAX_S = 0.1
 _PATH_POINTS_N = 60
@@ -45,17 +44,12 @@ def visual_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjMode
 def overlay(world: World, words: Overlay) -> Overlay:
     """Return `words` with the world's time and forces."""
     objects = [world.truth(name) for name in world.objects]
-    forces = np.sum([each.forces() for each in objects], axis=0)
     pinch_left, pinch_right = np.max([each.pinch() for each in objects], axis=0)
-    arrows = tuple(
-        Arrow(world.data.body(hand).xpos + _ARROW_OFFSET_M, np.array(force), rgb)
-        for hand, force, rgb in zip(world.robot.tcp_names, forces, ARM_RGB, strict=True)
-    )
     return words._replace(
         time_s=world.time,
         pinch_n=(float(pinch_left), float(pinch_right)),
         internal_n=max(each.internal_force() for each in objects),
-        arrows=arrows,
+        arrows=force_arrows(world),
     )
 
 

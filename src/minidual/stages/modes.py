@@ -22,6 +22,8 @@ from minidual.policies.pilot import load_runtime
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS
+from minidual.show.figures.film_camera import FilmCamera
+from minidual.show.figures.film_model import painted
 from minidual.show.watch import StackNarrator, watched
 from minidual.skills.operator import ScriptedOperator
 from minidual.skills.supervised import trial_supervisor
@@ -79,7 +81,7 @@ def _film(context: ToolContext, demo: ModesDemo, world: World, modes_n: int) -> 
 
     narrate = StackNarrator(demo.stack, Kinematics(world.robot), "modes", phase)
     with (
-        Camera(world.model, *FILM_SIZE, shadows=True) as camera,
+        FilmCamera(painted(world.scene, world.robot, world.model), FILM_SIZE) as camera,
         watched(context.view, world, narrate),
         context.progress.task("modes", modes_n) as bar,
     ):

@@ -7,12 +7,14 @@ from PIL import Image as Picture
 from PIL import ImageDraw, ImageFont
 
 from minidual.control.stack import ControlStack
-from minidual.plant.render import Camera, Image
+from minidual.plant.render import Image
 from minidual.plant.world import World
 from minidual.show.figures.film import FILM_FPS
+from minidual.show.figures.film_camera import FilmCamera
+from minidual.show.forces import force_arrows
 from minidual.trials.modes_turns import Turn
 
-FILM_SIZE = (720, 540)
+FILM_SIZE = (640, 360)
 _BAR_PX = 64
 _LAST_S = 1.0
 """How long the last frame stays."""
@@ -20,7 +22,9 @@ _COLOURS = {"moveit": (32, 108, 214), "teleop": (20, 140, 90), "policy": (150, 6
 _NOBODY = (96, 96, 96)
 
 
-def filmed(steps: Iterator[Turn], stack: ControlStack[World], camera: Camera) -> Iterator[Image]:
+def filmed(
+    steps: Iterator[Turn], stack: ControlStack[World], camera: FilmCamera
+) -> Iterator[Image]:
     """Run `steps`; yield captioned frames at FILM_FPS, the last one for 1 s."""
     frames = 0
     world = stack.plant
@@ -28,10 +32,14 @@ def filmed(steps: Iterator[Turn], stack: ControlStack[World], camera: Camera) ->
     for turn in steps:
         if world.time * FILM_FPS >= frames:
             frames += 1
-            last = captioned(camera.picture(world.data, "overview"), stack, turn)
+            last = captioned(_picture(world, camera), stack, turn)
             yield last
     if last is not None:
         yield from [last] * round(_LAST_S * FILM_FPS)
+
+
+def _picture(world: World, camera: FilmCamera) -> Image:
+    return camera.picture(world.data.qpos, force_arrows(world))
 
 
 def captioned(picture: Image, stack: ControlStack[World], turn: Turn) -> Image:

@@ -10,6 +10,7 @@ from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.world import World
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
+from minidual.show.figures.film_model import painted
 from minidual.show.watch import trial_hook
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.stages.output_file import target_file
@@ -61,9 +62,9 @@ def plan_task(context: ToolContext) -> ToolResult:
 
 
 def _film(bench: Bench, trial: Trial, postures: Postures, path: Path) -> None:
-    """Write a film of the postures in a world with visuals and the goal."""
+    """Write a film of the postures in a world with the goal."""
     config = bench.task.config
-    world = World(config.scene, robot_from(config.robot), visuals=True)
+    world = World(config.scene, robot_from(config.robot))
     world.mark_goal(*placement(trial.goal[bench.task.carried]))
     with disk_errors(path):
-        film_postures(world.model, postures.qpos, path)
+        film_postures(painted(world.scene, world.robot, world.model), postures.qpos, path)

@@ -7,10 +7,10 @@ from typing import Any
 
 from minidual.errors import ExitCode, UsageError, check_name
 from minidual.gate.stage import ToolContext, ToolResult
-from minidual.plant.model import build_model
 from minidual.plant.recording import Recording, read_recording
 from minidual.plant.replay import Replayed, replay
 from minidual.show.figures.film import CAMERAS, FILM_FPS, Postures, film_postures, sheet_of_postures
+from minidual.show.figures.film_model import film_model
 from minidual.stages.output_file import target_file
 
 
@@ -48,7 +48,7 @@ class _Pictures:
         if not self.wanted:
             return []
         notes: list[str] = []
-        model = build_model(recording.scene, recording.robot, visuals=True)
+        model = film_model(recording.scene, recording.robot)
         if self.video is not None:
             count = film_postures(model, postures.qpos, self.video, camera=self.camera)
             notes.append(f"film of {count} frames: {self.video}")

@@ -2,24 +2,28 @@
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from minidual.demos.rig import Job, Rig
-from minidual.plant.render import Camera, Image, write_video
+from minidual.plant.render import Image, write_video
 from minidual.plant.world import World
 from minidual.robot.pair import Array
 from minidual.show.figures.canvas import sheet
+from minidual.show.figures.film_camera import FilmCamera
+from minidual.show.figures.film_model import CAMERA, painted
+from minidual.show.figures.side_by_side import film_takes, take
 from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench
 
-FILM_FPS = 25
-FILM_SIZE = (640, 480)
-FAILURE_SIZE = (400, 300)
+FILM_FPS = 15
+FILM_SIZE = (640, 360)
+FAILURE_SIZE = (480, 360)
 CAMERAS = ("overview", "high", "left", "right")
 _AROUND_S = (-1.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Instants that are drawn, from the failure. Of those after it the last that is reached counts:
@@ -28,16 +32,10 @@ _SHEET_COLUMNS_MAX = 4
 
 
 def film_trial(method: str, inputs: MethodInputs, trial: Trial, path: Path) -> TrialMetrics:
-    """Film a new run of `trial`; return that run's result."""
-    bench = Bench(method, inputs, visuals=True)
-    postures = Postures(1.0 / FILM_FPS)
-
-    def sample(world: World, _method: object) -> None:
-        postures(world)
-
-    result, _ = bench.run(trial, on_step=sample)
-    film_postures(bench.world.model, postures.qpos, path)
-    return result
+    """Film a new run of `trial`, with captions; return that run's result."""
+    shown = take(method, inputs, trial)
+    film_takes([shown], path)
+    return shown.result
 
 
 def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], path: Path) -> None:
@@ -52,19 +50,24 @@ def draw_failures(failed: Sequence[tuple[MethodInputs, Trial, TrialMetrics]], pa
 
 
 def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[tuple[str, Image]]:
-    bench = Bench(result.method, inputs, result.condition, visuals=True)
+    bench = Bench(result.method, inputs, result.condition)
     named_objects = (name for name in bench.task.objects if name in result.reason)
     shown_object = bench.world.truth(next(named_objects, bench.task.carried))
     images: list[Image] = []
-    with Camera(bench.world.model, *FAILURE_SIZE, shadows=True) as camera:
+    with ExitStack() as open_cameras:
+        cameras: list[FilmCamera] = []
 
         def photograph(world: World, _method: object) -> None:
+            if not cameras:  # the condition has changed the world's model by now
+                model = painted(world.scene, world.robot, world.model)
+                camera = FilmCamera(model, FAILURE_SIZE)
+                cameras.append(open_cameras.enter_context(camera))
             if len(images) == len(_AROUND_S):
                 return
             due_s = result.failed_at_s + _AROUND_S[len(images)]
             if world.time >= due_s:
                 position = shown_object.pose()[:3, 3]
-                images.append(camera.close_up(world.data, position).copy())
+                images.append(cameras[0].close_up(world.data.qpos, position).copy())
 
         bench.run(trial, on_step=photograph)
     before = images[0]
@@ -85,7 +88,8 @@ def film_demonstration(job: Job, index: int, path: Path) -> None:
     rig.lead(trial, lambda _tick: postures(rig.world))
     rig.close()
     with rig.room(trial):
-        film_postures(rig.world.model, postures.qpos, path)
+        model = painted(rig.world.scene, rig.world.robot, rig.world.model)
+    film_postures(model, postures.qpos, path)
 
 
 class Postures:
@@ -115,10 +119,10 @@ def film_postures(
     qpos: Sequence[Array],
     path: Path,
     *,
-    camera: str = "overview",
+    camera: str = CAMERA,
     shadows: bool = True,
 ) -> int:
-    """Write an mp4 of a model with visuals; return the number of frames."""
+    """Write an mp4 of postures (nq,) of a film's model; return the number of frames."""
     return write_video(path, _pictures(model, qpos, camera, shadows=shadows), fps=FILM_FPS)
 
 
@@ -128,9 +132,9 @@ def sheet_of_postures(
     path: Path,
     *,
     frames: int,
-    camera: str = "overview",
+    camera: str = CAMERA,
 ) -> int:
-    """Draw up to `frames` evenly spaced postures of a model with visuals; return their number."""
+    """Draw up to `frames` evenly spaced postures of a film's model; return their number."""
     evenly = np.linspace(0, len(postures.times) - 1, frames)
     chosen = np.unique(evenly.round().astype(int))
     pictures = _pictures(model, [postures.qpos[i] for i in chosen], camera, shadows=True)
@@ -149,9 +153,6 @@ def _pictures(
     *,
     shadows: bool,
 ) -> Iterator[Image]:
-    data = mujoco.MjData(model)
-    with Camera(model, *FILM_SIZE, shadows=shadows) as renderer:
+    with FilmCamera(model, FILM_SIZE, shadows=shadows) as film_camera:
         for posture in qpos:
-            data.qpos[:] = posture
-            mujoco.mj_forward(model, data)
-            yield renderer.picture(data, camera)
+            yield film_camera.picture(posture, camera=camera)

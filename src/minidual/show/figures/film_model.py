@@ -1,68 +1,95 @@
 """The model of films: the scene as it is simulated, in a better light.
 
 Policies and recordings see the plain model: this one is only looked at. It has finer meshes, a
-wooden table, a tiled floor, two lights and four samples a pixel.
+wooden table, two lights, four samples a pixel, and objects that look like what they are.
 """
 
 import functools
+from copy import copy
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from minidual.config.scene import SceneConfig
-from minidual.config.seeds import stream
-from minidual.plant.cameras import add_camera
+from minidual.plant.cameras import facing
+from minidual.plant.contact import GROUP_COLLISION, GROUP_MARKER, GROUP_VISUAL, INTANGIBLE
 from minidual.plant.model import build_spec
+from minidual.plant.surroundings import TABLE_RGBA
 from minidual.robot.pair import DUAL_PANDA, Robot
+from minidual.show.figures.film_objects import PREFIX, dress, look_of
+from minidual.show.figures.film_shapes import arm_shells, rounded_box
+from minidual.show.figures.film_textures import wood
 
-CAMERA = "film"
-FACES_PER_ARM = 18_000
-"""Triangles of an arm: twice those of a camera's picture. More take longer to draw in software."""
-_CAMERA_AT_M = (1.72, -0.95, 0.98)
-_CAMERA_TARGET_M = (0.30, 0.0, 0.22)
-_CAMERA_FOVY_DEG = 38.0
-_TEXTURE_PX = 512
-_PLANKS = 6
-_WOOD_RGB = (0.66, 0.53, 0.40)
-_SEAM_SHARE = 0.02
-"""Width of the gap between planks."""
+CAMERA = "overview"
+"""Stands closer than in the simulated model."""
+_CAMERA_AT_M = (1.80, -0.52, 1.02)
+_CAMERA_TARGET_M = (0.28, -0.005, 0.25)
+_CAMERA_FOVY_DEG = 37.0
+_TEXTURE_PX = 1024
+_SHADOW_PX = 4096
+_SHADOW_REACH = 1.6
+_EXTENT_M = 1.9
+_HORIZON_RGB = (0.86, 0.88, 0.91)
+_PLATE_HALF_M = (0.13, 0.12, 0.004)
+_PLATE_X_M = -0.04
+_TEXTURED = ("table_top", "floor")
+_KEY_DIFFUSE = "simulated_key_diffuse"
+"""Number in the model: how bright the simulated lamp is."""
 _RGB = mujoco.mjtTextureRole.mjTEXROLE_RGB
 
 
 @functools.lru_cache(maxsize=2)
-def film_model(scene: SceneConfig, robot: Robot = DUAL_PANDA) -> mujoco.MjModel:
-    """Compile the model; positions (nq,) and geoms are in the order of the simulated one."""
-    spec = build_spec(scene, robot, visuals=True, faces_per_arm=FACES_PER_ARM)
+def film_model(
+    scene: SceneConfig,
+    robot: Robot = DUAL_PANDA,
+    *,
+    fine: bool = False,
+) -> mujoco.MjModel:
+    """Compile the model; positions (nq,) are those of the simulated one.
+
+    Args:
+        scene: As simulated.
+        robot: As simulated.
+        fine: Draw all triangles of the arms' files: for single pictures, at twice the time.
+    """
+    spec = build_spec(scene, robot, visuals=False)
     _set_quality(spec)
     _set_lights(spec)
     _set_table(spec)
     _set_floor(spec)
-    add_camera(spec, CAMERA, _CAMERA_AT_M, _CAMERA_TARGET_M, _CAMERA_FOVY_DEG)
+    _add_arms(spec, robot, fine=fine)
+    dress(spec, scene)
+    _hide_fiducials(spec)
+    _move_camera(spec)
     return spec.compile()
 
 
 def _set_quality(spec: mujoco.MjSpec) -> None:
     spec.visual.quality.offsamples = 4
+    spec.visual.quality.shadowsize = _SHADOW_PX
+    spec.visual.map.shadowclip = _SHADOW_REACH
+    spec.stat.extent = _EXTENT_M
 
 
 def _set_lights(spec: mujoco.MjSpec) -> None:
     """Let a warm light cast the shadows, and a cool one fill them."""
     headlight = spec.visual.headlight
-    headlight.ambient = [0.28, 0.28, 0.29]
-    headlight.diffuse = [0.22, 0.22, 0.22]
+    headlight.ambient = [0.33, 0.33, 0.34]
+    headlight.diffuse = [0.16, 0.16, 0.16]
     headlight.specular = [0.05, 0.05, 0.05]
     key = spec.light("key")
+    spec.add_numeric(name=_KEY_DIFFUSE, size=1, data=[float(key.diffuse[0])])
     key.pos = [1.2, 1.4, 2.4]
-    key.dir = [-0.45, -0.55, -1.0]
-    key.diffuse = [0.62, 0.60, 0.56]
+    key.dir = [-0.42, -0.50, -1.0]
+    key.diffuse = [0.52, 0.50, 0.47]
+    key.specular = [0.35, 0.35, 0.33]
     spec.worldbody.add_light(
         name="fill",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[1.0, -1.5, 1.6],
         dir=[-0.5, 0.8, -0.7],
         castshadow=False,
-        diffuse=[0.20, 0.21, 0.24],
+        diffuse=[0.16, 0.17, 0.19],
         specular=[0.05, 0.05, 0.05],
     )
 
@@ -76,22 +103,29 @@ def _set_table(spec: mujoco.MjSpec) -> None:
         nchannel=3,
     )
     texture.data = wood(_TEXTURE_PX).tobytes()
-    _cover(spec, "table_top", "wood", repeat=(1.2, 1.6), reflectance=0.03)
+    _cover(spec, "table_top", "wood", repeat=(1.0, 1.0))
 
 
 def _set_floor(spec: mujoco.MjSpec) -> None:
+    """Let an endless floor fade into the sky."""
+    red, green, blue = _HORIZON_RGB
+    spec.visual.rgba.haze = [red, green, blue, 1.0]
+    sky = spec.texture("sky")
+    sky.rgb1 = [0.96, 0.97, 0.98]
+    sky.rgb2 = list(_HORIZON_RGB)
     spec.add_texture(
         name="tiles",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.84, 0.85, 0.86],
-        rgb2=[0.82, 0.83, 0.845],
+        rgb1=[0.90, 0.91, 0.92],
+        rgb2=[0.88, 0.89, 0.905],
         mark=mujoco.mjtMark.mjMARK_EDGE,
-        markrgb=[0.74, 0.75, 0.77],
+        markrgb=[0.80, 0.81, 0.83],
         width=300,
         height=300,
     )
-    _cover(spec, "floor", "tiles", repeat=(1.2, 1.2), reflectance=0.06)
+    _cover(spec, "floor", "tiles", repeat=(1.0, 1.0))
+    spec.geom("floor").size = [0.0, 0.0, 0.05]
 
 
 def _cover(
@@ -100,44 +134,155 @@ def _cover(
     texture: str,
     *,
     repeat: tuple[float, float],
-    reflectance: float,
 ) -> None:
     """Give a geom a texture, `repeat` times a metre."""
     material = spec.add_material(name=texture)
     material.textures[_RGB] = texture
     material.texrepeat = list(repeat)
     material.texuniform = True
-    material.reflectance = reflectance
+    material.specular = 0.1
     geom = spec.geom(geom_name)
     geom.material = texture
     geom.rgba = [1.0, 1.0, 1.0, 1.0]
 
 
-def wood(size_px: int) -> npt.NDArray[np.uint8]:
-    """Return a picture (size, size, 3) of planks, the same each time."""
-    rng = stream(0, "wood")
-    x = np.linspace(0.0, 1.0, size_px, endpoint=False)[None, :]
-    y = np.linspace(0.0, 1.0, size_px, endpoint=False)[:, None]
-    plank = np.floor(y * _PLANKS).astype(int)
-    across = y * _PLANKS - plank
-    tone = rng.uniform(-0.05, 0.05, _PLANKS)[plank]
-    phase = rng.uniform(0.0, 10.0, _PLANKS)[plank]
-    turn = 2.0 * np.pi
-    bend = 0.03 * np.sin(turn * (1.3 * x + phase)) + 0.012 * np.sin(turn * (4.1 * x + 2.0 * phase))
-    coarse = np.sin(turn * 9.0 * (across + 3.0 * bend + phase))
-    fine = np.sin(turn * 31.0 * (across + 2.0 * bend + phase))
-    noise = rng.normal(0.0, 0.012, (size_px, size_px))
-    brightness = 1.0 + tone + 0.025 * coarse + 0.015 * fine + noise
-    at_a_seam = (across < _SEAM_SHARE) | (across > 1.0 - _SEAM_SHARE)
-    brightness = np.where(at_a_seam, 0.78 * brightness, brightness)
-    colours = np.clip(np.multiply.outer(brightness, _WOOD_RGB), 0.0, 1.0)
-    return (255.0 * colours).astype(np.uint8)
+def _add_arms(spec: mujoco.MjSpec, robot: Robot, *, fine: bool) -> None:
+    """Add the arms' shells, and a plate under each."""
+    spec.add_material(name="shell", specular=0.35, shininess=0.5)
+    vertices, faces, normals = rounded_box(_PLATE_HALF_M, 0.003)
+    spec.add_mesh(
+        name="plate",
+        uservert=vertices.ravel(),
+        userface=faces.ravel(),
+        usernormal=normals.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    for index, visual in enumerate(arm_shells(robot.arm, fine=fine)):
+        name = f"shell{index}_{visual.link}"
+        spec.add_mesh(
+            name=name,
+            uservert=visual.vertices.ravel(),
+            userface=visual.faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        for side in robot.sides:
+            _add_mesh_geom(spec.body(f"{side}_{visual.link}"), f"{side}_{name}", name, visual.rgba)
+    for side in robot.sides:
+        base = spec.body(f"{side}_{robot.arm.base_link}")
+        plate = _add_mesh_geom(base, f"{side}_plate", "plate", (0.20, 0.21, 0.23, 1.0))
+        plate.pos = [_PLATE_X_M, 0.0, _PLATE_HALF_M[2]]
+
+
+def _add_mesh_geom(
+    body: mujoco.MjsBody,
+    name: str,
+    mesh: str,
+    rgba: tuple[float, ...],
+) -> mujoco.MjsGeom:
+    return body.add_geom(
+        name=f"{PREFIX}{name}",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=mesh,
+        material="shell",
+        rgba=rgba,
+        group=GROUP_VISUAL,
+        density=0.0,
+        **INTANGIBLE,
+    )
+
+
+def _hide_fiducials(spec: mujoco.MjSpec) -> None:
+    """Hide the marks without a name: they tell cameras where they stand."""
+    for geom in spec.worldbody.geoms:
+        if geom.group == GROUP_MARKER and not geom.name:
+            geom.group = GROUP_COLLISION
+
+
+def _move_camera(spec: mujoco.MjSpec) -> None:
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, facing(_CAMERA_AT_M, _CAMERA_TARGET_M).ravel())
+    camera = spec.camera(CAMERA)
+    camera.pos = list(_CAMERA_AT_M)
+    camera.quat = quat.tolist()
+    camera.fovy = _CAMERA_FOVY_DEG
+
+
+def painted(
+    scene: SceneConfig,
+    robot: Robot,
+    simulated: mujoco.MjModel,
+    *,
+    fine: bool = False,
+) -> mujoco.MjModel:
+    """Return a model of a film that shows a simulated model as a condition has changed it."""
+    model = copy(film_model(scene, robot, fine=fine))
+    paint_as(model, simulated)
+    return model
 
 
 def paint_as(model: mujoco.MjModel, simulated: mujoco.MjModel) -> None:
-    """Give the model of a film the colours and sizes that a condition gave the simulated one."""
-    textured = model.geom_matid >= 0
-    model.geom_rgba[~textured] = simulated.geom_rgba[~textured]
-    for name in ("geom_size", "geom_pos", "geom_quat"):
-        same_shape = model.geom_type != int(mujoco.mjtGeom.mjGEOM_MESH)
-        getattr(model, name)[same_shape] = getattr(simulated, name)[same_shape]
+    """Give the model of a film the colours, sizes and light of the simulated one.
+
+    Args:
+        model: Of the same scene, as `film_model` returns it; it is changed.
+        simulated: Possibly changed by a condition of trials.
+    """
+    _paint_looks(model, simulated)
+    for index in range(simulated.ngeom):
+        source = simulated.geom(index)
+        is_mesh = simulated.geom_type[index] == int(mujoco.mjtGeom.mjGEOM_MESH)
+        if is_mesh or not source.name or source.name in _TEXTURED:
+            continue
+        target = model.geom(source.name)
+        target.rgba[:] = source.rgba
+        target.size[:] = source.size
+        target.pos[:] = source.pos
+        target.quat[:] = source.quat
+        model.geom_sameframe[target.id] = simulated.geom_sameframe[index]
+    _paint_table(model, simulated)
+    _dim(model, simulated)
+
+
+def _paint_looks(model: mujoco.MjModel, simulated: mujoco.MjModel) -> None:
+    """Give looks the colour, size and place of the simulated geom, as far as a condition acts."""
+    for index in range(model.ngeom):
+        look = look_of(model.geom(index).name)
+        if look is None:
+            continue
+        source = simulated.geom(look.object)
+        original = model.geom(look.object)
+        scale = float(source.size[0] / original.size[0])
+        target = model.geom(index)
+        target.pos[:] = scale * (target.pos - original.pos) + source.pos
+        target.rgba[3] = source.rgba[3]
+        if look.takes_colour:
+            target.rgba[:3] = source.rgba[:3]
+        mesh = int(model.geom_dataid[index])
+        first = int(model.mesh_vertadr[mesh])
+        model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])] *= scale
+        model.geom_sameframe[index] = 0
+
+
+def _paint_table(model: mujoco.MjModel, simulated: mujoco.MjModel) -> None:
+    """Show a table of another colour without wood."""
+    rgba = simulated.geom("table_top").rgba
+    if np.allclose(rgba, TABLE_RGBA, atol=1e-3):
+        return
+    target = model.geom("table_top")
+    target.rgba[:] = rgba
+    model.geom_matid[target.id] = -1
+
+
+def _dim(model: mujoco.MjModel, simulated: mujoco.MjModel) -> None:
+    """Scale every light as the simulated lamp is scaled."""
+    before = float(model.numeric(_KEY_DIFFUSE).data[0])
+    scale = float(simulated.light("key").diffuse[0]) / before
+    headlight = model.vis.headlight
+    for values in (
+        model.light_diffuse,
+        model.light_specular,
+        headlight.ambient,
+        headlight.diffuse,
+        headlight.specular,
+    ):
+        values *= scale

@@ -2,20 +2,21 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from PIL import Image as Picture
-from PIL import ImageDraw, ImageFont
 
-from minidual.plant.render import Camera, Image, write_video
+from minidual.plant.render import Image, write_video
 from minidual.plant.world import World
 from minidual.robot.pair import Array
-from minidual.show.figures.film_model import CAMERA, film_model, paint_as
+from minidual.show.figures.film_camera import FilmCamera
+from minidual.show.figures.film_caption import Caption, captioned
+from minidual.show.figures.film_model import painted
+from minidual.show.forces import force_arrows
+from minidual.show.view.overlay import Arrow
 from minidual.tasks.task import Trial
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import Method, MethodInputs
@@ -23,14 +24,11 @@ from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench
 
 FPS = 12
-"""Drawn in software, each frame of three methods takes 0.2 s."""
-PANE_SIZE = (480, 360)
-_BAR_PX = 66
+_PANE_SIZES = {1: (848, 480), 2: (640, 360)}
+"""Width and height of a pane by the number of panes."""
+_SMALL_PANE = (480, 270)
 _LAST_S = 2.0
 """How long the last frames stay."""
-_RUNNING = (38, 50, 66)
-_SUCCESS = (22, 110, 60)
-_FAILURE = (168, 40, 34)
 
 
 class Moment(NamedTuple):
@@ -39,13 +37,17 @@ class Moment(NamedTuple):
     Attributes:
         qpos: (nq,).
         phase: Of the method.
-        force_n: Largest pinch of a hand.
+        pinch_n: Of left and right hand.
+        squeeze_n: Along the object.
+        arrows: Forces of the hands.
     """
 
     time_s: float
     qpos: Array
     phase: str
-    force_n: float
+    pinch_n: tuple[float, float] = (0.0, 0.0)
+    squeeze_n: float = 0.0
+    arrows: tuple[Arrow, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Take:
 
     Attributes:
         title: Name of the method.
-        model: With visuals.
+        model: Of a film.
         moments: At FPS of simulated time, the first at its begin.
         result: Of the trial.
     """
@@ -74,18 +76,50 @@ class Take:
         """Time of the last moment."""
         return (len(self.moments) - 1) / FPS
 
+    def caption(self, time_s: float) -> Caption:
+        """Return what the bar says at a time: what goes on, and at the end the result."""
+        moment = self.at(time_s)
+        clock = f"{min(time_s, self.end_s):.2f} s"
+        if time_s < self.end_s:
+            return Caption(self.title, clock, moment.phase, _forces(moment))
+        result = self.result
+        if result.success:
+            text = f"success in {result.duration_s:.2f} s"
+            return Caption(self.title, clock, text, _figures(result), success=True)
+        place = f" in phase '{result.failed_in}'" if result.failed_in else ""
+        text = f"failed at {result.failed_at_s:.2f} s{place}: {result.failure}"
+        return Caption(self.title, clock, text, result.reason, success=False)
 
+
+def _forces(moment: Moment) -> str:
+    left_n, right_n = moment.pinch_n
+    return f"pinch {left_n:.0f} N, {right_n:.0f} N   squeeze {moment.squeeze_n:.0f} N"
+
+
+def _figures(result: TrialMetrics) -> str:
+    tilt_deg = np.rad2deg(result.tilt_max_rad)
+    return f"tilt {tilt_deg:.1f} deg   torque {100.0 * result.torque_ratio_max:.0f} % of the limit"
+
+
+@dataclass
 class _Sampler:
-    """Step hook that samples moments."""
+    """Step hook that samples moments at FPS."""
 
-    def __init__(self) -> None:
-        self.moments: list[Moment] = []
+    moments: list[Moment] = field(default_factory=list)
 
     def __call__(self, world: World, method: Method) -> None:
         if world.time < len(self.moments) / FPS - 1e-9:
             return
-        pinches_n = [float(world.truth(name).pinch().max()) for name in world.objects]
-        moment = Moment(world.time, world.data.qpos.copy(), method.phase, max(pinches_n))
+        truths = [world.truth(name) for name in world.objects]
+        left_n, right_n = np.max([truth.pinch() for truth in truths], axis=0).tolist()
+        moment = Moment(
+            time_s=world.time,
+            qpos=world.data.qpos.copy(),
+            phase=method.phase,
+            pinch_n=(left_n, right_n),
+            squeeze_n=max(truth.internal_force() for truth in truths),
+            arrows=force_arrows(world),
+        )
         self.moments.append(moment)
 
 
@@ -95,68 +129,59 @@ def take(
     trial: Trial,
     *,
     condition: str = CLEAN,
+    fine: bool = False,
 ) -> Take:
-    """Run a trial and keep what a film shows of it."""
-    bench = Bench(method, inputs, condition, visuals=True)
-    world = bench.world
-    model = copy(film_model(world.scene, world.robot))  # type: ignore[arg-type]  # frozen: hashable
+    """Run a trial and keep what a film shows of it; `fine` shows the arms in full detail."""
+    bench = Bench(method, inputs, condition)
     sampler = _Sampler()
+    models: list[mujoco.MjModel] = []
 
-    def watch(shown: World, running: Method) -> None:
-        if not sampler.moments:  # the condition has changed its model by now
-            paint_as(model, shown.model)
-        sampler(shown, running)
+    def watch(world: World, running: Method) -> None:
+        if not models:  # the condition has changed the world's model by now
+            models.append(painted(world.scene, world.robot, world.model, fine=fine))
+        sampler(world, running)
 
     result, _ = bench.run(trial, on_step=watch)
-    return Take(method, model, sampler.moments, result)
+    return Take(method, models[0], sampler.moments, result)
 
 
-def film_takes(takes: Sequence[Take], path: Path) -> int:
-    """Write an mp4 of takes side by side; return the number of frames."""
-    return write_video(path, _frames(takes), fps=FPS)
+def pane_size(panes_n: int) -> tuple[int, int]:
+    """Return width and height [px] of each of so many pictures."""
+    return _PANE_SIZES.get(panes_n, _SMALL_PANE)
 
 
-def _frames(takes: Sequence[Take]) -> Iterator[Image]:
+def film_takes(takes: Sequence[Take], path: Path, *, speed: float = 1.0) -> int:
+    """Write an mp4 of takes side by side; return the number of frames.
+
+    Args:
+        takes: At least one.
+        path: Of the film.
+        speed: Simulated time over the time of the film.
+    """
+    return write_video(path, frames_of(takes, speed=speed), fps=FPS)
+
+
+def frames_of(
+    takes: Sequence[Take],
+    *,
+    speed: float = 1.0,
+    size_px: tuple[int, int] | None = None,
+) -> Iterator[Image]:
+    """Yield the frames (H, W, 3) of a film at FPS; `size_px` is that of one pane."""
     longest_s = max(each.end_s for each in takes)
-    frames_n = round((longest_s + _LAST_S) * FPS)
+    frames_n = round((longest_s / speed + _LAST_S) * FPS)
+    size_px = size_px or pane_size(len(takes))
+    last_panes: list[Image | None] = [None] * len(takes)
     with ExitStack() as open_cameras:
-        cameras = [
-            open_cameras.enter_context(Camera(each.model, *PANE_SIZE, shadows=True))
-            for each in takes
-        ]
-        scenes = [mujoco.MjData(each.model) for each in takes]
+        cameras = [open_cameras.enter_context(FilmCamera(each.model, size_px)) for each in takes]
         for frame in range(frames_n):
-            time_s = frame / FPS
-            panes: list[Image] = []
-            for each, camera, data in zip(takes, cameras, scenes, strict=True):
-                data.qpos[:] = each.at(time_s).qpos
-                mujoco.mj_forward(each.model, data)
-                picture = camera.picture(data, CAMERA)
-                panes.append(captioned(picture, each, time_s))
+            time_s = speed * frame / FPS
+            for number, (each, camera) in enumerate(zip(takes, cameras, strict=True)):
+                is_over = time_s > each.end_s + speed / FPS
+                if is_over and last_panes[number] is not None:
+                    continue  # nothing moves any more
+                moment = each.at(time_s)
+                picture = camera.picture(moment.qpos, moment.arrows)
+                last_panes[number] = captioned(picture, each.caption(time_s))
+            panes = [pane for pane in last_panes if pane is not None]
             yield np.concatenate(panes, axis=1)
-
-
-def captioned(picture: Image, shown: Take, time_s: float) -> Image:
-    """Return the picture (H, W, 3) above a bar with method, phase, force, time and result."""
-    height, width = picture.shape[:2]
-    moment = shown.at(time_s)
-    ended = time_s >= shown.end_s
-    colour = _RUNNING
-    text = f"{moment.phase}   {moment.force_n:.0f} N"
-    if ended and shown.result.success:
-        colour = _SUCCESS
-        text = f"success in {shown.result.duration_s:.2f} s"
-    elif ended:
-        colour = _FAILURE
-        text = f"failed: {shown.result.failure}"
-    frame = Picture.new("RGB", (width, height + _BAR_PX), colour)
-    frame.paste(Picture.fromarray(picture), (0, 0))
-    draw = ImageDraw.Draw(frame)
-    large = ImageFont.load_default(size=22)
-    small = ImageFont.load_default(size=16)
-    margin = 12
-    draw.text((margin, height + 6), shown.title, fill="white", font=large)
-    clock = f"{min(time_s, shown.end_s):5.2f} s"
-    draw.text((width - margin, height + 6), clock, fill="white", font=large, anchor="ra")
-    draw.text((margin, height + 38), text, fill="white", font=small)
-    return np.asarray(frame)

@@ -10,6 +10,10 @@ OBJECT_RGB = (20, 150, 90)
 """Colour of the object."""
 
 
+ARROW_M_PER_N = 0.0025
+"""Length of a drawn force: 40 N are 10 cm."""
+
+
 class Arrow(NamedTuple):
     """A force [N] at `start` (3,) [m], world frame; rgb 0 to 255."""
 

@@ -7,9 +7,15 @@ import mujoco
 import numpy as np
 
 from minidual.show.view.meshes import BodyMesh, body_meshes, moving_bodies
-from minidual.show.view.overlay import NO_PREVIEW, Array, Arrow, PathLine, Preview
+from minidual.show.view.overlay import (
+    ARROW_M_PER_N,
+    NO_PREVIEW,
+    Array,
+    Arrow,
+    PathLine,
+    Preview,
+)
 
-_ARROW_M_PER_N = 0.0025  # 10 cm at 40 N
 _ARROW_MIN_N = 0.5
 _MOVED = 1e-5
 """Least change [m, quaternion] that is sent."""
@@ -162,7 +168,7 @@ class Scene:
             self._arrows.visible = bool(shown)
         if not shown:
             return
-        ends = [[arrow.start, arrow.start + _ARROW_M_PER_N * arrow.force] for arrow in shown]
+        ends = [[arrow.start, arrow.start + ARROW_M_PER_N * arrow.force] for arrow in shown]
         points = np.array(ends, dtype=np.float32)
         colours = np.array([arrow.rgb for arrow in shown], dtype=np.uint8)
         if self._arrows is None or len(self._arrows.points) != len(points):

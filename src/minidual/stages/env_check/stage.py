@@ -12,6 +12,7 @@ from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
+from minidual.show.figures.film_model import film_model
 from minidual.show.watch import StackNarrator, watched
 from minidual.stages.env_check import tracking
 from minidual.stages.env_check.checks import Measurements, installation_checks, measured_checks
@@ -97,7 +98,8 @@ def _measure(context: StageContext, world: World, task: ProgressTask) -> Measure
     stop = emergency_stop(rig, config.sine_amplitude_rad, config.sine_frequency_hz)
     task.advance(note="latency")
     film = context.folder / "sine.mp4"
-    frames = film_postures(world.model, postures.qpos, film, shadows=False)
+    model = film_model(world.scene, robot)
+    frames = film_postures(model, postures.qpos, film, shadows=False)
     return Measurements(
         moved=moved,
         contacts=contacts,
