@@ -18,6 +18,7 @@ from minidual.show.figures.film import Postures, draw_failures, film_postures, s
 from minidual.show.figures.film_model import film_model
 from minidual.show.figures.trial import draw_trial
 from minidual.show.report.figures import LOOKS
+from minidual.tasks.failures import failure_words
 from minidual.trials.benchmark import draw_under
 from minidual.trials.measures import TrialLog
 from minidual.trials.methods import MethodInputs
@@ -134,7 +135,7 @@ def test_a_failed_trial_is_drawn_before_as_and_after_it_failed(
     titles = [title for title, _ in drawn]
     assert titles == [
         "hold, object colour, trial 3",
-        f"not '{result.failure}' at {result.failed_at_s:.2f} s",
+        f"{failure_words(result.failure)}, at {result.failed_at_s:.2f} s",
         result.reason,
     ]
     assert all(picture.std() > 20.0 for _, picture in drawn)

@@ -14,6 +14,7 @@ from minidual.gate.runner import Runner
 from minidual.gate.store import RunStore
 from minidual.gate.table import StageEntry, StageTable
 from minidual.plant.world import World
+from minidual.show.view.panel import Panel
 from minidual.stages import scene_view
 from minidual.stages.registry import STAGES, TOOLS
 from minidual.tasks.catalogue import TASKS, make_task
@@ -160,6 +161,25 @@ def test_the_scene_of_every_task_is_shown(
     (scene,) = shown
     assert scene.time > 0.0
     assert set(scene.objects) == set(make_task(Config(task=name)).objects)
+
+
+def test_another_task_can_be_chosen_on_the_page(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown: list[World] = []
+
+    def world(*given: Any) -> World:
+        shown.append(World(*given))
+        return shown[-1]
+
+    monkeypatch.setattr(scene_view, "World", world)
+    monkeypatch.setattr(Panel, "choice", "pot_lift")
+    words = ["view", "--for-s", "0.3", "--runs-dir", str(tmp_path)]
+    port = ["--view-port", str(unused_port())]
+    assert run_command_line([*words, *port], STAGES, TOOLS) == ExitCode.PASS
+    assert [tuple(each.objects) for each in shown] == [("rod",), ("pot",)]
+    assert shown[-1].time > 0.0
 
 
 def test_an_aside_that_shows_nothing_refuses_a_view(

@@ -2,6 +2,7 @@
 
 import socket
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
 from minidual.show import watch
+from minidual.show.planning import plan_words
 from minidual.show.view import NAMES, make_view
 from minidual.show.view.meshes import HIDDEN_GROUP, body_meshes, moving_bodies
 from minidual.show.view.overlay import Overlay
@@ -160,3 +162,40 @@ def test_no_view_costs_nothing_and_unknown_ones_are_named() -> None:
         make_view("webb")
     assert caught.value.remedy == "did you mean 'web'?"
     assert NAMES == ("none", "web")
+
+
+def test_the_panel_says_what_drives_and_what_a_plan_is_worth() -> None:
+    shown = table_html(
+        Overlay(method="impedance", controller="object impedance", plan="2.10 s of motion, proven"),
+        None,
+    )
+    for words in ("method", "impedance", "controller", "object impedance", "plan", "proven"):
+        assert words in shown
+    assert "mode" not in shown
+    further = table_html(Overlay(lines=(("<b>act", "lift <i>"),)), None)
+    assert "&lt;b&gt;act" in further
+    assert "lift &lt;i&gt;" in further
+
+
+@pytest.mark.parametrize(("method", "mode"), [("impedance", ""), ("", "moveit")])
+def test_a_trial_is_not_said_to_be_in_the_mode_of_its_source(method: str, mode: str) -> None:
+    """The force law of `impedance` uses the source `moveit`; the panel names the method."""
+    stack: Any = SimpleNamespace(
+        state="active",
+        source="moveit",
+        reflex=None,
+        output=SimpleNamespace(active_source="moveit"),
+        manager=SimpleNamespace(active=("object_impedance",)),
+        arbiter=SimpleNamespace(underway=SimpleNamespace(executions=())),
+    )
+    kinematics: Any = None
+    shown = watch.StackNarrator(stack, kinematics, "a title", method=method)()
+    assert shown.mode == mode
+    assert shown.source == (method or "moveit")
+    assert shown.controller == "object impedance"
+
+
+def test_a_plan_is_said_to_be_proven_only_if_it_is() -> None:
+    assert plan_words(2.104, True) == "2.10 s of motion, proven free of collisions"
+    assert "NOT proven" in plan_words(2.104, False)
+    assert plan_words(2.104, None) == "2.10 s of motion"

@@ -231,6 +231,13 @@ def test_sliders_give_their_values(view: WebView) -> None:
         assert value == kept if kept is not None else value <= 10.0
 
 
+def test_the_choice_is_the_button_pressed_last(view: WebView) -> None:
+    view.panel.offer_choice("task", ["rod_carry", "pot_lift"])
+    assert view.panel.choice == ""
+    view.panel.choose("pot_lift")
+    assert view.panel.choice == "pot_lift"
+
+
 def test_no_one_can_open_a_public_tunnel(view: WebView) -> None:
     assert view._server.request_share_url() is None
     assert view._server._share_tunnel is None

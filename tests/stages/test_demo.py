@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -105,3 +106,21 @@ def test_whose_policy_it_is_must_be_said_where_several_methods_drive_one(tmp_pat
 def test_a_start_below_zero_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--start is -3; it must be 0 or more"):
         demo(context(tmp_path, "rod_carry", start=-3))
+
+
+def test_with_a_view_the_takes_are_played_side_by_side_and_no_film_is_made(
+    tmp_path: Path,
+    films: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    played: list[tuple[int, int | None]] = []
+
+    def play(view: Any, takes: Any, scene: Any, robot: Any, *, rounds_n: int | None) -> None:
+        played.append((len(takes), rounds_n))
+
+    monkeypatch.setattr(demo_module, "play_takes", play)
+    monkeypatch.setattr("sys.stdin", None)
+    result = demo(replace(context(tmp_path, "rod_carry"), view=object()))
+    assert played == [(3, 1)]
+    assert films == []
+    assert result.data["film"] == ""

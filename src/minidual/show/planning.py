@@ -85,6 +85,7 @@ def play(
     *,
     rounds_n: int | None,
     note: str = "",
+    proven: bool | None = None,
 ) -> None:
     """Play a plan in real time, not simulated, with TCP paths and end posture.
 
@@ -95,23 +96,31 @@ def play(
         title: Above the state.
         rounds_n: How often it is played; None repeats until the view is closed.
         note: Shown in the status.
+        proven: Whether it is proven free of collisions; None says nothing.
     """
     end_state = poser.place(trajectory.q[-1]).qpos.copy()
     paths = tcp_preview(poser.kinematics, trajectory.q)
     overlay = Overlay(
         title=title,
-        mode="moveit",
         source="planner",
         state="played, not simulated",
+        plan=plan_words(trajectory.duration_s, proven),
         preview=paths._replace(ghosts=(end_state,)),
     )
     view.open(poser.model)
     for round_n in itertools.count(1):
-        motion = f"{trajectory.duration_s:.2f} s of motion, round {round_n}"
-        status = f"{note}, {motion}" if note else motion
+        status = f"{note}, round {round_n}" if note else f"round {round_n}"
         _play_once(view, poser, trajectory, overlay._replace(status=status))
         if round_n == rounds_n or not view.alive:
             return
+
+
+def plan_words(duration_s: float, proven: bool | None) -> str:
+    """Return how long a plan takes, and whether it is proven free of collisions."""
+    words = f"{duration_s:.2f} s of motion"
+    if proven is None:
+        return words
+    return f"{words}, {'proven' if proven else 'NOT proven'} free of collisions"
 
 
 def _play_once(view: View, poser: Poser, trajectory: Trajectory, overlay: Overlay) -> None:
@@ -141,6 +150,7 @@ def play_queries(view: View | None, config: SceneConfig, outcomes: Outcomes) -> 
                 f"plan, {group}, query {outcome.query.index}",
                 rounds_n=1,
                 note=f"planned in {1e3 * outcome.total_s:.0f} ms",
+                proven=outcome.result.verification.ok,
             )
             break
 

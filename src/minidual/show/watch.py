@@ -143,12 +143,13 @@ def _narrator(bench: Bench, method: Method, title: str) -> Narrator:
             bench.kinematics,
             title,
             lambda: (method.phase, method.aborted),
+            method=bench.method,
         )
 
     def describe_torque_method() -> Overlay:
         return Overlay(
             title=title,
-            mode=bench.method,
+            method=bench.method,
             source=bench.method,
             state=method.phase,
             status=method.aborted or "",
@@ -195,12 +196,14 @@ class StackNarrator:
         kinematics: Of its arms.
         title: Above the state.
         progress: Returns the method's phase and why it stopped itself, if it did.
+        method: What drives a trial; empty for people and the scene alone.
     """
 
     stack: ControlStack
     kinematics: Kinematics
     title: str
     progress: Callable[[], tuple[str, str | None]] = lambda: ("", None)
+    method: str = ""
     _drawn_commands: tuple[TrajectoryCommand, ...] = ()
     _preview: Preview = NO_PREVIEW
 
@@ -216,12 +219,21 @@ class StackNarrator:
             status = stack.reflex.message
         return Overlay(
             title=self.title,
-            mode=stack.source or "hold",
-            source=stack.output.active_source or "none, posture held",
+            method=self.method,
+            mode="" if self.method else stack.source or "hold",
+            source=self._source(),
+            controller=" + ".join(name.replace("_", " ") for name in stack.manager.active),
             state=state,
             status=status,
             preview=self._planned(),
         )
+
+    def _source(self) -> str:
+        """Return who commands the arms; in a trial the method does, whatever its source is called."""
+        source = self.stack.output.active_source
+        if source is None:
+            return "none, posture held"
+        return self.method or source
 
     def _planned(self) -> Preview:
         """Return the paths of the trajectories under way; the same object while they are the same."""

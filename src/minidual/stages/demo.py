@@ -1,11 +1,15 @@
 """`minidual demo`: planner, force control and a trained policy on the same start."""
 
 import math
+import sys
+from contextlib import suppress
 
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult
+from minidual.robot.pair import robot_from
 from minidual.show.figures.side_by_side import Take, film_takes, take
-from minidual.show.watch import watch_trials
+from minidual.show.takes_view import play_takes
+from minidual.show.view import View
 from minidual.stages.checkpoint_choice import chosen_policies
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Task, Trial
@@ -13,7 +17,6 @@ from minidual.trials.benchmark import draw_under
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import METHODS, MethodInputs
 from minidual.trials.metrics import TrialMetrics
-from minidual.trials.runner import run_trials
 
 PURPOSE = "demo"
 """Random stream of the starts, used by no stage."""
@@ -21,7 +24,7 @@ _METHODS = ("moveit", "impedance", "act")
 
 
 def demo(context: ToolContext) -> ToolResult:
-    """Run one start by each method; film them side by side, or show them in turn in the view.
+    """Run one start by each method; film them side by side, or play them so in the view.
 
     Raises:
         UsageError: The task is unknown, the named policy is not there, or the start is below 0.
@@ -41,16 +44,16 @@ def demo(context: ToolContext) -> ToolResult:
     notes = [f"{name}: {METHODS[name].summary}" for name in methods]
     if not policies:
         notes.append(f"no policy comes with the package for {task.name}; two methods are shown")
+    takes = _takes(context, methods, inputs, trial)
+    results = [each.result for each in takes]
     film = ""
     if context.view is None:
-        takes = _takes(context, methods, inputs, trial)
-        results = [each.result for each in takes]
         name = f"{task.name}.mp4"
         context.progress.note("drawing the film")
         film_takes(takes, context.output / name)
         film = str(context.folder / name)
     else:
-        results = _shown(context, methods, inputs, trial)
+        _play(context.view, takes, task)
     lines = [_line(result) for result in results]
     lines += ["", film] if film else []
     lines += ["", *_next_commands(context, task)]
@@ -77,18 +80,12 @@ def _takes(
     return takes
 
 
-def _shown(
-    context: ToolContext,
-    methods: list[str],
-    inputs: MethodInputs,
-    trial: Trial,
-) -> list[TrialMetrics]:
-    """Run the methods in turn, in the view."""
-    watch = watch_trials(context.view)
-    results: list[TrialMetrics] = []
-    for method in methods:
-        results += run_trials(method, inputs, [trial], workers=1, condition=CLEAN, watch=watch)
-    return results
+def _play(view: View, takes: list[Take], task: Task) -> None:
+    """Play the trials side by side: once without a terminal, else until Ctrl-C or the view's end."""
+    interactive = sys.stdin is not None and sys.stdin.isatty()
+    robot = robot_from(task.config.robot)
+    with suppress(KeyboardInterrupt):
+        play_takes(view, takes, task.scene, robot, rounds_n=None if interactive else 1)
 
 
 def _line(result: TrialMetrics) -> str:

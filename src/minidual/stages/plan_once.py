@@ -140,7 +140,14 @@ def _play(context: ToolContext, scene: PlanningScene, result: PlanResult, title:
     with suppress(KeyboardInterrupt):
         poser = Poser(context.config.scene, scene)
         rounds_n = None if interactive else 1
-        play(context.view, poser, result.trajectory, title, rounds_n=rounds_n)
+        play(
+            context.view,
+            poser,
+            result.trajectory,
+            title,
+            rounds_n=rounds_n,
+            proven=result.verification.ok,
+        )
 
 
 def _write(

@@ -6,10 +6,11 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 
 import numpy as np
 
+from minidual.config.root import changed
 from minidual.control.commands import JointCommand
 from minidual.control.stack import ControlStack
 from minidual.errors import UsageError
@@ -17,9 +18,10 @@ from minidual.gate.stage import ToolContext, ToolResult
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Robot, robot_from
+from minidual.show.view import View
 from minidual.show.view.overlay import Slider
 from minidual.show.watch import Brake, StackNarrator, watched
-from minidual.tasks.catalogue import task_config
+from minidual.tasks.catalogue import TASKS, task_config
 
 _SOURCE = "teleop"
 _SLICE_S = 0.02
@@ -54,6 +56,31 @@ def interruptions() -> Generator[threading.Event]:
             signal.signal(number, handler)
 
 
+def _show(context: ToolContext, view: View, task: str, ended: Callable[[], bool]) -> float:
+    """Simulate the scene of a task until another one is chosen or `ended`; return its time [s]."""
+    config = context.config
+    if task != config.task:
+        config = changed(config, {"task": task})
+    robot = robot_from(config.robot)
+    world = World(task_config(config).scene, robot)
+    kinematics = Kinematics(robot)
+    stack = ControlStack(world, kinematics, config.arbiter)
+    brake = Brake(1.0)
+    sequence = itertools.count(1)
+    stack.request(_SOURCE)
+    narrate = StackNarrator(stack, kinematics, f"{task}: the sliders move the arms")
+    with watched(view, world, narrate):
+        while not ended() and view.panel.choice in ("", task):
+            *joints, left_gripper, right_gripper = view.panel.values()
+            target = np.clip(joints, robot.q_lower, robot.q_upper)
+            grippers = np.array([left_gripper, right_gripper])
+            stack.propose(_SOURCE, JointCommand(target, grippers, world.time, next(sequence)))
+            for _ in range(round(_SLICE_S / world.dt)):
+                stack.step()
+            brake.hold(world.time)
+    return world.time
+
+
 def view_scene(context: ToolContext) -> ToolResult:
     """Run in real time until Ctrl-C (exit 0), --for-s or the view ends.
 
@@ -66,31 +93,25 @@ def view_scene(context: ToolContext) -> ToolResult:
     for_s = float(context.options.get("for-s", math.inf))
     if not for_s > 0.0:
         raise UsageError(f"--for-s is {for_s:g}; it must be above 0")
-    robot = robot_from(context.config.robot)
-    world = World(task_config(context.config).scene, robot)
-    kinematics = Kinematics(robot)
-    stack = ControlStack(world, kinematics, context.config.arbiter)
-    brake = Brake(1.0)
-    sequence = itertools.count(1)
-    stack.request(_SOURCE)
-    view.panel.offer(joint_sliders(robot))
-    narrate = StackNarrator(stack, kinematics, "the scene, moved by the sliders")
-    with interruptions() as stop, watched(view, world, narrate):
-        began_s = time.monotonic()
-        while view.alive and not stop.is_set() and time.monotonic() - began_s < for_s:
-            *joints, left_gripper, right_gripper = view.panel.values()
-            target = np.clip(joints, robot.q_lower, robot.q_upper)
-            grippers = np.array([left_gripper, right_gripper])
-            stack.propose(_SOURCE, JointCommand(target, grippers, world.time, next(sequence)))
-            for _ in range(round(_SLICE_S / world.dt)):
-                stack.step()
-            brake.hold(world.time)
+    task = context.config.task
+    simulated_s = 0.0
+    view.panel.offer_choice("task", list(TASKS))
+    view.panel.offer(joint_sliders(robot_from(context.config.robot)))
+    began_s = time.monotonic()
+    with interruptions() as stop:
+
+        def ended() -> bool:
+            return not view.alive or stop.is_set() or time.monotonic() - began_s >= for_s
+
+        while not ended():
+            simulated_s += _show(context, view, task, ended)
+            task = view.panel.choice or task
     spent_s = time.monotonic() - began_s
     data = {
         "view": view.name,
         "url": view.url,
-        "simulated_s": world.time,
+        "simulated_s": simulated_s,
         "wall_s": round(spent_s, 3),
     }
-    note = f"showed {world.time:.1f} s of simulated time in {spent_s:.1f} s"
+    note = f"showed {simulated_s:.1f} s of simulated time in {spent_s:.1f} s"
     return ToolResult(notes=[note], data=data)

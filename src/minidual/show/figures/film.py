@@ -16,6 +16,7 @@ from minidual.show.figures.canvas import sheet
 from minidual.show.figures.film_camera import FilmCamera
 from minidual.show.figures.film_model import CAMERA, painted
 from minidual.show.figures.side_by_side import film_takes, take
+from minidual.tasks.failures import failure_words
 from minidual.tasks.task import Trial
 from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
@@ -75,7 +76,7 @@ def _failure(inputs: MethodInputs, trial: Trial, result: TrialMetrics) -> list[t
     after = images[-1]
     return [
         (f"{result.method}, {result.condition}, trial {result.index}", before),
-        (f"not '{result.failure}' at {result.failed_at_s:.2f} s", at_failure),
+        (f"{failure_words(result.failure)}, at {result.failed_at_s:.2f} s", at_failure),
         (textwrap.fill(result.reason, 46), after),
     ]
 

@@ -17,6 +17,7 @@ from minidual.show.figures.film_caption import Caption, captioned
 from minidual.show.figures.film_model import painted
 from minidual.show.forces import force_arrows
 from minidual.show.view.overlay import Arrow
+from minidual.tasks.failures import failure_words
 from minidual.tasks.task import Trial
 from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import Method, MethodInputs
@@ -87,8 +88,9 @@ class Take:
             text = f"success in {result.duration_s:.2f} s"
             return Caption(self.title, clock, text, _figures(result), success=True)
         place = f" in phase '{result.failed_in}'" if result.failed_in else ""
-        text = f"failed at {result.failed_at_s:.2f} s{place}: {result.failure}"
-        return Caption(self.title, clock, text, result.reason, success=False)
+        text = f"failed at {result.failed_at_s:.2f} s{place}"
+        reason = result.reason or failure_words(result.failure)
+        return Caption(self.title, clock, text, reason, success=False)
 
 
 def _forces(moment: Moment) -> str:

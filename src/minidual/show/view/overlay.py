@@ -51,26 +51,34 @@ class Overlay(NamedTuple):
     Attributes:
         time_s: Simulated time.
         title: What is running.
+        method: What drives a trial.
         mode: Source that may drive.
         source: Source whose commands reach the motors.
+        controller: Law that turns commands into torques.
         state: Of the arbiter, and the phase.
+        plan: How long a plan takes, and whether it is proven.
         status: Reflex, or why the method stopped itself.
         pinch_n: Of left and right hand.
         internal_n: Squeeze along the object.
         arrows: Forces.
         preview: Plan.
+        lines: Further rows, name and text.
     """
 
     time_s: float = 0.0
     title: str = ""
+    method: str = ""
     mode: str = ""
     source: str = ""
+    controller: str = ""
     state: str = ""
+    plan: str = ""
     status: str = ""
     pinch_n: tuple[float, float] | None = None
     internal_n: float | None = None
     arrows: tuple[Arrow, ...] = ()
     preview: Preview = NO_PREVIEW
+    lines: tuple[tuple[str, str], ...] = ()
 
 
 class Slider(NamedTuple):

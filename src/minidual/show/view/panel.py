@@ -18,14 +18,18 @@ _SLIDER_STEPS_N = 500
 def table_html(overlay: Overlay, speed: float | None) -> str:
     """Return the state as an HTML table, escaped."""
     texts = {
+        "method": overlay.method,
         "mode": overlay.mode,
         "source in control": overlay.source,
+        "controller": overlay.controller,
         "state": overlay.state,
         "status": overlay.status,
+        "plan": overlay.plan,
         "simulated time": f"{overlay.time_s:.2f} s",
         "speed": "" if speed is None else f"{speed:.2f} x real time",
     }
     rows = [_row(name, text) for name, text in texts.items() if text]
+    rows += [_row(html.escape(name), text) for name, text in overlay.lines]
     if overlay.pinch_n is not None and overlay.internal_n is not None:
         left_n, right_n = overlay.pinch_n
         rows += [
@@ -62,6 +66,7 @@ class Panel:
         self._shown_time_s = math.inf
         self._sliders: list[tuple[Any, Slider]] = []
         self._values: list[float] = []
+        self._choice = ""
 
     def show(self, overlay: Overlay) -> None:
         """Show one instant, and the speed since the last one shown."""
@@ -77,10 +82,28 @@ class Panel:
         """Add a line below the state."""
         self._gui.add_html(f"<div style='{_STYLE};opacity:.6'>{html.escape(text)}</div>")
 
+    def offer_choice(self, title: str, names: Sequence[str]) -> None:
+        """Add a button for each name, in a folder; `choice` is the one pressed last."""
+        with self._gui.add_folder(title):
+            for name in names:
+                self._add_choice(name)
+
+    def _add_choice(self, name: str) -> None:
+        self._gui.add_button(name).on_click(lambda _: self.choose(name))
+
+    def choose(self, name: str) -> None:
+        """Act as if the button was pressed."""
+        self._choice = name
+
+    @property
+    def choice(self) -> str:
+        """Name of the button pressed last; empty before."""
+        return self._choice
+
     def offer(self, sliders: Sequence[Slider]) -> None:
         """Add sliders, a folder per group."""
         groups = dict.fromkeys(slider.group for slider in sliders)
-        folders = {group: self._gui.add_folder(group, expand_by_default=False) for group in groups}
+        folders = {group: self._gui.add_folder(group) for group in groups}
         for slider in sliders:
             step = round((slider.upper - slider.lower) / _SLIDER_STEPS_N, 4)
             with folders[slider.group]:

@@ -27,15 +27,16 @@ _GHOST_OPACITY = 0.28
 _FLOOR_RGB = (214, 220, 228)
 _FLOOR_HALF_M = 30.0  # hides the floor's edge in fog
 _FOG_RGB = (255, 255, 255)
-_CAMERA = (1.85, -0.85, 0.95)
-_TARGET = (0.30, 0.10, 0.17)
+_CAMERA = (1.88, -0.50, 1.05)  # nearly in front: neither arm stands before the other one
+_TARGET = (0.28, 0.06, 0.22)
+_FARTHER_PER_ROOM = 0.7
 _FOV_RAD = 0.70
 
 
 class Scene:
     """Scene of a model with visual meshes; resets the server's scene."""
 
-    def __init__(self, server: Any, model: mujoco.MjModel) -> None:
+    def __init__(self, server: Any, model: mujoco.MjModel, *, rooms_n: int = 1) -> None:
         self._server = server
         self._model = model
         self._meshes = body_meshes(model)
@@ -44,7 +45,7 @@ class Scene:
         self._preview_nodes: list[Any] = []
         server.scene.reset()
         self._light()
-        self._place_camera()
+        self._place_camera(rooms_n)
         self._add_floor()
         at_rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, at_rest)
@@ -68,9 +69,10 @@ class Scene:
         )
         scene.configure_fog(4.0, 14.0, color=_FOG_RGB)
 
-    def _place_camera(self) -> None:
+    def _place_camera(self, rooms_n: int) -> None:
         camera = self._server.initial_camera
-        camera.position = _CAMERA
+        distance = 1.0 + _FARTHER_PER_ROOM * (rooms_n - 1)
+        camera.position = tuple(distance * np.subtract(_CAMERA, _TARGET) + _TARGET)
         camera.look_at = _TARGET
         camera.up = (0.0, 0.0, 1.0)
         camera.fov = _FOV_RAD

@@ -101,12 +101,15 @@ class WebView:
         if not config.remote_drives:
             self.panel.note("only pages on the machine that runs the command move the sliders")
 
-    def open(self, model: mujoco.MjModel) -> None:
-        """Replace the shown model, which needs visual meshes; the first call says where the view is."""
+    def open(self, model: mujoco.MjModel, *, rooms_n: int = 1) -> None:
+        """Replace the shown model, which needs visual meshes; the first call says where the view is.
+
+        Of a model with several rooms side by side, the camera stands back to see all.
+        """
         if self._model is None:
             self._introduce()
         if model is not self._model and self.alive:
-            self._scene = Scene(self._server, model)
+            self._scene = Scene(self._server, model, rooms_n=rooms_n)
             self._model = model
 
     def lead_page(self) -> LeadPage:
