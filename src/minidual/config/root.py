@@ -45,6 +45,8 @@ class BenchmarkConfig(StrictModel):
     """
     first_start: int = Field(default=0, ge=0, le=10_000_000)
     """Number of the first start."""
+    films: bool = False
+    """Whether to film a start of each task, all methods side by side."""
     success_rate_min: AtLeast[dict[str, Rate]] = Field(
         default={"moveit": 0.8, "impedance": 0.8, "act": 0.5},
     )

@@ -11,6 +11,7 @@ from minidual.gate.stage import StageContext, StageResult
 from minidual.policies.architectures import architecture
 from minidual.show.figures.film import draw_failures
 from minidual.show.watch import watch_trials
+from minidual.stages.benchmark_films import film_jobs, write_films
 from minidual.stages.checkpoint_choice import recorded_task
 from minidual.stages.policy_folders import outside_policies
 from minidual.tasks.catalogue import tasks_of
@@ -297,6 +298,7 @@ def run(context: StageContext) -> StageResult:
     inputs = _method_inputs(context, methods)
     watch = watch_trials(context.view)
     results = _Results(context)
+    trials_of: dict[str, list[TrialMetrics]] = {}
     count = sum(
         benchmark.count_trials(methods, trials_n[task], task_inputs)
         for task, task_inputs in inputs.items()
@@ -317,6 +319,10 @@ def run(context: StageContext) -> StageResult:
             )
             prefix = f"{task}." if len(inputs) > 1 else ""
             results.add(task_inputs, trials_n[task], cells, trials, prefix)
+            trials_of[task] = trials
+    if context.config.benchmark.films:
+        jobs = film_jobs(inputs, methods, trials_of)
+        results.captions.update(write_films(context, jobs))
     checks = results.write()
     data = {"tasks": results.data, "captions": results.captions}
     return StageResult(checks=checks, data=data, notes=network_notes(context, methods))

@@ -26,7 +26,7 @@ def demo(
 ) -> ExitCode:
     """Show planner, force control and a trained policy on the same start.
 
-    It writes a film of them side by side; with --view web it shows them in turn in a browser.
+    It writes a film of them side by side; with --view web it plays them so in a browser.
 
     Examples:
         minidual demo

@@ -91,5 +91,6 @@ def add_arrow(scene: mujoco.MjvScene, arrow: Arrow) -> None:
         arrow.start - _M_PER_N * arrow.force,
         arrow.start,
     )
+    geom.size[2] *= 2.0  # MuJoCo draws arrows half as long as connectors
     geom.emission = _GLOW
     scene.ngeom += 1

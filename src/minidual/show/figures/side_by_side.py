@@ -152,34 +152,45 @@ def pane_size(panes_n: int) -> tuple[int, int]:
     return _PANE_SIZES.get(panes_n, _SMALL_PANE)
 
 
-def film_takes(takes: Sequence[Take], path: Path, *, speed: float = 1.0) -> int:
+def film_takes(
+    takes: Sequence[Take],
+    path: Path,
+    *,
+    speed: float = 1.0,
+    fps: int = FPS,
+    size_px: tuple[int, int] | None = None,
+) -> int:
     """Write an mp4 of takes side by side; return the number of frames.
 
     Args:
         takes: At least one.
         path: Of the film.
         speed: Simulated time over the time of the film.
+        fps: Frames a second of the film.
+        size_px: Width and height of a pane; None chooses by their number.
     """
-    return write_video(path, frames_of(takes, speed=speed), fps=FPS)
+    frames = frames_of(takes, speed=speed, fps=fps, size_px=size_px)
+    return write_video(path, frames, fps=fps)
 
 
 def frames_of(
     takes: Sequence[Take],
     *,
     speed: float = 1.0,
+    fps: int = FPS,
     size_px: tuple[int, int] | None = None,
 ) -> Iterator[Image]:
-    """Yield the frames (H, W, 3) of a film at FPS; `size_px` is that of one pane."""
+    """Yield the frames (H, W, 3) of a film; `size_px` is that of one pane."""
     longest_s = max(each.end_s for each in takes)
-    frames_n = round((longest_s / speed + _LAST_S) * FPS)
+    frames_n = round((longest_s / speed + _LAST_S) * fps)
     size_px = size_px or pane_size(len(takes))
     last_panes: list[Image | None] = [None] * len(takes)
     with ExitStack() as open_cameras:
         cameras = [open_cameras.enter_context(FilmCamera(each.model, size_px)) for each in takes]
         for frame in range(frames_n):
-            time_s = speed * frame / FPS
+            time_s = speed * frame / fps
             for number, (each, camera) in enumerate(zip(takes, cameras, strict=True)):
-                is_over = time_s > each.end_s + speed / FPS
+                is_over = time_s > each.end_s + speed / fps
                 if is_over and last_panes[number] is not None:
                     continue  # nothing moves any more
                 moment = each.at(time_s)
