@@ -38,20 +38,24 @@ _KEY_DIFFUSE = "simulated_key_diffuse"
 _RGB = mujoco.mjtTextureRole.mjTEXROLE_RGB
 
 
-@functools.lru_cache(maxsize=2)
 def film_model(
     scene: SceneConfig,
     robot: Robot = DUAL_PANDA,
     *,
     fine: bool = False,
 ) -> mujoco.MjModel:
-    """Compile the model; positions (nq,) are those of the simulated one.
+    """Return the model; positions (nq,) are those of the simulated one.
 
     Args:
         scene: As simulated.
         robot: As simulated.
         fine: Draw all triangles of the arms' files: for single pictures, at twice the time.
     """
+    return _compiled(scene, robot, fine)  # type: ignore[arg-type]  # frozen, so hashable
+
+
+@functools.lru_cache(maxsize=2)
+def _compiled(scene: SceneConfig, robot: Robot, fine: bool) -> mujoco.MjModel:
     spec = build_spec(scene, robot, visuals=False)
     _set_quality(spec)
     _set_lights(spec)

@@ -85,11 +85,11 @@ def rounded_cylinder(radius_m: float, half_m: float, edge_m: float) -> Shape:
     return turned(profile)
 
 
-def smooth(vertices: Array, faces: npt.NDArray[np.int64]) -> Shape:
+def smooth(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> Shape:
     """Return a shape that is smooth but for sharp edges."""
     import trimesh
 
-    mesh = trimesh.Trimesh(vertices, faces, process=True)
+    mesh = trimesh.Trimesh(np.asarray(vertices, float), np.asarray(faces), process=True)
     shaded = trimesh.graph.smooth_shade(mesh, angle=_SHARP_RAD)
     return Shape(
         np.asarray(shaded.vertices),
