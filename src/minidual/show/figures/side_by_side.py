@@ -94,8 +94,9 @@ class Take:
 
 
 def _forces(moment: Moment) -> str:
-    left_n, right_n = moment.pinch_n
-    return f"pinch {left_n:.0f} N, {right_n:.0f} N   squeeze {moment.squeeze_n:.0f} N"
+    left_n, right_n = (round(force_n) for force_n in moment.pinch_n)
+    squeeze_n = round(moment.squeeze_n)  # an integer has no negative zero
+    return f"pinch {left_n} N, {right_n} N   squeeze {squeeze_n} N"
 
 
 def _figures(result: TrialMetrics) -> str:
