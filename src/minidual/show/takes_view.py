@@ -20,6 +20,8 @@ APART_M = 2.0
 _PAUSE_S = 2.0
 """After each round."""
 _SLEEP_S = 0.005
+_SHARED_OPTIONS = ("timestep", "impratio", "integrator", "cone")
+"""MuJoCo warns of rooms whose options differ from the whole's."""
 
 
 def rooms_model(scene: SceneConfig, robot: Robot, rooms_n: int) -> mujoco.MjModel:
@@ -29,8 +31,12 @@ def rooms_model(scene: SceneConfig, robot: Robot, rooms_n: int) -> mujoco.MjMode
     """
     whole = mujoco.MjSpec()
     for number in range(rooms_n):
+        room = build_spec(scene, robot, visuals=True)
+        for name in _SHARED_OPTIONS:
+            setattr(whole.option, name, getattr(room.option, name))
+        whole.visual.map.znear = room.visual.map.znear
         frame = whole.worldbody.add_frame(pos=room_offset(number, rooms_n))
-        whole.attach(build_spec(scene, robot, visuals=True), prefix=f"{number}/", frame=frame)
+        whole.attach(room, prefix=f"{number}/", frame=frame)
     return whole.compile()
 
 
