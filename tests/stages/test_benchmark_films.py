@@ -40,8 +40,8 @@ def test_the_start_that_tells_methods_apart_is_filmed_else_the_first() -> None:
 
 
 def test_only_methods_that_can_do_a_task_are_filmed() -> None:
-    trials = {"sort": [outcome("moveit", 0)]}
-    given = {"sort": inputs("sort")._replace(trained="rod_carry")}
+    trials = {"sort": [outcome("impedance", 0), outcome("moveit", 0)]}
+    given = {"sort": inputs("sort")}
     (job,) = film_jobs(given, ("moveit", "impedance", "act"), trials)
     assert job.methods == ("moveit", "impedance")
     assert film_jobs(given, ("act",), trials) == []

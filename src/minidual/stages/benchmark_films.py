@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 from minidual.gate.stage import StageContext
 from minidual.show.figures.side_by_side import film_takes, take
-from minidual.tasks.catalogue import make_task
 from minidual.trials.benchmark import draw_under
 from minidual.trials.conditions import CLEAN
-from minidual.trials.methods import METHODS, MethodInputs
+from minidual.trials.methods import MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.workers import in_workers
 
@@ -51,18 +50,15 @@ def film_jobs(
 
     Args:
         inputs: By task.
-        methods: Of the benchmark.
+        methods: Of the benchmark; those without trials cannot do the task.
         trials: Results by task.
     """
     jobs: list[FilmJob] = []
     for task, task_inputs in inputs.items():
-        able = [
-            method
-            for method in methods
-            if not METHODS[method].cannot(make_task(task_inputs.config), task_inputs.trained)
-        ]
         clean = [trial for trial in trials[task] if trial.condition == CLEAN]
-        if able and clean:
+        tried = {trial.method for trial in clean}
+        able = [method for method in methods if method in tried]
+        if able:
             jobs.append(FilmJob(task_inputs, tuple(able), _telling_start(clean)))
     return jobs
 
