@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Generator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,8 +57,21 @@ def interruptions() -> Generator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _show(context: ToolContext, view: View, task: str, ended: Callable[[], bool]) -> float:
-    """Simulate the scene of a task until another one is chosen or `ended`; return its time [s]."""
+class _Shown(NamedTuple):
+    """How long a scene was shown."""
+
+    simulated_s: float
+    wall_s: float
+
+
+def _show(
+    context: ToolContext,
+    view: View,
+    task: str,
+    stopped: Callable[[], bool],
+    for_s: float,
+) -> _Shown:
+    """Simulate the scene of a task in real time, until another one is chosen or it must end."""
     config = context.config
     if task != config.task:
         config = changed(config, {"task": task})
@@ -70,7 +84,10 @@ def _show(context: ToolContext, view: View, task: str, ended: Callable[[], bool]
     stack.request(_SOURCE)
     narrate = StackNarrator(stack, kinematics, f"{task}: the sliders move the arms")
     with watched(view, world, narrate):
-        while not ended() and view.panel.choice in ("", task):
+        began_s = time.monotonic()
+        while view.alive and not stopped() and view.panel.choice in ("", task):
+            if time.monotonic() - began_s >= for_s:
+                break
             *joints, left_gripper, right_gripper = view.panel.values()
             target = np.clip(joints, robot.q_lower, robot.q_upper)
             grippers = np.array([left_gripper, right_gripper])
@@ -78,7 +95,7 @@ def _show(context: ToolContext, view: View, task: str, ended: Callable[[], bool]
             for _ in range(round(_SLICE_S / world.dt)):
                 stack.step()
             brake.hold(world.time)
-    return world.time
+    return _Shown(world.time, time.monotonic() - began_s)
 
 
 def view_scene(context: ToolContext) -> ToolResult:
@@ -95,23 +112,20 @@ def view_scene(context: ToolContext) -> ToolResult:
         raise UsageError(f"--for-s is {for_s:g}; it must be above 0")
     task = context.config.task
     simulated_s = 0.0
+    wall_s = 0.0
     view.panel.offer_choice("task", list(TASKS))
     view.panel.offer(joint_sliders(robot_from(context.config.robot)))
-    began_s = time.monotonic()
     with interruptions() as stop:
-
-        def ended() -> bool:
-            return not view.alive or stop.is_set() or time.monotonic() - began_s >= for_s
-
-        while not ended():
-            simulated_s += _show(context, view, task, ended)
+        while view.alive and not stop.is_set() and wall_s < for_s:
+            shown = _show(context, view, task, stop.is_set, for_s - wall_s)
+            simulated_s += shown.simulated_s
+            wall_s += shown.wall_s
             task = view.panel.choice or task
-    spent_s = time.monotonic() - began_s
     data = {
         "view": view.name,
         "url": view.url,
         "simulated_s": simulated_s,
-        "wall_s": round(spent_s, 3),
+        "wall_s": round(wall_s, 3),
     }
-    note = f"showed {simulated_s:.1f} s of simulated time in {spent_s:.1f} s"
+    note = f"showed {simulated_s:.1f} s of simulated time in {wall_s:.1f} s"
     return ToolResult(notes=[note], data=data)
