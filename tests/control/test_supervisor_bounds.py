@@ -84,7 +84,7 @@ def test_targets_that_step_do_not_stop_the_arms(
     least_nm: float,
     most_nm: float,
 ) -> None:
-    monkeypatch.setattr("minidual.control.joint_control._RAMP_S", ramp_s)
+    monkeypatch.setattr("minidual.control.joint_control.RAMP_S", ramp_s)
     loop = JointLoop(world, kinematics)
     requested, applied = guard_commands(world, Supervisor(), lambda: loop.reference.a)
     target = HOME.copy()

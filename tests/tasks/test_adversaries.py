@@ -147,7 +147,8 @@ def failures(outcome: Outcome) -> set[str]:
 
 
 def first(outcome: Outcome) -> str:
-    return outcome.reason.split(" at ")[0]
+    """Return the name of the condition that failed first."""
+    return outcome.failures[0].name
 
 
 @pytest.mark.parametrize("name", TASKS)

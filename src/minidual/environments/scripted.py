@@ -40,6 +40,8 @@ _RISE_STEP_M = 0.03
 _RISE_TO_M = 0.25
 _STEP = np.array([0.05, 0.05, 0.05, 0.25])
 _APPROACH_APART_M = 0.012
+_APART_SHIFT = slice(4, 7)
+"""Numbers of an action that move the hands apart along x, y and z."""
 
 
 class Phase(IntEnum):
@@ -212,7 +214,7 @@ class LiftScript:
         steps = np.maximum(steps / pace, 1.0)
         action = actions.action_to(self._wanted, 1.0 / steps)
         on_the_way = (self.phase == Phase.ALONG) & (steps > 1.0)
-        action[on_the_way, 4:7] = 0.0  # a rigid turn: hands that hold do not move apart
+        action[on_the_way, _APART_SHIFT] = 0.0  # a rigid turn: hands that hold do not move apart
         closing = (self.phase >= Phase.GRASP) & (self.phase <= Phase.LOWER)
         action[:, 8:] = np.where(closing, -1.0, 1.0)[:, None]
         return np.clip(action, -1.0, 1.0).astype(np.float32)

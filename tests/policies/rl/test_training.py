@@ -135,7 +135,7 @@ def test_a_reward_that_is_not_finite_is_an_error(tmp_path: Path) -> None:
 
 def test_a_policy_that_diverged_is_an_error(tmp_path: Path) -> None:
     worlds = vector_env.SteppedWorlds(Points(lessons.WorldsWanted(8, 7, "x", 0.0)))
-    broken = training._Training(job(tmp_path), worlds)
+    broken = training.Training(job(tmp_path), worlds)
     broken.model.policy.action_net.bias.data.fill_(float("nan"))
     with pytest.raises(DataError, match="diverged"):
         broken.network()

@@ -93,12 +93,12 @@ def train_rl(job: RlJob) -> RlTrained:
     wanted = WorldsWanted(settings.worlds_n, job.seed, TRAINING, settings.randomise)
     worlds = SteppedWorlds(job.lesson.worlds(job.config, wanted))
     try:
-        return _Training(job, worlds).run()
+        return Training(job, worlds).run()
     finally:
         worlds.close()
 
 
-class _Training:
+class Training:
     """The parts of one training."""
 
     def __init__(self, job: RlJob, worlds: SteppedWorlds) -> None:
@@ -244,7 +244,7 @@ class _Training:
 class _Course(BaseCallback):
     """Follows a training: progress bar, emergency stop, validation, progress file."""
 
-    def __init__(self, training: _Training) -> None:
+    def __init__(self, training: Training) -> None:
         super().__init__()
         self._training = training
         self._successes: list[bool] = []
