@@ -147,8 +147,8 @@ def failures(outcome: Outcome) -> set[str]:
 
 
 def first(outcome: Outcome) -> str:
-    """Return the name of the condition that failed first."""
-    return outcome.failures[0].name
+    """Return the name of the condition that failed first, or "" after a success."""
+    return outcome.failures[0].name if outcome.failures else ""
 
 
 @pytest.mark.parametrize("name", TASKS)

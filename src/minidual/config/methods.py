@@ -71,7 +71,7 @@ class MethodsConfig(StrictModel):
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, dict[str, JsonValue]]
+    __pydantic_extra__: dict[str, dict[str, JsonValue]] = Field(init=False)  # type: ignore[assignment]
 
     rl: RlConfig = RlConfig()
 

@@ -69,7 +69,7 @@ def named_policies(
 
 def policy_folder(path: str | Path, typed: str) -> Path:
     """Return a folder that holds a policy; UsageError if it holds none."""
-    folder = expanded(path)
+    folder = expanded(str(path))
     if (folder / _CONFIG).is_file():
         return folder
     raise UsageError(f"{typed}: there is no policy ({_CONFIG}) in that folder")

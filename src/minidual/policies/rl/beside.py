@@ -39,7 +39,7 @@ class Beside(VectorEnv[Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every world."""
         split = np.split(np.asarray(actions), self._ends[:-1])
-        steps = [part.step(own) for part, own in zip(self._parts, split, strict=True)]
+        steps: list[Any] = [part.step(own) for part, own in zip(self._parts, split, strict=True)]
         observations, rewards, terminated, truncated = (
             np.concatenate([step[place] for step in steps]) for place in range(4)
         )

@@ -43,6 +43,9 @@ def normalisation_of(observations: Array32) -> Normalisation:
 class Normalised(nn.Module):
     """Centres and scales observations, and clips them, as `RlNetwork` does."""
 
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
     def __init__(self, observation_space: Any, normalisation: Normalisation) -> None:
         super().__init__()
         self.features_dim = int(observation_space.shape[0])
@@ -113,8 +116,8 @@ class ClonedPpo(PPO):
         rows = torch.randint(len(demonstrations.observations), (_CLONE_BATCH,)).numpy()
         observations = torch.as_tensor(demonstrations.observations[rows], device=self.device)
         actions = torch.as_tensor(demonstrations.actions[rows], device=self.device)
-        mean = self.policy.get_distribution(observations).distribution.mean
-        loss = ((mean - actions) ** 2).mean()
+        distribution: Any = self.policy.get_distribution(observations).distribution
+        loss = ((distribution.mean - actions) ** 2).mean()
         optimiser.zero_grad()
         (weight * loss).backward()
         nn.utils.clip_grad_norm_(self._policy_parameters(), _GRADIENT_MAX)

@@ -29,6 +29,8 @@ VALIDATION = "rl-validation"
 """Random stream of the starts that choose the best policy; no test uses it."""
 _PROGRESS_EVERY = 4
 """Updates between two writings of the progress."""
+_NEVER = 10**9
+"""Updates between two tables that Stable-Baselines3 would print."""
 _LOOK_STEPS = 64
 """Random actions of each world that tell how observations vary, where nothing is demonstrated."""
 
@@ -134,7 +136,7 @@ class Training:
             self.model.learn(
                 steps - self.model.num_timesteps,
                 callback=_Course(self),
-                log_interval=None,
+                log_interval=_NEVER,
                 reset_num_timesteps=self.resumed_from == 0,
             )
         self.validate({})
@@ -234,7 +236,7 @@ class Training:
             return self.demonstrations.observations
         rng = stream(self.job.seed, "rl/look")
         observations = [self.worlds.reset()]
-        shape = (self.worlds.num_envs, *self.worlds.action_space.shape)
+        shape = (self.worlds.num_envs, *(self.worlds.action_space.shape or ()))
         for _ in range(_LOOK_STEPS):
             actions = rng.uniform(-1.0, 1.0, shape).astype(np.float32)
             observations.append(self.worlds.step(actions)[0])
@@ -296,7 +298,7 @@ def validation_rate(job: RlJob, network: RlNetwork) -> float:
 def first_episodes(worlds: SteppedWorlds, network: RlNetwork) -> list[bool]:
     """Return whether the first episode of each world succeeds."""
     successes: dict[int, bool] = {}
-    observations = worlds.reset()
+    observations: Any = worlds.reset()
     while len(successes) < worlds.num_envs:
         emergency.check()
         observations, _, ended, infos = worlds.step(network.act(observations))
