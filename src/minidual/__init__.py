@@ -68,40 +68,44 @@ __all__ = [
 ]
 
 _TARGETS = {
-    "Box": "minidual.collision.shapes:Box",
-    "Capsule": "minidual.collision.shapes:Capsule",
-    "Comparison": "minidual.api.comparison:Comparison",
-    "Cylinder": "minidual.collision.shapes:Cylinder",
-    "DataError": "minidual.errors:DataError",
-    "Episode": "minidual.demos.episode:Episode",
-    "EpisodeQuality": "minidual.demos.quality:EpisodeQuality",
-    "Goal": "minidual.motion.goal:Goal",
-    "MinidualError": "minidual.errors:MinidualError",
-    "Plan": "minidual.api.planning:Plan",
-    "Planner": "minidual.api.planning:Planner",
-    "PlanningError": "minidual.collision.errors:PlanningError",
-    "Scene": "minidual.collision.scene:PlanningScene",
-    "Sphere": "minidual.collision.shapes:Sphere",
-    "Task": "minidual.tasks.task:Task",
-    "Trajectory": "minidual.robot.trajectory:Trajectory",
-    "TrialMetrics": "minidual.trials.metrics:TrialMetrics",
-    "Trials": "minidual.api.trials:Trials",
-    "UsageError": "minidual.errors:UsageError",
-    "compare": "minidual.api.comparison:compare",
-    "list_conditions": "minidual.api.catalogue:list_conditions",
-    "list_episodes": "minidual.api.episodes:list_episodes",
-    "list_methods": "minidual.api.catalogue:list_methods",
-    "list_tasks": "minidual.api.catalogue:list_tasks",
-    "load_policy": "minidual.api.policies:load_policy",
-    "load_scene": "minidual.api.planning:load_scene",
-    "load_task": "minidual.api.catalogue:load_task",
-    "make_env": "minidual.api.environments:make_env",
-    "measure_episode": "minidual.api.episodes:measure_episode",
-    "open_episode": "minidual.api.episodes:open_episode",
-    "record_episodes": "minidual.api.episodes:record_episodes",
-    "run_trials": "minidual.api.trials:run_trials",
+    "Box": ("minidual.collision.shapes", "Box"),
+    "Capsule": ("minidual.collision.shapes", "Capsule"),
+    "Comparison": ("minidual.api.comparison", "Comparison"),
+    "Cylinder": ("minidual.collision.shapes", "Cylinder"),
+    "DataError": ("minidual.errors", "DataError"),
+    "Episode": ("minidual.demos.episode", "Episode"),
+    "EpisodeQuality": ("minidual.demos.quality", "EpisodeQuality"),
+    "Goal": ("minidual.motion.goal", "Goal"),
+    "MinidualError": ("minidual.errors", "MinidualError"),
+    "Plan": ("minidual.api.planning", "Plan"),
+    "Planner": ("minidual.api.planning", "Planner"),
+    "PlanningError": ("minidual.collision.errors", "PlanningError"),
+    "Scene": ("minidual.collision.scene", "PlanningScene"),
+    "Sphere": ("minidual.collision.shapes", "Sphere"),
+    "Task": ("minidual.tasks.task", "Task"),
+    "Trajectory": ("minidual.robot.trajectory", "Trajectory"),
+    "TrialMetrics": ("minidual.trials.metrics", "TrialMetrics"),
+    "Trials": ("minidual.api.trials", "Trials"),
+    "UsageError": ("minidual.errors", "UsageError"),
+    "compare": ("minidual.api.comparison", "compare"),
+    "list_conditions": ("minidual.api.catalogue", "list_conditions"),
+    "list_episodes": ("minidual.api.episodes", "list_episodes"),
+    "list_methods": ("minidual.api.catalogue", "list_methods"),
+    "list_tasks": ("minidual.api.catalogue", "list_tasks"),
+    "load_policy": ("minidual.api.policies", "load_policy"),
+    "load_scene": ("minidual.api.planning", "load_scene"),
+    "load_task": ("minidual.api.catalogue", "load_task"),
+    "make_env": ("minidual.api.environments", "make_env"),
+    "measure_episode": ("minidual.api.episodes", "measure_episode"),
+    "open_episode": ("minidual.api.episodes", "open_episode"),
+    "record_episodes": ("minidual.api.episodes", "record_episodes"),
+    "run_trials": ("minidual.api.trials", "run_trials"),
 }
-"""{public name: "module:attribute"}."""
+"""{public name: (module, attribute)}.
+
+As pairs: what a stage reaches is followed through texts of the form "module:attribute", and no stage
+reaches the public surface.
+"""
 
 
 def __getattr__(name: str) -> Any:
@@ -109,7 +113,7 @@ def __getattr__(name: str) -> Any:
     target = _TARGETS.get(name)
     if target is None:
         raise AttributeError(f"module 'minidual' has no attribute '{name}'")
-    module, _, attribute = target.partition(":")
+    module, attribute = target
     value = getattr(importlib.import_module(module), attribute)
     globals()[name] = value
     return value

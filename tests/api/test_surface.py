@@ -49,12 +49,12 @@ def test_parameters_fields_and_types_belong_to_the_surface() -> None:
     ]
 
 
-def imports_for_type_checkers() -> dict[str, str]:
+def imports_for_type_checkers() -> dict[str, tuple[str | None, str]]:
     """Return {name: "module:attribute"} of the imports that only type checkers see."""
     tree = ast.parse((ROOT / "src" / "minidual" / "__init__.py").read_text(encoding="utf-8"))
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]
     return {
-        alias.asname or alias.name: f"{node.module}:{alias.name}"
+        alias.asname or alias.name: (node.module, alias.name)
         for node in block.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names

@@ -169,7 +169,6 @@ def test_the_scene_is_in_the_picture_and_nothing_comes_from_the_net(
     assert shows_scene(picture)
     words = browser.text()
     for text in (
-        "the scene",
         "source in control",
         "sliders",
         "x real time",

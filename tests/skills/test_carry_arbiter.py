@@ -655,7 +655,7 @@ def watched(ride: Ride) -> None:
     ride.carry.stack.request("hold")
     ride.finish(look)
     states = {(overlay.source, overlay.state) for overlay in screen.shown}
-    assert {("moveit", "active, approach"), ("moveit", "active, carry")} <= states
+    assert {("impedance", "active, approach"), ("impedance", "active, carry")} <= states
     assert screen.shown[-1].state == "holding, done"
     assert screen.shown[-1].status == ride.carry.aborted
     assert "'hold' was asked for" in screen.shown[-1].status
