@@ -1,5 +1,6 @@
 """A gamepad of the Linux input system."""
 
+import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -84,14 +85,14 @@ class EvdevGamepad(GamepadDevice):
 
 
 def _evdev() -> Any:
+    """Return the library, by name: an extra that the type checker need not find."""
     try:
-        import evdev
+        return importlib.import_module("evdev")
     except ImportError as error:
         raise EnvironmentMissingError(
             "the gamepad leader needs the library evdev",
             remedy="pip install 'minidual[gamepad]'",
         ) from error
-    return evdev
 
 
 def _code_name(evdev: Any, table: dict[int, Any], code: int) -> str:
