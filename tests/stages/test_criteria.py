@@ -33,6 +33,7 @@ REPORTED = {
         "success_high",
         "goal_error_median_m",
         "looks_at_object",
+        "inference_wall_hz",
         "worst_seed",
         "median_seed",
     ],
@@ -58,7 +59,7 @@ CLOCKED = {
     "carry": [],
     "teleop-record": ["latency_p50_s", "latency_p99_s", "episodes_per_min", "recorded_per_min"],
     "train-act": ["train_s", "samples_per_s", "inference_hz"],
-    "deploy": ["inference_hz"],
+    "deploy": ["inference_hz", "inference_wall_hz"],
     "benchmark": [],
 }
 REPORTED["plan"].append("closed_chain.draws_left_out_n")

@@ -26,6 +26,7 @@ from minidual.stages.config_checks import check_deploy
 from minidual.stages.deploy import deploy_starts, farthest
 from minidual.stages.deploy_checks import (
     LOOKS_AT_OBJECT,
+    InferenceRates,
     deploy_checks,
     seed_rates,
     set_checks,
@@ -34,6 +35,8 @@ from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import placement
 from minidual.trials.metrics import TrialMetrics, summarise
 from tests.support.trial_results import BAD, failing, missed, result
+
+FAST = InferenceRates(processor_hz=200.0, wall_hz=200.0)
 
 
 def deploy(
@@ -44,7 +47,8 @@ def deploy(
     judged: bool = True,
 ) -> list[Check]:
     settings = DeployConfig(trials=10, **({} if judged else {"success_rate_min": None}))
-    return deploy_checks(summarise(rows, np.random.default_rng(0)), seen_n, hz, settings)
+    rates = InferenceRates(processor_hz=hz, wall_hz=10.0)
+    return deploy_checks(summarise(rows, np.random.default_rng(0)), seen_n, rates, settings)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +135,7 @@ def test_the_stage_counts_the_rows_of_its_file(
     monkeypatch.setattr(deploy_stage, "run_trials", run_trials)
     monkeypatch.setattr(deploy_stage, "write_csv", write)
     monkeypatch.setattr(deploy_stage, "film_outcomes", lambda *_: None)
-    monkeypatch.setattr(deploy_stage, "measure_inference", lambda *_: 200.0)
+    monkeypatch.setattr(deploy_stage, "measure_inference", lambda *_: FAST)
     looks = LOOKS_AT_OBJECT.report(2.0)
     monkeypatch.setattr(deploy_stage, "_looks_check", lambda *_: looks)
     (tmp_path / "config.yaml").write_text("task: rod_carry\n", encoding="utf-8")

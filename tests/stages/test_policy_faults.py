@@ -12,6 +12,7 @@ import pytest
 from minidual.config.learning import DeployConfig
 from minidual.config.root import Config
 from minidual.demos.rig import PURPOSE
+from minidual.gate.check import Check
 from minidual.gate.stage import StageContext
 from minidual.plant.world import World
 from minidual.policies.kinds import ChunkPolicy, Image
@@ -19,7 +20,7 @@ from minidual.policies.policy import PolicyRuntime
 from minidual.robot.pair import Array
 from minidual.stages import deploy as deploy_stage
 from minidual.stages.benchmark import benchmark_checks, condition_checks
-from minidual.stages.deploy_checks import HIDDEN, deploy_checks, set_checks
+from minidual.stages.deploy_checks import HIDDEN, InferenceRates, deploy_checks, set_checks
 from minidual.tasks.catalogue import make_task
 from minidual.trials import benchmark
 from minidual.trials.conditions import CLEAN
@@ -31,6 +32,8 @@ from tests.support.trial_results import failing
 
 CONFIG = Config()
 SEED = 7
+FAST = InferenceRates(processor_hz=200.0, wall_hz=200.0)
+_INFERENCE_S = 0.04
 DEPLOY = DeployConfig(trials=1, condition_rate_min={"room": 0.85})
 
 
@@ -47,7 +50,7 @@ def resting() -> TrialMetrics:
 
 def test_a_policy_that_never_moves_the_arms(resting: TrialMetrics) -> None:
     summary = summary_of(resting)
-    assert failing(deploy_checks(summary, 0, 200.0, DEPLOY)) == {"success_rate"}
+    assert failing(deploy_checks(summary, 0, FAST, DEPLOY)) == {"success_rate"}
     in_the_room = summary_of(replace(resting, condition="room"))
     assert failing(set_checks("room", in_the_room, [0.0], DEPLOY)) == {"room_success_rate"}
     checks = benchmark_checks([summary], {"hold": 0.5}, 1, {"hold": 1})
@@ -64,16 +67,38 @@ def test_a_policy_that_knows_the_place_by_heart() -> None:
 
 
 class SlowPolicy(ChunkPolicy):
-    """Takes 40 ms for a chunk."""
+    """Computes 40 ms for a chunk, or waits as long for a busy machine."""
 
     cameras: Mapping[str, tuple[int, int]] = MappingProxyType({"high": (12, 16)})
     chunk_size = 25
     dim = 16
+    waits = False
 
     def predict(self, images: Mapping[str, Image], state: Array) -> Array:
         """Return a chunk late."""
-        time.sleep(0.04)
+        if self.waits:
+            time.sleep(_INFERENCE_S)
+        else:
+            until_s = time.process_time() + _INFERENCE_S
+            while time.process_time() < until_s:
+                pass
         return np.zeros((self.chunk_size, self.dim))
+
+
+def inference_checks(
+    waits: bool,
+    resting: TrialMetrics,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> list[Check]:
+    """Return the checks of successful trials with a policy that is slow."""
+    policy = SlowPolicy()
+    policy.waits = waits
+    monkeypatch.setattr(deploy_stage, "load_runtime", lambda *_: PolicyRuntime(policy))
+    context = StageContext(folder=tmp_path, config=CONFIG, seed=SEED, profile="standard")
+    rates = deploy_stage.measure_inference(tmp_path, context)
+    success = replace(resting, success=True, duration_s=5.0)
+    return deploy_checks(summary_of(success), 0, rates, DEPLOY)
 
 
 def test_a_policy_that_is_slower_than_the_arms(
@@ -81,12 +106,21 @@ def test_a_policy_that_is_slower_than_the_arms(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(deploy_stage, "load_runtime", lambda *_: PolicyRuntime(SlowPolicy()))
-    context = StageContext(folder=tmp_path, config=CONFIG, seed=SEED, profile="standard")
-    inference_hz = deploy_stage.measure_inference(tmp_path, context)
-    success = replace(resting, success=True, duration_s=5.0)
-    checks = deploy_checks(summary_of(success), 0, inference_hz, DEPLOY)
+    checks = inference_checks(False, resting, monkeypatch, tmp_path)
     assert failing(checks) == {"inference_hz"}
+
+
+def test_a_policy_that_waits_for_a_busy_machine(
+    resting: TrialMetrics,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """The gate measures processor time: waiting lowers the reported wall rate alone."""
+    checks = inference_checks(True, resting, monkeypatch, tmp_path)
+    assert failing(checks) == set()
+    observed = {check.name: check.observed for check in checks}
+    assert observed["inference_wall_hz"] < 1.0 / _INFERENCE_S
+    assert observed["inference_hz"] > 4.0 / _INFERENCE_S
 
 
 def test_a_torque_sensor_that_gives_nan(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,7 +62,9 @@ class PolicyRuntime:
             self._set_limits(limits)
         self._plausible = Plausible(self._lower, self._upper)
         self.times_s: list[float] = []
-        """Inference times without rendering."""
+        """Wall times of inferences without rendering."""
+        self.processor_times_s: list[float] = []
+        """Processor times of the same, summed over all threads of the process."""
         self.reset()
 
     @classmethod
@@ -86,11 +88,17 @@ class PolicyRuntime:
 
     @property
     def inference_hz(self) -> float:
-        """Mean rate without the first (warm-up) inference, or NaN."""
-        if not self.times_s:
-            return float("nan")
-        times_s = self.times_s[1:] or self.times_s
-        return 1.0 / float(np.mean(times_s))
+        """Mean rate per second of processor time, or NaN.
+
+        Time in which the process waits for a busy machine does not count. The threads of torch
+        do, each with its own time, and so do other threads: measure a runtime that runs alone.
+        """
+        return _mean_rate(self.processor_times_s)
+
+    @property
+    def inference_wall_hz(self) -> float:
+        """Mean rate per second of wall time, or NaN; a busy machine lowers it."""
+        return _mean_rate(self.times_s)
 
     def reset(self) -> None:
         """Drop the queue (new episode or mode)."""
@@ -120,11 +128,13 @@ class PolicyRuntime:
 
     def predict_chunk(self, images: Mapping[str, Image], state: Array) -> Array:
         """Return one raw chunk (chunk_size, dim)."""
-        started = time.perf_counter()
+        began_s = time.perf_counter()
+        processor_began_s = time.process_time()
         self._check_cameras(images)
         checked_images = {camera: self._checked_image(images, camera) for camera in self.cameras}
         chunk = self.policy.predict(checked_images, self._checked_state(state))
-        self.times_s.append(time.perf_counter() - started)
+        self.processor_times_s.append(time.process_time() - processor_began_s)
+        self.times_s.append(time.perf_counter() - began_s)
         if not np.isfinite(chunk).all():
             raise DataError(
                 "the policy emitted an action that is not finite",
@@ -212,6 +222,13 @@ class PolicyRuntime:
         return np.ascontiguousarray(image)
 
 
+def _mean_rate(times_s: list[float]) -> float:
+    """Return the mean rate [Hz] without the first (warm-up) inference, or NaN."""
+    warm_s = times_s[1:] or times_s
+    total_s = sum(warm_s)
+    return len(warm_s) / total_s if total_s > 0.0 else float("nan")
+
+
 class EmittedActions(NamedTuple):
     """Actions predicted on recorded observations; NaN for other arms.
 
@@ -219,6 +236,7 @@ class EmittedActions(NamedTuple):
         in_limits: Share of joint targets inside the limits.
         overshoot_max_rad: Largest distance outside.
         targets_n: Joint and gripper targets per action.
+        inference_hz: Inferences per second of processor time.
     """
 
     in_limits: float

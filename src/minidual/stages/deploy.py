@@ -29,6 +29,7 @@ from minidual.stages.deploy_checks import (
     HIDDEN,
     LOOKS_AT_OBJECT,
     TRAINING_SET,
+    InferenceRates,
     deploy_checks,
     seed_rates,
     set_checks,
@@ -112,9 +113,9 @@ def run(context: StageContext) -> StageResult:
         name: summarise(set_results, rng) for name, set_results in results.items() if set_results
     }
     film_outcomes(context, inputs, starts.held_out, results[HELD_OUT_SET])
-    inference_hz = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
+    slowest = min(measure_inference(checkpoint, context) for checkpoint in checkpoints)
     held_out = summaries[HELD_OUT_SET]
-    checks = deploy_checks(held_out, starts.seen_n, inference_hz, config.deploy)
+    checks = deploy_checks(held_out, starts.seen_n, slowest, config.deploy)
     checks += table
     data: dict[str, Any] = {}
     for name, summary in summaries.items():
@@ -267,8 +268,8 @@ def _targets_of(
     return targets
 
 
-def measure_inference(checkpoint: Path, context: StageContext) -> float:
-    """Return inferences per second of the runtime, run alone."""
+def measure_inference(checkpoint: Path, context: StageContext) -> InferenceRates:
+    """Return the rates of the runtime, run alone."""
     robot = robot_from(context.config.robot)
     runtime = load_runtime(checkpoint, context.config.deploy, robot)
     rng = stream(context.seed, "deploy/inference")
@@ -279,4 +280,4 @@ def measure_inference(checkpoint: Path, context: StageContext) -> float:
             for name, size in runtime.cameras.items()
         }
         runtime.predict_chunk(pictures, state)
-    return runtime.inference_hz
+    return InferenceRates(runtime.inference_hz, runtime.inference_wall_hz)

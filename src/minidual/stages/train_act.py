@@ -59,7 +59,7 @@ OVERSHOOT_MAX = Criterion(
 INFERENCE_RATE = Criterion(
     "inference_hz",
     unit="Hz",
-    why="whole inferences a second, one thread",
+    why="whole inferences in a second of processor time, one thread",
     clocked=True,
 )
 VALIDATION_L1 = Criterion(
