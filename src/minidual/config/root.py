@@ -10,6 +10,7 @@ from minidual.config.control import ArbiterConfig, CarryConfig, EnvCheckConfig, 
 from minidual.config.learning import DeployConfig, TeleopConfig, TrainConfig
 from minidual.config.methods import MethodsConfig
 from minidual.config.planning import PlanConfig
+from minidual.config.plant import PlantConfig
 from minidual.config.scene import RobotConfig, SceneConfig, SemanticsConfig
 from minidual.errors import unknown_name
 
@@ -112,6 +113,7 @@ class Config(StrictModel):
     semantics: SemanticsConfig = SemanticsConfig()
     arbiter: ArbiterConfig = ArbiterConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
+    plant: PlantConfig = PlantConfig()
     view: ViewConfig = ViewConfig()
 
     def demands(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 After a switch the torque difference fades; after a halt it falls at the drives' rate limit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,7 +18,7 @@ _FADE_S = 0.1
 
 
 class ControllerSwitchError(MinidualError):
-    """A refused set; `name` is `unclaimed`, `doubly_claimed`, `not_ready` or `under_way`."""
+    """A refused set; `name` is `unclaimed`, `doubly_claimed`, `not_ready`, `wrong_plant` or `under_way`."""
 
     def __init__(self, name: str, message: str, *, remedy: str | None = None) -> None:
         super().__init__(f"{name}: {message}", remedy=remedy)
@@ -40,6 +40,8 @@ class ControllerManager:
         self._swiftly = False
         self._tau_step = robot.arm.tau_rate_max * dt_s
         self._offset: Array | None = None
+        self.forbidden: Mapping[str, str] = {}
+        """Why a controller cannot drive this plant, by name."""
         self.tau = np.zeros(robot.dof)
         """Last torques (n,) [Nm]."""
 
@@ -51,7 +53,8 @@ class ControllerManager:
         """Return the named controllers.
 
         Raises:
-            ControllerSwitchError: A joint is unclaimed or claimed twice, or a controller is not ready.
+            ControllerSwitchError: A joint is unclaimed or claimed twice, or a controller is not ready or not for
+                this plant.
         """
         chosen = tuple(self[name] for name in names)
         for arm, side in enumerate(SIDES):
@@ -68,6 +71,13 @@ class ControllerManager:
                     f"the {side} arm's joints would be driven by {' and '.join(claims)}",
                 )
         for controller in chosen:
+            if controller.name in self.forbidden:
+                raise ControllerSwitchError(
+                    "wrong_plant",
+                    f"controller {controller.name}: {self.forbidden[controller.name]}",
+                    remedy="name both_arms, or left_arm and right_arm; "
+                    "or drive a plant that takes torques, such as sim",
+                )
             reason = controller.not_ready()
             if reason:
                 raise ControllerSwitchError("not_ready", f"controller {controller.name}: {reason}")

@@ -5,9 +5,13 @@ estimate   observer, payload        external torques, and what the hands carry
 law        controller_manager       torques of the active controllers
 guard      supervisor.Supervisor    bounds; a reflex that stops the arms
 write      `_write`                 torques and finger targets to the plant
+
+A plant that takes joint targets gets the controllers' reference, and the reference of the stop after a reflex. Its
+controller makes the torques; the guard compares those that it measures.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +34,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStopController
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
+from minidual.plant.lifecycle import CommandKind, kind_of
 from minidual.plant.protocol import Plant, PlantEndedError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -40,6 +45,7 @@ OBJECT_CONTROLLERS: tuple[str, ...] = ("object_impedance",)
 """For an object in both hands."""
 _STOPPING: tuple[str, ...] = ("soft_stop",)
 _ARMS = tuple(range(len(SIDES)))
+_NEEDS_TORQUE = "this plant takes joint targets, and an impedance law needs motor torques at 1 kHz"
 
 
 class ControlLoop:
@@ -80,6 +86,9 @@ class ControlLoop:
             *self.hands,
             SoftStopController(kinematics, dt_s, self.payload),
         ]
+        self._by_position = kind_of(plant) is CommandKind.POSITION
+        if self._by_position:
+            supervisor.observer.leave_contacts_to_plant()
         supervisor.expected = self._expected
         supervisor.bear(self.payload.force_n)
         self.on_reflex: Callable[[], None] = lambda: None
@@ -104,6 +113,11 @@ class ControlLoop:
         """Stops the arms in the next tick."""
         robot = self._kinematics.robot
         self.manager = ControllerManager(self._controllers, self._plant.dt, robot)
+        if self._by_position:
+            compliant = (self.impedance, *self.hands)
+            self.manager.forbidden = {law.name: _NEEDS_TORQUE for law in compliant}
+        self._q_sent = measurement.q
+        self._active_sent: tuple[str, ...] = ()
         self.impedance.forget()
         self.payload.reset()
         for hand in self.hands:
@@ -131,6 +145,7 @@ class ControlLoop:
         self.reader.begin(measurement)
         self._measurement = measurement
         self._v_last = measurement.v
+        self._q_sent = measurement.q
         self._plant.brake(())
         self.manager.fade_left = 0  # from torques that were never applied
         if self.reflex is not None and self.reflex.reflex.name == "gripper_opened":
@@ -208,10 +223,20 @@ class ControlLoop:
         """Return the torques (n,) [Nm] that the active controllers ask for."""
         if self._failed is None and self.reflex is None:
             try:
-                return self.manager.update(measurement.q, measurement.v)
+                tau = self.manager.update(measurement.q, measurement.v)
             except Exception as error:
                 self.fail(error)
+            else:
+                return self._measured_torques() if self._by_position else tau
         return self.applied
+
+    def _measured_torques(self) -> Array:
+        """Return the torques (n,) [Nm] that a plant with drives of its own measures."""
+        try:
+            return np.array(self._plant.tau, dtype=float)
+        except Exception as error:
+            self.fail(error)
+            return self.applied
 
     def _guard(self, measurement: Measurement, tau: Array) -> tuple[Array, ReflexError | None]:
         """Return the torques (n,) [Nm] to apply, and the reflex that this tick has triggered."""
@@ -249,8 +274,11 @@ class ControlLoop:
             self.fail(error)
             fingers_m = self.grippers.targets_m
         try:
-            plant.command(tau, fingers_m)
-            self.applied = tau  # only what the plant has taken
+            if self._by_position:
+                self._send_targets(plant)
+            else:
+                plant.command(tau, fingers_m)
+            self.applied = tau  # only what the plant has taken, or has measured
             if self.reflex is not None and self.reader.braking_due:
                 plant.brake(measurement.blind_arms)
         except PlantEndedError:
@@ -263,6 +291,19 @@ class ControlLoop:
             raise
         except Exception as error:
             self.fail(error)
+
+    def _send_targets(self, plant: Any) -> None:
+        """Send joint targets with their velocities, which are those of the step from the last ones."""
+        stopped = self.reflex is not None
+        q = self.supervisor.stop_reference if stopped else np.array(self.manager.reference)
+        active = ("reflex",) if stopped else self.manager.active
+        v = (q - self._q_sent) / plant.dt
+        if active != self._active_sent:  # a new reference begins where the arms are
+            v = np.zeros(len(q))
+        v_max = self._kinematics.robot.v_max
+        plant.follow(q, np.clip(v, -v_max, v_max), self.openings)
+        self._q_sent = q
+        self._active_sent = active
 
     def _tell_payload(self) -> None:
         """Let the next controller bear the weight that the object impedance has borne."""

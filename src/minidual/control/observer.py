@@ -24,6 +24,9 @@ _MOVED_RAD_S = 0.05
 """A slower joint is still; one that was faster a moment before has been stopped."""
 FILTER_S = 0.012
 _STEADY_S = 0.1
+PLANT_DEVIATION_RAD = 0.15
+PLANT_DEVIATION_S = 0.1
+"""Distance from the reference, and for how long, of a plant that interpolates joint targets itself."""
 LEAST_NM = 3.0
 """Least torque bound: touching fingers turn the weak last joints."""
 _WINDOW_MAX = 32
@@ -195,6 +198,17 @@ class ContactObserver:
         self._stamp_s = math.nan
         self._ticks = 0
         self._due_tick = self._every
+
+    def leave_contacts_to_plant(self) -> None:
+        """Compare postures only: a plant with drives of its own feels contacts, and follows targets later."""
+        for name, bounds in self.modes.items():
+            self.modes[name] = ContactBounds(
+                np.full_like(bounds.torques, math.inf),
+                PLANT_DEVIATION_RAD,
+                PLANT_DEVIATION_S,
+                math.inf,
+            )
+        self.bounds = self.modes["free motion"]
 
     def forget_needed(self) -> None:
         """Say that the needed torque is unknown: in a stop a joint at rest may stand under any torque."""

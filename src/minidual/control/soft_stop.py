@@ -90,6 +90,11 @@ class SupervisedStop:
         v_0 = np.clip(v, -self._robot.v_max, self._robot.v_max)
         self._profile = BrakingProfile(self._law, q, v_0, self._slopes(q, v_0), self._dt)
 
+    @property
+    def reference(self) -> Array:
+        """Where the stop has the joints (n,) [rad] now; `begin` comes first."""
+        return self._profile.q.copy()
+
     def rest(self, q: Array, v: Array) -> Array:
         """Return the posture (n,) in which a stop from q, v ends."""
         return self._law.rest(q, v, self._slopes(q, v))

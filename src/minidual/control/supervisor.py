@@ -186,6 +186,11 @@ class Supervisor:
             error.remedy += f"; minidual replay {error.dump} shows the last second"
 
     @property
+    def stop_reference(self) -> Array:
+        """Joint targets (n,) [rad] of the stop after a reflex, for plants that take no torques."""
+        return self._stop.reference
+
+    @property
     def touch(self) -> Array:
         """External torque (n,) [Nm] beyond its mean of the last 0.1 s, which dry joints explain."""
         return self.observer.external - self.observer.steady

@@ -14,7 +14,11 @@ class PlantEndedError(MinidualError):
 
 
 class Plant(Protocol):
-    """Two arms with hands. Measurements are copies, updated in `step`."""
+    """Two arms with hands. Measurements are copies, updated in `step`.
+
+    One that takes joint targets instead of torques is a `plant.lifecycle.PositionPlant`; what else
+    a plant may say is listed there.
+    """
 
     dt: float
     """Control period [s]."""

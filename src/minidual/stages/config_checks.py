@@ -7,6 +7,7 @@ from minidual.motion.search import PLANNERS
 from minidual.motion.timing_engines import TIMING_ENGINES
 from minidual.policies.kinds import POLICIES
 from minidual.robot.pair import robot_from
+from minidual.stages.plants import simulator_only
 from minidual.tasks.catalogue import make_task, tasks_of
 from minidual.trials.benchmark import trials_asked
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
@@ -32,7 +33,8 @@ def check_plan(config: Config) -> None:
 
 
 def check_carry(config: Config) -> None:
-    """Raise UsageError unless both hands hold one object."""
+    """Raise UsageError unless both hands hold one object, in the simulator."""
+    simulator_only(config, "carry")
     if not make_task(config).together:
         raise ConfigError(
             f"both hands carry one object; in the task '{config.task}' they do not",
@@ -42,7 +44,8 @@ def check_carry(config: Config) -> None:
 
 
 def check_leader(config: Config) -> None:
-    """Raise UsageError for an unknown leader, or conditions that cannot be recorded."""
+    """Raise UsageError for an unknown leader, another plant, or conditions that cannot be recorded."""
+    simulator_only(config, "teleop-record")
     LEADERS[config.teleop.leader]
     rooms(config.teleop.conditions)
 
@@ -70,6 +73,7 @@ def check_deploy(config: Config) -> None:
         UsageError: A condition is unknown or cannot affect the policy.
         EnvironmentMissingError: The device is missing.
     """
+    simulator_only(config, "deploy")
     _check_device(config, config.deploy.device)
     for name in config.deploy.conditions:
         reason = CONDITIONS[name].why_not("act", config)
@@ -81,7 +85,8 @@ def check_deploy(config: Config) -> None:
 
 
 def check_benchmark(config: Config) -> None:
-    """Raise UsageError for invalid methods, conditions and limits."""
+    """Raise UsageError for invalid methods, conditions and limits, or another plant."""
+    simulator_only(config, "benchmark")
     tasks = tasks_of(config).values()
     for name in METHODS.names(config.benchmark.methods):
         check_able(name, tasks)  # the stage looks at what a policy was trained on

@@ -198,6 +198,13 @@ def benchmark_needs() -> Needs:
 
 
 @Deferred
+def check_plant() -> ConfigCheck:
+    from minidual.stages.plants import check_plant
+
+    return check_plant
+
+
+@Deferred
 def check_plan() -> ConfigCheck:
     from minidual.stages.config_checks import check_plan
 

@@ -62,6 +62,7 @@ ENV_CHECK = StageEntry(
     ),
     reads=(
         "robot",
+        "plant",
         "env_check",
         "scene.physics",
         "scene.object",
@@ -74,6 +75,8 @@ ENV_CHECK = StageEntry(
         "teleop.rate_hz",
     ),
     watchable=True,
+    check=functions.check_plant,
+    settings={"plant": "plant.address"},
     asides=(ToolEntry("env-check-bill", functions.env_check_bill),),
 )
 PLAN = StageEntry(

@@ -7,6 +7,7 @@ from minidual.config.seeds import stream
 from minidual.durable import write_csv
 from minidual.gate.progress import ProgressTask
 from minidual.gate.stage import StageContext, StageResult
+from minidual.plant.connect import SIMULATOR
 from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
@@ -23,6 +24,7 @@ from minidual.stages.env_check.model import (
     model_agreement,
     torque_pulse_mapping,
 )
+from minidual.stages.env_check.on_plant import run_on_plant
 from minidual.stages.env_check.pictures import check_cameras
 from minidual.stages.env_check.responses import command_latency, emergency_stop, joint_responses
 from minidual.stages.env_check.rig import TrackingRig
@@ -34,6 +36,8 @@ _PARTS = 8
 def run(context: StageContext) -> StageResult:
     """Measure; write joints.csv, sine.mp4, cameras.png and tracking.svg."""
     config = context.config
+    if config.plant.address != SIMULATOR:
+        return run_on_plant(context)
     robot = robot_from(config.robot)
     with context.progress.task("environment", _PARTS) as task:
         libraries = required_libraries()

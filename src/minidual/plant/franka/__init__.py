@@ -1,0 +1,1 @@
+"""Two Franka controllers: wire format, limits, emulator and client."""

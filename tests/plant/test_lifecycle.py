@@ -1,0 +1,65 @@
+"""The life cycle of a plant: what it says itself, and what a connection says in its place."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from minidual.errors import UsageError
+from minidual.plant.lifecycle import ArmHealth, CommandKind, Connection
+from tests.support.position_plant import Follower
+
+
+def test_a_plant_is_connected_activated_and_closed_in_this_order() -> None:
+    plant = Follower()
+    with Connection("mine:Follower", plant):
+        assert plant.calls == ["connect", "activate position"]
+    assert plant.calls[-1] == "close"
+
+
+def test_a_plant_that_says_nothing_has_defaults() -> None:
+    plant = SimpleNamespace(dt=0.001, stamp_s=2.0, health="", close=lambda: None)
+    link = Connection("mine:Bare", plant).open()
+    assert link.kinds == (CommandKind.TORQUE,)
+    assert link.stamps_s.tolist() == [2.0, 2.0]
+    assert [health.well for health in link.healths] == [True, True]
+    assert link.sent is None
+    assert link.place == "external plant"
+    plant.health = "the brakes are closed"
+    assert link.healths == [
+        ArmHealth("left", ("the brakes are closed",)),
+        ArmHealth("right", ("the brakes are closed",)),
+    ]
+
+
+def test_what_a_plant_says_itself_is_passed_on() -> None:
+    plant = Follower()
+    plant.late_arm_s = 0.01
+    plant.faults = [(), ("joint_reflex",)]
+    link = Connection("mine:Follower", plant)
+    assert np.allclose(link.stamps_s, [0.0, -0.01])
+    assert [health.faults for health in link.healths] == [(), ("joint_reflex",)]
+    assert link.sent is not None
+    link.recover()
+    assert all(health.well for health in link.healths)
+
+
+def test_a_kind_of_command_that_a_plant_does_not_take_is_refused_with_its_reason() -> None:
+    plant = Follower()
+    plant.why_not = {CommandKind.TORQUE: "its loop is not ours"}
+    with pytest.raises(UsageError, match="takes no torque commands; it takes position") as error:
+        Connection("mine:Follower", plant).open(CommandKind.TORQUE)
+    assert error.value.remedy == "its loop is not ours"
+    assert plant.calls == []
+
+
+@pytest.mark.parametrize(("dt", "hz"), [(0.1, "10"), (0.0005, "2000")])
+def test_a_rate_outside_the_kinds_bounds_is_refused_and_the_plant_is_closed(
+    dt: float, hz: str
+) -> None:
+    plant = Follower(dt=dt)
+    with pytest.raises(UsageError, match=f"at {hz} Hz; position commands come at 50 to 1000 Hz"):
+        Connection("mine:Follower", plant).open()
+    assert plant.calls[-1] == "close"
