@@ -26,12 +26,11 @@ from numpy.typing import NDArray
 
 from minidual import durable
 from minidual.demos.episode import Episode, read_episode
+from minidual.demos.lerobot_features import SOURCES_FILE, state_names
 from minidual.demos.lerobot_reader import ACTION, STATE, LeRobotTables, camera_key, read_dataset
 from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Array, Robot
 
-SOURCES_FILE = "meta/minidual_sources.json"
-"""Lists the recordings of a dataset."""
 IMAGE_DIFFERENCE_MAX = 6.0
 """Limit of an image's mean difference to the recorded one, of 255."""
 _VIDEO_FILE_MB = 4
@@ -61,11 +60,6 @@ _SHORTCUTS = (
     _Shortcut(dataset_writer, "embed_images", _unchanged),
 )
 """With them a demonstration of 405 ticks takes 0.6 s of processor time instead of 1.2."""
-
-
-def state_names(robot: Robot) -> tuple[str, ...]:
-    """Return joint names, then gripper names."""
-    return (*robot.joint_names, *(f"{side}_gripper" for side in robot.sides))
 
 
 def convert(paths: Iterable[Path], out_dir: Path, robot: Robot) -> LeRobotTables:
@@ -241,8 +235,9 @@ def verify_dataset(root: Path, paths: Sequence[Path], robot: Robot) -> float:
     data = read_dataset(root)
     if len(data.starts) != len(paths):
         raise DataError(f"{root} holds {len(data.starts)} episodes; {len(paths)} were recorded")
-    if data.names != state_names(robot):
-        raise DataError(f"{root} names its state {data.names}; it must be {state_names(robot)}")
+    for word, names in (("state", data.names), ("action", data.action_names)):
+        if names != state_names(robot):
+            raise DataError(f"{root} names its {word} {names}; it must be {state_names(robot)}")
     for index, path in enumerate(paths):
         _verify_rows(data, index, path)
     differences = [_verify_camera(data, camera, paths) for camera in data.cameras]

@@ -3,10 +3,10 @@
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,33 +15,51 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from minidual.demos.lerobot_video import BYTES_MAX, REMEDY, VIDEO_PATH, Image, decoded, reading
-from minidual.durable import disk_errors, read_json, regular_file
+from minidual.demos.lerobot_features import (
+    ACTION,
+    IMAGE_PREFIX,
+    ROWS_MAX,
+    STATE,
+    VIDEO_PATH,
+    CameraFeature,
+    DatasetInfo,
+    camera_key,
+    camera_name,
+    read_info,
+    reading,
+    remedy_of,
+)
+from minidual.demos.lerobot_video import (
+    BRIGHTNESS_MAX,
+    BYTES_MAX,
+    Image,
+    colour_difference,
+    colours,
+    data_files,
+    decoded,
+    stored_in_tables,
+)
+from minidual.durable import disk_errors, regular_file
 from minidual.errors import DataError, check_name
-from minidual.robot.pair import Array
 
-STATE = "observation.state"
-ACTION = "action"
-IMAGE_PREFIX = "observation.images.cam_"
+__all__ = [
+    "ACTION",
+    "IMAGE_PREFIX",
+    "STATE",
+    "LeRobotTables",
+    "Rows",
+    "camera_key",
+    "camera_name",
+    "colours",
+    "read_dataset",
+]
 
 Rows = NDArray[np.int64]
 
-FPS_MAX = 1e5
-PIXELS_MAX = 4096
-ROWS_MAX = 10_000_000
-"""Limits of the rate, a picture's sides and a dataset's rows, checked before memory is taken."""
 MEMORY_SHARE = 0.5
 """Largest share of available memory for one camera."""
-BRIGHTNESS_MAX = 0.03
-"""Limit of a video's difference to the mean that LeRobot recorded, by colour; 1 is full scale."""
-_LEROBOT_SAMPLES_N = 100
-"""Pictures of an episode from which LeRobot takes the mean."""
 _PROGRESS_EVERY = 1000
-
-
-def camera_key(camera: str) -> str:
-    """Return e.g. "observation.images.cam_high"."""
-    return IMAGE_PREFIX + camera
+_TICK_COLUMNS = [STATE, ACTION, "episode_index", "frame_index", "index"]
 
 
 @dataclass(frozen=True)
@@ -49,9 +67,9 @@ class LeRobotTables:
     """Checked tables: N rows, E episodes.
 
     Attributes:
-        names: Entries of states and actions.
+        names, action_names: Entries of states and of actions.
         cameras: (H, W) by camera.
-        state, action: (N, names).
+        state, action: (N, entries).
         frame_index: (N,) from 0 per episode.
         starts, stops: (E,) first rows, and one past the last.
     """
@@ -59,6 +77,7 @@ class LeRobotTables:
     root: Path
     fps: float
     names: tuple[str, ...]
+    action_names: tuple[str, ...]
     cameras: dict[str, tuple[int, int]]
     state: NDArray[np.float32]
     action: NDArray[np.float32]
@@ -66,6 +85,7 @@ class LeRobotTables:
     frame_index: Rows
     starts: Rows
     stops: Rows
+    info: DatasetInfo
     _episodes: Any
 
     def __len__(self) -> int:
@@ -79,24 +99,33 @@ class LeRobotTables:
             DataError: Corrupt video; at its end, wrong frame count.
         """
         check_name("camera", camera, self.cameras)
-        with reading(f"{self.root}: the table of videos"):
-            videos = self._videos(camera_key(camera))
-        return self._frames(videos, self.cameras[camera])
+        key = camera_key(camera)
+        size = self.cameras[camera]
+        if self.info.cameras[camera].stored == "image":
+            return enumerate(self._one_each_row(key, stored_in_tables(self.root, key, size)))
+        with reading(f"{self.root}: the table of videos", self.root):
+            videos = self._videos(key)
+        return self._frames(videos, size)
 
     def images(
         self,
         camera: str,
         progress: Callable[[int], None] | None = None,
         folder: Path | None = None,
+        *,
+        height: int | None = None,
     ) -> Image:
         """Return all images (N, H, W, 3); raises as `frames`.
 
         They are mapped from a file in `folder` if memory is short. `progress` gets the count since
-        its last call.
+        its last call. Higher images than `height` are scaled down to it.
         """
         frames = self.frames(camera)
-        images = _room_for((len(self), *self.cameras[camera], 3), folder)
+        size = scaled_size(self.cameras[camera], height)
+        images = _room_for((len(self), *size, 3), folder)
         for count, (row, image) in enumerate(frames, start=1):
+            if image.shape[:2] != size:
+                image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
             images[row] = image
             if progress is not None and (count % _PROGRESS_EVERY == 0 or count == len(self)):
                 progress((count - 1) % _PROGRESS_EVERY + 1)
@@ -109,17 +138,30 @@ class LeRobotTables:
         if column not in self._episodes.column_names:
             return
         for episode, (start, stop) in enumerate(zip(self.starts, self.stops, strict=True)):
-            every = max(1, (stop - start) // _LEROBOT_SAMPLES_N)
-            mean, _ = colours(images[start:stop:every])
-            recorded = np.ravel(self._episodes[column][episode].as_py())
-            difference = float(np.abs(mean - recorded).max())
+            recorded = np.ravel(np.array(self._episodes[column][episode].as_py(), dtype=float))
+            if len(recorded) != 3:
+                continue
+            difference = colour_difference(images[start:stop], recorded)
             if not difference <= BRIGHTNESS_MAX:  # NaN fails too
                 raise DataError(
                     f"{self.root}: camera '{camera}' of episode {episode} shows other pictures "
                     f"than were recorded (mean colour {difference:.3f} apart, "
                     f"limit {BRIGHTNESS_MAX:g})",
-                    remedy=REMEDY,
+                    remedy=remedy_of(self.root),
                 )
+
+    def _one_each_row(self, key: str, images: Iterator[Image]) -> Iterator[Image]:
+        """Yield images; DataError unless there is one for each row."""
+        count = 0
+        for count, image in enumerate(images, start=1):
+            if count > len(self):
+                break
+            yield image
+        if count != len(self):
+            raise DataError(
+                f"{self.root}: '{key}' has other than {len(self)} pictures, one for each row",
+                remedy=remedy_of(self.root),
+            )
 
     def _frames(
         self,
@@ -127,7 +169,7 @@ class LeRobotTables:
         size: tuple[int, int],
     ) -> Iterator[tuple[int, Image]]:
         for name, rows in videos.items():
-            images = decoded(self.root / name, len(rows), size)
+            images = decoded(self.root, name, len(rows), size)
             yield from zip(rows.tolist(), images, strict=True)
 
     def _videos(self, key: str) -> dict[str, Rows]:
@@ -156,108 +198,52 @@ class LeRobotTables:
         return {name: np.concatenate(rows) for name, rows in parts.items()}
 
 
-def colours(images: Image) -> tuple[Array, Array]:
-    """Return mean and std (3,) in [0, 1] of images (N, H, W, 3)."""
-    each = np.array([cv2.meanStdDev(image) for image in images])[..., 0] / 255.0
-    mean = each[:, 0].mean(axis=0)
-    mean_square = (each**2).sum(axis=1).mean(axis=0)
-    return mean, np.sqrt(np.maximum(mean_square - mean**2, 0.0))
-
-
-class _Info(NamedTuple):
-    """What meta/info.json declares."""
-
-    version: str
-    fps: float
-    frames_n: int
-    episodes_n: int
-    names: tuple[str, ...]
-    action_names: tuple[str, ...]
-    cameras: dict[str, tuple[int, int]]
+def scaled_size(size: tuple[int, int], height: int | None) -> tuple[int, int]:
+    """Return the size (H, W) of images that are scaled down to a height; None leaves them."""
+    if height is None or size[0] <= height:
+        return size
+    return height, max(1, round(size[1] * height / size[0]))
 
 
 def read_dataset(root: Path | str) -> LeRobotTables:
     """Read the tables; DataError if missing, corrupt or inconsistent."""
     root = Path(root)
-    info = _read_info(root)
-    rows = _read_parquet(root, "data")
-    episodes = _read_parquet(root, "meta/episodes")
-    with reading(f"{root}: a table"):
+    info = read_info(root)
+    rows = _read_parquet(root, data_files(root), "data", _TICK_COLUMNS)
+    episode_files = sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet"))
+    episodes = _read_parquet(root, episode_files, "meta/episodes")
+    with reading(f"{root}: a table", root):
         tables = LeRobotTables(
             root=root,
             fps=info.fps,
             names=info.names,
-            cameras=info.cameras,
+            action_names=info.action_names,
+            cameras=_sizes(info.cameras),
             state=_vectors(rows, STATE),
             action=_vectors(rows, ACTION),
             episode_index=_integers(rows, "episode_index"),
             frame_index=_integers(rows, "frame_index"),
             starts=_integers(episodes, "dataset_from_index"),
             stops=_integers(episodes, "dataset_to_index"),
+            info=info,
             _episodes=episodes,
         )
         _check_consistent(tables, _integers(rows, "index"), info)
     return tables
 
 
-def _read_info(root: Path) -> _Info:
-    path = root / "meta" / "info.json"
-    if not path.is_file():
-        raise DataError(
-            f"no LeRobot dataset at {root} (meta/info.json is missing)",
-            remedy=REMEDY,
-        )
-    with reading(path):
-        record = read_json(path)
-        features = record["features"]
-        info = _Info(
-            version=str(record["codebase_version"]),
-            fps=float(record["fps"]),
-            frames_n=int(record["total_frames"]),
-            episodes_n=int(record["total_episodes"]),
-            names=tuple(map(str, features[STATE]["names"])),
-            action_names=tuple(map(str, features[ACTION]["names"])),
-            cameras=_declared_cameras(features),
-        )
-        _check_bounds(info, record["video_path"])
-    if not info.version.startswith("v3"):
-        raise DataError(
-            f"{root} is a LeRobot dataset of version {info.version}; this program reads v3",
-        )
-    return info
+def _sizes(cameras: dict[str, CameraFeature]) -> dict[str, tuple[int, int]]:
+    return {name: (feature.height, feature.width) for name, feature in cameras.items()}
 
 
-def _declared_cameras(features: dict[str, Any]) -> dict[str, tuple[int, int]]:
-    cameras: dict[str, tuple[int, int]] = {}
-    for key, feature in features.items():
-        if IMAGE_PREFIX in key:
-            shape = feature["shape"]
-            cameras[key.removeprefix(IMAGE_PREFIX)] = (int(shape[0]), int(shape[1]))
-    return cameras
-
-
-def _check_bounds(info: _Info, video_path: str) -> None:
-    """Raise ValueError for what a dataset cannot have."""
-    rate_ok = 0.0 < info.fps < FPS_MAX
-    count_ok = 0 <= info.frames_n <= ROWS_MAX
-    if not (rate_ok and count_ok and video_path == VIDEO_PATH):
-        raise ValueError(
-            f"fps {info.fps:g}, {info.frames_n} frames or the video path is out of bounds",
-        )
-    for camera, size in info.cameras.items():
-        if not all(0 < n <= PIXELS_MAX for n in size):
-            raise ValueError(f"camera '{camera}' has a size outside 1 to {PIXELS_MAX} pixels")
-
-
-def _check_consistent(tables: LeRobotTables, index: Rows, info: _Info) -> None:
+def _check_consistent(tables: LeRobotTables, index: Rows, info: DatasetInfo) -> None:
     """Raise ValueError unless the tables agree with each other and with info.json.
 
     `index` is the column of row numbers.
     """
     rows = np.arange(len(index))
-    shape = (len(rows), len(info.names))
-    for values in (tables.state, tables.action):
-        if values.shape != shape or not np.isfinite(values).all():
+    for values, names in ((tables.state, info.names), (tables.action, info.action_names)):
+        if values.shape != (len(rows), len(names)) or not np.isfinite(values).all():
             raise ValueError(
                 f"state {tables.state.shape} or action {tables.action.shape} "
                 "is not finite or not as declared",
@@ -269,8 +255,6 @@ def _check_consistent(tables: LeRobotTables, index: Rows, info: _Info) -> None:
         )
     if not _without_gaps(tables, index):
         raise ValueError("row or frame indices do not run without gaps")
-    if info.action_names != info.names:
-        raise ValueError(f"action is named {info.action_names}, state {info.names}")
 
 
 def _without_gaps(tables: LeRobotTables, index: Rows) -> bool:
@@ -295,7 +279,9 @@ def _room_for(shape: tuple[int, ...], folder: Path | None) -> Image:
 
 
 def _vectors(table: Any, key: str) -> NDArray[np.float32]:
-    return np.stack(table[key].to_numpy()).astype(np.float32)
+    """Return a column (N, entries); one entry a row is stored as a number."""
+    values = np.stack(table[key].to_numpy()).astype(np.float32)
+    return values.reshape(len(values), -1)
 
 
 def _integers(table: Any, key: str) -> Rows:
@@ -303,15 +289,22 @@ def _integers(table: Any, key: str) -> Rows:
         return np.asarray(table[key].to_numpy(), dtype=np.int64)
 
 
-def _read_parquet(root: Path, folder: str) -> Any:
-    paths = sorted((root / folder).glob("chunk-*/file-*.parquet"))
+def _read_parquet(
+    root: Path,
+    paths: Sequence[Path],
+    folder: str,
+    columns: list[str] | None = None,
+) -> Any:
     if not paths:
-        raise DataError(f"{root} holds no parquet tables under {folder}", remedy=REMEDY)
+        raise DataError(
+            f"{root} holds no parquet tables under {folder}",
+            remedy=remedy_of(root),
+        )
     tables: list[Any] = []
     for path in paths:
-        with reading(path), pq.ParquetFile(regular_file(path, BYTES_MAX)) as file:
+        with reading(path, root), pq.ParquetFile(regular_file(path, BYTES_MAX)) as file:
             if file.metadata.num_rows > ROWS_MAX:
                 raise ValueError(f"{file.metadata.num_rows} rows; at most {ROWS_MAX}")
-            tables.append(file.read())
-    with reading(root / folder):
+            tables.append(file.read(columns))
+    with reading(root / folder, root):
         return pa.concat_tables(tables, promote_options="default")

@@ -29,6 +29,7 @@ from minidual.policies.kinds import REMEDY, ChunkPolicy, PolicyKind, Training, T
 from minidual.policies.lerobot_policy import TorchChunkPolicy, Trained
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
 from minidual.policies.spatial_act.modeling_spatial_act import SpatialActPolicy
+from minidual.policies.takes import write_takes
 from minidual.policies.train import train
 
 
@@ -77,6 +78,8 @@ class ActKind(PolicyKind):
             partial.mkdir(parents=True)
             for part in trained:
                 part.save_pretrained(partial)
+            if job.demos.takes is not None:
+                write_takes(job.demos.takes, partial)
         return result
 
     def load(self, folder: Path, device: str, threads: int | None) -> ChunkPolicy:
@@ -133,6 +136,7 @@ class SpatialActKind(ActKind):
             _policy_config(SpatialActConfig, config, demos),
             keypoints=config.keypoints,
             keyframes=demos.keyframe_ticks.shape[1],
+            grippers=demos.state_grippers,
             bf16=native_bf16(config.device),
         )
         return SpatialActPolicy(policy_config)
@@ -156,7 +160,7 @@ def _try_out(policy: TorchChunkPolicy) -> None:
         camera: np.zeros((height, width, 3), np.uint8)
         for camera, (height, width) in policy.cameras.items()
     }
-    chunk = policy.predict(images, np.zeros(policy.dim, np.float32))
+    chunk = policy.predict(images, np.zeros(policy.state_dim, np.float32))
     expected = (policy.chunk_size, policy.dim)
     if chunk.shape != expected:
         raise ValueError(f"it emits {chunk.shape}, not {expected}")
@@ -168,8 +172,7 @@ def _policy_config[Config: ACTConfig](
     demos: Demonstrations,
 ) -> Config:
     """Return the configuration of ACT's transformer for the demonstrations."""
-    vector = (demos.dim,)
-    inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=vector)}
+    inputs = {STATE: PolicyFeature(type=FeatureType.STATE, shape=(demos.state_dim,))}
     for camera in demos.cameras:
         height, width = demos.images[camera].shape[1:3]
         inputs[camera_key(camera)] = PolicyFeature(
@@ -178,7 +181,7 @@ def _policy_config[Config: ACTConfig](
         )
     return config_class(
         input_features=inputs,
-        output_features={ACTION: PolicyFeature(type=FeatureType.ACTION, shape=vector)},
+        output_features={ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(demos.dim,))},
         device=config.device,
         push_to_hub=False,
         chunk_size=config.chunk_size,

@@ -3,15 +3,17 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minidual.demos.lerobot_features import is_own
 from minidual.demos.lerobot_reader import Rows, read_dataset
 from minidual.demos.lerobot_video import Image
 from minidual.demos.quality import grip_changes
 from minidual.errors import DataError
+from minidual.policies.takes import Takes, gripper_columns
 from minidual.robot.pair import GRIPPERS_N
 
 SWITCH_SHARE_MIN = 0.5
@@ -26,7 +28,9 @@ class Demonstrations:
 
     Attributes:
         images: (N, H, W, 3) uint8 by camera.
-        state, action: (N, dim): joints [rad], left then right, gripper openings.
+        state, action: (N, dim): joints [rad], left then right, gripper openings; of another robot
+            what `takes` names.
+        takes: What a policy trained on them takes; None: joints of two arms and two openings.
         episode_index: (N,) ascending.
         phase: (N,) gripper switches before the tick.
         keyframe_ticks: (N, K) rows of the episode's switches, or -1; K of the episode with most.
@@ -37,6 +41,7 @@ class Demonstrations:
     state: NDArray[np.float32]
     action: NDArray[np.float32]
     episode_index: Rows
+    takes: Takes | None = None
     phase: Rows = field(init=False)
     keyframe_ticks: Rows = field(init=False)
     last_tick: Rows = field(init=False)
@@ -44,7 +49,7 @@ class Demonstrations:
     def __post_init__(self) -> None:
         """Derive phases; DataError for invalid data."""
         self._check()
-        openings = self.action[:, self.joints_n :]
+        openings = self.action[:, self.switching]
         span = openings.max(axis=0) - openings.min(axis=0)
         bounds = list(self.episode_bounds().values())
         switches = [gripper_switches(openings[start:stop], span) for start, stop in bounds]
@@ -64,13 +69,41 @@ class Demonstrations:
 
     @property
     def dim(self) -> int:
-        """Entries of state or action."""
+        """Entries of an action."""
+        return int(self.action.shape[1])
+
+    @property
+    def state_dim(self) -> int:
+        """Entries of a state."""
         return int(self.state.shape[1])
 
     @property
-    def joints_n(self) -> int:
-        """Joints among them."""
-        return self.dim - GRIPPERS_N
+    def joints(self) -> list[int]:
+        """Entries of an action that are no openings."""
+        return _without(self.dim, self._openings("action"))
+
+    @property
+    def state_joints(self) -> list[int]:
+        """Entries of a state that are no openings."""
+        return _without(self.state_dim, self._openings("state"))
+
+    @property
+    def state_grippers(self) -> list[int]:
+        """Entries of a state that are openings."""
+        return self._openings("state")
+
+    @property
+    def switching(self) -> list[int]:
+        """Entries of an action whose switches divide an episode: openings that are measured, too.
+
+        A policy sees by the state which switches are past.
+        """
+        return self._openings("action") if self._openings("state") else []
+
+    def _openings(self, vector: Literal["state", "action"]) -> list[int]:
+        if self.takes is not None:
+            return gripper_columns(getattr(self.takes, vector))
+        return list(range(self.dim - GRIPPERS_N, self.dim))
 
     @property
     def cameras(self) -> list[str]:
@@ -95,15 +128,16 @@ class Demonstrations:
     def _check(self) -> None:
         if len(self) == 0:
             raise DataError("the dataset holds no ticks", remedy="minidual teleop-record")
-        if self.state.shape != self.action.shape or self.dim <= GRIPPERS_N:
+        is_own = self.takes is None or self.takes.radians
+        if is_own and (self.state.shape != self.action.shape or self.dim <= GRIPPERS_N):
             raise DataError(
                 f"dataset column 'action' has shape {self.action.shape}, "
                 f"'state' {self.state.shape}",
             )
         if not self.images:
             raise DataError(
-                "the dataset has no camera images",
-                remedy="minidual teleop-record --force",
+                "the dataset has no camera images, which the policies here look at",
+                remedy="record with a camera: minidual teleop-record, or another recorder's option",
             )
         if np.any(np.diff(self.episode_index) < 0):
             raise DataError(
@@ -117,10 +151,11 @@ def load_demonstrations(
     progress: Callable[[int], None] | None = None,
     *,
     folder: Path | None = None,
+    height: int | None = None,
 ) -> Demonstrations:
     """Read a LeRobot dataset with `cameras` (all if empty).
 
-    `folder` takes images for which memory is short.
+    `folder` takes images for which memory is short; higher images than `height` are scaled down.
 
     Raises:
         DataError: Missing or corrupt dataset.
@@ -128,10 +163,23 @@ def load_demonstrations(
     """
     tables = read_dataset(root)
     images = {
-        camera: tables.images(camera, progress, folder=folder)
+        camera: tables.images(camera, progress, folder=folder, height=height)
         for camera in sorted(cameras or tables.cameras)
     }
-    return Demonstrations(images, tables.state, tables.action, tables.episode_index)
+    takes = Takes(
+        state=tables.names,
+        action=tables.action_names,
+        rate_hz=tables.fps,
+        robot=tables.info.robot,
+        radians=is_own(root),
+    )
+    sizes = {camera: array.shape[1:3] for camera, array in images.items()}
+    takes = takes.with_cameras(sizes)
+    return Demonstrations(images, tables.state, tables.action, tables.episode_index, takes)
+
+
+def _without(count: int, columns: Collection[int]) -> list[int]:
+    return [k for k in range(count) if k not in columns]
 
 
 def gripper_switches(gripper: NDArray[np.float32], span: NDArray[np.float32]) -> list[int]:

@@ -28,12 +28,17 @@ class ChunkPolicy(ABC):
     Attributes:
         cameras: Image size (H, W) by camera.
         chunk_size: Actions per inference.
-        dim: Number of joints, plus two grippers.
+        dim: Entries of an action: of two arms the number of joints, plus two grippers.
     """
 
     cameras: Mapping[str, tuple[int, int]]
     chunk_size: int
     dim: int
+
+    @property
+    def state_dim(self) -> int:
+        """Entries of a state."""
+        return self.dim
 
     def reset(self) -> None:  # noqa: B027
         """Forget earlier observations: a new episode begins."""
@@ -46,7 +51,7 @@ class ChunkPolicy(ABC):
     ) -> NDArray[np.float64]:
         """Return actions (chunk_size, dim): joint targets [rad], then openings.
 
-        `images`: (H, W, 3). `state`: (dim,), as measured.
+        `images`: (H, W, 3). `state`: (state_dim,), as measured.
         """
 
 

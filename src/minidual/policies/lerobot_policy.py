@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from minidual.demos.lerobot_reader import IMAGE_PREFIX, STATE, camera_key
+from minidual.demos.lerobot_reader import STATE, camera_key, camera_name
 from minidual.errors import DataError
 from minidual.policies.kinds import ChunkPolicy, Image
 
@@ -41,20 +41,20 @@ class TorchChunkPolicy(ChunkPolicy):
         config = trained.policy.config
         state = config.robot_state_feature
         action = config.action_feature
-        if state is None or action is None or tuple(state.shape) != tuple(action.shape):
-            raise DataError(
-                "the checkpoint does not map a state to actions of the same joints and grippers",
-            )
+        if state is None or action is None:
+            raise DataError("the checkpoint does not map a state to actions")
         self.chunk_size = int(config.chunk_size)
         self.dim = int(action.shape[0])
+        self._state_dim = int(state.shape[0])
         self.cameras: dict[str, tuple[int, int]] = {}
         for key, feature in config.image_features.items():
-            if not key.startswith(IMAGE_PREFIX):
-                raise DataError(
-                    f"the checkpoint reads '{key}'; cameras here are named {IMAGE_PREFIX}<name>",
-                )
             _, height, width = feature.shape
-            self.cameras[key.removeprefix(IMAGE_PREFIX)] = (int(height), int(width))
+            self.cameras[camera_name(key)] = (int(height), int(width))
+
+    @property
+    def state_dim(self) -> int:
+        """See `ChunkPolicy.state_dim`."""
+        return self._state_dim
 
     def reset(self) -> None:
         """See `ChunkPolicy.reset`."""

@@ -11,10 +11,12 @@ from minidual.control.commands import ArbiterState, JointCommand
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import DataError
+from minidual.plant.cameras import CAMERAS
 from minidual.plant.world import World
 from minidual.policies.kinds import Image
 from minidual.policies.plausible import PolicyStoppedError
 from minidual.policies.policy import PolicyRuntime
+from minidual.policies.takes import read_takes, require_arms
 from minidual.robot.pair import Robot
 
 SOURCE = "policy"
@@ -29,8 +31,12 @@ def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> Policy
     """Load a checkpoint, clamped to the limits of joints and openings.
 
     Raises:
-        DataError, UsageError: Corrupt checkpoint, or one for other arms.
+        DataError: Corrupt checkpoint.
+        UsageError: One for other arms, or cameras that are not here.
     """
+    takes = read_takes(checkpoint)
+    if takes is not None:
+        require_arms(takes, checkpoint, robot, CAMERAS)
     return PolicyRuntime.load(
         checkpoint,
         config.device,

@@ -143,7 +143,7 @@ class PolicyRuntime:
         return chunk
 
     def _set_limits(self, limits: Limits) -> None:
-        if np.shape(limits) != (2, self.joints_n):
+        if np.shape(limits) != (2, self.joints_n) or self.policy.state_dim != self.policy.dim:
             raise UsageError(
                 f"the checkpoint drives {self.joints_n} joints; the limits are {np.shape(limits)}",
                 remedy="choose the arm that was recorded: --set robot.arm=NAME",
@@ -199,7 +199,7 @@ class PolicyRuntime:
 
     def _checked_state(self, state: Array) -> NDArray[np.float32]:
         array = np.asarray(state, dtype=np.float32)
-        dim = self.policy.dim
+        dim = self.policy.state_dim
         if array.shape != (dim,):
             raise DataError(
                 f"the state has shape {array.shape}, not ({dim},): "

@@ -83,7 +83,7 @@ class _Loop:
         maker = BatchMaker(demos, config, stats)
         self._batches = BatchStream(maker, demos, rows, config, job.seed)
         validation_rows = demos.rows_of(split.validation)
-        self._validation = Validation(maker, validation_rows, stats, demos.joints_n)
+        self._validation = Validation(maker, validation_rows, stats, demos.joints)
         self.optimiser = Optimiser(policy, config)
         fingerprint = training_fingerprint(demos, config, job.seed, policy)
         self.progress = ProgressFile(job.progress, fingerprint)

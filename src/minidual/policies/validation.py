@@ -1,5 +1,6 @@
 """Errors of a policy on episodes held out from training."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,12 +27,14 @@ class ValidationErrors(NamedTuple):
 class Validation:
     """Measures policies on held-out rows."""
 
-    def __init__(self, batches: BatchMaker, rows: Rows, stats: Stats, joints_n: int) -> None:
+    def __init__(
+        self, batches: BatchMaker, rows: Rows, stats: Stats, joints: Sequence[int]
+    ) -> None:
         self._batches = batches
         count = min(ROWS_MAX, len(rows))
         self._rows = rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)]
         self._action_std = stats[ACTION]["std"]
-        self._joints_n = joints_n
+        self._joints = list(joints)
 
     @torch.no_grad()
     def measure(self, policy: Any) -> ValidationErrors:
@@ -61,4 +64,4 @@ class Validation:
         """Return the mean joint error [rad] of each keyframe to come."""
         normalised = (keyframes - batch["keyframe"]).abs()
         errors = normalised * self._action_std.to(normalised.device)
-        return errors[..., : self._joints_n].mean(-1)[batch["keyframe_is_valid"]]
+        return errors[..., self._joints].mean(-1)[batch["keyframe_is_valid"]]

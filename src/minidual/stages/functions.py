@@ -126,6 +126,13 @@ def train() -> ToolFunction:
 
 
 @Deferred
+def train_dataset() -> ToolFunction:
+    from minidual.stages.train_dataset import train_dataset
+
+    return train_dataset
+
+
+@Deferred
 def carry_perturb() -> ToolFunction:
     from minidual.stages.carry_tools import perturb
 

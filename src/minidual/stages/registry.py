@@ -158,6 +158,13 @@ TRAIN_ACT = StageEntry(
     check=functions.check_policy,
     inputs={"teleop-record": ("lerobot/*",)},
     settings={"seeds": "train.seeds_n"},
+    asides=(
+        ToolEntry(
+            "train-dataset",
+            functions.train_dataset,
+            settings={"steps": "train.steps"},
+        ),
+    ),
 )
 DEPLOY = StageEntry(
     "deploy",

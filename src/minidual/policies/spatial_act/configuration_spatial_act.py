@@ -1,6 +1,6 @@
 """Configuration of `spatial_act`, found by file and class name."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from lerobot.configs import PolicyFeature, PreTrainedConfig
 from lerobot.policies.act.configuration_act import ACTConfig
@@ -12,13 +12,14 @@ class SpatialActConfig(ACTConfig):
     """Settings of ACT's transformer and of the keypoint encoder that replaces its resnet.
 
     A head predicts the actions at the first `keyframes` gripper switches. `bf16`: convolve in
-    bfloat16.
+    bfloat16. `grippers` are the entries of a state that are openings.
     """
 
     pretrained_backbone_weights: str | None = None
     keypoints: int = 64
     keyframes: int = 2
     bf16: bool = False
+    grippers: list[int] = field(default_factory=lambda: [-2, -1])
 
     def transformer(self, input_features: dict[str, PolicyFeature]) -> ACTConfig:
         """Return ACT's configuration for these inputs."""

@@ -21,7 +21,6 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
 from torch import Tensor, nn
 
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
-from minidual.robot.pair import GRIPPERS_N
 
 _LEAST_VARIANCE = 1e-6
 _SWITCHED = 1.0
@@ -263,7 +262,7 @@ class SpatialActPolicy(ACTPolicy):
         """
         if self.training:
             self.eval()  # it visits every module: a tenth of an inference
-        openings = batch[OBS_STATE][:, -GRIPPERS_N:]
+        openings = batch[OBS_STATE][:, self.config.grippers]
         return self.model(batch, partial(self._mean_look, openings)).actions
 
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
@@ -273,7 +272,8 @@ class SpatialActPolicy(ACTPolicy):
         if is_first:
             self._total = torch.zeros_like(look)
             self._count = 0
-        if is_first or (openings - self._openings_at_switch).abs().max() > _SWITCHED:
+        switched = (openings - self._openings_at_switch).abs() > _SWITCHED if not is_first else None
+        if switched is None or bool(switched.any()):
             self._next_keyframe += 1
             self._openings_at_switch = openings
         self._total = self._total + look
