@@ -41,6 +41,7 @@ from minidual.demos.lerobot_video import (
 )
 from minidual.durable import disk_errors, regular_file
 from minidual.errors import DataError, check_name
+from minidual.robot.pair import Array
 
 __all__ = [
     "ACTION",
@@ -132,14 +133,19 @@ class LeRobotTables:
         self._check_colours(camera, images)
         return images
 
-    def _check_colours(self, camera: str, images: Image) -> None:
-        """Raise DataError if an episode's mean colour is not the recorded one."""
+    def recorded_colour(self, camera: str, episode: int) -> Array | None:
+        """Return the mean colour (3,) that LeRobot recorded of an episode, None if it did not."""
         column = f"stats/{camera_key(camera)}/mean"
         if column not in self._episodes.column_names:
-            return
+            return None
+        recorded = np.ravel(np.array(self._episodes[column][episode].as_py(), dtype=float))
+        return recorded if len(recorded) == 3 else None
+
+    def _check_colours(self, camera: str, images: Image) -> None:
+        """Raise DataError if an episode's mean colour is not the recorded one."""
         for episode, (start, stop) in enumerate(zip(self.starts, self.stops, strict=True)):
-            recorded = np.ravel(np.array(self._episodes[column][episode].as_py(), dtype=float))
-            if len(recorded) != 3:
+            recorded = self.recorded_colour(camera, episode)
+            if recorded is None:
                 continue
             difference = colour_difference(images[start:stop], recorded)
             if not difference <= BRIGHTNESS_MAX:  # NaN fails too

@@ -173,7 +173,7 @@ def load_demonstrations(
         robot=tables.info.robot,
         radians=is_own(root),
     )
-    sizes = {camera: array.shape[1:3] for camera, array in images.items()}
+    sizes = {name: (array.shape[1], array.shape[2]) for name, array in images.items()}
     takes = takes.with_cameras(sizes)
     return Demonstrations(images, tables.state, tables.action, tables.episode_index, takes)
 
