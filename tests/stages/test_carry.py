@@ -23,7 +23,8 @@ from minidual.gate.check import Check
 from minidual.gate.progress import Progress
 from minidual.gate.stage import StageContext
 from minidual.plant.world import World
-from minidual.show.figures.film import Postures, film_trial
+from minidual.show.figures import side_by_side
+from minidual.show.figures.film import film_trial
 from minidual.stages import carry as carry_stage
 from minidual.stages.carry import carry_checks, record_trials
 from minidual.stages.registry import STAGES
@@ -171,10 +172,7 @@ class TestEmergencyStop:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        def press(_postures: Postures, world: World) -> None:
-            press_after_a_while(world)
-
-        monkeypatch.setattr(Postures, "__call__", press)
+        monkeypatch.setattr(side_by_side, "Bench", PressedBench)
         with pytest.raises(emergency.EmergencyStop, match="test"):
             film_trial("impedance", self.INPUTS, self.TRIAL, tmp_path / "film.mp4")
 

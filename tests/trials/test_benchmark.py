@@ -31,7 +31,7 @@ from minidual.trials.benchmark import (
     trials_asked,
 )
 from minidual.trials.conditions import CLEAN, CONDITIONS
-from minidual.trials.methods import Factory, MethodInputs
+from minidual.trials.methods import Factory, MethodInputs, TrainedPolicy
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench, run_trials
 from minidual.trials.trial_table import Series
@@ -39,6 +39,7 @@ from tests.support.carry_trials import same_row, sample_trial
 
 SEED = 7
 METHODS = ("moveit", "impedance", "act")
+INPUTS = MethodInputs(Config(), SEED, policies={"act": TrainedPolicy(Path("made up"))})
 ASKED = {CLEAN: 6, "push +x": 4, "pose noise x3": 4, "delay 20 ms": 4, "light -30 %": 4}
 BLANK = {
     ("act", "pose noise x3"),
@@ -120,7 +121,7 @@ def table(methods: tuple[str, ...] = METHODS, **other: Any) -> dict[tuple[str, s
     cells, _ = run_benchmark(
         methods,
         other.get("trials_n", ASKED),
-        MethodInputs(Config(), SEED),
+        INPUTS,
         workers=1,
     )
     return {(c.method, c.condition): c for c in cells}
@@ -175,7 +176,7 @@ def test_what_does_not_apply_is_not_run_and_says_why(asked: list[Any]) -> None:
         "applies": False,
         "why": "moveit reads no picture",
     }
-    count = count_trials(METHODS, ASKED, MethodInputs(Config(), SEED))
+    count = count_trials(METHODS, ASKED, INPUTS)
     assert count == sum(len(starts) for _, _, starts, _ in asked)
 
 
