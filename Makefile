@@ -17,7 +17,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 CAMPAIGN := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.campaign
 
-.PHONY: help all learn bench results campaign campaign-small docs test test-slow lint format typecheck wheel setup egl clean
+.PHONY: help all learn bench results campaign campaign-small docs plugins test test-slow lint format typecheck wheel setup egl clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 20
@@ -66,6 +66,11 @@ typecheck: $(READY) ## types of src and scripts, strict in gate, config and cli
 
 wheel: $(READY) ## build dist/minidual-*.whl
 	@$(BIN)/python -m hatchling build -t wheel
+
+plugins: $(READY) ## build the plug-ins for LeRobot and install them into .venv
+	@$(BIN)/python -m uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation \
+		--reinstall $(sort $(wildcard plugins/lerobot_*))
+	@echo "installed: $(notdir $(sort $(wildcard plugins/lerobot_*)))"
 
 setup: $(READY) ## create .venv with the locked dependencies
 

@@ -1,7 +1,7 @@
-"""A task as a Gymnasium environment at 50 Hz, with pictures (docs/gymnasium.md)."""
+"""A task as a Gymnasium environment, at 50 Hz by default, with pictures (docs/gymnasium.md)."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,7 +22,8 @@ from minidual.tasks.judge import Judge, begin
 from minidual.tasks.task import Trial, level_part, placement, pose_of
 
 CONTROL_HZ = 50
-"""Rate of actions and observations."""
+"""Usual rate of actions and observations."""
+_RATES_HZ = 1.0, 200.0
 
 # Observed joints may exceed their limits by this, after a collision.
 _OVERTRAVEL_RAD = 0.1
@@ -46,7 +47,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         goal: (3,) float32, where it shall lie: x, y [m], yaw [rad], optional.
 
     Action: (n + 2,) float32, joint targets [rad], then gripper openings (below 0.4 closes, above
-    0.6 opens); held 20 ms.
+    0.6 opens); held for one period.
 
     Reward: gain of the potential -(mean distance of the hands from their grasps + distance of the
     object from its goal) [m], plus 1 on success. Source: Ng, Harada, Russell 1999 (keeps the
@@ -61,12 +62,16 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: None or "rgb_array".
         images: Cameras out of high, left, right.
         object_pose: Observe `object` and `goal`.
+        rate_hz: Of actions and observations.
 
     Raises:
-        UsageError: Unknown task, camera or render mode.
+        UsageError: Unknown task, camera or render mode, or a rate outside of 1 to 200 Hz.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's; an instance has its own rate)
+        "render_modes": ["rgb_array"],
+        "render_fps": CONTROL_HZ,
+    }
 
     def __init__(
         self,
@@ -76,9 +81,13 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
         images: Sequence[str] = (),
         object_pose: bool = False,
+        rate_hz: float = CONTROL_HZ,
     ) -> None:
         for name in images:
             check_name("camera", name, CAMERAS)
+        slowest_hz, fastest_hz = _RATES_HZ
+        if not slowest_hz <= rate_hz <= fastest_hz:
+            raise UsageError(f"rate_hz is {rate_hz}; {slowest_hz:g} <= value <= {fastest_hz:g}")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
         config = Config(task=task) if scene is None else Config(task=task, scene=scene)
@@ -91,7 +100,9 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._world = World(self.scene, robot, visuals=bool(images) or render_mode is not None)
         self._kinematics = Kinematics(robot)
         self._loop = JointLoop(self._world, self._kinematics)
-        self._substeps = round(1.0 / (CONTROL_HZ * self._world.dt))
+        self.metadata = {**type(self).metadata, "render_fps": round(rate_hz)}
+        self._period_steps = 1.0 / (rate_hz * self._world.dt)
+        self._steps_due = 0.0
         self._camera: Camera | None = None
         self._render_camera: Camera | None = None
         self._judge: Judge | None = None
@@ -139,6 +150,7 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise UsageError(f"options['trial'] is a {type(trial).__name__}; it must be a Trial")
         self._judge = begin(self._world, self._task, trial)
         self._loop.reset()
+        self._steps_due = 0.0
         self._potential = self._measure_potential(trial)
         return self._observe(trial), {"trial": trial}
 
@@ -194,8 +206,12 @@ class TaskEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def _hold(self, targets: Array, judge: Judge) -> bool:
         """Hold targets for one control period; return whether the simulation survived."""
+        # A period need not be a whole number of physics steps: what is left is due next time.
+        self._steps_due += self._period_steps
+        steps_n = int(self._steps_due + 1e-9)
+        self._steps_due -= steps_n
         try:
-            for _ in range(self._substeps):
+            for _ in range(steps_n):
                 self._loop.step(targets[:-2], targets[-2:])
                 judge.observe(self._world)
         except SimulationDivergedError:

@@ -98,6 +98,8 @@ class ActKind(PolicyKind):
         policy.load_state_dict(read_tensors(folder / WEIGHTS))
         policy.to(device)
         policy.eval()
+        if isinstance(policy, SpatialActPolicy):
+            policy.fast_on_cpu()
         preprocessor, postprocessor = make_pre_post_processors(
             policy.config,
             pretrained_path=str(folder),
@@ -139,7 +141,9 @@ class SpatialActKind(ActKind):
             grippers=demos.state_grippers,
             bf16=native_bf16(config.device),
         )
-        return SpatialActPolicy(policy_config)
+        policy = SpatialActPolicy(policy_config)
+        policy.fast_on_cpu()
+        return policy
 
 
 ACT_KIND = ActKind()

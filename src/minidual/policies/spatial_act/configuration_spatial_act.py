@@ -11,13 +11,15 @@ from lerobot.policies.act.configuration_act import ACTConfig
 class SpatialActConfig(ACTConfig):
     """Settings of ACT's transformer and of the keypoint encoder that replaces its resnet.
 
-    A head predicts the actions at the first `keyframes` gripper switches. `bf16`: convolve in
-    bfloat16. `grippers` are the entries of a state that are openings.
+    A head predicts the actions at the first `keyframes` gripper switches, which `minidual train-act`
+    labels. A trainer without such labels, such as `lerobot-train`, leaves `keyframes` at 0: then the
+    transformer gets the keypoints. `bf16`: convolve in bfloat16. `grippers` are the entries of a
+    state that are openings.
     """
 
     pretrained_backbone_weights: str | None = None
     keypoints: int = 64
-    keyframes: int = 2
+    keyframes: int = 0
     bf16: bool = False
     grippers: list[int] = field(default_factory=lambda: [-2, -1])
 
