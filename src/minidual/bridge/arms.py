@@ -91,12 +91,12 @@ class SimulatedArms:
     @property
     def q(self) -> Array:
         """Measured joints (n,) [rad]."""
-        return self._state[:-GRIPPERS_N]
+        return self._state[:-GRIPPERS_N].astype(float)
 
     @property
     def openings(self) -> Array:
         """Of the hands (2,), 0 closed to 1 open."""
-        return self._state[-GRIPPERS_N:]
+        return self._state[-GRIPPERS_N:].astype(float)
 
     @property
     def is_connected(self) -> bool:
