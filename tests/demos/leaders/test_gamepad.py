@@ -12,6 +12,7 @@ from minidual import emergency
 from minidual.config.leading import GamepadConfig
 from minidual.config.learning import TeleopConfig
 from minidual.demos.leader import LeaderSample
+from minidual.demos.leaders import gamepad
 from minidual.demos.leaders.gamepad import DEFAULT_MAPPING, GamepadLeader
 from minidual.demos.leaders.gamepad_device import Event, GamepadDevice, Range
 from minidual.demos.leaders.gamepad_mapping import read_mapping
@@ -20,6 +21,7 @@ from minidual.demos.station import Button
 from minidual.errors import ConfigError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
+from tests.support.led_episode import Clock, hands_moved, lead_episode
 
 HOME = DUAL_PANDA.home
 CONFIG = GamepadConfig()
@@ -159,3 +161,40 @@ def test_an_edited_mapping_counts(tmp_path: Path) -> None:
     samples = read(leader, 0.1)
     assert samples[0].pressed == (Button.FAILURE,)
     np.testing.assert_allclose(moved(samples[-1])[1], (0.0, 0.0, 0.1 * CONFIG.speed_m_s), atol=1e-4)
+
+
+class HandsOnPad(RecordedEvents):
+    """Start is pressed, both sticks are pushed for a while, the triggers close, start ends."""
+
+    SCRIPT = (
+        (0.3, Event("ABS_Y", -32768)),
+        (0.3, Event("ABS_RY", -32768)),
+        (0.9, Event("ABS_Y", 0)),
+        (0.9, Event("ABS_RY", 0)),
+        (1.0, Event("ABS_Z", 255)),
+        (1.0, Event("ABS_RZ", 255)),
+        (2.2, Event("BTN_START", 1)),
+    )
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__([[], [Event("BTN_START", 1)], [Event("BTN_START", 0)]])
+        self._clock = clock
+        self._pending = list(self.SCRIPT)
+
+    def read(self) -> Sequence[Event] | None:
+        due = [event for at_s, event in self._pending if at_s <= self._clock.time_s]
+        del self._pending[: len(due)]
+        return due or super().read()
+
+
+def test_a_person_with_a_gamepad_records_an_episode_in_which_both_arms_move(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(gamepad, "EvdevGamepad", lambda path: HandsOnPad(clock))
+    episode = lead_episode(tmp_path, {"leader": "gamepad"}, clock)
+    for moved_m in hands_moved(episode):
+        assert moved_m[0] > 0.03
+        assert abs(moved_m[1]) < 0.01
+    assert episode.gripper[-1].max() < episode.gripper[0].min()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ from minidual.errors import ConfigError, EnvironmentMissingError
 from minidual.robot.pair import DUAL_PANDA, Array
 from minidual.stages.registry import STAGES, TOOLS
 from tests.support.dynamixel_bus import EmulatedBus
+from tests.support.led_episode import TimedStation, lead_episode
 
 pytest.importorskip("dynamixel_sdk", reason="the extra minidual[gello] is not installed")
 
@@ -248,3 +250,33 @@ def test_the_command_names_a_file_that_is_missing(
     words = ["leader", "calibrate", str(tmp_path / "none.yaml")]
     assert run_command_line([*words, "--runs-dir", str(tmp_path / "runs")], STAGES, TOOLS) == 2
     assert "none.yaml cannot be read" in capsys.readouterr().err
+
+
+def test_a_person_with_two_gello_arms_records_an_episode_in_which_both_arms_move(
+    buses: list[EmulatedBus],
+    tmp_path: Path,
+) -> None:
+    """The person bends both second joints and closes the hands."""
+    ends = threading.Event()
+    station = TimedStation(3.0)
+
+    def lead() -> None:
+        while not ends.wait(0.02):
+            share = min(max(np.nan_to_num(station.time_s) - 0.3, 0.0), 2.0) / 2.0
+            for arm, bus in enumerate(buses):
+                q = HOME[DUAL_PANDA.joints_of(arm)].copy()
+                q[1] += 0.15 * np.sin(0.5 * np.pi * share) ** 2
+                pose_bus(bus, q, opening=1.0 - share)
+
+    hand = threading.Thread(target=lead)
+    hand.start()
+    try:
+        settings = {"leader": "gello", "gello": {"file": str(file_of(buses, tmp_path))}}
+        episode = lead_episode(tmp_path, settings, station)
+    finally:
+        ends.set()
+        hand.join()
+    for arm in range(2):
+        moved_rad = episode.qpos[-1] - episode.qpos[0]
+        assert moved_rad[DUAL_PANDA.joints_of(arm)][1] == pytest.approx(0.15, abs=0.02)
+    assert episode.gripper[-1].max() < episode.gripper[0].min()
