@@ -9,11 +9,11 @@ import typer
 import minidual
 from minidual.cli.commands.table import (
     CONFIG_COMMANDS,
-    LEADER_COMMANDS,
     READING,
     RUN_COMMANDS,
     STAGE_COMMANDS,
     TOOL_COMMANDS,
+    TOOL_GROUPS,
 )
 from minidual.cli.ending import end
 from minidual.cli.options import CommonOptions
@@ -55,7 +55,6 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     )
     app.callback()(_root)
     config = typer.Typer(help="The resolved configuration.")
-    leader = typer.Typer(help="Devices that lead the arms.")
 
     def add(owner: typer.Typer, name: str, command: Command, panel: str) -> None:
         def run(common: CommonOptions, body: Callable[[Session], int]) -> None:
@@ -80,9 +79,11 @@ def build_app(table: StageTable, tools: Sequence[ToolEntry] = ()) -> typer.Typer
     for name, command in CONFIG_COMMANDS.items():
         add(config, name, command, _RUN_PANEL)
     app.add_typer(config, name="config", rich_help_panel=_RUN_PANEL)
-    for name, command in LEADER_COMMANDS.items():
-        add(leader, name, command, _TOOLS_PANEL)
-    app.add_typer(leader, name="leader", rich_help_panel=_TOOLS_PANEL)
+    for word, (text, commands) in TOOL_GROUPS.items():
+        group = typer.Typer(help=text)
+        for name, command in commands.items():
+            add(group, name, command, _TOOLS_PANEL)
+        app.add_typer(group, name=word, rich_help_panel=_TOOLS_PANEL)
     for tool in tools:
         command = TOOL_COMMANDS.get(tool.name) or tool_command(tool)
         add(app, tool.name, command, _TOOLS_PANEL)
@@ -109,7 +110,8 @@ def _parse(arguments: Sequence[str], table: StageTable, tools: Sequence[ToolEntr
             raise UsageError(f"{word} is not UTF-8")
     table.plug_in("minidual.stages")
     app = build_app(table, tools)
-    commands = {command.name or "" for command in app.registered_commands} | {"config", "leader"}
+    groups = {group.name or "" for group in app.registered_groups}
+    commands = {command.name or "" for command in app.registered_commands} | groups
     first = arguments[0].split("=")[0] if arguments else "--help"
     if first in _common_flags():
         raise UsageError(f"{first} stands after the command: minidual COMMAND {first} ...")

@@ -13,6 +13,7 @@ from minidual.cli.commands.deploy import deploy
 from minidual.cli.commands.doctor import doctor
 from minidual.cli.commands.env_check import env_check
 from minidual.cli.commands.explain import explain
+from minidual.cli.commands.export_ros2 import export_ros2
 from minidual.cli.commands.leader_calibrate import leader_calibrate
 from minidual.cli.commands.modes import modes
 from minidual.cli.commands.plan import plan
@@ -45,7 +46,11 @@ RUN_COMMANDS: dict[str, Command] = {
     "stop": stop,
 }
 CONFIG_COMMANDS: dict[str, Command] = {"show": config_show, "forget": config_forget}
-LEADER_COMMANDS: dict[str, Command] = {"calibrate": leader_calibrate}
+TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {
+    "leader": ("Devices that lead the arms.", {"calibrate": leader_calibrate}),
+    "export": ("Files for other programs.", {"ros2": export_ros2}),
+}
+"""Help and commands of tools of two words, by first word."""
 TOOL_COMMANDS: dict[str, Command] = {
     "demo": demo,
     "try": try_out,

@@ -1,0 +1,1 @@
+"""A colcon workspace for one pair of arms."""
