@@ -73,8 +73,7 @@ def pair_xacro(robot: Robot, names: PackageNames, hardware: tuple[str, ...]) -> 
         call = ET.SubElement(
             root,
             xacro(f"{robot.arm.name}_arm"),
-            prefix=f"{side}_",
-            parent=ROOT_LINK,
+            {"prefix": f"{side}_", "parent": ROOT_LINK},
         )
         call.append(_origin(position_m))
     ET.SubElement(root, xacro(f"{names.robot}_ros2_control"), hardware="$(arg hardware)")
