@@ -1,4 +1,4 @@
-"""The blocks of a standard run: one row a stage, and the methods on the run's own task."""
+"""The blocks of a standard run: a row a stage, its methods on its own task, and on all tasks."""
 
 import math
 from collections.abc import Callable
@@ -6,12 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from minidual.errors import DataError
+from minidual.trials.statistics import wilson_interval
 from scripts.results.markdown import origin_line, table
+from scripts.results.trials import CONDITIONS
 from scripts.results.verdicts import Numbers, numbers_of
 
 STAGES_BLOCK = "standard"
 METHODS_BLOCK = "standard-methods"
+TASKS_BLOCK = "standard-tasks"
 COMMAND = "make all"
+RANDOMISED = CONDITIONS[-1]
 
 
 def _percent(share: float) -> str:
@@ -132,6 +136,7 @@ def blocks(run: Path) -> dict[str, str] | None:
     return {
         STAGES_BLOCK: f"{line}\n\n{stages}\n\nAll stages: {total_min:.1f} min.",
         METHODS_BLOCK: _methods(numbers["benchmark"], numbers["train-act"].data("architecture")),
+        TASKS_BLOCK: _tasks(numbers["benchmark"]),
     }
 
 
@@ -148,6 +153,30 @@ def _methods(n: Numbers, network: str) -> str:
                 losses.append(f"`{method}` under `{condition}` {_of(cell)}")
     lost = "; ".join(losses) if losses else "none"
     return f"{table(header, rows)}\n\nCells under single disturbances with a failed trial: {lost}."
+
+
+def _tasks(n: Numbers) -> str:
+    """Return the successes of each method on each task, undisturbed and with all at once."""
+    tasks: dict[str, dict[str, Any]] = n.data("tasks")
+    names = list(dict.fromkeys(name for record in tasks.values() for name in record["methods"]))
+    header = [""]
+    header += [f"`{name}` {condition}" for name in names for condition in CONDITIONS]
+    rows: list[list[str]] = []
+    for task, record in tasks.items():
+        disturbed = record["conditions"].get(RANDOMISED, {"methods": {}})
+        row = [f"`{task}`"]
+        for name in names:
+            row += [_rate(record["methods"].get(name)), _rate(disturbed["methods"].get(name))]
+        rows.append(row)
+    return table(header, rows)
+
+
+def _rate(record: dict[str, Any] | None) -> str:
+    """Return successes with their 95 % Wilson interval; nothing for a cell without trials."""
+    if record is None or not record.get("applies", True):
+        return ""
+    low, high = wilson_interval(record["successes_n"], record["trials"])
+    return f"{_of(record)} ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
 def _method_row(name: str, record: dict[str, Any], network: str) -> list[str]:

@@ -318,7 +318,20 @@ _DATA: dict[str, dict[str, Any]] = {
                             "act": {"applies": False, "why": "it sees"},
                         },
                     },
+                    "randomised": {
+                        "methods": {
+                            "moveit": record(successes_n=57, trials=60),
+                            "act": record(successes_n=60, trials=60),
+                        },
+                    },
                 },
+            },
+            "sort": {
+                "methods": {
+                    "moveit": record(successes_n=6, trials=6),
+                    "act": {"applies": False, "why": "it has no policy for the task"},
+                },
+                "conditions": {},
             },
         },
     },
@@ -362,14 +375,22 @@ def test_the_tables_of_a_standard_run_hold_its_numbers(run: Path) -> None:
         "200 of 200; tilt at most 0.04 deg; internal force at least 39.6 N",
         "`keyframe_act`, 7,000 steps; keyframe error 0.0068 rad",
         "100 of 100 held-out starts from 4000, 99 of 100 in a changed room, 0 of 5 with the object hidden",
-        "120 trials, starts from 5000",
+        "246 trials, starts from 5000",
     ):
         assert words in stages
     methods = made["standard-methods"]
     assert (
         "| `act` (`keyframe_act`) | 50 of 50 | 5.75 s | 69 % | 46 rad/s³ | 0.04 deg | 1.39 m |"
     ) in methods
-    assert methods.endswith("with a failed trial: `moveit` under `moved 20 mm` 19 of 20.")
+    lost = "`moveit` under `moved 20 mm` 19 of 20; `moveit` under `randomised` 57 of 60."
+    assert methods.endswith(f"with a failed trial: {lost}")
+    tasks = made["standard-tasks"].splitlines()
+    assert tasks[0] == "| | `moveit` clean | `moveit` randomised | `act` clean | `act` randomised |"
+    assert tasks[2] == (
+        "| `rod_carry` | 50 of 50 (93-100 %) | 57 of 60 (86-98 %) | 50 of 50 (93-100 %) "
+        "| 60 of 60 (94-100 %) |"
+    )
+    assert tasks[3] == "| `sort` | 6 of 6 (61-100 %) | | | |"
 
 
 def test_a_run_that_does_not_pass_fills_nothing(run: Path) -> None:
@@ -610,7 +631,7 @@ def test_the_report_quotes_what_the_results_say() -> None:
 
 
 def test_every_table_has_its_block() -> None:
-    made = {standard.METHODS_BLOCK, *results.SOURCES}
+    made = {standard.METHODS_BLOCK, standard.TASKS_BLOCK, *results.SOURCES}
     assert set(blocks(results.RESULTS.read_text(encoding="utf-8"))) == made
 
 
