@@ -44,11 +44,11 @@ def one_arm(**cameras: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def motion(feature: Mapping[str, Any], episode: int) -> np.ndarray:
+def motion(feature: Mapping[str, Any], episode: int, *, lead: float = 0.0) -> np.ndarray:
     """Return smooth values (TICKS, entries); the last entry closes and opens."""
     count = int(feature["shape"][0])
     t = np.linspace(0.0, 1.0, TICKS)[:, None]
-    values = np.sin(2.0 * np.pi * (t + 0.1 * np.arange(count) + 0.3 * episode))
+    values = np.sin(2.0 * np.pi * (t + lead + 0.1 * np.arange(count) + 0.3 * episode))
     values[:, -1] = ((t > 0.3) & (t < 0.7)).ravel()
     return values.astype(np.float32)
 
@@ -89,7 +89,11 @@ def make(
     seen = [key for key, feature in features.items() if feature["dtype"] in ("video", "image")]
     for episode in range(EPISODES):
         shown = {key: pictures(episode, seen.index(key), flicker=flicker) for key in seen}
-        moved = {key: motion(features[key], episode) for key in features if key not in seen}
+        moved = {
+            key: motion(features[key], episode, lead=0.02 if key == "action" else 0.0)
+            for key in features
+            if key not in seen
+        }
         for tick in range(TICKS):
             frame = {key: frames[tick] for key, frames in shown.items()}
             for key in seen:

@@ -36,6 +36,7 @@ class Episode:
     timestamps: Array
     qvel: Array | None = None
     image_timestamps: Array | None = None
+    effort: Array | None = None
     path: Path | None = None
 
     def __len__(self) -> int:
@@ -211,6 +212,7 @@ class _Reader:
             timestamps=arrays["timestamps"],
             qvel=arrays.get("qvel"),
             image_timestamps=arrays.get("image_timestamps"),
+            effort=arrays.get("effort"),
             path=self._path,
         )
         return Inspection(episode, self._faults)
@@ -267,7 +269,7 @@ class _Reader:
         if not isinstance(dataset, h5py.Dataset):
             self._note_wrong(key, "a group", shape, dtype)
             return nothing
-        if _is_unsafe(dataset):
+        if is_unsafe(dataset):
             self._faults.append(
                 EpisodeFault(
                     "field_too_large",
@@ -292,7 +294,7 @@ class _Reader:
         self._faults.append(EpisodeFault("field_wrong", detail))
 
 
-def _is_unsafe(dataset: h5py.Dataset) -> bool:
+def is_unsafe(dataset: h5py.Dataset) -> bool:
     """Return whether a dataset declares too much, or leads to another file.
 
     To be asked before anything is read: a sparse file may declare terabytes.

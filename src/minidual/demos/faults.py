@@ -25,6 +25,11 @@ REMEDIES = {
     "outside_joint_limits": (
         "check the joint order (left arm, then right arm), the units (rad) and the limits"
     ),
+    "nothing_moves": "take the episode out; check that the recorder reads the robot",
+    "state_jumps": (
+        "unwrap the encoder, or take the episode out; a leader's readings are checked as they come"
+    ),
+    "images_changed": "copy the dataset again; its films are not those that were recorded",
     "images_black": _CHECK_RENDERER,
     "images_constant": _CHECK_RENDERER,
     "images_frozen": (

@@ -33,6 +33,12 @@ from minidual.robot.pair import Array, Robot
 
 IMAGE_DIFFERENCE_MAX = 6.0
 """Limit of an image's mean difference to the recorded one, of 255."""
+VIDEO_ENCODING = RGBEncoderConfig(
+    vcodec="h264",
+    preset="veryfast",
+    pix_fmt="yuv444p",
+    crf=12,
+)
 _VIDEO_FILE_MB = 4
 """Size at which the next video file begins: an episode is added by writing its whole file again."""
 
@@ -103,7 +109,7 @@ def _write_dataset(
     records: list[dict[str, Any]] = []
     written: list[Path] = []
     with ExitStack() as stack:
-        stack.enter_context(_quiet_and_fast())
+        stack.enter_context(quiet_and_fast())
         fps = int(sample_episode.meta.fps)
         dataset = _create_dataset(root, name, fps, shapes, robot)
         stack.callback(dataset.finalize)
@@ -119,7 +125,7 @@ def _write_dataset(
 
 
 @contextmanager
-def _quiet_and_fast() -> Generator[None]:
+def quiet_and_fast() -> Generator[None]:
     """Change LeRobot for a while: no reports on stderr, lost videos as errors, `_SHORTCUTS`."""
     with ExitStack() as stack:
         av.logging.set_libav_level(av.logging.ERROR)
@@ -158,12 +164,7 @@ def _create_dataset(
         robot_type=f"dual_{robot.arm.name}",
         use_videos=True,
         video_backend="pyav",
-        rgb_encoder=RGBEncoderConfig(
-            vcodec="h264",
-            preset="veryfast",
-            pix_fmt="yuv444p",
-            crf=12,
-        ),
+        rgb_encoder=VIDEO_ENCODING,
         streaming_encoding=True,
         encoder_queue_maxsize=0,  # without bound: a full queue drops pictures with only a warning
         video_files_size_in_mb=_VIDEO_FILE_MB,

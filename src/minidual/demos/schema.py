@@ -5,6 +5,7 @@ T ticks, n joints, left arm first:
 key                                   shape         meaning
 ``observations/qpos``                 (T, n)        positions [rad]
 ``observations/qvel`` (optional)      (T, n)        velocities [rad/s]
+``observations/effort`` (optional)    (T, n)        motor torques [Nm]
 ``observations/gripper``              (T, 2)        openings
 ``observations/images/<camera>``      (T, H, W, 3)  RGB uint8; other arrays: float64
 ``action``                            (T, n)        joint targets [rad]
@@ -61,6 +62,7 @@ class Field(NamedTuple):
 FIELDS = (
     Field("qpos", "observations/qpos", ("joints",)),
     Field("qvel", "observations/qvel", ("joints",), required=False),
+    Field("effort", "observations/effort", ("joints",), required=False),
     Field("gripper", "observations/gripper", ("grippers",)),
     Field("action", "action", ("joints",)),
     Field("action_gripper", "action_gripper", ("grippers",)),

@@ -46,6 +46,7 @@ class Tick(NamedTuple):
     Attributes:
         image_timestamps: Stamp of the picture that is furthest from the joints in time; None
             without pictures.
+        effort: Motor torques [Nm], None where they are not measured.
     """
 
     timestamps: float
@@ -56,6 +57,7 @@ class Tick(NamedTuple):
     images: dict[str, Image]
     action: Array
     action_gripper: Array
+    effort: Array | None = None
 
 
 def _furthest_stamp(pictures: Mapping[str, StampedImage], joints_stamp_s: float) -> float | None:
@@ -269,6 +271,7 @@ class TeleopSession:
         q = world.q
         v = world.v
         gripper = world.gripper
+        effort = world.tau.copy()
         pictures = self._pictures()
         started = time.perf_counter()
         reading = seat.read(k)
@@ -287,6 +290,7 @@ class TeleopSession:
             images={name: picture.image for name, picture in pictures.items()},
             action=output.q_target,
             action_gripper=output.gripper,
+            effort=effort,
         )
         self._move(judge, 1)
         latency_s = time.perf_counter() - started

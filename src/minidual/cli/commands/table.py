@@ -8,6 +8,13 @@ from minidual.cli.commands.benchmark import benchmark
 from minidual.cli.commands.carry import carry
 from minidual.cli.commands.config_forget import config_forget
 from minidual.cli.commands.config_show import config_show
+from minidual.cli.commands.data import (
+    data_check,
+    data_merge,
+    data_show,
+    data_split,
+    data_stats,
+)
 from minidual.cli.commands.demo import demo
 from minidual.cli.commands.deploy import deploy
 from minidual.cli.commands.doctor import doctor
@@ -49,6 +56,16 @@ CONFIG_COMMANDS: dict[str, Command] = {"show": config_show, "forget": config_for
 TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {
     "leader": ("Devices that lead the arms.", {"calibrate": leader_calibrate}),
     "export": ("Files for other programs.", {"ros2": export_ros2}),
+    "data": (
+        "Demonstrations of any origin.",
+        {
+            "check": data_check,
+            "stats": data_stats,
+            "show": data_show,
+            "merge": data_merge,
+            "split": data_split,
+        },
+    ),
 }
 """Help and commands of tools of two words, by first word."""
 TOOL_COMMANDS: dict[str, Command] = {

@@ -1,0 +1,79 @@
+"""Episodes of a LeRobot v3 dataset."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from minidual.demos.data.source import DataEpisode, DataSource, Found, Image
+from minidual.demos.lerobot_features import reading
+from minidual.demos.lerobot_reader import read_dataset
+from minidual.demos.lerobot_video import BYTES_MAX
+from minidual.durable import regular_file
+
+
+class LeRobotSource(DataSource):
+    """A dataset.
+
+    Raises:
+        DataError: It is damaged, or holds what this program does not read.
+    """
+
+    kind = "LeRobot v3 dataset"
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.tables = read_dataset(root)
+        self._tasks = _task_texts(root)
+
+    def __len__(self) -> int:
+        return len(self.tables.starts)
+
+    def episodes(self) -> Iterator[Found]:
+        """See `DataSource.episodes`."""
+        tables = self.tables
+        for number, (start, stop) in enumerate(zip(tables.starts, tables.stops, strict=True)):
+            rows = slice(int(start), int(stop))
+            episode = DataEpisode(
+                name=f"episode {number}",
+                rate_hz=tables.fps,
+                times_s=np.arange(stop - start) / tables.fps,
+                state=tables.state[rows].astype(float),
+                action=tables.action[rows].astype(float),
+                state_names=tables.names,
+                action_names=tables.action_names,
+                cameras=tables.cameras,
+                task=self._tasks.get(number, ""),
+            )
+            yield Found(episode.name, episode)
+
+    def cameras(self) -> tuple[str, ...]:
+        """See `DataSource.cameras`."""
+        return tuple(self.tables.cameras)
+
+    def pictures(self, camera: str) -> Iterator[tuple[int, Image]]:
+        """See `DataSource.pictures`."""
+        tables = self.tables
+        lengths = tables.stops - tables.starts
+        gathered: list[Image] = []
+        for row, image in tables.frames(camera):
+            gathered.append(image)
+            number = int(np.searchsorted(tables.starts, row, side="right")) - 1
+            if len(gathered) == lengths[number]:
+                yield number, np.stack(gathered)
+                gathered = []
+
+
+def _task_texts(root: Path) -> dict[int, str]:
+    """Return the instruction of each episode; none where the dataset keeps none."""
+    texts: dict[int, str] = {}
+    with reading(root / "meta/episodes", root):
+        for path in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
+            table = pq.read_table(regular_file(path, BYTES_MAX))
+            if "tasks" not in table.column_names:
+                return {}
+            numbers = table["episode_index"].to_pylist()
+            for number, tasks in zip(numbers, table["tasks"].to_pylist(), strict=True):
+                texts[int(number)] = "; ".join(map(str, tasks or ()))
+    return texts

@@ -1,0 +1,1 @@
+"""Demonstrations of any origin for people: a page, and a recording for rerun."""
