@@ -70,6 +70,19 @@ class GelloConfig(StrictModel):
     """Age after which the last reading counts as none."""
 
 
+class MultiplyConfig(StrictModel):
+    """Recorded demonstrations that lead at other starts and goals (`minidual data augment`)."""
+
+    path: str = ""
+    """A run, a recording, or a folder of HDF5 episodes."""
+    demonstrations_n: int = Field(default=0, ge=0, le=1_000_000)
+    """At most so many of them, the first; 0: all."""
+    nearest_n: int = Field(default=3, ge=1, le=1000)
+    """A trial draws one of so many whose start and goal are nearest to its own."""
+    near_m: float = Field(default=0.12, gt=0.0, le=0.5)
+    """Distance from its grasp at which a hand's motion begins to belong to the object."""
+
+
 class ReplayConfig(StrictModel):
     """A recorded episode that leads."""
 

@@ -9,6 +9,7 @@ from minidual.config.leading import (
     GamepadConfig,
     GelloConfig,
     MirrorConfig,
+    MultiplyConfig,
     NetworkConfig,
     PersonConfig,
     ReplayConfig,
@@ -62,6 +63,7 @@ class TeleopConfig(StrictModel):
     gamepad: GamepadConfig = GamepadConfig()
     gello: GelloConfig = GelloConfig()
     replay: ReplayConfig = ReplayConfig()
+    augment: MultiplyConfig = MultiplyConfig()
 
     @field_validator("cameras")
     @classmethod

@@ -1,7 +1,7 @@
 """Leaders: persons, devices and programs that demonstrate, behind one protocol."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal, NamedTuple, Self
@@ -124,6 +124,11 @@ class Leader(ABC):
         None without one: the arms stop when the last one is too old.
         """
 
+    @property
+    def facts(self) -> Mapping[str, object]:
+        """What an episode's file should say of who led it, in JSON types."""
+        return {}
+
     def feedback(self, feedback: Feedback) -> None:  # noqa: B027 (as above)
         """Render what the arms met."""
 
@@ -134,6 +139,7 @@ class Leader(ABC):
 LEADERS: Registry[type[Leader]] = Registry("leader", group="minidual.leaders")
 """Leaders by `teleop.leader`; those of other distributions are entry points of the group."""
 LEADERS.add("scripted", "minidual.demos.leaders.scripted:ScriptedLeader")
+LEADERS.add("augmented", "minidual.demos.leaders.augmented:AugmentedLeader")
 LEADERS.add("browser", "minidual.demos.leaders.browser:BrowserLeader")
 LEADERS.add("gamepad", "minidual.demos.leaders.gamepad:GamepadLeader")
 LEADERS.add("gello", "minidual.demos.leaders.gello:GelloLeader")

@@ -6,7 +6,7 @@ Results depend neither on workers nor on interruptions.
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -166,7 +166,11 @@ class RecordedAttempts(NamedTuple):
         return sum(attempt.wall_s for attempt in attempts) / self.workers
 
 
-def attempts_of(job: Job, workers: int, observe: Observe | None = None) -> Iterator[Attempt]:
+def attempts_of(
+    job: Job,
+    workers: int,
+    observe: Observe | None = None,
+) -> Generator[Attempt]:
     """Yield attempts in order.
 
     They end when there are `episodes_n` demonstrations or the attempts allowed are used up.

@@ -1,7 +1,7 @@
 """Run and write one demonstration."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -166,13 +166,17 @@ class Rig:
                 return self._concluded(attempt, began)
             partial = writer.finish(
                 success=result.success,
-                extra={"reason": attempt.reason, **attempt.measures},
+                extra={"reason": attempt.reason, **attempt.measures, **self._leader_facts()},
             )
             attempt = self._read_back(attempt, partial)
             path = folder / (KEPT if attempt.kept else REJECTED) / name
             attempt = self._concluded(replace(attempt, path=path), began)
             writer.publish(path)
             return attempt
+
+    def _leader_facts(self) -> Mapping[str, object]:
+        leader = getattr(self, "_leader", None)
+        return {} if leader is None else leader.facts
 
     def _is_empty(self, result: SessionResult) -> bool:
         """Return whether an episode lasts under a second, or no joint moves."""

@@ -133,6 +133,13 @@ def train_dataset() -> ToolFunction:
 
 
 @Deferred
+def data_augment() -> ToolFunction:
+    from minidual.stages.data_augment import data_augment
+
+    return data_augment
+
+
+@Deferred
 def carry_perturb() -> ToolFunction:
     from minidual.stages.carry_tools import perturb
 

@@ -228,6 +228,13 @@ STAGES = StageTable(
     [ENV_CHECK, PLAN, CARRY, TELEOP_RECORD, TRAIN_ACT, DEPLOY, BENCHMARK, REPORT],
     LIBRARIES,
 )
+DATA_AUGMENT = ToolEntry(
+    "augmented",
+    functions.data_augment,
+    moves=True,
+    settings={"task": "task", "episodes": "teleop.episodes_n"},
+)
+"""Stands below `minidual data`."""
 TOOLS = (
     ToolEntry(
         "demo",

@@ -14,7 +14,7 @@ from minidual.robot.pair import DUAL_PANDA
 from tests.support.carry_trials import carry_task, sample_trial
 
 HOME = DUAL_PANDA.home
-ROWS = ("browser", "gamepad", "gello", "keyboard", "network", "replay", "scripted")
+ROWS = ("augmented", "browser", "gamepad", "gello", "keyboard", "network", "replay", "scripted")
 
 
 def buttons_at(leader: Leader, now_s: float) -> tuple[Button, ...]:
@@ -36,7 +36,7 @@ def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
     assert buttons_at(leader, 8.7) == (Button.SUCCESS,)
     with pytest.raises(
         UsageError,
-        match=r"(?s)no leader 'keybord'; there are browser, gamepad.*'keyboard'",
+        match=r"(?s)no leader 'keybord'; there are augmented, browser, gamepad.*'keyboard'",
     ):
         LEADERS["keybord"]
     assert sorted(LEADERS) == sorted(ROWS)

@@ -1,16 +1,66 @@
-"""`minidual data check | stats | merge | split | show`."""
+"""`minidual data augment | check | stats | merge | split | show`."""
 
 from typing import Annotated
 
 import typer
 
+from minidual.cli.execute import run_tool
 from minidual.cli.session import Session
 from minidual.errors import ExitCode
 from minidual.gate.stage import ToolResult
+from minidual.stages.registry import DATA_AUGMENT
 
 _PLACE = "A LeRobot v3 dataset, a recording, a run, HDF5 episodes (ALOHA's, too), or one file."
 Place = Annotated[str, typer.Argument(metavar="PATH", help=_PLACE)]
 NewFolder = Annotated[str, typer.Option("--out", metavar="NEW", help="New folder.")]
+
+
+def data_augment(
+    *,
+    place: Annotated[
+        str,
+        typer.Argument(metavar="PATH", help="A run, a recording, or a folder of HDF5 episodes."),
+    ],
+    episodes: Annotated[
+        int | None,
+        typer.Option(help="New demonstrations to keep (default: 200)."),
+    ] = 200,
+    demonstrations: Annotated[
+        int | None,
+        typer.Option(help="Move at most so many, the first (default: all)."),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(help="Task of the demonstrations (default: the run's)."),
+    ] = None,
+    conditions: Annotated[
+        str | None,
+        typer.Option(help="Conditions that the episodes take in turn (default: randomised)."),
+    ] = None,
+    attempts: Annotated[
+        int | None,
+        typer.Option(help="Most attempts (default: four for each episode)."),
+    ] = None,
+    session: Session,
+) -> ExitCode:
+    """Multiply demonstrations of a carry: move them to new starts and goals, and replay them.
+
+    Only those that pass the task's success test in the simulator are kept; the others are kept
+    apart, with the reason. The result is a recording, which train-act --dataset reads.
+
+    Examples:
+        minidual data augment runs/standard --demonstrations 10 --episodes 200
+        minidual data augment by-hand --task pot_lift --conditions clean,randomised
+    """
+    options = {
+        "path": place,
+        "episodes": episodes,
+        "demonstrations": demonstrations,
+        "task": task,
+        "conditions": conditions,
+        "attempts": attempts,
+    }
+    return run_tool(session, DATA_AUGMENT, options)
 
 
 def data_check(*, place: Place, session: Session) -> ExitCode:

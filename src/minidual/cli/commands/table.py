@@ -9,6 +9,7 @@ from minidual.cli.commands.carry import carry
 from minidual.cli.commands.config_forget import config_forget
 from minidual.cli.commands.config_show import config_show
 from minidual.cli.commands.data import (
+    data_augment,
     data_check,
     data_merge,
     data_show,
@@ -59,6 +60,7 @@ TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {
     "data": (
         "Demonstrations of any origin.",
         {
+            "augment": data_augment,
             "check": data_check,
             "stats": data_stats,
             "show": data_show,

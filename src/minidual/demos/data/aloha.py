@@ -81,7 +81,8 @@ def aloha_pictures(file: h5py.File, camera: str) -> Image:
     pictures = [cv2.imdecode(np.asarray(row, np.uint8), cv2.IMREAD_COLOR) for row in dataset[()]]
     height, width = _picture_size(dataset) or (1, 1)
     black = np.zeros((height, width, 3), np.uint8)  # in place of damaged bytes: a check names them
-    return np.stack([black if bgr is None else bgr[..., ::-1] for bgr in pictures])
+    shown = [black if bgr is None else bgr[..., ::-1] for bgr in pictures]
+    return np.asarray(np.stack(shown), dtype=np.uint8)
 
 
 def _rows(file: h5py.File, key: str, faults: list[EpisodeFault]) -> np.ndarray | None:

@@ -1,0 +1,1 @@
+"""Demonstrations multiplied: recorded ones, moved to new starts and goals."""
