@@ -130,7 +130,7 @@ def test_the_object_is_not_moved_while_it_stands_on_the_table() -> None:
     first, last = np.flatnonzero(lifted)[[0, -1]]
     assert progress[:first].max() < 0.01
     assert progress[last:].min() > 0.99
-    assert (progress[0], progress[-1]) == (0.0, 1.0)
+    assert (progress[0], progress[-1]) == pytest.approx((0.0, 1.0))
     np.testing.assert_allclose(path[-1][:2], one.goal[:2], atol=5e-3)
     still = dataclasses.replace(one, hands=np.repeat(one.hands[:1], len(one.hands), axis=0))
     by_time = carry_progress(still, carried_path(still))
