@@ -16,6 +16,7 @@ from minidual.stages.env_check.installation import Library
 from minidual.stages.env_check.pictures import CameraCheck
 from minidual.stages.env_check.responses import CommandLatency, JointResponse, StopResponse
 from minidual.stages.env_check.rig import TrackingRig
+from minidual.stages.env_check.shapes import Extent, LinkShapes, ShapeComparison
 from minidual.stages.env_check.tracking import Tracking
 
 DOF = DUAL_PANDA.dof
@@ -60,6 +61,7 @@ SOUND = Measurements(
     stop=StopResponse(1, 0.3, 1.0),
     cameras=CameraCheck(30.0, 0.1, 0.1, "none"),
     frames=round(QUICK.sine_duration_s * FILM_FPS),
+    shapes=ShapeComparison({}),
 )
 """Measurements in which all is well."""
 
@@ -74,6 +76,12 @@ def judged(**changes: object) -> dict[str, Check]:
 def failing(checks: dict[str, Check]) -> set[str]:
     """Return the names of the checks that fail."""
     return {name for name, check in checks.items() if check.passed is False}
+
+
+def box(size_m: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return corners and volume of a cube about the origin."""
+    half = 0.5 * size_m * np.ones(3)
+    return -half, half, size_m**3
 
 
 def all_failing_checks() -> list[Check]:
@@ -99,6 +107,9 @@ def all_failing_checks() -> list[Check]:
         stop=StopResponse(0, nan, nan),
         cameras=CameraCheck(0.0, 0.0, 0.0, "none"),
         frames=0,
+        shapes=ShapeComparison(
+            {"left_panda_hand": LinkShapes(Extent(*box(10.0)), Extent(*box(1.0)), None)},
+        ),
     )
     missing = [Library("mujoco", ">=4", None)]
     installed = installation_checks(missing, DOF - 1, DUAL_PANDA)

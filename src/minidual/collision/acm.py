@@ -86,8 +86,11 @@ class BuiltAcm:
 def acm_report(robot: Robot) -> BuiltAcm:
     """Return matrix and history from the user's cache.
 
-    They are built (1 s) if it lacks the model or is damaged.
+    They are built (1 s) if it lacks the model or is damaged. Two different arms have the matrix of
+    each: its pairs are links of one arm.
     """
+    if robot.arms[0] != robot.arms[1]:
+        return _combined([acm_report(Robot(arm)) for arm in robot.arms])
     model = model_hash(robot)
     folder = expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual")
     path = folder / f"acm-{model[:20]}.json"
@@ -102,6 +105,21 @@ def acm_report(robot: Robot) -> BuiltAcm:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, f"{_digest(model, content)}\n{content}")
     return built
+
+
+def _combined(reports: list[BuiltAcm]) -> BuiltAcm:
+    """Return the left arm's part of the first report and the right arm's of the second."""
+    pairs: list[list[str]] = []
+    for side, report in zip(SIDES, reports, strict=True):
+        pairs += [row for row in report.pairs if row[0].startswith(f"{side}_")]
+    fewest = min(reports, key=lambda report: report.samples_n)
+    return BuiltAcm(
+        pairs=sorted(pairs),
+        rounds=fewest.rounds,
+        converged=all(report.converged for report in reports),
+        rarest=fewest.rarest,
+        rarest_n=fewest.rarest_n,
+    )
 
 
 def _digest(model: str, content: str) -> str:

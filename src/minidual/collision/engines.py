@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from minidual.collision.shapes import Box, Capsule, Cylinder, Mesh, PairDistance, Shape, Sphere
 from minidual.robot.description import collision_links, mujoco_urdf, pair_urdf
-from minidual.robot.kinematics import Kinematics, full_model
+from minidual.robot.kinematics import Kinematics, full_model, link_frame
 from minidual.robot.pair import Array, Robot
 
 # With coal's default of 1e-6, GJK stops early in about one state of 20 000 and misses a contact of
@@ -48,7 +48,7 @@ class CoalEngine:
 
     def _add(self, name: str, link: str, shape: Shape) -> list[int]:
         """Add a shape to a link; return its geometry objects."""
-        frame_id = self.model.getFrameId(link)
+        frame_id = link_frame(self.model, link)
         frame = self.model.frames[frame_id]
         place = frame.placement * pin.SE3(shape.T_parent_shape)
         items: list[int] = []

@@ -254,6 +254,10 @@ class RobotConfig(StrictModel):
 
     arm: str = Field(default="panda", min_length=1)
     """Row of robot.models.ARM_MODELS."""
+    right_arm: str | None = Field(default=None, min_length=1)
+    """Another row for the right arm; None: the same."""
+    packages: dict[str, str] = Field(default={})
+    """Folder of each package of a URDF's package:// that is no installed distribution."""
 
 
 class NamedStateConfig(StrictModel):

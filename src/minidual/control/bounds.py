@@ -79,7 +79,7 @@ class TickBounds:
         self.q_upper = robot.q_upper - config.position_margin_rad
         self.v_max = config.velocity_scale * robot.v_max
         self.tau_max = config.torque_scale * robot.tau_max
-        self.tau_step = config.torque_rate_scale * robot.arm.tau_rate_max * dt_s
+        self.tau_step = config.torque_rate_scale * robot.tau_rate_max * dt_s
         self.a_max = config.acceleration_scale * robot.a_max
         self.a_step = robot.jerk_max * dt_s
         rounding = 1.0 + 1e-9

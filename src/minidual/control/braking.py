@@ -11,7 +11,7 @@ import numpy as np
 from numba.core import types
 
 from minidual.robot.compiled import ROWS, VECTOR, VIEW, kernel
-from minidual.robot.pair import SIDES, Array, Robot
+from minidual.robot.pair import Array, Robot
 
 RAMP_S = 0.06
 """Rise and fall time of the deceleration."""
@@ -30,16 +30,16 @@ def fill_slopes(
     v: Array,
     deceleration: Array,
     limits: Array,
-    group_n: int,
+    first_n: int,
     slopes: Array,
 ) -> None:
-    """Fill `slopes` (n,) [1/s] of r: one for each `group_n` joints, but near limits (2, n) a joint's own."""
-    for first in range(0, len(v), group_n):
+    """Fill `slopes` (n,) [1/s] of r: one for the first `first_n` joints and one for the others, but near limits (2, n) a joint's own."""
+    for first, end in ((0, first_n), (first_n, len(v))):
         common = math.inf
-        for j in range(first, first + group_n):
+        for j in range(first, end):
             slopes[j] = deceleration[j] / max(abs(v[j]), deceleration[j] * _LEAST_S)
             common = min(common, slopes[j])
-        for j in range(first, first + group_n):
+        for j in range(first, end):
             room = limits[1, j] - q[j] if v[j] > 0.0 else q[j] - limits[0, j]
             if abs(v[j]) * (0.5 / common + RAMP_S) <= room:
                 slopes[j] = common
@@ -67,12 +67,13 @@ class BrakingLaw:
         self._deceleration = share * robot.a_max
         self._v_max = robot.v_max
         self._dof = robot.dof
+        self._left_n = robot.dofs[0]
 
     def slopes(self, q: Array, v: Array, *, together: bool = True) -> Array:
         """Return the slopes of r (n,) [1/s]; `together`: one for both arms."""
         slopes = np.empty(self._dof)
-        group_n = self._dof if together else self._dof // len(SIDES)
-        fill_slopes(q, v, self._deceleration, self.limits, group_n, slopes)
+        first_n = self._dof if together else self._left_n
+        fill_slopes(q, v, self._deceleration, self.limits, first_n, slopes)
         return slopes
 
     def rest(self, q: Array, v: Array, slopes: Array) -> Array:

@@ -116,12 +116,12 @@ class _Samples(NamedTuple):
 def _trajectory(command: TrajectoryCommand, robot: Robot) -> Reason | None:
     motion = command.motion
     shape = np.shape(motion.q)
-    widths = (robot.dof,) if command.group == "both_arms" else (robot.dof, robot.dof_per_arm)
+    joints = robot.groups[command.group]
+    widths = tuple(dict.fromkeys((robot.dof, joints.stop - joints.start)))
     if len(shape) != 2 or shape[0] < 2 or shape[1] not in widths:
         needed = f"group {command.group} needs n >= 2 samples of {' or '.join(map(str, widths))}"
         return "wrong_shape", f"trajectory {shape}; {needed}"
     columns = own_columns(command, robot)
-    joints = robot.groups[command.group]
     samples = _Samples(
         motion.q[:, columns],
         motion.v[:, columns],

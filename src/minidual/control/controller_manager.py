@@ -38,7 +38,7 @@ class ControllerManager:
         self._fade_steps = max(1, round(_FADE_S / dt_s))
         self.fade_left = 0
         self._swiftly = False
-        self._tau_step = robot.arm.tau_rate_max * dt_s
+        self._tau_step = robot.tau_rate_max * dt_s
         self._offset: Array | None = None
         self.forbidden: Mapping[str, str] = {}
         """Why a controller cannot drive this plant, by name."""

@@ -100,7 +100,7 @@ class ObjectImpedance:
         self._posture = kinematics.robot.home
         self._world_axis = np.zeros(3)
         self._hands = Hands(kinematics)
-        self._work = np.zeros((19, max(6, kinematics.robot.dof_per_arm)))
+        self._work = np.zeros((19, max(6, kinematics.robot.dof_most)))
         self._qdd, self.push = np.zeros((2, kinematics.robot.dof))
         """push: (n,) [Nm], last J^T f."""
 

@@ -22,6 +22,7 @@ from minidual.control.kernels import (
     inner,
     least_norm,
     minus,
+    own_joints,
     plus,
     three,
     times,
@@ -100,15 +101,13 @@ def impedance(
 ) -> bool:
     """Fill qdd (n,) and push (n,) = J^T f; see docs/force-control.md.
 
-    law: (1,) of LAW. work: (19, n / 2, at least 6), overwritten: to make arrays takes a quarter of the law's time. Return
+    law: (1,) of LAW. work: (19, joints of one arm, at least 6), overwritten: to make arrays takes a quarter of the law's time. Return
     False if a hand has lost a direction of motion, or something is not finite.
     """
-    J, p_left, p_right, R_left, R_right = hands
+    J, p_left, p_right, R_left, R_right, left_n = hands
     s = law[0]
     K = s.K
     D = s.D
-    n = len(v) // 2
-    J_hand = work[:6, : len(v) // 2]
     L = work[6:12, :6]
     R = work[12:15, :3]
     lacking = work[15, :6]
@@ -131,7 +130,9 @@ def impedance(
     squeeze_n = within(wanted_n + correction, 0.0, s.force_max)
     f = hand_wrenches(three(force, 0), moment, r[0], r[1], times(squeeze_n, apply(T, s.axis)))
     for i, R_hand in enumerate((R_left, R_right)):
-        own = slice(n * i, n * i + n)
+        first, end = own_joints(i, left_n, len(v))
+        own = slice(first, end)
+        J_hand = work[:6, : end - first]
         drift = hand_motion(J[:, own], p_hands[i], v[own], J_hand)
         # Half the rotational stiffness, on the object's orientation as this hand's grasp implies it.
         for k in range(3):
@@ -149,7 +150,7 @@ def impedance(
         a_hand = plus(a, plus(cross(alpha, r[i]), cross(omega, cross(omega, r[i]))))
         lacking[:3] = minus(a_hand, drift[0])
         lacking[3:] = minus(alpha, drift[1])
-        for j in range(n * i, n * i + n):
+        for j in range(first, end):
             qdd[j] = s.posture_stiffness * (posture[j] - q[j]) - s.posture_damping * v[j]
         add_product(lacking, -1.0, J_hand, qdd[own])
         if not least_norm(J_hand, lacking, qdd[own], L):
@@ -184,10 +185,11 @@ def hand_impedance(
     """
     s = law[0]
     J = hands[0]
-    n = len(v) // 2
+    first, end = own_joints(arm, hands[5], len(v))
+    n = end - first
     R_tcp = hands[4] if arm else hands[3]
     p_tcp = hands[2] if arm else hands[1]
-    own = slice(n * arm, n * arm + n)
+    own = slice(first, end)
     R = np.empty((3, 3))
     J_hand = np.empty((6, n))
     pull = np.empty(6)
@@ -217,7 +219,7 @@ def hand_impedance(
     posture = np.empty(n)
     lacking = np.zeros(6)
     for j in range(n):
-        k = n * arm + j
+        k = first + j
         posture[j] = s.posture_stiffness * (q_ref[k] - q[k]) + s.posture_damping * (v_ref[k] - v[k])
         qdd[k] += posture[j]
     add_product(lacking, -1.0, J_hand, posture)  # only the null space keeps the posture

@@ -18,12 +18,12 @@ from minidual.robot.pair import Array
 _REAL = types.float64
 _TURNED = types.float64[::1, :]  # Pinocchio's matrices are column-major
 POSE = types.Array(_REAL, 2, "A", readonly=True)
-HANDS = types.Tuple([_TURNED, VECTOR, VECTOR, _TURNED, _TURNED])
+HANDS = types.Tuple([_TURNED, VECTOR, VECTOR, _TURNED, _TURNED, types.intp])
 
 Vector = tuple[float, float, float]
 Elements = Any
 """A vector of three, as a tuple or an array."""
-Placed = tuple[Array, Array, Array, Array, Array]
+Placed = tuple[Array, Array, Array, Array, Array, int]
 """See `Hands.views`."""
 _shared = vectors.cross, vectors.plus, vectors.minus, vectors.times, vectors.inner, vectors.larger
 _algebra: Any = map(njit, (*_shared, vectors.solve_gram, vectors.rotation_vector))
@@ -50,6 +50,14 @@ def three(a: Elements, i: int) -> Vector:
 def apply(A: Array, x: Elements) -> Vector:
     """Return A x."""
     return inner(A[0], x), inner(A[1], x), inner(A[2], x)
+
+
+@njit
+def own_joints(arm: int, left_n: int, n: int) -> tuple[int, int]:
+    """Return the first joint of an arm and the end of its joints, of n joints, `left_n` on the left."""
+    if arm == 0:
+        return 0, left_n
+    return left_n, n
 
 
 @njit
@@ -139,13 +147,13 @@ def least_norm(J: Array, y: Array, x: Array, L: Array) -> bool:
 @kernel(types.void(HANDS, VECTOR, VECTOR, _REAL, ROWS), heap=True)
 def hand_look(hands: Placed, v: Array, torque: Array, ahead_s: float, out: Array) -> None:
     """Fill `out` (2, 5): each hand's force |(J J^T + 1e-3)^-1 J torque| [N], speed [m/s], and place [m] in `ahead_s`."""
-    J, p_left, p_right, _, _ = hands
-    n = len(v) // 2
-    J_hand = np.empty((6, n))
+    J, p_left, p_right, _, _, left_n = hands
     y = np.empty(6)
     velocity = np.empty(3)
     for i, p in enumerate((three(p_left, 0), three(p_right, 0))):
-        own = slice(n * i, n * i + n)
+        first, end = own_joints(i, left_n, len(v))
+        own = slice(first, end)
+        J_hand = np.empty((6, end - first))
         hand_motion(J[:, own], p, v[own], J_hand)
         y[:] = 0.0
         velocity[:] = 0.0

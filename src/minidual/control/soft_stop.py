@@ -79,7 +79,7 @@ class SupervisedStop:
         )
         self._law = BrakingLaw(robot, config.stop_deceleration_scale)
         self._tau_max = _TORQUE_SHARE * robot.tau_max
-        self._tau_step = robot.arm.tau_rate_max * dt_s
+        self._tau_step = robot.tau_rate_max * dt_s
         self._dt = dt_s
         self._hands = Hands(kinematics)
         self.weights_n: Sequence[float] = (0.0, 0.0)

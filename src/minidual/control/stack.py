@@ -187,7 +187,7 @@ class ControlStack[P: Plant](StackState):
             keeps_arm = [
                 any(arm in self.manager[name].arms for name in kept) for arm in range(len(SIDES))
             ]
-            keeps = np.repeat(keeps_arm, self._robot.dof_per_arm)
+            keeps = self._robot.per_joint(keeps_arm)
             self.arbiter.stand(np.where(keeps, self.output.q_target, q), np.where(keeps, 0.0, v))
         self.manager.switch(names, q, v)
         self._due = True

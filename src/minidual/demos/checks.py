@@ -110,7 +110,7 @@ def check_limits(qpos: Array, robot: Robot) -> Iterator[EpisodeFault]:
     if joints_n != robot.dof:
         yield EpisodeFault(
             "joints_wrong",
-            f"the file holds {joints_n} joints; two {robot.arm.name} arms have {robot.dof}",
+            f"the file holds {joints_n} joints; the arms {robot.name} have {robot.dof}",
         )
         return
     lower = robot.q_lower - LIMIT_TOLERANCE_RAD

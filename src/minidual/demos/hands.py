@@ -67,7 +67,7 @@ class HandTracker:
         self._period_s = period_s
         self._kinematics = Kinematics(robot)
         self._step_max_rad = _JOINT_SPEED_SHARE * robot.v_max * period_s
-        self._mobility = np.ones(robot.dof_per_arm)
+        self._mobility = np.ones(robot.dof)
         self.begin(robot.home)
 
     def begin(self, q: Array) -> None:
@@ -88,7 +88,7 @@ class HandTracker:
         q = self.q.copy()
         for ik, T in zip(solvers(self._robot).values(), Ts_world_tcp, strict=True):
             near = self.q[ik.joints]
-            solution = ik.resting(T, near, near, self._mobility)
+            solution = ik.resting(T, near, near, self._mobility[ik.joints])
             if not solution.reached:
                 return None
             q[ik.joints] = solution.q
@@ -136,7 +136,7 @@ class HandTracker:
         side = self._robot.sides[arm]
         ik = solvers(self._robot)[side]
         near = self.q[ik.joints]
-        solution = ik.resting(T, near, self._robot.home[ik.joints], self._mobility)
+        solution = ik.resting(T, near, self._robot.home[ik.joints], self._mobility[ik.joints])
         if not solution.reached:
             return False
         step = solution.q - near

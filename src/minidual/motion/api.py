@@ -157,8 +157,7 @@ class Planner:
         scene = scene or self.scene
         if scene.robot != self.robot:
             raise UsageError(
-                f"the planner is for two {self.robot.arm.name}, the scene for two"
-                f" {scene.robot.arm.name}",
+                f"the planner is for the arms {self.robot.name}, the scene for {scene.robot.name}",
             )
         return self._engines(scene)
 

@@ -21,6 +21,7 @@ _ITERATIONS = 80
 _DISTINCT_RAD = 0.1
 _REST_TOLERANCE = 1e-4
 _REST_MARGIN_RAD = 0.02
+_TURN_RAD = 2.0 * np.pi
 
 
 class PoseUnreachableError(UsageError):
@@ -53,7 +54,7 @@ class ArmIK:
         check_name("arm", arm, robot.sides)
         self.arm = arm
         self.joints = robot.groups[f"{arm}_arm"]
-        self._n = robot.dof_per_arm
+        self._n = robot.dofs[robot.sides.index(arm)]
         kinematics = Kinematics(robot)
         placements, turns = hinges(robot)
         tip = kinematics.model.frames[kinematics.tcp_ids[robot.sides.index(arm)]]
@@ -148,6 +149,17 @@ class ArmIK:
             return IKSolution(q, residual_m, residual_rad, reached=True)
         return self.solve(T_world_tcp, q_start)
 
+    def unwound(self, q: Array, q_near: Array) -> Array:
+        """Return q (n,) with each joint turned by whole turns towards q_near (n,), inside the limits.
+
+        The hand stays where it is. A joint that cannot turn more than once stays as it is.
+        """
+        turns = np.round((q_near - q) / _TURN_RAD)
+        fewest = np.ceil((self.lower - q) / _TURN_RAD)
+        most = np.floor((self.upper - q) / _TURN_RAD)
+        turns = np.clip(turns, np.minimum(fewest, 0.0), np.maximum(most, 0.0))
+        return np.where(turns == 0.0, q, q + turns * _TURN_RAD)
+
     def solutions(
         self,
         T_world_tcp: Array,
@@ -156,6 +168,8 @@ class ArmIK:
         tries_n: int,
     ) -> Iterator[Array]:
         """Yield distinct solutions (n,): the nearest to q_near, then from home and random starts.
+
+        Each lies as near to q_near as whole turns of its joints bring it.
 
         Raises:
             IKUnreachableError: None found.
@@ -171,9 +185,10 @@ class ArmIK:
                 start = rng.uniform(self.lower, self.upper)
             solution = self.solve(T_world_tcp, start)
             if solution.reached:
-                if all(np.max(np.abs(solution.q - q)) > _DISTINCT_RAD for q in distinct):
-                    distinct.append(solution.q)
-                    yield solution.q
+                q = self.unwound(solution.q, q_near)
+                if all(np.max(np.abs(q - other)) > _DISTINCT_RAD for other in distinct):
+                    distinct.append(q)
+                    yield q
             elif closest is None or solution.residual < closest.residual:
                 closest = solution
         if not distinct and closest is not None:
@@ -199,19 +214,20 @@ def posture_at(
 ) -> Array:
     """Return q (n,) at both tcp poses (4, 4).
 
-    It is nearest to a reference posture (n,) [rad], or by descent from the start.
+    It is nearest to a reference posture (n,) [rad], or by descent from the start. `weights` are one
+    or (n,): what the squared distance of a joint from the posture costs.
 
     Raises:
         PoseUnreachableError: A pose is out of reach.
     """
     q = np.array(q_start, dtype=float)
-    mobility = np.ones(robot.dof_per_arm) / np.asarray(weights)
+    mobility = np.ones(robot.dof) / np.asarray(weights)
     for (side, arm), T in zip(solvers(robot).items(), Ts_world_tcp, strict=True):
         near = q[arm.joints]
         if posture is None:
             solution = arm.solve(T, near)
         else:
-            solution = arm.resting(T, near, posture[arm.joints], mobility)
+            solution = arm.resting(T, near, posture[arm.joints], mobility[arm.joints])
         if not solution.reached:
             position = np.round(T[:3, 3], 3).tolist()
             raise PoseUnreachableError(

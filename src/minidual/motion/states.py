@@ -21,9 +21,13 @@ class NamedStates(dict[str, dict[str, Array]]):
     def __init__(self, config: SemanticsConfig | None = None, robot: Robot = DUAL_PANDA) -> None:
         super().__init__()
         self.robot = robot
-        self._add("home", robot.arm.home, robot.arm.home)
-        for name, (left, right) in robot.arm.postures.items():
-            self._add(name, left, right)
+        left_arm, right_arm = robot.arms
+        self._add("home", left_arm.home, right_arm.home)
+        for name, (left, right) in left_arm.postures.items():
+            if left_arm == right_arm:
+                self._add(name, left, right)
+            elif name in right_arm.postures:
+                self._add(name, left, right_arm.postures[name][1])
         for name, state in (config or SemanticsConfig()).states.items():
             self._add(name, state.left_rad, state.right_rad)
 
@@ -40,10 +44,9 @@ class NamedStates(dict[str, dict[str, Array]]):
         """Return the checked joints of an arm (n,)."""
         robot = self.robot
         group = f"{side}_arm"
-        if len(joints) != robot.dof_per_arm:
-            raise ConfigError(
-                f"{where}: {len(joints)} values; an arm has {robot.dof_per_arm} joints",
-            )
+        joints_n = robot.dofs[SIDES.index(side)]
+        if len(joints) != joints_n:
+            raise ConfigError(f"{where}: {len(joints)} values; the arm has {joints_n} joints")
         try:
             q = goal_joints(group, robot.home, np.array(joints), robot, where)
         except OutOfLimitsError as error:

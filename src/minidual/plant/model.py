@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from minidual.config.scene import ObjectConfig, PartConfig, SceneConfig
+from minidual.errors import UsageError
 from minidual.plant.bodies import contact_sensor
 from minidual.plant.cameras import add_cameras
 from minidual.plant.contact import (
@@ -18,7 +19,12 @@ from minidual.plant.contact import (
     SOLREF,
 )
 from minidual.plant.surroundings import add_surroundings
-from minidual.robot.description import mujoco_urdf, never_touching
+from minidual.robot.description import (
+    beside_base,
+    massless_links,
+    mujoco_urdf,
+    never_touching,
+)
 from minidual.robot.pair import DUAL_PANDA, Array, Robot
 from minidual.robot.visuals import FACES_PER_ARM, arm_visuals
 
@@ -64,29 +70,44 @@ def build_model(
     *,
     visuals: bool = True,
 ) -> mujoco.MjModel:
-    """Compile the scene; see `build_spec`."""
-    return build_spec(scene, robot, visuals=visuals).compile()
+    """Compile the scene; see `build_spec`.
+
+    Raises:
+        UsageError: MuJoCo refuses the description of an arm.
+    """
+    try:
+        return build_spec(scene, robot, visuals=visuals).compile()
+    except ValueError as error:  # MuJoCo's only kind of error
+        reason = " ".join(str(error).split())
+        raise UsageError(
+            f"MuJoCo cannot build the arms '{robot.name}': {reason}",
+            remedy="correct what it names in the URDF, or in its mesh",
+        ) from error
 
 
 def _set_joints(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Set rotor inertia and friction, which a URDF does not hold."""
-    for name in robot.joint_names:
-        joint = spec.joint(name)
-        joint.armature = robot.arm.armature
-        joint.damping = [robot.arm.damping, 0.0, 0.0]
-        joint.frictionloss = robot.arm.friction
+    for side, arm in zip(robot.sides, robot.arms, strict=True):
+        for name in arm.joints:
+            joint = spec.joint(f"{side}_{name}")
+            joint.armature = arm.armature
+            joint.damping = [arm.damping, 0.0, 0.0]
+            joint.frictionloss = arm.friction
     for name in robot.finger_joint_names:
         spec.joint(name).armature = robot.hand.finger_armature_kg
 
 
 def _set_arm_geoms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
     """Name the collision geoms, set the finger pads' contact, exclude pairs that never touch."""
-    for side in robot.sides:
+    massless = massless_links(robot)
+    for side, arm in zip(robot.sides, robot.arms, strict=True):
         _, *fingers = robot.hand_links(side)
         bodies = [body for body in spec.bodies if body.name.startswith(f"{side}_")]
         for body in bodies:
             for index, geom in enumerate(body.geoms):
                 geom.name = f"{body.name}_collision{index}"
+                if body.name in massless:
+                    geom.density = 0.0  # MuJoCo would give it the mass of its shape
                 geom.group = GROUP_COLLISION
                 geom.rgba = [0.6, 0.6, 0.65, 1.0]
                 is_at_pad = abs(geom.pos[2] - robot.hand.pad_height_m) < 1e-6
@@ -96,19 +117,25 @@ def _set_arm_geoms(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> Non
                     geom.friction = [scene.object.friction, 0.01, 0.0001]
                     geom.solref = SOLREF
                     geom.solimp = SOLIMP
-        for first, second in never_touching(robot.arm):
+        excluded = {frozenset(pair): pair for pair in (*never_touching(arm), *beside_base(arm))}
+        for first, second in excluded.values():
             spec.add_exclude(bodyname1=f"{side}_{first}", bodyname2=f"{side}_{second}")
 
 
 def _add_arm_visuals(spec: mujoco.MjSpec, robot: Robot, faces_per_arm: int) -> None:
-    for index, visual in enumerate(arm_visuals(robot.arm, faces_per_arm)):
-        name = f"visual{index}_{visual.link}"
+    visuals = [
+        (sides, prefix, index, visual)
+        for sides, prefix, arm in robot.distinct_arms()
+        for index, visual in enumerate(arm_visuals(arm, faces_per_arm))
+    ]
+    for sides, prefix, index, visual in visuals:
+        name = f"{prefix}visual{index}_{visual.link}"
         spec.add_mesh(
             name=name,
             uservert=visual.vertices.ravel(),
             userface=visual.faces.ravel(),
         )
-        for side in robot.sides:
+        for side in sides:
             spec.body(f"{side}_{visual.link}").add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=name,

@@ -128,7 +128,7 @@ class Recorder:
         return Recording(
             kind=kind,
             reason=reason,
-            arm=self._world.robot.arm.name,
+            arm=self._world.robot.name,
             scene=self._world.scene,
             libraries=versions(),
             seed=self._seed,

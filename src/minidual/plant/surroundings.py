@@ -98,8 +98,8 @@ def _add_table(spec: mujoco.MjSpec, scene: SceneConfig, robot: Robot) -> None:
             pos=[x * leg_x_m, y * leg_y_m, -0.375],
             **INTANGIBLE,
         )
-    for side in robot.sides:
-        spec.add_exclude(bodyname1="table", bodyname2=f"{side}_{robot.arm.base_link}")
+    for base in robot.base_links:
+        spec.add_exclude(bodyname1="table", bodyname2=base)
 
 
 def _add_distractors(spec: mujoco.MjSpec) -> None:

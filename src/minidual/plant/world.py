@@ -271,7 +271,7 @@ class World:
         """See `Plant`: a damper on the true motion, in place of the commanded torques."""
         self._brakes = bool(arms)
         braked = [arm in arms for arm in range(len(SIDES))]
-        self._braked = np.repeat(braked, self.robot.dof_per_arm)
+        self._braked = self.robot.per_joint(braked)
 
     def _brake_torque(self) -> Array:
         """Return the torques (n,) [Nm] of the brakes."""

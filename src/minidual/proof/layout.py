@@ -35,7 +35,7 @@ class Geometry(NamedTuple):
         solids: `SOLID` records.
         parts: `PART` records.
         pairs: `PAIR` records.
-        reach: Largest distance [m] of each part from each joint axis of its arm (parts, dof / 2);
+        reach: Largest distance [m] of each part from each joint axis of its arm (parts, joints of the longer arm);
             0 for a joint that does not move it.
     """
 

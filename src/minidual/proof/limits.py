@@ -68,7 +68,7 @@ def check_robot(robot: Robot, trajectory: Trajectory) -> None:
     joints_n = trajectory.q.shape[1]
     if joints_n != robot.dof:
         raise UsageError(
-            f"the trajectory has {joints_n} joints, two {robot.arm.name} have {robot.dof}",
+            f"the trajectory has {joints_n} joints, the arms {robot.name} have {robot.dof}",
         )
 
 

@@ -387,6 +387,16 @@ def _apart(
 
 
 @inlined
+def _left_joints(geometry: Geometry) -> int:
+    """Return the number of the left arm's joints: the next one hangs on the world again."""
+    joints = geometry.joints
+    count = 1
+    while joints[count].parent != 0:
+        count += 1
+    return count
+
+
+@inlined
 def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
     """Tabulate each part's largest deviation from its chords [m].
 
@@ -395,12 +405,16 @@ def _deviate(geometry: Geometry, step: Array, off: Array, table: Array) -> None:
     """
     parts = geometry.parts
     reach = geometry.reach
-    n = reach.shape[1]
+    left_n = _left_joints(geometry)
     table[:] = 0.0
     for m in range(len(parts)):
         if parts[m].frame == 0:
             continue
-        first = n if parts[m].frame > n else 0
+        first = 0
+        n = left_n
+        if parts[m].frame > left_n:
+            first = left_n
+            n = len(step) - left_n
         for i in range(n):
             total = 0.0
             inside = 0.0

@@ -26,7 +26,7 @@ from minidual.proof.layout import (
     Workspace,
 )
 from minidual.robot.compiled import floats
-from minidual.robot.kinematics import Kinematics, hinges
+from minidual.robot.kinematics import Kinematics, hinges, link_frame
 from minidual.robot.pair import SIDES, Array, Robot
 
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
@@ -91,9 +91,9 @@ class Solids:
 
     def _pairs(self, part_rows: dict[str, int]) -> np.ndarray:
         """Return `PAIR` records of the checked pairs."""
-        n = self.robot.dof_per_arm
+        n = self.robot.dofs[0]
         frames = self._parts["frame"]
-        width = n + 1
+        width = self.robot.dof_most + 1
         still = len(frames) * width
         indices = [[part_rows[name] for name in pair] for pair in self.pairs]
         a, b = np.array(indices, dtype=int).reshape(-1, 2).T
@@ -114,9 +114,9 @@ class Solids:
 
     def of_arms(self, arms: Sequence[str]) -> np.ndarray:
         """Return the rows of the pairs with a part that one of these arms moves."""
-        n = self.robot.dof_per_arm
         pairs = self.geometry.pairs
-        arm = (self._parts["frame"] + n - 1) // n  # 0 for fixed parts
+        frame = self._parts["frame"]
+        arm = np.where(frame > self.robot.dofs[0], 2, np.minimum(frame, 1))  # 0 for fixed parts
         chosen = np.array([False, *(side in arms for side in SIDES)])
         moves = chosen[arm]
         return np.flatnonzero(moves[pairs["a"]] | moves[pairs["b"]])
@@ -199,7 +199,7 @@ def _scene_parts(scene: PlanningScene) -> dict[str, _Part]:
     turns = hinges(robot)[1]
     parts: dict[str, _Part] = {}
     for solid in scene.solids:
-        frame = model.frames[model.getFrameId(solid.link)]
+        frame = model.frames[link_frame(model, solid.link)]
         link = turns[frame.parentJoint] * frame.placement
         place = link * pin.SE3(solid.shape.T_parent_shape)
         pieces = [(piece, place) for piece in convex_solids(solid.shape)]
@@ -240,17 +240,19 @@ def _part(robot: Robot, frame: int, pieces: Sequence[tuple[Any, pin.SE3]]) -> _P
 
 
 def _reach(robot: Robot, frame: int, radius_m: float) -> Array:
-    """Return a part's largest distance (n,) [m] from each joint of its arm; 0 if not moved.
+    """Return a part's largest distance [m] from each joint of its arm; 0 if not moved.
+
+    There are as many as joints of the arm that has more.
 
     `radius_m` is its radius about the origin of its frame.
     """
     joints = _joints(robot)
-    n = robot.dof_per_arm
-    arm_base = 0 if frame <= n else n
+    left_n = robot.dofs[0]
+    arm_base = 0 if frame <= left_n else left_n
     far = radius_m
-    reach = np.zeros(n)
+    reach = np.zeros(robot.dof_most)
     for k in range(frame, arm_base, -1):
-        reach[(k - 1) % n] = far
+        reach[k - 1 - arm_base] = far
         far += float(np.linalg.norm(joints[k - 1]["p"]))
     return reach
 

@@ -59,8 +59,13 @@ def _shared_model(robot: Robot) -> Any:
         raise RuntimeError(
             f"Pinocchio orders the joints {names}; the toolkit needs {robot.joint_names}",
         )
-    model.armature = np.full(robot.dof, robot.arm.armature)
+    model.armature = robot.per_joint([arm.armature for arm in robot.arms])
     return model
+
+
+def link_frame(model: Any, link: str) -> int:
+    """Return the number of a link's frame; a joint of a URDF may have the same name."""
+    return model.getFrameId(link, pin.FrameType.BODY)
 
 
 class Hinges(NamedTuple):
@@ -83,13 +88,14 @@ def hinges(robot: Robot) -> Hinges:
         ValueError: The arms are no chains of hinges that end at their tool centre points.
     """
     model = _shared_model(robot)
-    n = robot.dof_per_arm
+    left_n = robot.dofs[0]
+    n = robot.dof
     parents = list(model.parents)[1:]
-    chains = [0, *range(1, n), 0, *range(n + 1, 2 * n)]
-    tcp_joints = [model.frames[model.getFrameId(name)].parentJoint for name in robot.tcp_names]
-    if parents != chains or tcp_joints != [n, 2 * n]:
+    chains = [0, *range(1, left_n), 0, *range(left_n + 1, n)]
+    tcp_joints = [model.frames[link_frame(model, name)].parentJoint for name in robot.tcp_names]
+    if parents != chains or tcp_joints != [left_n, n]:
         raise ValueError(
-            f"{robot.arm.name}: joints on {parents}, tcps on {tcp_joints}; chains are needed",
+            f"{robot.name}: joints on {parents}, tcps on {tcp_joints}; chains are needed",
         )
     turned = [pin.SE3.Identity()]
     placements = []
@@ -143,7 +149,10 @@ class Kinematics:
         self.model = _shared_model(robot)
         self.data = self.model.createData()
         left, right = robot.tcp_names
-        self.tcp_ids: tuple[int, int] = (self.model.getFrameId(left), self.model.getFrameId(right))
+        self.tcp_ids: tuple[int, int] = (
+            link_frame(self.model, left),
+            link_frame(self.model, right),
+        )
         self.placed = b""
 
     def tcp_poses(self, q: Array) -> tuple[Array, Array]:
@@ -230,7 +239,7 @@ class Kinematics:
         rates = (tau[span:] - tau[:-span]) / spans_s[:, None]
         return TorqueUse(
             largest(tau) / self.robot.tau_max,
-            largest(rates) / self.robot.arm.tau_rate_max,
+            largest(rates) / self.robot.tau_rate_max,
         )
 
 
@@ -246,7 +255,7 @@ class Hands:
         p: Left and right tcp position (3,) [m].
         R: Left and right tcp orientation (3, 3).
         J: (6, n), [linear; angular], of the moving bodies' points at the world's origin.
-        views: J, both positions, both orientations: one argument of kernels.
+        views: J, both positions, both orientations, joints of the left arm: one argument of kernels.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -256,7 +265,7 @@ class Hands:
         self.p: tuple[Array, Array] = (left.translation, right.translation)
         self.R: tuple[Array, Array] = (left.rotation, right.rotation)
         self.J: Array = self._data.J
-        self.views = (self.J, *self.p, *self.R)
+        self.views = (self.J, *self.p, *self.R, kinematics.robot.dofs[0])
 
     def update(self, q: Array) -> None:
         """Update all arrays, unless they are of q (n,): estimate and law ask in the same step."""

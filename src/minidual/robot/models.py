@@ -4,6 +4,7 @@ Another arm is one more `ArmModel`, added by an entry point of the group `minidu
 (docs/howto-arm.md).
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from minidual.registry import Registry
 Posture = tuple[float, ...]
 """Joint positions of one arm [rad], base first."""
 
+_POSITIVE = ("v_max", "a_max", "jerk_max", "tau_max")
 _QUARTER_TURN_RAD = 1.5707963267948966
 _HALF_TURN_RAD = 3.141592653589793
 _WHOLE_TURN_RAD = 6.283185307179586
@@ -50,12 +52,16 @@ class ArmModel:
     """One arm with its hand; names without side prefix, limits one number a joint.
 
     Attributes:
-        urdf: Absolute path or package://DISTRIBUTION/path.
+        urdf: Absolute path, file:// or package://NAME/path; see `files.file_at`.
         srdf: The same, of a file with pairs of links that never collide.
+        packages: Folder of each package of package:// that is no installed distribution.
         never_touch: More such pairs.
         joints: Joint names, base first.
         mount_rpy_rad: Orientation of the palm in the flange's frame.
+        mount_xyz_m: Position of the palm in the flange's frame, of an adapter.
         base_xy_m: Position of the left base; the right one mirrors y. Both face +x.
+        base_height_m: Of the base above the table.
+        base_rpy_rad: Orientation of the left base; the right one mirrors roll and yaw.
         home: Posture at the start of a trial [rad].
         q_lower: Least joint positions [rad].
         q_upper: Largest joint positions [rad].
@@ -70,7 +76,7 @@ class ArmModel:
         postures: Named (left, right) postures [rad].
 
     Raises:
-        ValueError: The limits are not as many as the joints.
+        ValueError: The limits are not as many as the joints, no numbers, or no ranges.
     """
 
     name: str
@@ -82,6 +88,9 @@ class ArmModel:
     flange_link: str
     mount_rpy_rad: tuple[float, float, float]
     base_xy_m: tuple[float, float]
+    mount_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base_height_m: float = 0.0
+    base_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     home: Posture
     q_lower: tuple[float, ...]
     q_upper: tuple[float, ...]
@@ -95,15 +104,30 @@ class ArmModel:
     friction: float = 0.0
     hand: HandModel
     postures: Mapping[str, tuple[Posture, ...]] = field(default_factory=dict, hash=False)
+    packages: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        """Check the lengths of the limits."""
+        """Check the limits and home."""
         joints_n = len(self.joints)
-        for name in ("home", "q_lower", "q_upper", "v_max", "a_max", "jerk_max", "tau_max"):
-            entries_n = len(getattr(self, name))
-            if entries_n != joints_n:
+        if joints_n == 0:
+            raise ValueError(f"arm '{self.name}': it has no joints")
+        for name in ("home", "q_lower", "q_upper", *_POSITIVE):
+            values = getattr(self, name)
+            if len(values) != joints_n:
                 raise ValueError(
-                    f"arm '{self.name}': {name} has {entries_n} of {joints_n} entries",
+                    f"arm '{self.name}': {name} has {len(values)} of {joints_n} entries",
+                )
+            if not all(map(math.isfinite, values)):
+                raise ValueError(f"arm '{self.name}': {name} is not finite: {values}")
+        for name in _POSITIVE:
+            if not min(getattr(self, name)) > 0.0:
+                raise ValueError(f"arm '{self.name}': {name} must be above 0 for every joint")
+        ranges = zip(self.joints, self.q_lower, self.home, self.q_upper, strict=True)
+        for joint, lower, home, upper in ranges:
+            if not lower < home < upper:
+                raise ValueError(
+                    f"arm '{self.name}', joint '{joint}': home {home:g} rad must lie between "
+                    f"q_lower {lower:g} and q_upper {upper:g}",
                 )
 
 

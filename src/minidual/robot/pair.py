@@ -1,17 +1,20 @@
-"""Two arms of one model on a table, and the algebra of poses (4, 4) and rotations (3, 3).
+"""Two arms on a table, and the algebra of poses (4, 4) and rotations (3, 3).
 
-`q` is (n,) [rad], left arm first; grippers are separate, (2,). The arm model (`models.py`) fixes n.
+`q` is (n,) [rad], left arm first; grippers are separate, (2,). The arm models (`models.py`) fix n.
 `T_a_b` is the pose (4, 4) of b in a: `T_world_rod = T_world_tcp @ T_tcp_rod`. Twists and wrenches
 are [linear; angular] (6,), world-aligned by default. Quaternions are wxyz. The world's origin is on
 the table top between the bases; x points away from them, left is +y.
 """
 
-from collections.abc import Collection
+import dataclasses
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from minidual.config.scene import RobotConfig
+from minidual.errors import UsageError
 from minidual.registry import Registry
 from minidual.robot.models import ARM_MODELS, PANDA, ArmModel
 
@@ -28,62 +31,133 @@ GROUP_ARMS = Registry[tuple[str, ...]](
 GRIPPERS_N = len(SIDES)
 
 
-def _of_both(values: tuple[float, ...]) -> Array:
-    """Return one arm's values for both arms, read-only."""
-    array = np.array(values * 2, dtype=float)
-    array.setflags(write=False)
-    return array
+_EQUAL_OF_A_PAIR = ("hand", "damping", "friction")
+"""What the controllers hold once for both arms."""
 
 
 class Robot:
-    """Two arms of one model; limits are (n,), units as in ArmModel. Equal if the models are.
+    """Two arms on a table; limits are (n,), units as in ArmModel. Equal if the models are.
+
+    Args:
+        arm: Model of the left arm, and of the right one if that has none of its own.
+        right: Model of the right arm.
 
     Attributes:
-        arm: Model of both arms.
+        arms: Models of the left and right arm.
+        name: Name of the model, or "LEFT+RIGHT" of two.
+        arm: Model of the left arm.
         hand: Model of both grippers.
         base_positions_m: Of the left and right base.
-        dof_per_arm: Joints of one arm.
+        base_rpys_rad: Orientation of the left and right base.
+        dofs: Joints of the left and right arm.
         dof: Joints of both arms, n.
         joint_names: In storage order.
         finger_joint_names: In storage order.
         tcp_names: Links of the left and right tool centre point.
         groups: Slices of q, by planning group.
+        tau_rate_max: Rate of a motor torque [Nm/s] that every motor bears.
+
+    Raises:
+        UsageError: Two models differ in what must be equal.
     """
 
     sides = SIDES
     """In storage order."""
 
-    def __init__(self, arm: ArmModel) -> None:
+    def __init__(self, arm: ArmModel, right: ArmModel | None = None) -> None:
         self.arm = arm
+        self.arms = (arm, arm if right is None else right)
+        self.name = "+".join(dict.fromkeys(model.name for model in self.arms))
+        self._check_pair()
         self.hand = arm.hand
-        x_m, y_m = arm.base_xy_m
-        self.base_positions_m = ((x_m, y_m, 0.0), (x_m, -y_m, 0.0))
-        n = len(arm.joints)
-        self.dof_per_arm = n
-        self.dof = 2 * n
-        self.joint_names = tuple(f"{side}_{joint}" for side in SIDES for joint in arm.joints)
+        self.base_positions_m = self._base_positions_m()
+        roll, pitch, yaw = self.arms[1].base_rpy_rad
+        self.base_rpys_rad = (arm.base_rpy_rad, (-roll, pitch, -yaw))
+        self.dofs = (len(arm.joints), len(self.arms[1].joints))
+        self.dof = sum(self.dofs)
+        sides = list(zip(SIDES, self.arms, strict=True))
+        self.joint_names = tuple(f"{side}_{joint}" for side, own in sides for joint in own.joints)
         self.finger_joint_names = tuple(
             f"{side}_{joint}" for side in SIDES for joint in arm.hand.finger_joints
         )
         self.tcp_names = self.both(arm.hand.tcp_link)
         self.groups = {
-            "left_arm": slice(0, n),
-            "right_arm": slice(n, 2 * n),
-            "both_arms": slice(0, 2 * n),
+            "left_arm": slice(0, self.dofs[0]),
+            "right_arm": slice(self.dofs[0], self.dof),
+            "both_arms": slice(0, self.dof),
         }
-        self.home = _of_both(arm.home)
-        self.q_lower = _of_both(arm.q_lower)
-        self.q_upper = _of_both(arm.q_upper)
-        self.v_max = _of_both(arm.v_max)
-        self.a_max = _of_both(arm.a_max)
-        self.jerk_max = _of_both(arm.jerk_max)
-        self.tau_max = _of_both(arm.tau_max)
+        self.home = self._of_both("home")
+        self.q_lower = self._of_both("q_lower")
+        self.q_upper = self._of_both("q_upper")
+        self.v_max = self._of_both("v_max")
+        self.a_max = self._of_both("a_max")
+        self.jerk_max = self._of_both("jerk_max")
+        self.tau_max = self._of_both("tau_max")
+        self.tau_rate_max = min(model.tau_rate_max for model in self.arms)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Robot) and self.arm == other.arm
+        return isinstance(other, Robot) and self.arms == other.arms
 
     def __hash__(self) -> int:
-        return hash(self.arm)
+        return hash(self.arms)
+
+    def _check_pair(self) -> None:
+        left, right = self.arms
+        for name in _EQUAL_OF_A_PAIR:
+            of_left, of_right = getattr(left, name), getattr(right, name)
+            if of_left != of_right:
+                texts = [getattr(value, "name", value) for value in (of_left, of_right)]
+                raise UsageError(
+                    f"the arms '{left.name}' and '{right.name}' have different {name} "
+                    f"({texts[0]} and {texts[1]}); a pair has one",
+                )
+
+    def _base_positions_m(self) -> tuple[tuple[float, float, float], ...]:
+        left, right = self.arms
+        x_m, y_m = left.base_xy_m
+        x_right_m, y_right_m = right.base_xy_m
+        return (x_m, y_m, left.base_height_m), (x_right_m, -y_right_m, right.base_height_m)
+
+    def _of_both(self, name: str) -> Array:
+        """Return a value of each joint of both arms (n,), read-only."""
+        array = np.concatenate([np.array(getattr(arm, name), dtype=float) for arm in self.arms])
+        array.setflags(write=False)
+        return array
+
+    @property
+    def dof_per_arm(self) -> int:
+        """Joints of one arm, where code needs equally many on both.
+
+        Raises:
+            UsageError: They have not.
+        """
+        left_n, right_n = self.dofs
+        if left_n != right_n:
+            raise UsageError(
+                f"this needs two arms with equally many joints; '{self.name}' has {left_n} and "
+                f"{right_n}",
+                remedy="choose one arm for both sides: --set robot.right_arm=null",
+            )
+        return left_n
+
+    @property
+    def dof_most(self) -> int:
+        """Joints of the arm that has more."""
+        return max(self.dofs)
+
+    @property
+    def arm_of_joint(self) -> Indices:
+        """Arm of each joint (n,), 0 left and 1 right."""
+        return np.repeat(np.arange(len(SIDES)), self.dofs)
+
+    def per_joint(self, of_arms: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return values of the two arms for each of their joints (n,)."""
+        return np.repeat(np.asarray(of_arms), self.dofs)
+
+    def by_arm(self, of_joints: Array) -> tuple[Array, Array]:
+        """Return values of all joints (..., n) as those of the left and right arm."""
+        left_n, _ = self.dofs
+        return of_joints[..., :left_n], of_joints[..., left_n:]
 
     def hand_links(self, side: str) -> tuple[str, str, str]:
         """Return the names of palm and fingers."""
@@ -95,10 +169,22 @@ class Robot:
         left, right = SIDES
         return f"{left}_{name}", f"{right}_{name}"
 
+    @property
+    def base_links(self) -> tuple[str, str]:
+        """Links of the left and right base."""
+        left, right = SIDES
+        return f"{left}_{self.arms[0].base_link}", f"{right}_{self.arms[1].base_link}"
+
+    def distinct_arms(self) -> list[tuple[tuple[str, ...], str, ArmModel]]:
+        """Return the sides of each model, a prefix for names that it gives, and the model."""
+        left, right = self.arms
+        if left == right:
+            return [(SIDES, "", left)]
+        return [(SIDES[:1], "", left), (SIDES[1:], f"{SIDES[1]}_", right)]
+
     def joints_of(self, arm: int) -> slice:
         """Return the slice of q of arm 0 (left) or 1 (right)."""
-        n = self.dof_per_arm
-        return slice(arm * n, (arm + 1) * n)
+        return self.groups[f"{SIDES[arm]}_arm"]
 
 
 def arms_of(group: str) -> tuple[int, ...]:
@@ -118,9 +204,19 @@ def robot_from(config: RobotConfig) -> Robot:
     """Return the configured robot.
 
     Raises:
-        UsageError: The arm is unknown.
+        UsageError: An arm is unknown, or the two cannot be a pair.
     """
-    return Robot(ARM_MODELS[config.arm])
+    left = _with_packages(ARM_MODELS[config.arm], config.packages)
+    if config.right_arm is None:
+        return Robot(left)
+    return Robot(left, _with_packages(ARM_MODELS[config.right_arm], config.packages))
+
+
+def _with_packages(arm: ArmModel, folders: Mapping[str, str]) -> ArmModel:
+    """Return an arm model that also knows these folders of packages."""
+    if not folders:
+        return arm
+    return dataclasses.replace(arm, packages={**arm.packages, **folders})
 
 
 _IDENTITY = np.eye(4)

@@ -10,9 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from minidual.robot.description import arm_elements, materials
+from minidual.errors import UsageError
+from minidual.robot.description import arm_elements
+from minidual.robot.files import packages_of
+from minidual.robot.mesh_files import load_parts
 from minidual.robot.models import ArmModel
 from minidual.robot.pair import Array
+from minidual.robot.urdf import materials, own_rgba
 
 FACES_PER_ARM = 9000
 """Target number of triangles per arm; the Panda's files have 134,300."""
@@ -46,8 +50,15 @@ class VisualMesh(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """The part of a link's mesh that has one colour, before decimation."""
+class VisualPart:
+    """The part of a link's mesh that has one colour, with all its triangles.
+
+    Attributes:
+        link: Name without side prefix.
+        rgba: From 0 to 1.
+        vertices: (V, 3) [m], in the link's frame.
+        faces: (F, 3), indices of vertices.
+    """
 
     link: str
     rgba: _Colour
@@ -58,33 +69,88 @@ class _Part:
 @functools.cache
 def arm_visuals(arm: ArmModel, faces_per_arm: int = FACES_PER_ARM) -> tuple[VisualMesh, ...]:
     """Return the meshes of one arm; the first call takes about 1 s."""
-    parts = _parts_of(arm)
+    parts = visual_parts(arm)
     faces_n = sum(len(part.faces) for part in parts)
-    reduction = max(0.0, 1.0 - faces_per_arm / faces_n)
+    reduction = max(0.0, 1.0 - faces_per_arm / faces_n) if parts else 0.0
     visuals: list[VisualMesh] = []
     for _, parts_of_link in itertools.groupby(parts, key=lambda part: part.link):
         visuals += _decimated(list(parts_of_link), reduction)
     return tuple(visual for visual in visuals if len(visual.faces) >= _FACES_MIN)
 
 
-def _parts_of(arm: ArmModel) -> list[_Part]:
-    """Return the parts of all links, in their links' frames."""
-    colours = materials(arm.hand.urdf) | materials(arm.urdf)
-    parts: list[_Part] = []
-    for link in arm_elements(arm):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            if mesh is None:
-                continue
-            material = visual.find("material")
-            colour = None if material is None else colours.get(material.attrib["name"])
-            R, p = _placement(visual.find("origin"))
-            scale = _numbers(mesh, "scale", "1 1 1")
-            path = Path(mesh.attrib["filename"])
-            for rgba, vertices, faces in _coloured(path, colour):
-                placed = (vertices * scale) @ R.T + p
-                parts.append(_Part(link.attrib["name"], rgba, placed, faces))
+@functools.cache
+def visual_parts(arm: ArmModel) -> tuple[VisualPart, ...]:
+    """Return the parts of all links, in their links' frames.
+
+    An arm without any visual shows what collides.
+
+    Raises:
+        UsageError: A mesh cannot be read.
+    """
+    packages = packages_of(arm.packages)
+    colours = materials(arm.hand.urdf, packages) | materials(arm.urdf, packages)
+    links = [element for element in arm_elements(arm) if element.tag == "link"]
+    is_drawn = any(link.find("visual") is not None for link in links)
+    parts: list[VisualPart] = []
+    for link in links:
+        for shape in link.findall("visual" if is_drawn else "collision"):
+            try:
+                parts += _parts_of_shape(link.attrib["name"], shape, colours)
+            except UsageError as error:
+                owner = f"arm '{arm.name}', link '{link.attrib['name']}'"
+                raise UsageError(f"{owner}: {error.message}", remedy=error.remedy) from error
+    return tuple(parts)
+
+
+def _parts_of_shape(
+    link: str,
+    shape: ET.Element,
+    colours: dict[str, _Colour],
+) -> list[VisualPart]:
+    """Return the parts of a `visual` or `collision`, in its link's frame."""
+    geometry = shape.find("geometry")
+    if geometry is None:
+        return []
+    colour = _colour_of(shape.find("material"), colours)
+    R, p = _placement(shape.find("origin"))
+    mesh = geometry.find("mesh")
+    scale = np.ones(3) if mesh is None else _numbers(mesh, "scale", "1 1 1")
+    parts: list[VisualPart] = []
+    for rgba, vertices, faces in _coloured(_loaded(geometry), colour):
+        placed = (vertices * scale) @ R.T + p
+        if np.prod(scale) < 0.0:
+            faces = faces[:, ::-1]  # a mirror turns the surface inside out
+        parts.append(VisualPart(link, rgba, placed, faces))
     return parts
+
+
+def _colour_of(material: ET.Element | None, colours: dict[str, _Colour]) -> _Colour | None:
+    """Return the rgba of a material, by itself or by its name."""
+    if material is None:
+        return None
+    return own_rgba(material) or colours.get(material.get("name", ""))
+
+
+def _loaded(geometry: ET.Element) -> list[Any]:
+    """Return the `trimesh.Trimesh` of a geometry in its own frame; none for an unknown kind."""
+    import trimesh
+
+    mesh = geometry.find("mesh")
+    if mesh is not None:
+        return load_parts(Path(mesh.attrib["filename"]))
+    box = geometry.find("box")
+    if box is not None:
+        return [trimesh.creation.box(extents=_numbers(box, "size", "0 0 0"))]
+    cylinder = geometry.find("cylinder")
+    if cylinder is not None:
+        (radius_m,) = _numbers(cylinder, "radius", "0")
+        (length_m,) = _numbers(cylinder, "length", "0")
+        return [trimesh.creation.cylinder(radius_m, length_m)]
+    sphere = geometry.find("sphere")
+    if sphere is not None:
+        (radius_m,) = _numbers(sphere, "radius", "0")
+        return [trimesh.creation.icosphere(radius=radius_m)]
+    return []
 
 
 def _numbers(element: ET.Element, name: str, default: str) -> Array:
@@ -101,17 +167,20 @@ def _placement(origin: ET.Element | None) -> tuple[Array, Array]:
     return R, _numbers(element, "xyz", "0 0 0")
 
 
-def _coloured(path: Path, colour: _Colour | None) -> list[tuple[_Colour, Array, _Faces]]:
-    """Return colour, vertices and faces of a file's parts; a mesh's own colour goes first."""
+def _coloured(
+    meshes: list[Any],
+    colour: _Colour | None,
+) -> list[tuple[_Colour, Array, _Faces]]:
+    """Return colour, vertices and faces of parts; a mesh's own colour goes first."""
     import trimesh
 
     by_colour: dict[_Colour, list[trimesh.Trimesh]] = {}
-    for mesh in trimesh.load_scene(path).dump():
+    for mesh in meshes:
         rgba = _own_colour(mesh) or colour or _GREY
         by_colour.setdefault(rgba, []).append(mesh)
     coloured = []
-    for rgba, meshes in by_colour.items():
-        bare = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in meshes]
+    for rgba, own in by_colour.items():
+        bare = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in own]
         merged = trimesh.util.concatenate(bare)
         merged.merge_vertices()
         coloured.append((rgba, np.asarray(merged.vertices), np.asarray(merged.faces)))
@@ -126,7 +195,7 @@ def _own_colour(mesh: Any) -> _Colour | None:
     return tuple(int(channel) / 255.0 for channel in material.main_color)
 
 
-def _decimated(parts: list[_Part], reduction: float) -> list[VisualMesh]:
+def _decimated(parts: list[VisualPart], reduction: float) -> list[VisualMesh]:
     """Return one link's parts with a share `reduction` of the faces removed, if no part is lost."""
     extent_min_m = _extent_m([part.vertices for part in parts]) - _SHRINK_MAX_M
     for aggressiveness in _AGGRESSIVENESS:
@@ -136,7 +205,7 @@ def _decimated(parts: list[_Part], reduction: float) -> list[VisualMesh]:
     return [_as_visual(part, part.vertices, part.faces) for part in parts]
 
 
-def _simplified(part: _Part, reduction: float, aggressiveness: int) -> VisualMesh:
+def _simplified(part: VisualPart, reduction: float, aggressiveness: int) -> VisualMesh:
     import fast_simplification
 
     if len(part.faces) <= _FACES_KEPT:
@@ -150,7 +219,7 @@ def _simplified(part: _Part, reduction: float, aggressiveness: int) -> VisualMes
     return _as_visual(part, vertices, faces)
 
 
-def _as_visual(part: _Part, vertices: Any, faces: Any) -> VisualMesh:
+def _as_visual(part: VisualPart, vertices: Any, faces: Any) -> VisualMesh:
     return VisualMesh(
         part.link,
         vertices.astype(np.float32),

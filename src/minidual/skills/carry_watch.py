@@ -65,6 +65,7 @@ class CarryWatch:
             dt_s=world.dt,
             width_m=self._width_m,
             pinch_n=config.impedance.pinch_n,
+            left_n=world.robot.dofs[0],
         )
         self.grip_limit_n = self.squeeze.limit_n
         self.shifted = False

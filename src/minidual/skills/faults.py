@@ -93,6 +93,7 @@ class FaultMonitor:
         dt_s: Control period.
         width_m: Width of the object between the fingers.
         pinch_n: Requested pinch of each hand.
+        left_n: Joints of the left arm; None: half of all.
 
     Attributes:
         spread_m: Distance between the hands from which slip counts; None takes that of the next
@@ -106,8 +107,10 @@ class FaultMonitor:
         dt_s: float,
         width_m: float,
         pinch_n: float,
+        left_n: int | None = None,
     ) -> None:
         self._config = config
+        self._left_n = left_n
         self._width_m = width_m
         self._pinch_n = pinch_n
         self._pinch_min_n = config.lost_pinch_share * pinch_n
@@ -140,7 +143,8 @@ class FaultMonitor:
         if farthest(commanded, applied) <= torque_max_nm and not self._motors_missing:
             return None
         missing = np.abs(commanded - applied) - _MOTOR_SHARE * np.abs(commanded)
-        missing_nm = missing.reshape(2, -1).max(axis=1)
+        left_n = len(missing) // 2 if self._left_n is None else self._left_n
+        missing_nm = np.array([missing[:left_n].max(), missing[left_n:].max()])
         self._motors_missing = not bool((missing_nm <= torque_max_nm).all())  # true for NaN
         details: list[str] = []
         for name, arm_missing_nm in zip(SIDES, missing_nm, strict=True):

@@ -52,10 +52,9 @@ def follow(hands: Placed, v: Array, X: Array, T_hands: Array, T: Array, twist: A
         T: (4, 4), overwritten by T_hands X.
         twist: (6,), overwritten by the object's twist.
     """
-    J, p_left, p_right, R_left, R_right = hands
+    J, p_left, p_right, R_left, R_right, n = hands
     left = three(p_left, 0)
     right = three(p_right, 0)
-    n = len(v) // 2
     apart = minus(left, right)
     distance = math.sqrt(inner(apart, apart))
     y = times(1.0 / distance, apart)

@@ -15,7 +15,7 @@ from minidual.config.seeds import stream
 from minidual.control.kernels import minimum_jerk
 from minidual.motion.ik import posture_at
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import Array, pose, rot_x, rot_z
+from minidual.robot.pair import SIDES, Array, pose, rot_x, rot_z
 from minidual.skills.phases import PHASES
 from minidual.tasks.task import Trial, grasp_offsets, level_pose, placement
 
@@ -114,7 +114,9 @@ class ScriptedOperator:
         if kinematics is None:
             kinematics = Kinematics()
         self._robot = kinematics.robot
-        self._costs = np.r_[np.ones(self._robot.dof_per_arm - 1), _WRIST_COST]
+        self._costs = np.ones(self._robot.dof)
+        for arm in range(len(SIDES)):
+            self._costs[self._robot.joints_of(arm).stop - 1] = _WRIST_COST
         self._home_poses = kinematics.tcp_poses(self._robot.home)
         self._grasps = grasp_offsets(scene)
 

@@ -135,7 +135,7 @@ class PlannedCarry(Drive):
         """
         stack = self.stack
         q = self.world.q
-        arm = int(np.argmax(np.abs(torque))) // (len(torque) // 2)
+        arm = int(self.world.robot.arm_of_joint[np.argmax(np.abs(torque))])
         shift_m = self._shift_to_finger(q, arm, torque)
         stage = _stage_of(solution, segment)
         state = solution.states[stage]

@@ -32,8 +32,8 @@ _SLICE_S = 0.02
 def joint_sliders(robot: Robot) -> list[Slider]:
     """Return one slider per joint, at home, and then one per hand, open."""
     sliders: list[Slider] = []
-    limits = list(zip(robot.arm.q_lower, robot.arm.q_upper, robot.arm.home, strict=True))
-    for side in robot.sides:
+    for side, arm in zip(robot.sides, robot.arms, strict=True):
+        limits = zip(arm.q_lower, arm.q_upper, arm.home, strict=True)
         for i, (lower, upper, home) in enumerate(limits):
             label = f"joint {i + 1} [rad]"
             sliders.append(Slider(f"{side} arm", label, float(lower), float(upper), float(home)))

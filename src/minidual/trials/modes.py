@@ -167,7 +167,7 @@ class ModesDemo:
             turn.mode,
             world.time,
             speed_at_request_rad_s=float(np.abs(world.v).max()),
-            torque_step_max_nm=world.robot.arm.tau_rate_max * world.dt,
+            torque_step_max_nm=world.robot.tau_rate_max * world.dt,
         )
         self.switches.append(switch)
         stack.request(turn.mode, turn.controllers)

@@ -94,7 +94,7 @@ def calibrate(path: Path, robot: Robot) -> dict[str, Calibration]:
 def _check_posture(side: str, calibration: Calibration, robot: Robot) -> None:
     worst = int(np.argmax(np.abs(calibration.off_rad)))
     if abs(calibration.off_rad[worst]) > OFF_MAX_RAD:
-        name = robot.arm.joints[worst]
+        name = robot.arms[SIDES.index(side)].joints[worst]
         raise EnvironmentMissingError(
             f"{side}_{name} is {calibration.off_rad[worst]:+.2f} rad off the home posture "
             f"(limit {OFF_MAX_RAD} rad): its quarter turn is uncertain; nothing was written",

@@ -100,10 +100,10 @@ def read_gello_file(path: Path, robot: Robot) -> GelloFile:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ConfigError(f"{path}, {place}: {first['msg']}", remedy=REMEDY) from error
-    for side, arm in zip(SIDES, gello.arms, strict=True):
-        if len(arm.ids) != robot.dof_per_arm:
+    for side, arm, joints_n in zip(SIDES, gello.arms, robot.dofs, strict=True):
+        if len(arm.ids) != joints_n:
             raise ConfigError(
-                f"{path}, {side}: {len(arm.ids)} ids; an arm has {robot.dof_per_arm} joints",
+                f"{path}, {side}: {len(arm.ids)} ids; the arm has {joints_n} joints",
                 remedy=REMEDY,
             )
     return gello

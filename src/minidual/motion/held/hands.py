@@ -152,7 +152,7 @@ class HandsIK:
             low = robot.q_lower[joint]
             high = robot.q_upper[joint]
             reason = f"would go to {q[joint]:.3f} rad, its limits are {low:.3f} to {high:.3f} rad"
-        side = robot.sides[joint // robot.dof_per_arm]
+        side = robot.sides[robot.arm_of_joint[joint]]
         return ClosedChainError(
             f"the {side} hand cannot follow the object to {where}:"
             f" {robot.joint_names[joint]} {reason}",

@@ -161,18 +161,23 @@ def _add_arms(spec: mujoco.MjSpec, robot: Robot, *, fine: bool) -> None:
         usernormal=normals.ravel(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    for index, visual in enumerate(arm_shells(robot.arm, fine=fine)):
-        name = f"shell{index}_{visual.link}"
+    shells = [
+        (sides, prefix, index, visual)
+        for sides, prefix, arm in robot.distinct_arms()
+        for index, visual in enumerate(arm_shells(arm, fine=fine))
+    ]
+    for sides, prefix, index, visual in shells:
+        name = f"{prefix}shell{index}_{visual.link}"
         spec.add_mesh(
             name=name,
             uservert=visual.vertices.ravel(),
             userface=visual.faces.ravel(),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
-        for side in robot.sides:
+        for side in sides:
             _add_mesh_geom(spec.body(f"{side}_{visual.link}"), f"{side}_{name}", name, visual.rgba)
-    for side in robot.sides:
-        base = spec.body(f"{side}_{robot.arm.base_link}")
+    for side, base_link in zip(robot.sides, robot.base_links, strict=True):
+        base = spec.body(base_link)
         plate = _add_mesh_geom(base, f"{side}_plate", "plate", (0.20, 0.21, 0.23, 1.0))
         plate.pos = [_PLATE_X_M, 0.0, _PLATE_HALF_M[2]]
 

@@ -73,8 +73,10 @@ def _draw_forces(axis: Any, log: TrialLog, scene: SceneConfig) -> None:
 
 
 def _draw_torques(axis: Any, log: TrialLog, robot: Robot) -> None:
-    left, right = np.split(np.abs(log.tau) / robot.tau_max, 2, axis=1)
-    larger = np.maximum(left, right)
+    larger = np.zeros((len(log.t), robot.dof_most))
+    for of_arm in robot.by_arm(np.abs(log.tau) / robot.tau_max):
+        own = larger[:, : of_arm.shape[1]]
+        np.maximum(own, of_arm, out=own)
     for joint, ratio in enumerate(larger.T, start=1):
         colour, style = LINES[(joint - 1) % len(LINES)]
         axis.plot(log.t, ratio, lw=1, color=colour, ls=style, label=f"joint {joint}")

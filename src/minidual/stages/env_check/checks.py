@@ -12,6 +12,7 @@ from minidual.stages.env_check import criteria
 from minidual.stages.env_check.installation import Library
 from minidual.stages.env_check.pictures import CameraCheck
 from minidual.stages.env_check.responses import CommandLatency, JointResponse, StopResponse
+from minidual.stages.env_check.shapes import ShapeComparison
 from minidual.stages.env_check.tracking import Tracking
 
 REAL_TIME_US = 1000.0
@@ -21,6 +22,8 @@ _REACHED_RAD = 0.005
 _CONTRAST_MIN = 5.0
 _OBJECT_SHARE_MIN = 0.001
 _FINGER_SHARE_MIN = 0.002
+_SHAPES_APART_M = 1e-5
+"""MuJoCo holds vertices as float32."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Measurements:
         stop: Response to an emergency stop.
         cameras: What the cameras see.
         frames: Frames of the film of the swing.
+        shapes: What is drawn and what collides.
     """
 
     moved: tuple[int, ...]
@@ -52,6 +56,7 @@ class Measurements:
     stop: StopResponse
     cameras: CameraCheck
     frames: int
+    shapes: ShapeComparison
 
 
 def installation_checks(libraries: list[Library], joints_n: int, robot: Robot) -> list[Check]:
@@ -80,6 +85,8 @@ def measured_checks(m: Measurements, limits: EnvCheckConfig, robot: Robot) -> li
         _stopped_check(m),
         criteria.CONTACTS_HOME.check(len(m.contacts), 0, touching=touching),
         criteria.AGREEMENT_MAX.check(agreement_max, limits.agreement_max),
+        criteria.SHAPES_UNLIKE.check(len(m.shapes.unlike), 0, links="; ".join(m.shapes.unlike)),
+        criteria.SHAPES_ENGINES.check(m.shapes.engines_max_m, _SHAPES_APART_M),
         criteria.STEP_MEDIAN.check(m.sine.step_us, REAL_TIME_US),
         criteria.LATE_STEPS.check(m.latency.late_steps, 0),
         criteria.LATENCY_MEDIAN.report(m.latency.wall_us),

@@ -84,6 +84,21 @@ AGREEMENT_MAX = Criterion(
     remedy="the URDF feeds both: look for an inertia, armature or frame "
     "that was changed on one side only",
 )
+SHAPES_UNLIKE = Criterion(
+    "shapes.unlike",
+    "==",
+    why="no link may be drawn in another unit, place or orientation than it collides in: "
+    "pictures would show other arms than those that move",
+    remedy="{links}: check the scale, unit and origin of its visual and collision meshes",
+)
+SHAPES_ENGINES = Criterion(
+    "shapes.engines_max_m",
+    "<=",
+    unit="m",
+    why="MuJoCo and Pinocchio must collide the same shapes: bounding boxes, and edges of cubes of "
+    "their volumes",
+    remedy="look for a mesh that the two read differently: save it as binary STL",
+)
 STEP_MEDIAN = Criterion(
     "control.step_median_us",
     "<",

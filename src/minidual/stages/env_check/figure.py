@@ -44,8 +44,8 @@ def _draw_joints(alone: Axes, swing: Axes, m: Measurements, robot: Robot) -> Non
     every = max(1, len(sine.t) // _POINTS_MAX)
     errors_mrad = 1e3 * (sine.measured - sine.reference)[::every]
     for j in range(robot.dof):
-        arm, joint = divmod(j, robot.dof_per_arm)
-        label = f"{robot.sides[arm]} arm" if joint == 0 else None
+        arm = int(robot.arm_of_joint[j])
+        label = f"{robot.sides[arm]} arm" if j == robot.joints_of(arm).start else None
         colour = (BLUE, ORANGE)[arm]
         step = m.steps[j]
         alone.plot(
@@ -77,12 +77,14 @@ def _draw_joints(alone: Axes, swing: Axes, m: Measurements, robot: Robot) -> Non
 
 
 def _draw_rise_times(axes: Axes, m: Measurements, limit_s: float, robot: Robot) -> None:
-    n = robot.dof_per_arm
     x = np.arange(robot.dof)
     rises_ms = [1e3 * response.rise_s for response in m.responses]
-    axes.bar(x, rises_ms, width=0.7, color=np.repeat([BLUE, ORANGE], n), alpha=0.85)
+    axes.bar(x, rises_ms, width=0.7, color=robot.per_joint([BLUE, ORANGE]), alpha=0.85)
     limit_line(axes, 1e3 * limit_s, f"limit {1e3 * limit_s:g} ms")
-    axes.set_xticks(x, [f"{'LR'[j // n]}{j % n + 1}" for j in x], fontsize=8)
+    names = [
+        f"{letter}{k + 1}" for letter, n in zip("LR", robot.dofs, strict=True) for k in range(n)
+    ]
+    axes.set_xticks(x, names, fontsize=8)
     axes.set(
         title="Rise time of each joint's own step, 10 % to 90 %",
         xlabel="joint",

@@ -77,7 +77,7 @@ def run_on_plant(context: StageContext) -> StageResult:
             "place": link.place,
             "kinds": [str(kind) for kind in link.kinds],
             "rate_hz": 1.0 / link.plant.dt,
-            "arm": robot.arm.name,
+            "arm": robot.name,
         }
     write_csv(context.folder / "joints.csv", rows)
     checks = [

@@ -3,13 +3,17 @@
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from minidual.config.seeds import stream
 from minidual.durable import write_csv
+from minidual.errors import UsageError
 from minidual.gate.progress import ProgressTask
 from minidual.gate.stage import StageContext, StageResult
 from minidual.plant.connect import SIMULATOR
 from minidual.plant.model import build_model
 from minidual.plant.world import World
+from minidual.robot.description import description_notes
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
@@ -28,9 +32,12 @@ from minidual.stages.env_check.on_plant import run_on_plant
 from minidual.stages.env_check.pictures import check_cameras
 from minidual.stages.env_check.responses import command_latency, emergency_stop, joint_responses
 from minidual.stages.env_check.rig import TrackingRig
+from minidual.stages.env_check.shapes import compare_shapes
 
 _PARTS = 8
 """Parts of the progress."""
+_GRAVITY_SHARE_MAX = 0.8
+"""Of a motor's torque; the rest moves the arm."""
 
 
 def run(context: StageContext) -> StageResult:
@@ -57,12 +64,31 @@ def run(context: StageContext) -> StageResult:
     notes = [
         f"pictures are drawn by {measurements.cameras.gl_renderer}",
         f"the step leaves {measurements.step.settled:.1e} rad",
+        *description_notes(robot),
     ]
     return StageResult(
         checks=[*installed, *measured_checks(measurements, config.env_check, robot)],
-        data={"arm": robot.arm.name, **_data(libraries, measurements)},
+        data={"arm": robot.name, **_data(libraries, measurements)},
         notes=notes,
     )
+
+
+def _check_strength(kinematics: Kinematics) -> None:
+    """Refuse arms that cannot hold themselves and their hands at home.
+
+    Raises:
+        UsageError: A motor has too little torque.
+    """
+    robot = kinematics.robot
+    needed_nm = np.abs(kinematics.gravity(robot.home))
+    worst = int(np.argmax(needed_nm / robot.tau_max))
+    if needed_nm[worst] > _GRAVITY_SHARE_MAX * robot.tau_max[worst]:
+        raise UsageError(
+            f"{robot.joint_names[worst]} needs {needed_nm[worst]:.3g} Nm to hold the arm and its "
+            f"hand '{robot.hand.name}' at home; tau_max is {robot.tau_max[worst]:g} Nm, of which "
+            f"{_GRAVITY_SHARE_MAX:.0%} may go into that",
+            remedy="choose a home with less reach, a lighter hand, or an arm that is stronger",
+        )
 
 
 def _measure(context: StageContext, world: World, task: ProgressTask) -> Measurements:
@@ -70,6 +96,7 @@ def _measure(context: StageContext, world: World, task: ProgressTask) -> Measure
     config = context.config.env_check
     robot = world.robot
     kinematics = Kinematics(robot)
+    _check_strength(kinematics)
     contacts = tracking.arm_contacts(world)
     cameras = check_cameras(world, context.folder / "cameras.png")
     task.advance(note="cameras")
@@ -116,6 +143,7 @@ def _measure(context: StageContext, world: World, task: ProgressTask) -> Measure
         stop=stop,
         cameras=cameras,
         frames=frames,
+        shapes=compare_shapes(world.model, robot),
     )
 
 
@@ -126,6 +154,7 @@ def _data(libraries: list[Library], m: Measurements) -> dict[str, Any]:
         "latency": m.latency._asdict(),
         "emergency_stop": m.stop._asdict(),
         "agreement": m.agreement,
+        "shapes": m.shapes.record(),
         "contacts_home": [list(contact) for contact in m.contacts],
         "cameras": m.cameras._asdict(),
     }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from minidual.errors import UsageError
 from minidual.plant.world import World
 from minidual.robot.pair import Array, Robot
 from minidual.robot.trajectory import Trajectory
@@ -115,7 +116,7 @@ def outward_step(robot: Robot, step_rad: float) -> Array:
     """Return home with joint 1 of both arms turned outwards (n,)."""
     q = robot.home.copy()
     q[0] += step_rad
-    q[robot.dof_per_arm] -= step_rad
+    q[robot.dofs[0]] -= step_rad
     return q
 
 
@@ -138,15 +139,25 @@ def sine_reference(
     q = home - A cos(w t), from rest. Both arms swing the same way: mirrored arms would meet.
 
     Raises:
-        ValueError: The swing exceeds position or velocity limits.
+        UsageError: The swing exceeds position or velocity limits.
     """
     w = 2.0 * np.pi * rate_hz
     home = robot.home
-    if (home + amplitude_rad > robot.q_upper).any() or (home - amplitude_rad < robot.q_lower).any():
-        raise ValueError(f"a swing of {amplitude_rad} rad about home leaves the joint limits")
-    if (amplitude_rad * w > robot.v_max).any():
-        raise ValueError(
-            f"a swing of {amplitude_rad} rad at {rate_hz} Hz leaves the joints' velocity limits",
+    room_rad = np.minimum(robot.q_upper - home, home - robot.q_lower)
+    nearest = int(np.argmin(room_rad))
+    if amplitude_rad > room_rad[nearest]:
+        raise UsageError(
+            f"a swing of {amplitude_rad:g} rad about home leaves the joint limits: "
+            f"{robot.joint_names[nearest]} has room for {room_rad[nearest]:.3g} rad",
+            remedy="choose another home, or a smaller env_check.sine_amplitude_rad",
+        )
+    slowest = int(np.argmin(robot.v_max))
+    if amplitude_rad * w > robot.v_max[slowest]:
+        raise UsageError(
+            f"a swing of {amplitude_rad:g} rad at {rate_hz:g} Hz leaves the velocity limits: "
+            f"{robot.joint_names[slowest]} turns at {robot.v_max[slowest]:g} rad/s, the swing at "
+            f"{amplitude_rad * w:.3g}",
+            remedy="choose a smaller env_check.sine_amplitude_rad or sine_frequency_hz",
         )
     amplitudes = np.full(robot.dof, amplitude_rad)
     q = home - amplitudes * np.cos(w * t)
