@@ -53,6 +53,8 @@ REFUSED = {
         2,
         "nobody pressed start after 1 s",
     ),
+    "minidual teleop-record --run fixes --correct runs/standard/train-act/checkpoint "
+    "--set teleop.leader=browser --episodes 20": (2, "nobody pressed start after 1 s"),
     "minidual teleop-record --set teleop.leader=gello": (2, "gello.yaml cannot be read"),
     "minidual leader calibrate gello.yaml": (2, "gello.yaml cannot be read"),
     "minidual teleop-record --set teleop.leader=replay --set teleop.replay.path=episodes": (

@@ -43,6 +43,21 @@ class TeleopConfig(StrictModel):
     leader: str = Field(default="scripted", min_length=1)
     rate_hz: float = Field(default=50.0, ge=40.0, le=100.0)
     cameras: tuple[Literal["high", "left", "right"], ...] = ("high",)
+    signals: tuple[
+        Literal[
+            "hand_wrench",
+            "internal_force",
+            "arbiter_state",
+            "reflex",
+            "driver",
+            "late_s",
+            "lost_pictures",
+        ],
+        ...,
+    ] = ()
+    """What episodes hold beside joints and pictures; docs/data.md."""
+    correct: str = ""
+    """Checkpoint of a policy that drives until the leader takes over; empty: the leader drives."""
     conditions: tuple[str, ...] = Field(default=("clean",), min_length=1)
     """Conditions that the episodes take in turn; only those that change what is there."""
     room_change_s: float = Field(default=0.0, ge=0.0, le=60.0)
@@ -64,6 +79,13 @@ class TeleopConfig(StrictModel):
     gello: GelloConfig = GelloConfig()
     replay: ReplayConfig = ReplayConfig()
     augment: MultiplyConfig = MultiplyConfig()
+
+    @field_validator("signals")
+    @classmethod
+    def _distinct(cls, signals: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(signals)) != len(signals):
+            raise ValueError(f"signals repeat: {', '.join(signals)}")
+        return signals
 
     @field_validator("cameras")
     @classmethod
@@ -143,6 +165,12 @@ class TrainConfig(StrictModel):
     validation_fraction: float = Field(default=0.08, ge=0.0, le=0.5)
     approach_weight: float = Field(default=3.0, gt=0.0, le=100.0)
     """Sampling weight of ticks before the grasp."""
+    corrections: tuple[str, ...] = ()
+    """Folders of LeRobot datasets recorded with teleop-record --correct, which are added."""
+    correction_weight: float = Field(default=4.0, ge=0.0, le=100.0)
+    """Sampling weight of ticks in which somebody corrected the policy."""
+    own_weight: float = Field(default=0.0, ge=0.0, le=100.0)
+    """Sampling weight of ticks in which the policy drove itself."""
     state_noise_approach_rad: float = Field(default=0.06, ge=0.0, le=0.5)
     state_noise_rad: float = Field(default=0.01, ge=0.0, le=0.5)
     """After the grasp."""

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,6 +38,8 @@ class Episode:
     image_timestamps: Array | None = None
     effort: Array | None = None
     path: Path | None = None
+    signals: dict[str, Array] = field(default_factory=dict)
+    """Recorded signals by name (`schema.SIGNALS`), and their `signal_timestamps`."""
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -214,18 +216,23 @@ class _Reader:
             image_timestamps=arrays.get("image_timestamps"),
             effort=arrays.get("effort"),
             path=self._path,
+            signals={
+                name: arrays[name]
+                for name in (*schema.SIGNALS, "signal_timestamps")
+                if name in arrays
+            },
         )
         return Inspection(episode, self._faults)
 
     def _read_fields(self) -> dict[str, Array]:
         joints_n = self._joints_n()
         arrays: dict[str, Array] = {}
-        for field in schema.FIELDS:
-            if field.key in self._file:
-                shape = (self._ticks, *field.row_shape(joints_n))
-                arrays[field.name] = self._array(field.key, shape, np.float64)
-            elif field.required:
-                self._faults.append(EpisodeFault("field_missing", f"{field.key} is missing"))
+        for column in schema.FIELDS:
+            if column.key in self._file:
+                shape = (self._ticks, *column.row_shape(joints_n))
+                arrays[column.name] = self._array(column.key, shape, np.float64)
+            elif column.required:
+                self._faults.append(EpisodeFault("field_missing", f"{column.key} is missing"))
         return arrays
 
     def _joints_n(self) -> int:

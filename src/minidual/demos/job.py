@@ -10,6 +10,7 @@ import numpy as np
 
 from minidual.config.control import ArbiterConfig, SupervisorConfig
 from minidual.config.learning import TeleopConfig
+from minidual.demos.corrections import DrivingPolicy
 from minidual.robot.pair import Robot, robot_from
 from minidual.tasks.task import Task, Trial
 
@@ -34,6 +35,8 @@ class Job:
     seed: int
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
     rooms: tuple[Room, ...] = ()
+    policy: Callable[[], DrivingPolicy] | None = None
+    """Loads the policy that drives until the leader takes over; None: the leader drives."""
 
     @property
     def robot(self) -> Robot:

@@ -117,6 +117,9 @@ class Leader(ABC):
     def align(self, trial: Trial, q_follower: Array) -> None:  # noqa: B027 (many need nothing)
         """Prepare for a trial whose arms stand at (n,) [rad]; drop what belongs to another one."""
 
+    def resume(self, q_follower: Array) -> None:  # noqa: B027 (many need nothing)
+        """Lead on from arms that something else has moved to (n,) [rad]; hands may hold something."""
+
     @abstractmethod
     def read(self, now_s: float) -> LeaderSample | None:
         """Return the newest reading at a time since the start of the trial, without waiting.
@@ -140,6 +143,7 @@ LEADERS: Registry[type[Leader]] = Registry("leader", group="minidual.leaders")
 """Leaders by `teleop.leader`; those of other distributions are entry points of the group."""
 LEADERS.add("scripted", "minidual.demos.leaders.scripted:ScriptedLeader")
 LEADERS.add("augmented", "minidual.demos.leaders.augmented:AugmentedLeader")
+LEADERS.add("corrector", "minidual.demos.leaders.corrector:ScriptedCorrector")
 LEADERS.add("browser", "minidual.demos.leaders.browser:BrowserLeader")
 LEADERS.add("gamepad", "minidual.demos.leaders.gamepad:GamepadLeader")
 LEADERS.add("gello", "minidual.demos.leaders.gello:GelloLeader")

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from minidual import durable
 from minidual.demos.episode import Episode, read_episode
-from minidual.demos.lerobot_features import SOURCES_FILE, state_names
+from minidual.demos.lerobot_features import SOURCES_FILE, signal_key, state_names
 from minidual.demos.lerobot_reader import ACTION, STATE, LeRobotTables, camera_key, read_dataset
 from minidual.errors import DataError, UsageError
 from minidual.robot.pair import Array, Robot
@@ -106,17 +106,19 @@ def _write_dataset(
     """Write the episodes in the format of `sample`; return their paths."""
     sample_episode = read_episode(sample)
     shapes = {camera: frames.shape[1:] for camera, frames in sample_episode.images.items()}
+    sizes = {name: values[0].size for name, values in sample_episode.signals.items()}
     records: list[dict[str, Any]] = []
     written: list[Path] = []
     with ExitStack() as stack:
         stack.enter_context(quiet_and_fast())
         fps = int(sample_episode.meta.fps)
-        dataset = _create_dataset(root, name, fps, shapes, robot)
+        dataset = _create_dataset(root, name, fps, shapes, robot, sizes)
         stack.callback(dataset.finalize)
         for path in paths:
             written.append(path)
             episode = read_episode(path, cameras=tuple(shapes))
             _check_format(path, episode, dataset.fps, shapes)
+            _check_signals(path, episode, sizes)
             _add_episode(dataset, episode)
             records.append(_source_record(path, episode))
     text = json.dumps({"episodes": records}, indent=1, sort_keys=True)
@@ -146,10 +148,17 @@ def _create_dataset(
     fps: int,
     shapes: dict[str, tuple[int, ...]],
     robot: Robot,
+    signal_sizes: dict[str, int],
 ) -> LeRobotDataset:
     names = state_names(robot)
     vector = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
     features: dict[str, dict[str, Any]] = {STATE: vector, ACTION: vector}
+    for signal, size in signal_sizes.items():
+        features[signal_key(signal)] = {
+            "dtype": "float32",
+            "shape": (size,),
+            "names": [f"{signal}_{k}" for k in range(size)],
+        }
     for camera, shape in shapes.items():
         features[camera_key(camera)] = {
             "dtype": "video",
@@ -161,7 +170,7 @@ def _create_dataset(
         fps=fps,
         features=features,
         root=root,
-        robot_type=f"dual_{robot.arm.name}",
+        robot_type=f"dual_{robot.name}",
         use_videos=True,
         video_backend="pyav",
         rgb_encoder=VIDEO_ENCODING,
@@ -189,14 +198,34 @@ def _check_format(
             raise DataError(f"{path}: camera '{camera}' is {recorded}, not {shape}")
 
 
+def _check_signals(path: Path, episode: Episode, sizes: dict[str, int]) -> None:
+    """Raise DataError for other signals than the dataset's."""
+    recorded = {name: values[0].size for name, values in episode.signals.items()}
+    if recorded != sizes:
+        raise DataError(
+            f"{path} holds the signals {', '.join(recorded) or 'none'}, the dataset "
+            f"{', '.join(sizes) or 'none'}; all episodes need the same",
+        )
+
+
 def _add_episode(dataset: LeRobotDataset, episode: Episode) -> None:
     state = _with_grippers(episode.qpos, episode.gripper)
     action = _with_grippers(episode.action, episode.action_gripper)
     try:
         for tick in range(len(episode)):
             images = {camera_key(camera): frames[tick] for camera, frames in episode.images.items()}
+            signals = {
+                signal_key(name): values[tick].ravel().astype(np.float32)
+                for name, values in episode.signals.items()
+            }
             dataset.add_frame(
-                {STATE: state[tick], ACTION: action[tick], "task": episode.meta.task, **images},
+                {
+                    STATE: state[tick],
+                    ACTION: action[tick],
+                    "task": episode.meta.task,
+                    **images,
+                    **signals,
+                },
             )
         dataset.save_episode(parallel_encoding=False)
     except RuntimeError as error:  # from an encoder's thread

@@ -67,6 +67,11 @@ class DatasetInfo(NamedTuple):
     robot: str
 
 
+def signal_key(name: str) -> str:
+    """Return the feature of a recorded signal (`schema.SIGNALS`)."""
+    return f"observation.{name}"
+
+
 def camera_key(camera: str) -> str:
     """Return a camera's feature: "observation.images.cam_high" for "high".
 

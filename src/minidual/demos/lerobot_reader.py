@@ -28,6 +28,7 @@ from minidual.demos.lerobot_features import (
     read_info,
     reading,
     remedy_of,
+    signal_key,
 )
 from minidual.demos.lerobot_video import (
     BRIGHTNESS_MAX,
@@ -53,6 +54,7 @@ __all__ = [
     "camera_name",
     "colours",
     "read_dataset",
+    "read_signal",
 ]
 
 Rows = NDArray[np.int64]
@@ -236,6 +238,26 @@ def read_dataset(root: Path | str) -> LeRobotTables:
         )
         _check_consistent(tables, _integers(rows, "index"), info)
     return tables
+
+
+def read_signal(root: Path | str, name: str) -> NDArray[np.float32] | None:
+    """Return a recorded signal (N, entries), None if the dataset has it not.
+
+    Raises:
+        DataError: The tables are missing or corrupt.
+    """
+    root = Path(root)
+    key = signal_key(name)
+    files = data_files(root)
+    if not files:
+        return None
+    with reading(files[0], root):
+        columns = pq.read_schema(files[0]).names
+    if key not in columns:
+        return None
+    table = _read_parquet(root, files, "data", [key])
+    with reading(f"{root}: '{key}'", root):
+        return _vectors(table, key)
 
 
 def _sizes(cameras: dict[str, CameraFeature]) -> dict[str, tuple[int, int]]:

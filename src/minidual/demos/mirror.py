@@ -61,12 +61,14 @@ class Mirrored(NamedTuple):
         openings: Of the hands (2,).
         pressed: Buttons of the leader.
         age_s: See `LeaderSample`.
+        clutch: Whether the leader moves without the arms.
     """
 
     target: Array
     openings: Array
     pressed: tuple[Button, ...]
     age_s: float | None
+    clutch: bool = False
 
 
 class Mirror:
@@ -122,7 +124,7 @@ class Mirror:
         else:
             raise UsageError("the leader gives neither joints nor hand poses")
         openings = np.clip(np.asarray(sample.openings, dtype=float), 0.0, 1.0)
-        return Mirrored(target, openings, sample.pressed, sample.age_s)
+        return Mirrored(target, openings, sample.pressed, sample.age_s, sample.clutch)
 
     def _joint_target(self, sample: LeaderSample, *, moves: bool) -> Array:
         q = leader_joints(self._robot, np.asarray(sample.q))

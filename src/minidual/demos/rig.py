@@ -15,6 +15,7 @@ from minidual.config.seeds import stream
 from minidual.control.stack import ControlStack
 from minidual.demos.attempt import ATTEMPTS, KEPT, REJECTED, Attempt, AttemptFiles
 from minidual.demos.checks import thumbnails
+from minidual.demos.corrections import DrivingPolicy
 from minidual.demos.episode import inspect_episode
 from minidual.demos.job import PURPOSE, Job, Room
 from minidual.demos.leader import LEADERS, Leader, LeaderSetup
@@ -23,6 +24,7 @@ from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.station import NO_STATION, Station
 from minidual.demos.writer import EpisodeWriter
+from minidual.errors import UsageError
 from minidual.plant.render import Camera, StampedImage
 from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Kinematics
@@ -53,8 +55,22 @@ class Rig:
             supervisor=trial_supervisor(job.supervisor, self.world.dt, job.robot),
         )
         self.session = TeleopSession(stack, job.teleop, self._pictures)
+        if job.policy is not None:
+            self.session.policy = self._loaded(job.policy)
         self._leader: Leader | None = None
         self.station = NO_STATION
+
+    def _loaded(self, load: Callable[[], DrivingPolicy]) -> DrivingPolicy:
+        """Return the policy that is to be corrected; it must see what is recorded."""
+        policy = load()
+        missing = [camera for camera in policy.cameras if camera not in self._cameras]
+        if missing:
+            raise UsageError(
+                f"the policy looks through camera '{missing[0]}'; recorded are "
+                f"{', '.join(self._cameras) or 'none'}",
+                remedy=f"--set 'teleop.cameras={list(policy.cameras)}'",
+            )
+        return policy
 
     @property
     def station(self) -> Station:
@@ -148,7 +164,7 @@ class Rig:
         name = AttemptFiles.episode_name(trial.index)
         with EpisodeWriter(folder / REJECTED / name, self._meta(trial)) as writer:
             try:
-                result = self.lead(trial, lambda tick: writer.append(**tick._asdict()))
+                result = self.lead(trial, lambda tick: writer.append(**tick.values()))
             except (SimulationDivergedError, PlanningError) as error:
                 reason = error.message.splitlines()[0]
                 return self._concluded(Attempt(trial, success=False, reason=reason), began)
@@ -237,6 +253,8 @@ class Rig:
             "start_x_y_yaw": list(placement(trial.start[task.carried])),
             "goal_x_y_yaw": list(placement(trial.goal[task.carried])),
         }
+        if teleop.correct:
+            extra["corrects"] = Path(teleop.correct).name
         room = self.job.room(trial)
         if room is not None:
             extra["condition"] = room[0]

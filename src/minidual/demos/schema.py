@@ -13,6 +13,17 @@ key                                   shape         meaning
 ``timestamps``                        (T,)          joint time, increasing [s]
 ``image_timestamps`` (optional)       (T,)          image time [s]
 
+The signals of `teleop.signals` are optional:
+
+``observations/hand_wrench``          (T, 2, 6)     contact on each hand [N, Nm], at the tcp, world axes
+``observations/internal_force``       (T,)          hands press on what is between them [N]
+``session/arbiter_state``             (T,)          place in `signals.ARBITER_STATES`
+``session/reflex``                    (T,)          place in `signals.REFLEX_NAMES`; 0: none
+``session/driver``                    (T,)          who drove: 0 leader, 1 policy, 2 correction
+``session/late_s``                    (T,)          wall time by which the tick came late [s]
+``session/lost_pictures``             (T,)          cameras without a new picture
+``signal_timestamps``                 (T,)          time of the signals [s]
+
 ``action[t]`` leads to the state at t + 1.
 """
 
@@ -42,7 +53,7 @@ REQUIRED_ATTRIBUTES = (
 MAX_SYNC_S = 0.020
 """Largest time between joints and images."""
 
-Axis = Literal["joints", "grippers"]
+Axis = Literal["joints", "grippers", "hands", "wrench"]
 
 
 class Field(NamedTuple):
@@ -55,7 +66,7 @@ class Field(NamedTuple):
 
     def row_shape(self, joints_n: int) -> tuple[int, ...]:
         """Return the shape of a row for `joints_n` joints."""
-        sizes = {"joints": joints_n, "grippers": GRIPPERS_N}
+        sizes = {"joints": joints_n, "grippers": GRIPPERS_N, "hands": GRIPPERS_N, "wrench": 6}
         return tuple(sizes[axis] for axis in self.axes)
 
 
@@ -68,8 +79,26 @@ FIELDS = (
     Field("action_gripper", "action_gripper", ("grippers",)),
     Field("timestamps", "timestamps"),
     Field("image_timestamps", "image_timestamps", required=False),
+    Field("hand_wrench", "observations/hand_wrench", ("hands", "wrench"), required=False),
+    Field("internal_force", "observations/internal_force", required=False),
+    Field("arbiter_state", "session/arbiter_state", required=False),
+    Field("reflex", "session/reflex", required=False),
+    Field("driver", "session/driver", required=False),
+    Field("late_s", "session/late_s", required=False),
+    Field("lost_pictures", "session/lost_pictures", required=False),
+    Field("signal_timestamps", "signal_timestamps", required=False),
 )
 """Every numeric array."""
+SIGNALS = (
+    "hand_wrench",
+    "internal_force",
+    "arbiter_state",
+    "reflex",
+    "driver",
+    "late_s",
+    "lost_pictures",
+)
+"""Fields that a recording may choose, stamped by `signal_timestamps`."""
 
 
 def image_key(camera: str) -> str:

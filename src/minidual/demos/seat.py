@@ -33,6 +33,8 @@ class Seat:
     Attributes:
         mirror: Reads the leader.
         ending: The button that ended the episode, or None.
+        pressed: Buttons of the last tick.
+        late_s: Wall time by which the last tick came late; 0 for a leader that is no person.
     """
 
     def __init__(
@@ -44,6 +46,8 @@ class Seat:
     ) -> None:
         self.mirror = mirror
         self.ending: Button | None = None
+        self.pressed: tuple[Button, ...] = ()
+        self.late_s = 0.0
         self._station = station
         self._config = config
         self._freeze = freeze
@@ -102,7 +106,9 @@ class Seat:
             button = self._wait_in_pause(k)
             if button is not None:
                 return button
-        time.sleep(max(0.0, self._began_s + k * self._period_s - time.monotonic()))
+        early_s = self._began_s + k * self._period_s - time.monotonic()
+        self.late_s = max(0.0, -early_s)
+        time.sleep(max(0.0, early_s))
         return None
 
     def _wait_in_pause(self, k: int) -> Button | None:
@@ -120,14 +126,15 @@ class Seat:
         self._began_s += time.monotonic() - since_s
         return None
 
-    def read(self, k: int) -> Mirrored | None:
-        """Return the leader's reading at tick k; see `ending`."""
+    def read(self, k: int, *, moves: bool = True) -> Mirrored | None:
+        """Return the leader's reading at tick k; see `ending`. It moves the arms unless told not to."""
         now_s = k * self._period_s
-        reading = self.mirror.read(now_s)
+        reading = self.mirror.read(now_s) if moves else self.mirror.poll(now_s)
         pressed = self._station.pressed()
         if reading is not None:
             pressed = (*pressed, *reading.pressed)
             self._age_s = reading.age_s
+        self.pressed = pressed
         self.ending = next((button for button in pressed if button in _ENDINGS), None)
         self._paused = Button.PAUSE in pressed
         if self._is_person:

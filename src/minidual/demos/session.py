@@ -4,7 +4,8 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from minidual.config.learning import TeleopConfig
 from minidual.control.commands import HOLD, ArbiterState, JointCommand, Refusal
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
+from minidual.demos.corrections import Corrections, DrivingPolicy
 from minidual.demos.leader import Feedback, Leader
 from minidual.demos.mirror import Mirror
 from minidual.demos.seat import Seat, for_a_person
+from minidual.demos.signals import Driver, Signals
 from minidual.demos.station import NO_STATION, Button
 from minidual.errors import MinidualError
 from minidual.plant.render import Image, StampedImage
@@ -47,6 +50,7 @@ class Tick(NamedTuple):
         image_timestamps: Stamp of the picture that is furthest from the joints in time; None
             without pictures.
         effort: Motor torques [Nm], None where they are not measured.
+        signals: What `teleop.signals` chooses, by name.
     """
 
     timestamps: float
@@ -58,6 +62,20 @@ class Tick(NamedTuple):
     action: Array
     action_gripper: Array
     effort: Array | None = None
+    signals: Mapping[str, Array] = MappingProxyType({})
+
+    def values(self) -> dict[str, Any]:
+        """Return the fields of the schema by name, and the images."""
+        values = self._asdict()
+        values |= values.pop("signals")
+        return values
+
+
+def recorded_signals(config: TeleopConfig) -> tuple[str, ...]:
+    """Return the signals that episodes hold: who drove too, if a policy is corrected."""
+    if config.correct and "driver" not in config.signals:
+        return (*config.signals, "driver")
+    return config.signals
 
 
 def _furthest_stamp(pictures: Mapping[str, StampedImage], joints_stamp_s: float) -> float | None:
@@ -141,6 +159,7 @@ class TeleopSession:
 
     Attributes:
         station: Where the person stands who leads.
+        policy: Drives until the leader takes over; None: the leader drives.
     """
 
     def __init__(
@@ -153,7 +172,10 @@ class TeleopSession:
         self.world = stack.plant
         self.config = config
         self.station = NO_STATION
+        self.policy: DrivingPolicy | None = None
         self._pictures = pictures
+        self._signals = Signals(stack, recorded_signals(config), 1.0 / config.rate_hz)
+        self._corrections: Corrections | None = None
 
     def run(
         self,
@@ -178,6 +200,11 @@ class TeleopSession:
         mirror = Mirror(leader, self.world.robot, self.config)
         mirror.begin(self.world.q)
         seat = Seat(mirror, self.station, self.config, self._freeze)
+        self._signals.reset()
+        self._corrections = None
+        if self.policy is not None:
+            self._corrections = Corrections(self.policy, mirror)
+            self._corrections.begin(self.world.q, self.world.gripper)
         button = seat.begin()
         if button is not None:
             return self._not_begun(judge, _ENDS[button])
@@ -274,12 +301,24 @@ class TeleopSession:
         effort = world.tau.copy()
         pictures = self._pictures()
         started = time.perf_counter()
-        reading = seat.read(k)
+        images = {name: picture.image for name, picture in pictures.items()}
+        corrections = self._corrections
+        if corrections is None:
+            driver = Driver.LEADER
+            wanted = seat.read(k)
+        else:
+            reading = seat.read(k, moves=corrections.drives)
+            state = np.concatenate([q, gripper])
+            wanted = None
+            if seat.ending is None:
+                wanted = corrections.command(reading, seat.pressed, images, state)
+            driver = corrections.driver
         if seat.ending is not None:
             return _TickRun(None, 0.0, _ENDS[seat.ending])
-        if reading is not None:
-            command = JointCommand(reading.target, reading.openings, stamp_s, k)
+        if wanted is not None:
+            command = JointCommand(wanted.target, wanted.openings, stamp_s, k)
             self.stack.propose(SOURCE, command)
+        signals = self._signals.measure(pictures, driver, seat.late_s)
         output = self.stack.arbitrate()
         tick = Tick(
             timestamps=stamp_s,
@@ -287,10 +326,11 @@ class TeleopSession:
             qpos=q,
             qvel=v,
             gripper=gripper,
-            images={name: picture.image for name, picture in pictures.items()},
+            images=images,
             action=output.q_target,
             action_gripper=output.gripper,
             effort=effort,
+            signals=signals,
         )
         self._move(judge, 1)
         latency_s = time.perf_counter() - started

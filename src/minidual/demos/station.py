@@ -13,7 +13,8 @@ class Button(StrEnum):
 
     START begins an episode. SUCCESS and FAILURE end it: a success becomes a demonstration if it
     passes the task's test, a failure is kept apart. DISCARD throws the episode away and records the
-    same start again. NEXT goes to another start. PAUSE stops time, and starts it again.
+    same start again. NEXT goes to another start. PAUSE stops time, and starts it again. CORRECT
+    takes the arms over from a policy that drives, and hands them back.
     """
 
     START = "start"
@@ -22,6 +23,7 @@ class Button(StrEnum):
     DISCARD = "discard"
     PAUSE = "pause"
     NEXT = "next"
+    CORRECT = "correct"
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from minidual.config.learning import TrainConfig
 from minidual.config.seeds import stream
 from minidual.demos.lerobot_reader import ACTION, STATE, Rows, camera_key, colours
 from minidual.demos.lerobot_video import Image
+from minidual.demos.signals import DRIVERS, Driver
+from minidual.errors import DataError
 from minidual.policies.augment import augment
 from minidual.policies.demonstrations import Demonstrations
 from minidual.robot.pair import Array
@@ -149,6 +151,26 @@ class BatchMaker:
         return torch.from_numpy(values).to(self._config.device)
 
 
+def driver_weights(driver: Rows, config: TrainConfig) -> Array:
+    """Return the sampling weight of ticks (N,) by who drove (N,).
+
+    Raises:
+        DataError: No tick has any weight.
+    """
+    by_driver = {
+        Driver.LEADER: 1.0,
+        Driver.POLICY: config.own_weight,
+        Driver.CORRECTION: config.correction_weight,
+    }
+    weights = np.array([by_driver[name] for name in DRIVERS])[driver]
+    if not weights.any():
+        raise DataError(
+            "no tick has a weight: the policy drove all of them",
+            remedy="add demonstrations, or --set train.own_weight=1",
+        )
+    return weights
+
+
 class DrawnBatch(NamedTuple):
     """The batch of a step, and the seed of what the policy draws in it."""
 
@@ -176,6 +198,8 @@ class BatchStream:
         self._seed = seed
         self._rows = rows
         weights = np.where(demos.phase[rows] == 0, config.approach_weight, 1.0)
+        if demos.driver is not None:
+            weights = weights * driver_weights(demos.driver[rows], config)
         self._probabilities = weights / weights.sum()
         self._pool = ThreadPoolExecutor(1)
         self._next: Future[DrawnBatch] | None = None

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.demos.lerobot_features import is_own
-from minidual.demos.lerobot_reader import Rows, read_dataset
+from minidual.demos.lerobot_reader import Rows, read_dataset, read_signal
 from minidual.demos.lerobot_video import Image
 from minidual.demos.quality import grip_changes
+from minidual.demos.signals import DRIVERS
 from minidual.errors import DataError
 from minidual.policies.takes import Takes, gripper_columns
 from minidual.robot.pair import GRIPPERS_N
@@ -31,6 +32,7 @@ class Demonstrations:
         state, action: (N, dim): joints [rad], left then right, gripper openings; of another robot
             what `takes` names.
         takes: What a policy trained on them takes; None: joints of two arms and two openings.
+        driver: (N,) who drove, see `demos.signals.DRIVERS`; None: a leader, in every tick.
         episode_index: (N,) ascending.
         phase: (N,) gripper switches before the tick.
         keyframe_ticks: (N, K) rows of the episode's switches, or -1; K of the episode with most.
@@ -42,6 +44,7 @@ class Demonstrations:
     action: NDArray[np.float32]
     episode_index: Rows
     takes: Takes | None = None
+    driver: Rows | None = None
     phase: Rows = field(init=False)
     keyframe_ticks: Rows = field(init=False)
     last_tick: Rows = field(init=False)
@@ -175,7 +178,65 @@ def load_demonstrations(
     )
     sizes = {name: (array.shape[1], array.shape[2]) for name, array in images.items()}
     takes = takes.with_cameras(sizes)
-    return Demonstrations(images, tables.state, tables.action, tables.episode_index, takes)
+    return Demonstrations(
+        images,
+        tables.state,
+        tables.action,
+        tables.episode_index,
+        takes,
+        _driver(root),
+    )
+
+
+def _driver(root: Path) -> Rows | None:
+    """Return who drove in each tick (N,), None if it was not recorded."""
+    values = read_signal(root, "driver")
+    if values is None:
+        return None
+    driver = values[:, 0].astype(np.int64)
+    if np.any(driver != values[:, 0]) or np.any((driver < 0) | (driver >= len(DRIVERS))):
+        raise DataError(f"{root}: 'driver' holds other numbers than 0 to {len(DRIVERS) - 1}")
+    return driver
+
+
+def joined(parts: Sequence[Demonstrations]) -> Demonstrations:
+    """Return the episodes of several datasets as one; ticks of unknown drivers are a leader's.
+
+    Raises:
+        DataError: They have other joints, cameras or sizes of pictures.
+    """
+    first = parts[0]
+    for part in parts[1:]:
+        if part.dim != first.dim or part.state.shape[1] != first.state.shape[1]:
+            raise DataError(
+                f"the datasets hold {first.dim} and {part.dim} entries an action; "
+                "corrections need the arms of the demonstrations",
+            )
+        for camera, images in first.images.items():
+            other = part.images.get(camera)
+            if other is None or other.shape[1:] != images.shape[1:]:
+                size = "no pictures" if other is None else f"pictures of {other.shape[1:]}"
+                raise DataError(
+                    f"camera '{camera}' has pictures of {images.shape[1:]} and {size}; "
+                    "record corrections with the cameras of the demonstrations",
+                )
+    episodes: list[Rows] = []
+    drivers: list[Rows] = []
+    begun_n = 0
+    for part in parts:
+        _, numbers = np.unique(part.episode_index, return_inverse=True)
+        episodes.append(numbers.astype(np.int64) + begun_n)
+        begun_n += int(numbers.max()) + 1
+        is_known = part.driver is not None
+        drivers.append(part.driver if is_known else np.zeros(len(part), dtype=np.int64))
+    return Demonstrations(
+        {name: np.concatenate([part.images[name] for part in parts]) for name in first.images},
+        np.concatenate([part.state for part in parts]),
+        np.concatenate([part.action for part in parts]),
+        np.concatenate(episodes),
+        first.takes,
+        np.concatenate(drivers),
+    )
 
 
 def _without(count: int, columns: Collection[int]) -> list[int]:

@@ -161,6 +161,8 @@ def training_fingerprint(demos: Demonstrations, config: TrainConfig, seed: int, 
     digest.update(json.dumps(description, sort_keys=True).encode())
     for array in (demos.state, demos.action, demos.episode_index):
         digest.update(array.tobytes())
+    if demos.driver is not None:
+        digest.update(demos.driver.tobytes())
     every = max(1, len(demos) // FINGERPRINT_IMAGES)
     for camera in demos.cameras:
         digest.update(camera.encode())

@@ -2,7 +2,7 @@
 
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS
-from minidual.errors import ConfigError
+from minidual.errors import ConfigError, UsageError
 from minidual.motion.search import PLANNERS
 from minidual.motion.timing_engines import TIMING_ENGINES
 from minidual.policies.kinds import POLICIES
@@ -12,6 +12,9 @@ from minidual.tasks.catalogue import make_task, tasks_of
 from minidual.trials.benchmark import trials_asked
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
 from minidual.trials.methods import METHODS, check_able
+
+_NO_CORRECTORS = ("scripted", "augmented", "replay")
+"""Leaders that know an episode from its start only."""
 
 
 def check_plan(config: Config) -> None:
@@ -47,6 +50,12 @@ def check_leader(config: Config) -> None:
     """Raise UsageError for an unknown leader, another plant, or conditions that cannot be recorded."""
     simulator_only(config, "teleop-record")
     LEADERS[config.teleop.leader]
+    if config.teleop.correct and config.teleop.leader in _NO_CORRECTORS:
+        raise UsageError(
+            f"the leader '{config.teleop.leader}' plays an episode from its start; it cannot "
+            "correct a policy",
+            remedy="--set teleop.leader=corrector, browser, gamepad, keyboard, gello or network",
+        )
     rooms(config.teleop.conditions)
 
 

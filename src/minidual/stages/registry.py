@@ -147,7 +147,7 @@ TELEOP_RECORD = StageEntry(
     inputs={},
     keeps=("episodes", "rejected", "attempts", "inputs.json"),
     watchable=True,
-    settings={"episodes": "teleop.episodes_n", "task": "task"},
+    settings={"episodes": "teleop.episodes_n", "task": "task", "correct": "teleop.correct"},
 )
 TRAIN_ACT = StageEntry(
     "train-act",

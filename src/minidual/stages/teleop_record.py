@@ -3,27 +3,30 @@
 import itertools
 import time
 from collections import Counter
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from minidual.config.learning import TeleopConfig
+from minidual.config.learning import DeployConfig, TeleopConfig
 from minidual.config.root import Config
 from minidual.demos import recording, rig
+from minidual.demos.corrections import DrivingPolicy
 from minidual.demos.leader import LEADERS, Leader
 from minidual.demos.lerobot_reader import LeRobotTables
 from minidual.demos.quality import JERK_FILTER
 from minidual.demos.recording import Observe
 from minidual.demos.schema import MAX_SYNC_S
-from minidual.durable import write_csv
+from minidual.durable import expanded, write_csv
 from minidual.errors import NothingEvaluatedError
 from minidual.gate.canonical import canonical
 from minidual.gate.check import Check
 from minidual.gate.code import code_of
 from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
+from minidual.robot.pair import robot_from
 from minidual.show.figures.film import film_demonstration
 from minidual.show.figures.teleop import draw_quality
 from minidual.stages.leading import leading
@@ -219,7 +222,18 @@ def _job(context: StageContext) -> rig.Job:
         seed=context.seed,
         supervisor=config.supervisor,
         rooms=rooms(config.teleop.conditions),
+        policy=_policy(config),
     )
+
+
+def _policy(config: Config) -> Callable[[], DrivingPolicy] | None:
+    """Return what loads the policy that is to be corrected, or None."""
+    if not config.teleop.correct:
+        return None
+    from minidual.policies.pilot import load_runtime  # torch takes seconds
+
+    robot = robot_from(config.robot)
+    return partial(load_runtime, expanded(config.teleop.correct), DeployConfig(), robot)
 
 
 def _record_dataset(

@@ -12,7 +12,7 @@ from minidual.gate.check import Check
 from minidual.gate.code import code_of
 from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
-from minidual.policies.demonstrations import Demonstrations, load_demonstrations
+from minidual.policies.demonstrations import Demonstrations, joined, load_demonstrations
 from minidual.policies.kinds import (
     POLICIES,
     Training,
@@ -113,6 +113,12 @@ def run(context: StageContext) -> StageResult:
     dataset = context.upstream["teleop-record"] / "lerobot"
     with context.progress.task("reading frames") as task:
         demos = load_demonstrations(dataset, config.cameras, task.advance, folder=context.folder)
+        corrections = [
+            load_demonstrations(durable.expanded(folder), config.cameras, task.advance)
+            for folder in config.corrections
+        ]
+        if corrections:
+            demos = joined([demos, *corrections])
     places = _progress_places(context)
     checks: list[Check] = []
     records: list[dict[str, Any]] = []

@@ -17,6 +17,13 @@ def teleop_record(
         str | None,
         typer.Option(help="Task, such as handover (default: the run's)."),
     ] = None,
+    correct: Annotated[
+        str | None,
+        typer.Option(
+            help="Checkpoint of a policy that drives until who leads takes over.",
+            metavar="CHECKPOINT",
+        ),
+    ] = None,
     view_options: ViewOptions,
     gate_options: GateOptions,
     session: Session,
@@ -26,6 +33,8 @@ def teleop_record(
     Examples:
         minidual teleop-record --episodes 50
         minidual teleop-record --task handover --view web
+        minidual teleop-record --run fixed --correct runs/first/train-act/checkpoint \
+            --set teleop.leader=browser
     """
-    options = {"episodes": episodes, "task": task}
+    options = {"episodes": episodes, "task": task, "correct": correct}
     return run_stage(session, "teleop-record", options, gate_options, view_options)

@@ -55,6 +55,12 @@ class BrowserLeader(Leader):
         self._handles.open()
         self._place()
 
+    def resume(self, q_follower: Array) -> None:
+        """Put the handles at the hands, which stay as they are."""
+        self._q = q_follower
+        self._was_clutched = False
+        self._place()
+
     def _place(self) -> None:
         self._handles.place([T.copy() for T in self._kinematics.tcp_poses(self._q)])
 

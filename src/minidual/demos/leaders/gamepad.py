@@ -92,6 +92,11 @@ class GamepadLeader(Leader):
         self._Ts = self._poses(q_follower)
         self._last_s = 0.0
 
+    def resume(self, q_follower: Array) -> None:
+        """Lead on from where the arms are."""
+        self._hands = self._poses(q_follower)
+        self._Ts = self._poses(q_follower)
+
     @property
     def hint(self) -> str:
         """Which hands turn instead of moving."""

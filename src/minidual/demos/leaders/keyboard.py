@@ -91,6 +91,11 @@ class KeyboardLeader(Leader):
         self._dropped_n = len(self._terminal.read_keys())
         self._stand(q_follower)
 
+    def resume(self, q_follower: Array) -> None:
+        """Jog on from where the arms are; the hands stay."""
+        self._q = np.array(q_follower, dtype=float)
+        self._aim_hands()
+
     def _stand(self, q: Array) -> None:
         self._q = np.array(q, dtype=float)
         self._joint: int | None = None
@@ -154,7 +159,7 @@ class KeyboardLeader(Leader):
             self._step = min(max(self._step + change, 0), len(STEPS_M) - 1)
         elif key == "0":
             self._aim_hands()
-        elif key.isdigit() and int(key) <= self._robot.dof_per_arm:
+        elif key.isdigit() and int(key) <= self._robot.dof_most:
             self._aim_joint(int(key) - 1)
         return ()
 
@@ -173,8 +178,10 @@ class KeyboardLeader(Leader):
     def _move_joint(self, motion: _Motion, step_m: float, hands: list[int]) -> None:
         if motion.axis == 0 and not motion.turns:
             for hand in hands:
-                joint = hand * self._robot.dof_per_arm + (self._joint or 0)
-                self._q_goal[joint] += _RAD_PER_M * step_m
+                joints = self._robot.joints_of(hand)
+                joint = joints.start + (self._joint or 0)
+                if joint < joints.stop:
+                    self._q_goal[joint] += _RAD_PER_M * step_m
             self._q_goal = np.clip(self._q_goal, self._robot.q_lower, self._robot.q_upper)
 
     def _turn(self, axis: int, angle_rad: float, hands: list[int]) -> None:

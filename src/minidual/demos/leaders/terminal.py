@@ -18,11 +18,12 @@ BUTTON_KEYS = {
     "u": (Button.DISCARD,),
     "n": (Button.NEXT,),
     "p": (Button.PAUSE,),
+    "o": (Button.CORRECT,),
 }
 """Enter starts an episode that waits, and ends one that runs."""
 BUTTON_KEYS_USAGE = (
     "keys: enter starts, and ends with success  b failure  u again from the start  n next  "
-    "p pause  x or escape EMERGENCY STOP"
+    "p pause  o take over from a policy, hand back  x or escape EMERGENCY STOP"
 )
 _STOP_KEY = "x"
 _BYTES_MAX = 4096

@@ -22,6 +22,7 @@ _LABELS = {
     Button.DISCARD: ("Discard, same start again", "gray"),
     Button.PAUSE: ("Pause, go on", "gray"),
     Button.NEXT: ("Next start", "gray"),
+    Button.CORRECT: ("Take over, hand back", "blue"),
 }
 
 

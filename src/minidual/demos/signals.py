@@ -1,0 +1,124 @@
+"""What an episode records beside joints and pictures, by choice (`teleop.signals`)."""
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+
+import numpy as np
+
+from minidual.control.commands import ArbiterState
+from minidual.control.reflexes import REFLEXES
+from minidual.control.stack import ControlStack
+from minidual.plant.render import StampedImage
+from minidual.plant.world import World
+from minidual.robot.kinematics import Kinematics
+from minidual.robot.pair import Array
+
+_RANK_EPS = 1e-3
+"""Keeps the wrench finite where a hand has lost a direction of motion."""
+
+
+class Driver(StrEnum):
+    """Who drives the arms in a tick; recorded is the place in this order."""
+
+    LEADER = "leader"
+    POLICY = "policy"
+    CORRECTION = "correction"
+
+
+DRIVERS = tuple(Driver)
+ARBITER_STATES = tuple(ArbiterState)
+REFLEX_NAMES = ("", *REFLEXES)
+
+
+class Signals:
+    """Measures the chosen signals of a tick.
+
+    Args:
+        stack: Of the session.
+        names: Of `schema.SIGNALS`.
+        period_s: Of a tick.
+    """
+
+    def __init__(self, stack: ControlStack[World], names: Sequence[str], period_s: float) -> None:
+        self._stack = stack
+        self._names = tuple(names)
+        self._period_s = period_s
+        self._kinematics = Kinematics(stack.plant.robot) if names else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._stamps_s: dict[str, float] = {}
+
+    def measure(
+        self,
+        pictures: Mapping[str, StampedImage],
+        driver: Driver,
+        late_s: float,
+    ) -> dict[str, Array]:
+        """Return arrays by field of the schema; empty without signals.
+
+        Args:
+            pictures: Of this tick.
+            driver: Who drives.
+            late_s: Wall time by which the tick came late.
+        """
+        if not self._names:
+            return {}
+        values = {"signal_timestamps": np.array(self._stack.plant.stamp_s)}
+        lost_n = self._count_lost(pictures)
+        for name in self._names:
+            values[name] = np.asarray(self._value(name, driver, late_s, lost_n), dtype=float)
+        return values
+
+    def _value(self, name: str, driver: Driver, late_s: float, lost_n: int) -> Array | float:
+        match name:
+            case "hand_wrench":
+                return self._wrenches()
+            case "internal_force":
+                return self._internal_force()
+            case "arbiter_state":
+                return ARBITER_STATES.index(self._stack.state)
+            case "reflex":
+                reflex = self._stack.reflex
+                return 0 if reflex is None else REFLEX_NAMES.index(reflex.name)
+            case "driver":
+                return DRIVERS.index(driver)
+            case "late_s":
+                return late_s
+            case _:
+                return lost_n
+
+    def _count_lost(self, pictures: Mapping[str, StampedImage]) -> int:
+        """Return the number of cameras without a new picture since the last tick."""
+        lost_n = 0
+        for camera, picture in pictures.items():
+            lost_n += picture.stamp_s <= self._stamps_s.get(camera, -np.inf)
+            self._stamps_s[camera] = picture.stamp_s
+        return lost_n
+
+    def _wrenches(self) -> Array:
+        """Return the wrench of contacts on each hand (2, 6) [N, Nm], at the tcp, world axes.
+
+        It is what the external torques of the arm's joints mean at the hand, by damped least
+        squares.
+        """
+        assert self._kinematics is not None
+        robot = self._kinematics.robot
+        external_nm = self._stack.supervisor.touch
+        wrenches = np.zeros((2, 6))
+        for arm, J in enumerate(self._kinematics.tcp_jacobians(self._stack.plant.q)):
+            own = robot.joints_of(arm)
+            J_own = J[:, own]
+            gram = J_own @ J_own.T + _RANK_EPS * np.eye(6)
+            wrenches[arm] = np.linalg.solve(gram, J_own @ external_nm[own])
+        return wrenches
+
+    def _internal_force(self) -> float:
+        """Return the force [N] with which the hands press on what lies between them, 0 or more."""
+        assert self._kinematics is not None
+        left, right = self._kinematics.tcp_poses(self._stack.plant.q)
+        apart = left[:3, 3] - right[:3, 3]
+        axis = apart / np.linalg.norm(apart)
+        of_left, of_right = self._wrenches()[:, :3]
+        return max(0.0, float(min(of_left @ axis, -(of_right @ axis))))
