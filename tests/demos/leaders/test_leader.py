@@ -14,7 +14,17 @@ from minidual.robot.pair import DUAL_PANDA
 from tests.support.carry_trials import carry_task, sample_trial
 
 HOME = DUAL_PANDA.home
-ROWS = ("augmented", "browser", "gamepad", "gello", "keyboard", "network", "replay", "scripted")
+ROWS = (
+    "augmented",
+    "browser",
+    "corrector",
+    "gamepad",
+    "gello",
+    "keyboard",
+    "network",
+    "replay",
+    "scripted",
+)
 
 
 def buttons_at(leader: Leader, now_s: float) -> tuple[Button, ...]:
