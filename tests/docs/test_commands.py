@@ -31,6 +31,7 @@ SMALLER = {
     r"teleop\.episodes_n=\d+": "teleop.episodes_n=4",
     "(runs/|--run )standard": r"\1smoke",
     "run --profile configs/mine.yaml": r"\g<0> --until env-check",
+    "^minidual bridge(?!.*--for-s)": r"\g<0> --for-s 1",
     "^minidual view(?! --for-s)": r"\g<0> --for-s 1",
     r"--for-s \d+": "--for-s 1",
     "teleop.leader=browser": r"\g<0> --set teleop.person.wait_max_s=1",

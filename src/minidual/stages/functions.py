@@ -181,6 +181,13 @@ def modes() -> ToolFunction:
     return modes
 
 
+@Deferred
+def bridge() -> ToolFunction:
+    from minidual.stages.bridge import bridge
+
+    return bridge
+
+
 # What resolves a configuration before a run
 
 

@@ -269,4 +269,5 @@ TOOLS = (
         moves=True,
         settings={"speed": "arbiter.speed_override"},
     ),
+    ToolEntry("bridge", functions.bridge, moves=True, settings={"task": "task"}),
 )

@@ -5,9 +5,11 @@ its row (`minidual.cli.rows`).
 """
 
 from minidual.cli.commands.benchmark import benchmark
+from minidual.cli.commands.bridge import bridge
 from minidual.cli.commands.carry import carry
 from minidual.cli.commands.config_forget import config_forget
 from minidual.cli.commands.config_show import config_show
+<<<<<<< HEAD
 from minidual.cli.commands.data import (
     data_augment,
     data_check,
@@ -16,6 +18,8 @@ from minidual.cli.commands.data import (
     data_split,
     data_stats,
 )
+            "export": data_export,
+            "import": data_import,
 from minidual.cli.commands.demo import demo
 from minidual.cli.commands.deploy import deploy
 from minidual.cli.commands.doctor import doctor
@@ -66,6 +70,12 @@ TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {
             "show": data_show,
             "merge": data_merge,
             "split": data_split,
+=======
+        "Recordings for and from other programs.",
+        {
+            "export": data_export,
+            "import": data_import,
+>>>>>>> 55a1389b (bridge and MCAP: arms on ROS 2 topics, recordings both ways)
         },
     ),
 }
@@ -78,6 +88,7 @@ TOOL_COMMANDS: dict[str, Command] = {
     "view": view,
     "replay": replay,
     "modes": modes,
+    "bridge": bridge,
 }
 READING = ("status", "explain", "doctor", "report")
 """Commands that only read a run: a run that was named must exist. The others begin one."""

@@ -1,0 +1,1 @@
+"""Recordings as MCAP files with ROS 2 messages."""
