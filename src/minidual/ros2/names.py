@@ -5,6 +5,8 @@ Topics and controllers have the names of the Mini-DualArm tutorial (docs/ros2.md
 
 from dataclasses import dataclass
 
+from minidual.robot.pair import Robot
+
 JOINT_STATES = "/joint_states"
 JOINT_COMMANDS = "/joint_commands"
 """What the arbiter lets through."""
@@ -80,3 +82,8 @@ class PackageNames:
     def packages(self) -> tuple[str, str, str]:
         """All packages, in the order of building."""
         return self.description, self.moveit, self.bringup
+
+
+def workspace_names(robot: Robot) -> PackageNames:
+    """Return the names for a pair of arms: dual_panda, or dual_panda_ur5 for two models."""
+    return PackageNames(f"dual_{robot.name.replace('+', '_')}")

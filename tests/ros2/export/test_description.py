@@ -14,7 +14,7 @@ from minidual.robot.pair import DUAL_PANDA, SIDES, Robot, robot_from
 from minidual.ros2.export.description import urdf
 from minidual.ros2.export.hardware import hardware_names
 from minidual.ros2.export.meshes import MeshFiles
-from minidual.ros2.names import PackageNames
+from minidual.ros2.names import PackageNames, workspace_names
 from tests.support.ros2_models import (
     Bodies,
     canonical,
@@ -29,11 +29,12 @@ from tests.support.ros2_names import TABLE
 TOLERANCE = 1e-9
 NAMES = PackageNames("dual_panda")
 ROBOTS = [robot_from(RobotConfig(arm=name)) for name in ("panda", "xarm7", "ur5")]
-each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.arm.name)
+ROBOTS.append(robot_from(RobotConfig(arm="panda", right_arm="ur5")))
+each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
 
 
 def exported(robot: Robot) -> tuple[str, MeshFiles]:
-    names = PackageNames(f"dual_{robot.arm.name}")
+    names = workspace_names(robot)
     meshes = MeshFiles(names.description)
     return ET.tostring(urdf(robot, meshes, names), encoding="unicode"), meshes
 
@@ -52,14 +53,14 @@ def test_pinocchio_reads_minidual_s_own_bodies(robot: Robot) -> None:
     for seed in range(3):
         positions = posture(robot, seed)
         own = in_pinocchio(pair_urdf(robot), positions)
-        assert len(own.poses) > 2 * robot.dof_per_arm
+        assert len(own.poses) > robot.dof
         assert differences(own, in_pinocchio(text, positions), TOLERANCE) == []
 
 
 @each_robot
 def test_mujoco_and_pinocchio_read_the_same_bodies(robot: Robot, tmp_path) -> None:
     text, meshes = exported(robot)
-    package = PackageNames(f"dual_{robot.arm.name}").description
+    package = workspace_names(robot).description
     meshes.copy_to(tmp_path / "src" / package)
     positions = posture(robot, 7)
     read = with_mesh_files(text, tmp_path)

@@ -16,15 +16,16 @@ from minidual.robot.pair import DUAL_PANDA, SIDES, Robot, robot_from
 from minidual.ros2.export.description import urdf
 from minidual.ros2.export.meshes import MeshFiles
 from minidual.ros2.export.semantic import srdf
-from minidual.ros2.names import PackageNames
+from minidual.ros2.names import workspace_names
 
 ROBOTS = [robot_from(RobotConfig(arm=name)) for name in ("panda", "xarm7", "ur5")]
-each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.arm.name)
+ROBOTS.append(robot_from(RobotConfig(arm="panda", right_arm="ur5")))
+each_robot = pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
 
 
 def trees(robot: Robot) -> tuple[ET.Element, ET.Element]:
     """Return SRDF and URDF."""
-    names = PackageNames(f"dual_{robot.arm.name}")
+    names = workspace_names(robot)
     return srdf(robot, names), urdf(robot, MeshFiles(names.description), names)
 
 

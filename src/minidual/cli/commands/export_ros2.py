@@ -17,6 +17,10 @@ def export_ros2(
         str | None,
         typer.Option(help="Arm model: panda, xarm7, ur5 or your own (default: the run's)."),
     ] = None,
+    right_arm: Annotated[
+        str | None,
+        typer.Option(help="Arm model of the right arm, if it is another one."),
+    ] = None,
     session: Session,
 ) -> ExitCode:
     """Write a ROS 2 workspace: description, MoveIt 2, ros2_control and launch files.
@@ -26,11 +30,16 @@ def export_ros2(
     Examples:
         minidual export ros2 --out dual_panda_ws
         minidual export ros2 --out dual_ur5_ws --arm ur5
+        minidual export ros2 --out mixed_ws --arm panda --right-arm ur5
     """
     from minidual.robot.pair import robot_from
     from minidual.ros2.export.workspace import export_workspace
 
-    overrides = [] if arm is None else [Override("robot.arm", arm, f"--arm {arm}")]
+    overrides: list[Override] = []
+    if arm is not None:
+        overrides.append(Override("robot.arm", arm, f"--arm {arm}"))
+    if right_arm is not None:
+        overrides.append(Override("robot.right_arm", right_arm, f"--right-arm {right_arm}"))
     config = session.loaded.with_overrides(overrides).config
     export = export_workspace(robot_from(config.robot), config, Path(out))
     paths = [file.path for file in export.files]

@@ -9,7 +9,6 @@ from minidual.cli.commands.bridge import bridge
 from minidual.cli.commands.carry import carry
 from minidual.cli.commands.config_forget import config_forget
 from minidual.cli.commands.config_show import config_show
-<<<<<<< HEAD
 from minidual.cli.commands.data import (
     data_augment,
     data_check,
@@ -18,8 +17,8 @@ from minidual.cli.commands.data import (
     data_split,
     data_stats,
 )
-            "export": data_export,
-            "import": data_import,
+from minidual.cli.commands.data_export import data_export
+from minidual.cli.commands.data_import import data_import
 from minidual.cli.commands.demo import demo
 from minidual.cli.commands.deploy import deploy
 from minidual.cli.commands.doctor import doctor
@@ -70,12 +69,8 @@ TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {
             "show": data_show,
             "merge": data_merge,
             "split": data_split,
-=======
-        "Recordings for and from other programs.",
-        {
             "export": data_export,
             "import": data_import,
->>>>>>> 55a1389b (bridge and MCAP: arms on ROS 2 topics, recordings both ways)
         },
     ),
 }

@@ -34,8 +34,7 @@ def check_joints(episode: Episode, robot: Robot) -> None:
     joints_n = episode.qpos.shape[1]
     if joints_n != robot.dof:
         raise DataError(
-            f"{episode.path} has {joints_n} joints; two arms of the model"
-            f" '{robot.arm.name}' have {robot.dof}",
+            f"{episode.path} has {joints_n} joints; the arms '{robot.name}' have {robot.dof}",
             remedy="name the arm of the recording: --set robot.arm=NAME",
         )
 

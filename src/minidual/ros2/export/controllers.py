@@ -83,8 +83,8 @@ def _types() -> dict[str, str]:
 def _trajectory_parameters(robot: Robot) -> dict[str, dict[str, Any]]:
     """Return the parameters of the trajectory controllers, which send positions."""
     joints = {BOTH_ARMS_CONTROLLER: list(robot.joint_names)}
-    for side in SIDES:
-        joints[arm_controller(side)] = [f"{side}_{joint}" for joint in robot.arm.joints]
+    for side, arm in zip(SIDES, robot.arms, strict=True):
+        joints[arm_controller(side)] = [f"{side}_{joint}" for joint in arm.joints]
     return {
         name: {
             "joints": names,

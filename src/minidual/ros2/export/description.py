@@ -5,9 +5,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
-from minidual.robot.description import arm_elements, materials
+from minidual.robot.description import arm_elements
+from minidual.robot.files import packages_of
 from minidual.robot.models import ArmModel
 from minidual.robot.pair import SIDES, Robot
+from minidual.robot.urdf import materials
 from minidual.ros2.export.markup import number, numbers, xacro
 from minidual.ros2.export.meshes import MeshFiles
 from minidual.ros2.names import PackageNames
@@ -23,12 +25,13 @@ _FIND = "$(find {})"
 def urdf(robot: Robot, meshes: MeshFiles, names: PackageNames) -> ET.Element:
     """Return the whole URDF without hardware, as the xacro files expand."""
     root = ET.Element("robot", name=names.robot)
-    root.extend(_material_elements(robot.arm))
+    for arm in dict.fromkeys(robot.arms):
+        root.extend(_material_elements(arm))
     ET.SubElement(root, "link", name=ROOT_LINK)
-    for side, position_m in zip(SIDES, robot.base_positions_m, strict=True):
-        root.extend(_arm_parts(robot.arm, f"{side}_", meshes))
-        base = _base_joint(f"{side}_", robot.arm.base_link, ROOT_LINK)
-        base.insert(0, _origin(position_m))
+    for side, arm, origin in zip(SIDES, robot.arms, _origins(robot), strict=True):
+        root.extend(_arm_parts(arm, f"{side}_", meshes))
+        base = _base_joint(f"{side}_", arm.base_link, ROOT_LINK)
+        base.insert(0, origin)
         root.append(base)
     return root
 
@@ -66,27 +69,32 @@ def pair_xacro(robot: Robot, names: PackageNames, hardware: tuple[str, ...]) -> 
     for name, default in defaults.items():
         ET.SubElement(root, xacro("arg"), name=name, default=default)
     folder = f"{_FIND.format(names.description)}/urdf"
-    for file in (f"{robot.arm.name}_arm.xacro", f"{names.robot}.ros2_control.xacro"):
+    files = [f"{arm.name}_arm.xacro" for arm in dict.fromkeys(robot.arms)]
+    for file in (*files, f"{names.robot}.ros2_control.xacro"):
         ET.SubElement(root, xacro("include"), filename=f"{folder}/{file}")
     ET.SubElement(root, "link", name=ROOT_LINK)
-    for side, position_m in zip(SIDES, robot.base_positions_m, strict=True):
+    for side, arm, origin in zip(SIDES, robot.arms, _origins(robot), strict=True):
         call = ET.SubElement(
             root,
-            xacro(f"{robot.arm.name}_arm"),
+            xacro(f"{arm.name}_arm"),
             {"prefix": f"{side}_", "parent": ROOT_LINK},
         )
-        call.append(_origin(position_m))
+        call.append(origin)
     ET.SubElement(root, xacro(f"{names.robot}_ros2_control"), hardware="$(arg hardware)")
     return root
 
 
-def _origin(position_m: tuple[float, float, float]) -> ET.Element:
-    return ET.Element("origin", xyz=numbers(position_m), rpy="0 0 0")
+def _origins(robot: Robot) -> list[ET.Element]:
+    """Return where the left and the right base stand."""
+    return [
+        ET.Element("origin", xyz=numbers(position_m), rpy=numbers(rpy_rad))
+        for position_m, rpy_rad in zip(robot.base_positions_m, robot.base_rpys_rad, strict=True)
+    ]
 
 
 def _base_joint(prefix: str, base_link: str, parent: str) -> ET.Element:
     """Return the joint that fixes a base, without its origin."""
-    joint = ET.Element("joint", name=f"{prefix}base", type="fixed")
+    joint = ET.Element("joint", name=f"{prefix}base_on_world", type="fixed")
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=f"{prefix}{base_link}")
     return joint
@@ -94,11 +102,12 @@ def _base_joint(prefix: str, base_link: str, parent: str) -> ET.Element:
 
 def _material_elements(arm: ArmModel) -> Iterator[ET.Element]:
     """Yield the colours that visuals name without giving them."""
-    colours = materials(arm.hand.urdf) | materials(arm.urdf)
+    packages = packages_of(arm.packages)
+    colours = materials(arm.hand.urdf, packages) | materials(arm.urdf, packages)
     used: dict[str, None] = {}
     for element in arm_elements(arm):
         for material in element.iter("material"):
-            used[material.attrib["name"]] = None
+            used[material.get("name", "")] = None
     for name in used:
         if name in colours:
             material = ET.Element("material", name=name)

@@ -17,7 +17,8 @@ KEYFRAME = "home"
 
 def hardware_names(robot: Robot) -> tuple[str, ...]:
     """Return the values of the argument `hardware`, default first."""
-    own = ("franka",) if robot.arm.name in FRANKA_ARMS else ()
+    are_frankas = all(arm.name in FRANKA_ARMS for arm in robot.arms)
+    own = ("franka",) if are_frankas else ()
     return ("mujoco", "mock", "gazebo", "minidual", *own)
 
 
@@ -113,17 +114,17 @@ def _minidual(robot: Robot, names: PackageNames) -> list[ET.Element]:
 def _franka(robot: Robot, names: PackageNames) -> list[ET.Element]:
     """Two blocks, one a controller box; their hands are nodes of franka_gripper."""
     systems: list[ET.Element] = []
-    for side in SIDES:
+    for side, arm in zip(SIDES, robot.arms, strict=True):
         system = _system(
             f"{side}_franka",
             "franka_hardware/FrankaHardwareInterface",
             version=_FRANKA_INTERFACE_VERSION,
-            robot_type=robot.arm.name,
+            robot_type=arm.name,
             prefix=f"{side}_",
             arm_prefix=f"{side}_",
             robot_ip=f"$(arg {side}_robot_ip)",
         )
-        for name in robot.arm.joints:
+        for name in arm.joints:
             joint = ET.SubElement(system, "joint", name=f"{side}_{name}")
             for interface in ("position", "velocity", "effort"):
                 ET.SubElement(joint, "command_interface", name=interface)
@@ -138,7 +139,8 @@ def _add_joints(system: ET.Element, robot: Robot, side: str) -> None:
 
     The second finger follows the first, as the URDF says (`mimic`).
     """
-    for name, position_rad in zip(robot.arm.joints, robot.arm.home, strict=True):
+    arm = robot.arms[SIDES.index(side)]
+    for name, position_rad in zip(arm.joints, arm.home, strict=True):
         _add_joint(system, f"{side}_{name}", position_rad, commanded=True)
     leading, following = robot.hand.finger_joints
     _add_joint(system, f"{side}_{leading}", robot.hand.travel_m, commanded=True)

@@ -150,12 +150,12 @@ def fixed_controllers(robot: Robot) -> dict[str, Any]:
     The arms of both_arms go through the controllers of the single arms, which must be active.
     """
     controllers: dict[str, Any] = {}
-    for side in SIDES:
+    for side, arm in zip(SIDES, robot.arms, strict=True):
         controllers[arm_controller(side)] = {
             "action_ns": "follow_joint_trajectory",
             "type": "FollowJointTrajectory",
             "default": True,
-            "joints": [f"{side}_{joint}" for joint in robot.arm.joints],
+            "joints": [f"{side}_{joint}" for joint in arm.joints],
         }
     for side in SIDES:
         leading, _ = robot.hand.finger_joints

@@ -13,6 +13,7 @@ from minidual.robot.pair import SIDES, Robot
 from minidual.ros2.export.hardware import KEYFRAME
 from minidual.ros2.export.markup import note
 from minidual.ros2.export.meshes import MeshFiles
+from minidual.ros2.names import workspace_names
 
 FULL_TORQUE_ERROR_RAD = 0.02
 """Error at which a servo reaches its torque limit; its stiffness follows."""
@@ -26,7 +27,7 @@ def scene_xml(robot: Robot, config: Config, meshes: MeshFiles, checked: str) -> 
     a Franka's controller does.
     """
     spec = build_spec(config.scene, robot)
-    spec.modelname = f"dual_{robot.arm.name}"
+    spec.modelname = workspace_names(robot).robot
     _replace_actuators(spec, robot)
     _couple_fingers(spec, robot)
     for body in spec.bodies:

@@ -36,13 +36,13 @@ def srdf(robot: Robot, names: PackageNames) -> ET.Element:
     An arm's group ends at the flange: a group must not contain its own end effector.
     """
     root = ET.Element("robot", name=names.robot)
-    for side in SIDES:
+    for side, arm in zip(SIDES, robot.arms, strict=True):
         group = ET.SubElement(root, "group", name=arm_group(side))
         ET.SubElement(
             group,
             "chain",
-            base_link=f"{side}_{robot.arm.base_link}",
-            tip_link=f"{side}_{robot.arm.flange_link}",
+            base_link=f"{side}_{arm.base_link}",
+            tip_link=f"{side}_{arm.flange_link}",
         )
     for name, sides in GROUP_ARMS.items():
         if len(sides) > 1:
@@ -55,12 +55,12 @@ def srdf(robot: Robot, names: PackageNames) -> ET.Element:
         state = ET.SubElement(root, "group_state", name=word, group=group)
         for joint, value in values.items():
             ET.SubElement(state, "joint", name=joint, value=number(value))
-    for side in SIDES:
+    for side, arm in zip(SIDES, robot.arms, strict=True):
         ET.SubElement(
             root,
             "end_effector",
             name=hand_group(side),
-            parent_link=f"{side}_{robot.arm.flange_link}",
+            parent_link=f"{side}_{arm.flange_link}",
             group=hand_group(side),
             parent_group=arm_group(side),
         )
@@ -84,12 +84,15 @@ def _add_hand_group(root: ET.Element, robot: Robot, side: str) -> None:
 
 def _group_states(robot: Robot) -> list[tuple[str, str, dict[str, float]]]:
     """Return group, name and joint positions of each named posture, and of open and closed hands."""
-    arm = robot.arm
-    postures = {"home": (arm.home, arm.home), **arm.postures}
+    left, right = robot.arms
+    postures = {"home": (left.home, right.home)}
+    for word in left.postures:
+        if word in right.postures:
+            postures[word] = (left.postures[word][0], right.postures[word][1])
     states: list[tuple[str, str, dict[str, float]]] = []
     for word, posture in postures.items():
         both: dict[str, float] = {}
-        for side, values in zip(SIDES, posture, strict=True):
+        for side, arm, values in zip(SIDES, robot.arms, posture, strict=True):
             joints = (f"{side}_{joint}" for joint in arm.joints)
             of_arm = dict(zip(joints, values, strict=True))
             states.append((arm_group(side), f"{side}_{word}", of_arm))

@@ -61,7 +61,7 @@ def _filled(name: str, **values: Any) -> str:
 
 def packages(robot: Robot, names: PackageNames) -> tuple[Package, Package, Package]:
     """Return the packages, in the order of building."""
-    arms = f"two arms of the model {robot.arm.name}"
+    arms = f"two arms: {' and '.join(arm.name for arm in robot.arms)}"
     simulators = [
         "mujoco_ros2_control",
         "mujoco_ros2_control_plugins",
@@ -153,7 +153,7 @@ def launch_file(name: str, robot: Robot, names: PackageNames) -> str:
         note=note(_LAUNCH_CHECK),
         names=names,
         topics=topics,
-        arm=robot.arm.name,
+        arms=[arm.name for arm in robot.arms],
         sides=SIDES,
         hardware=hardware_names(robot),
         broadcaster=topics.STATE_BROADCASTER,

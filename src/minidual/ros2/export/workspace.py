@@ -10,7 +10,7 @@ from minidual.config.root import Config
 from minidual.durable import replacing
 from minidual.errors import UsageError
 from minidual.plant.cameras import CAMERAS
-from minidual.robot.description import file_at
+from minidual.robot.files import file_at, packages_of
 from minidual.robot.pair import Robot
 from minidual.ros2.export import controllers, moveit, templates
 from minidual.ros2.export.description import arm_macro, pair_xacro, urdf
@@ -20,7 +20,7 @@ from minidual.ros2.export.meshes import MeshFiles
 from minidual.ros2.export.rviz import rviz_config
 from minidual.ros2.export.scene import scene_xml
 from minidual.ros2.export.semantic import srdf, unchecked_pairs
-from minidual.ros2.names import FORWARD_CONTROLLER, PackageNames
+from minidual.ros2.names import FORWARD_CONTROLLER, PackageNames, workspace_names
 
 CAMERA_HZ = 30.0
 _SOURCE = "src"
@@ -73,7 +73,7 @@ def export_workspace(robot: Robot, config: Config, folder: Path) -> Export:
         UsageError: The folder exists and is not empty, or its parent does not exist.
     """
     _check_target(folder)
-    names = PackageNames(f"dual_{robot.arm.name}")
+    names = workspace_names(robot)
     meshes = MeshFiles(names.description)
     files = (
         *_description_files(robot, config, names, meshes),
@@ -94,13 +94,13 @@ def export_workspace(robot: Robot, config: Config, folder: Path) -> Export:
         licences = _copy_licences(robot, description)
         text = templates.readme(
             names=names,
-            arm=robot.arm.name,
+            arms=[arm.name for arm in robot.arms],
             not_run=NOT_RUN,
             pairs_n=pairs_n,
             hardware=hardware_names(robot),
             forward=FORWARD_CONTROLLER,
             rows=files,
-            sources=sorted({robot.arm.urdf, robot.hand.urdf}),
+            sources=sorted({*(arm.urdf for arm in robot.arms), robot.hand.urdf}),
             licences=licences,
         )
         (partial / "README.md").write_text(text, encoding="utf-8")
@@ -129,7 +129,10 @@ def _description_files(
     yield from _package_files(place, package)
     documents = {
         f"{names.robot}.urdf": (urdf(robot, meshes, names), _URDF_CHECK),
-        f"{robot.arm.name}_arm.xacro": (arm_macro(robot.arm, meshes), _XACRO_CHECK),
+        **{
+            f"{arm.name}_arm.xacro": (arm_macro(arm, meshes), _XACRO_CHECK)
+            for arm in dict.fromkeys(robot.arms)
+        },
         f"{names.robot}.urdf.xacro": (
             pair_xacro(robot, names, hardware_names(robot)),
             _XACRO_CHECK,
@@ -208,12 +211,13 @@ def _including(file: str, names: PackageNames) -> ET.Element:
 def _copy_licences(robot: Robot, folder: Path) -> list[str]:
     """Copy the licence texts that lie above the descriptions; return their names."""
     copied: dict[str, Path] = {}
-    for address in (robot.arm.urdf, robot.hand.urdf):
-        for above in file_at(address).parents[:3]:
-            licence = above / "LICENSE"
-            if licence.is_file():
-                copied[f"LICENSE.{above.name}"] = licence
-                break
+    for arm in robot.arms:
+        for address in (arm.urdf, arm.hand.urdf):
+            for above in file_at(address, packages_of(arm.packages)).parents[:3]:
+                licence = above / "LICENSE"
+                if licence.is_file():
+                    copied[f"LICENSE.{above.name}"] = licence
+                    break
     for name, source in copied.items():
         shutil.copyfile(source, folder / name)
     return [f"{_SOURCE}/{folder.name}/{name}" for name in copied]
