@@ -12,8 +12,7 @@ from minidual import durable
 from minidual.config.root import changed
 from minidual.config.seeds import subseed
 from minidual.demos import recording, rig
-from minidual.demos.augment.segments import read_sources
-from minidual.demos.episode import episode_paths
+from minidual.demos.augment.segments import read_sources, source_paths
 from minidual.durable import expanded, write_csv
 from minidual.errors import NothingEvaluatedError, UsageError
 from minidual.gate.canonical import file_sha256
@@ -152,11 +151,8 @@ def _job(context: ToolContext, folder: Path) -> tuple[rig.Job, list[str], int]:
 def _inputs(context: ToolContext, job: rig.Job) -> dict[str, Any]:
     """Return what determines the episodes: settings, code, and the demonstrations that are moved."""
     inputs = recording_inputs(job.task.config)
-    place = Path(job.teleop.augment.path)
-    paths: list[Path] = []
-    for inner in ("", "episodes", "teleop-record/episodes"):
-        paths = paths or episode_paths(place / inner)
     inputs["seed"] = job.seed
+    paths = source_paths(job.teleop.augment.path)
     inputs["sources"] = {path.name: file_sha256(path) for path in paths}
     return inputs
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import io
 import re
 import sys
@@ -41,7 +42,7 @@ def test_the_page_holds_films_signals_and_faults_and_needs_no_network(folder: Pa
     assert text.count("data:video/mp4;base64,") == 4
     assert text.count("<canvas data-plot=") == 2 * 4, "two of states, two of efforts"
     assert "two &lt;episodes&gt;" in text
-    assert "1 faults" in text
+    assert "Faults: 1" in text
     assert "images_black: camera &#39;cam_high&#39;" in text
     assert re.findall(r"""(?:src|href)=["'](?!data:)""", text) == []
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
@@ -62,7 +63,14 @@ def test_a_plot_shows_at_most_eight_signals_and_the_command_over_the_state(folde
     episode = next(iter(open_data(str(folder), DUAL_PANDA).episodes())).episode
     assert episode is not None
     drawn = plots(episode)
-    assert [len(plot["lines"]) for plot in drawn] == [8, 6, 8, 6]
+    assert [len(plot["lines"]) for plot in drawn] == [7, 7, 7, 7]
+    many = dataclasses.replace(
+        episode,
+        state=np.hstack([episode.state] * 2),
+        state_names=tuple(f"s{k}" for k in range(28)),
+        effort=None,
+    )
+    assert [len(plot["lines"]) for plot in plots(many)] == [8, 8, 8, 4, 7, 7]
     first = drawn[0]["lines"][0]
     np.testing.assert_allclose(first["y"], episode.state[:, 0], rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(first["command"], episode.action[:, 0], rtol=1e-4, atol=1e-9)

@@ -6,7 +6,6 @@ it starts. From the last grasp to the first release both hands belong to the obj
 belongs to the object where it ends. The segments are those of Jiang et al., DexMimicGen, 2025.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,10 +111,7 @@ def read_sources(
     Raises:
         UsageError: There are none.
     """
-    place = Path(text)
-    paths: Sequence[Path] = ()
-    for inner in _PLACES:
-        paths = paths or episode_paths(place / inner)
+    paths = source_paths(text)
     if not paths:
         raise UsageError(
             f"there are no HDF5 episodes at '{text}'",
@@ -137,6 +133,15 @@ def read_sources(
             remedy="record a carry: minidual teleop-record --task rod_carry",
         )
     return sources, refused
+
+
+def source_paths(text: str) -> list[Path]:
+    """Return the episodes at a path: a recording, a run, or a folder of them."""
+    for inner in _PLACES:
+        paths = episode_paths(Path(text) / inner)
+        if paths:
+            return paths
+    return []
 
 
 def _placement(episode: Episode, fact: str, name: str) -> Placement:

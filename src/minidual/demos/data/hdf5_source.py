@@ -8,8 +8,9 @@ import numpy as np
 
 from minidual.demos.data.aloha import aloha_pictures, is_aloha, read_aloha
 from minidual.demos.data.source import DataEpisode, DataSource, Found, Image
-from minidual.demos.episode import Episode, inspect_episode
+from minidual.demos.episode import Episode, inspect_episode, read_episode
 from minidual.demos.lerobot_features import state_names
+from minidual.errors import DataError
 from minidual.robot.pair import Robot
 
 
@@ -62,10 +63,10 @@ class Hdf5Source(DataSource):
                 if found.episode is None or camera not in found.episode.cameras:
                     return None
                 return aloha_pictures(file, camera)
-        inspection = inspect_episode(path)
-        if inspection.episode is None:
+        try:
+            return read_episode(path, cameras=(camera,)).images[camera]
+        except DataError:  # its faults are found with the episode
             return None
-        return inspection.episode.images.get(camera)
 
     def _own(self, path: Path) -> Found:
         episode, faults = inspect_episode(path, robot=self._robot)

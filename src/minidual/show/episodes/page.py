@@ -13,6 +13,7 @@ import numpy as np
 from minidual.demos.data.check import Finding
 from minidual.demos.data.source import DataEpisode, DataSource, Image
 from minidual.plant.render import write_video
+from minidual.robot.pair import SIDES
 
 _POINTS_MAX = 400
 """Points of a drawn signal."""
@@ -89,7 +90,7 @@ def _shown(
 
 
 def plots(episode: DataEpisode) -> list[dict[str, Any]]:
-    """Return the plots of an episode, each with at most eight entries.
+    """Return the plots of an episode, each with at most eight entries of one arm.
 
     Actions are drawn dashed over the states of the same name.
     """
@@ -97,28 +98,42 @@ def plots(episode: DataEpisode) -> list[dict[str, Any]]:
     times = _numbers(episode.times_s[::every])
     commanded = {name: episode.action[:, k] for k, name in enumerate(episode.action_names)}
     drawn: list[dict[str, Any]] = []
-    for first in range(0, len(episode.state_names), _PLOT_ENTRIES_MAX):
-        names = episode.state_names[first : first + _PLOT_ENTRIES_MAX]
+    for group in _groups(episode.state_names):
         lines: list[dict[str, Any]] = []
-        for k, name in enumerate(names, start=first):
+        for k in group:
+            name = episode.state_names[k]
             line = {"name": name, "y": _numbers(episode.state[::every, k])}
             if name in commanded:
                 line["command"] = _numbers(commanded[name][::every])
             lines.append(line)
         drawn.append({"title": "state, and command dashed", "t": times, "lines": lines})
     unmatched = [name for name in episode.action_names if name not in episode.state_names]
-    for first in range(0, len(unmatched), _PLOT_ENTRIES_MAX):
-        names = unmatched[first : first + _PLOT_ENTRIES_MAX]
+    for group in _groups(unmatched):
+        names = [unmatched[k] for k in group]
         lines = [{"name": name, "y": _numbers(commanded[name][::every])} for name in names]
         drawn.append({"title": "action", "t": times, "lines": lines})
     if episode.effort is not None:
-        for first in range(0, episode.effort.shape[1], _PLOT_ENTRIES_MAX):
-            columns = range(first, min(first + _PLOT_ENTRIES_MAX, episode.effort.shape[1]))
-            lines = [
-                {"name": f"effort {k}", "y": _numbers(episode.effort[::every, k])} for k in columns
-            ]
+        joints = episode.state_names[: episode.effort.shape[1]]
+        if len(joints) < episode.effort.shape[1]:
+            joints = tuple(f"effort {k}" for k in range(episode.effort.shape[1]))
+        for group in _groups(joints):
+            lines = [{"name": joints[k], "y": _numbers(episode.effort[::every, k])} for k in group]
             drawn.append({"title": "effort", "t": times, "lines": lines})
     return drawn
+
+
+def _groups(names: Sequence[str]) -> list[list[int]]:
+    """Return the entries of each plot: of one arm, at most eight."""
+    groups: list[list[int]] = []
+    last_side = ""
+    for k, name in enumerate(names):
+        side = name.replace(".", "_").partition("_")[0]
+        is_same = side == last_side or side not in SIDES
+        if not groups or not is_same or len(groups[-1]) == _PLOT_ENTRIES_MAX:
+            groups.append([])
+        groups[-1].append(k)
+        last_side = side
+    return groups
 
 
 def _films(source: DataSource, numbers: Sequence[int]) -> dict[int, dict[str, str]]:

@@ -1,5 +1,6 @@
 """Demonstrations as a recording for the viewer rerun (.rrd)."""
 
+import importlib
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
@@ -59,6 +60,4 @@ def _rerun() -> Any:
             "--rrd needs the library rerun-sdk, which is not installed",
             remedy="pip install 'minidual[rerun]' (in a checkout: uv pip install rerun-sdk)",
         )
-    import rerun
-
-    return rerun
+    return importlib.import_module("rerun")
