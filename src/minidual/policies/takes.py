@@ -102,7 +102,7 @@ def require_arms(takes: Takes, checkpoint: Path, robot: Robot, cameras: Sequence
         else:
             difference = f"not {shortened(expected)}"
         raise UsageError(
-            f"the policy {checkpoint} has another {word} than two {robot.arm.name} arms: "
+            f"the policy {checkpoint} has another {word} than two {robot.name} arms: "
             f"{shortened(names)} ({len(names)}), {difference} ({len(expected)})",
             remedy=_OTHER_ROBOT,
         )

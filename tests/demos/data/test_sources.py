@@ -203,24 +203,29 @@ def test_efforts_and_other_arms_are_counted_as_what_they_are(aloha: Path) -> Non
     assert rows[0]["effort_peak"] == pytest.approx(10.0, rel=0.02)
 
 
-def test_efforts_of_this_program_are_kept(tmp_path: Path) -> None:
+def test_efforts_and_forces_of_this_program_are_kept(tmp_path: Path) -> None:
     effort = np.full((40, 14), -7.0)
     data = data_samples.arrays(cameras=("high",))
     from minidual.demos.schema import EpisodeMeta
     from minidual.demos.writer import EpisodeWriter
 
+    wrench = np.zeros((40, 2, 6))
+    wrench[7, 1] = (3.0, 0.0, 4.0, 90.0, 0.0, 0.0)
     meta = EpisodeMeta(fps=50.0, task="carry", seed=1, cameras=("high",))
     with EpisodeWriter(tmp_path / "e.hdf5", meta) as writer:
         for k in range(40):
-            writer.append(**data_samples.tick(data, k), effort=effort[k])
+            writer.append(**data_samples.tick(data, k), effort=effort[k], hand_wrench=wrench[k])
         writer.finish(success=True)
         writer.publish()
-    stats, _ = data_stats(
+    stats, rows = data_stats(
         open_data(str(tmp_path / "e.hdf5"), DUAL_PANDA),
         Kinematics(DUAL_PANDA),
     )
     assert stats.entries[0].effort_peak == 7.0
+    assert stats.force_peaks_n == {"left hand": 0.0, "right hand": 5.0}
+    assert "force peaks: left hand 0.0 N, right hand 5.0 N" in stats_lines(stats)
     assert np.isnan(stats.entries[15].effort_peak), "an opening has no torque"
+    assert (rows[0]["effort_peak"], rows[0]["force_peak_n"]) == (7.0, 5.0)
 
 
 def test_nothing_readable_has_no_numbers(recording: Path) -> None:

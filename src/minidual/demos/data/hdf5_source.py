@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from minidual.demos.data.aloha import aloha_pictures, is_aloha, read_aloha
-from minidual.demos.data.source import DataEpisode, DataSource, Found, Image
+from minidual.demos.data.source import DataEpisode, DataSource, Found, Image, force_sizes
 from minidual.demos.episode import Episode, inspect_episode, read_episode
 from minidual.demos.lerobot_features import state_names
 from minidual.errors import DataError
@@ -92,6 +92,10 @@ class Hdf5Source(DataSource):
                 for camera, images in episode.images.items()
             },
             effort=episode.effort,
+            forces=force_sizes(
+                episode.signals.get("hand_wrench"),
+                episode.signals.get("internal_force"),
+            ),
             success=episode.meta.success,
             task=episode.meta.task,
             facts=dict(episode.meta.extra),

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from minidual.demos.data.source import DataEpisode, DataSource, Found, Image
+from minidual.demos.data.source import DataEpisode, DataSource, Found, Image, force_sizes
 from minidual.demos.lerobot_features import reading
-from minidual.demos.lerobot_reader import read_dataset
+from minidual.demos.lerobot_reader import read_dataset, read_signal
 from minidual.demos.lerobot_video import BYTES_MAX
 from minidual.durable import regular_file
 
@@ -33,6 +33,8 @@ class LeRobotSource(DataSource):
     def episodes(self) -> Iterator[Found]:
         """See `DataSource.episodes`."""
         tables = self.tables
+        wrench = read_signal(self.root, "hand_wrench")
+        internal = read_signal(self.root, "internal_force")
         for number, (start, stop) in enumerate(zip(tables.starts, tables.stops, strict=True)):
             rows = slice(int(start), int(stop))
             episode = DataEpisode(
@@ -44,6 +46,10 @@ class LeRobotSource(DataSource):
                 state_names=tables.names,
                 action_names=tables.action_names,
                 cameras=tables.cameras,
+                forces=force_sizes(
+                    None if wrench is None else wrench[rows].astype(float),
+                    None if internal is None else internal[rows].astype(float),
+                ),
                 task=self._tasks.get(number, ""),
             )
             yield Found(episode.name, episode)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.demos.faults import EpisodeFault
-from minidual.robot.pair import Array
+from minidual.robot.pair import SIDES, Array
 
 Image = NDArray[np.uint8]
 
@@ -25,6 +25,7 @@ class DataEpisode:
         times_s: (T,) from the first tick.
         state, action: (T, entries), in the units of their source.
         effort: (T, entries) measured torques or currents, None where none were recorded.
+        forces: (T,) sizes of forces [N] by name, where they were recorded.
         success: None where it is not recorded.
         task: Instruction, or "".
         facts: What else its source says of it, in JSON types.
@@ -39,6 +40,7 @@ class DataEpisode:
     action_names: tuple[str, ...]
     cameras: Mapping[str, tuple[int, int]]
     effort: Array | None = None
+    forces: Mapping[str, Array] = field(default_factory=dict)
     success: bool | None = None
     task: str = ""
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -58,6 +60,23 @@ class Found(NamedTuple):
     name: str
     episode: DataEpisode | None
     faults: tuple[EpisodeFault, ...] = ()
+
+
+def force_sizes(hand_wrench: Array | None, internal_force: Array | None) -> dict[str, Array]:
+    """Return the sizes (T,) [N] of recorded forces by name.
+
+    Args:
+        hand_wrench: (T, 2, 6) or (T, 12), forces before torques, of the left and right hand; of
+            another size it is left out.
+        internal_force: (T,) or (T, 1).
+    """
+    forces: dict[str, Array] = {}
+    if hand_wrench is not None and hand_wrench[0].size == 6 * len(SIDES):
+        of_hands = np.linalg.norm(hand_wrench.reshape(-1, len(SIDES), 6)[..., :3], axis=2)
+        forces |= {f"{side} hand": of_hands[:, k] for k, side in enumerate(SIDES)}
+    if internal_force is not None:
+        forces["internal"] = np.abs(internal_force.reshape(-1))
+    return forces
 
 
 class DataSource(ABC):

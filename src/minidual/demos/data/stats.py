@@ -40,6 +40,7 @@ class DataStats(NamedTuple):
         durations_s: Least, median and most.
         successes_n: None where no source records it.
         cells_n: 5 cm cubes that the hands visit, None for other arms.
+        force_peaks_n: Largest recorded force by name.
         starts: Range (low, high) of x [m], y [m] and yaw [rad] of the object at the start.
     """
 
@@ -54,6 +55,7 @@ class DataStats(NamedTuple):
     successes_n: int | None
     switches_per_episode: float
     cells_n: int | None
+    force_peaks_n: dict[str, float]
     starts: tuple[tuple[float, float], ...]
     entries: tuple[EntryStats, ...]
 
@@ -93,6 +95,7 @@ def data_stats(
         successes_n=sum(known) if known else None,
         switches_per_episode=float(np.mean(switches)),
         cells_n=_union(hands),
+        force_peaks_n=_force_peaks_n(episodes),
         starts=_start_ranges(episodes),
         entries=_entries(episodes),
     )
@@ -122,6 +125,9 @@ def stats_lines(stats: DataStats) -> list[str]:
         lines.append(f"recorded as a success: {stats.successes_n} of {stats.episodes_n}")
     if stats.cells_n is not None:
         lines.append(f"coverage: the hands visit {stats.cells_n} cubes of {100 * CELL_M:.0f} cm")
+    if stats.force_peaks_n:
+        peaks = [f"{name} {peak:.1f} N" for name, peak in stats.force_peaks_n.items()]
+        lines.append(f"force peaks: {', '.join(peaks)}")
     if stats.starts:
         x, y, yaw = stats.starts
         lines.append(
@@ -189,6 +195,14 @@ def _union(hands: Sequence[set[tuple[int, ...]] | None]) -> int | None:
     return len(set().union(*known)) if known else None
 
 
+def _force_peaks_n(episodes: Sequence[DataEpisode]) -> dict[str, float]:
+    peaks: dict[str, float] = {}
+    for episode in episodes:
+        for name, values in episode.forces.items():
+            peaks[name] = max(peaks.get(name, 0.0), float(values.max()))
+    return peaks
+
+
 def _switches(episode: DataEpisode) -> int:
     columns = [k for k, name in enumerate(episode.action_names) if "gripper" in name.casefold()]
     return sum(len(grip_changes(episode.action[:, k])) for k in columns)
@@ -224,8 +238,12 @@ def _row(
         "gripper_switches": switches_n,
         "cells": "" if cells is None else len(cells),
         "effort_peak": "",
+        "force_peak_n": "",
         "task": episode.task,
     }
     if episode.effort is not None:
         row["effort_peak"] = round(float(np.abs(episode.effort).max()), 3)
+    if episode.forces:
+        largest_n = max(float(values.max()) for values in episode.forces.values())
+        row["force_peak_n"] = round(largest_n, 3)
     return row

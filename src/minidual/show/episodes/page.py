@@ -112,6 +112,9 @@ def plots(episode: DataEpisode) -> list[dict[str, Any]]:
         names = [unmatched[k] for k in group]
         lines = [{"name": name, "y": _numbers(commanded[name][::every])} for name in names]
         drawn.append({"title": "action", "t": times, "lines": lines})
+    if episode.forces:
+        lines = [{"name": n, "y": _numbers(f[::every])} for n, f in episode.forces.items()]
+        drawn.append({"title": "forces [N]", "t": times, "lines": lines})
     if episode.effort is not None:
         joints = episode.state_names[: episode.effort.shape[1]]
         if len(joints) < episode.effort.shape[1]:
