@@ -62,6 +62,27 @@ REFUSED = {
         2,
         "where there is nothing",
     ),
+    "minidual try rod_carry --method act --checkpoint outputs/train/checkpoints/last/pretrained_model": (
+        2,
+        "there is no policy (config.json) in that folder",
+    ),
+    "minidual deploy --policy outputs/train/checkpoints/last/pretrained_model": (
+        2,
+        "there is no policy (config.json) in that folder",
+    ),
+    "minidual benchmark --methods moveit,theirs "
+    "--policy theirs=outputs/train/checkpoints/last/pretrained_model": (
+        2,
+        "benchmark.policies.theirs: there is no policy (config.json)",
+    ),
+    "minidual try rod_carry --method act --checkpoint ws://127.0.0.1:8000": (
+        4,
+        "no policy server answers at ws://127.0.0.1:8000",
+    ),
+    "minidual benchmark --methods moveit,theirs --policy theirs=ws://127.0.0.1:8000": (
+        4,
+        "no policy server answers at ws://127.0.0.1:8000",
+    ),
     "minidual stop": (2, "nothing to stop: no command is working"),
     "minidual run --run cuda --set train.device=cuda": (4, "torch finds no CUDA device"),
     "minidual run --profile gpu": (4, "torch finds no CUDA device"),

@@ -11,13 +11,15 @@ import yaml
 
 from tests.docs.test_docs import parse
 from tests.docs.test_pages import words
+from tests.support import lerobot_env
 from tests.support.documents import ROOT, code_lines, printed_commands
 
 FRONT = ("README.md", "docs/quickstart.md", "docs/can-i.md")
 README_WORDS_MAX = 700
 """Tables included: what one reads in two to three minutes."""
-SET_UP = {"make setup", "make all", "make all PROFILE=smoke"}
-"""Typed by every build on a fresh clone (.ci/), `make all` with the profile smoke."""
+SET_UP = {"make setup", "make all", "make all PROFILE=smoke", "make plugins"}
+"""Typed by every build on a fresh clone (.ci/), `make all` with the profile smoke; the plug-ins are
+built by tests/plugins/test_commands.py."""
 SHELL = (
     "source .venv/bin/activate",
     "export MINIDUAL_RUNS=/scratch/$USER/runs MINIDUAL_CACHE=/scratch/$USER/cache",
@@ -32,6 +34,7 @@ ISSUE_TEMPLATES = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 def untested_lines(page: str) -> list[str]:
     """Return the lines of a page's code blocks that no test types."""
     typed = {command for name, command in printed_commands() if name == page}
+    typed |= set(lerobot_env.printed_lines())
     known = typed | SET_UP | set(SHELL)
     return [
         line
@@ -42,7 +45,7 @@ def untested_lines(page: str) -> list[str]:
 
 @pytest.mark.parametrize("page", FRONT)
 def test_every_printed_line_is_typed_by_a_test(page: str) -> None:
-    """tests/docs/test_commands.py types them."""
+    """tests/docs/test_commands.py types them, and tests/plugins/test_commands.py those of LeRobot."""
     assert untested_lines(page) == []
 
 

@@ -123,7 +123,10 @@ def test_a_notebook_holds_no_results(notebook: Path) -> None:
     assert {cell["execution_count"] for cell in code} == {None}
 
 
-ELSEWHERE = {"lead_over_udp.py": "demos/leaders/test_network.py"}
+ELSEWHERE = {
+    "lead_over_udp.py": "demos/leaders/test_network.py",
+    "policy_server.py": "policies/test_server.py",
+}
 """Scripts that the tests of what they lead run."""
 
 

@@ -9,9 +9,12 @@ from typing import Any
 import pytest
 
 from minidual.config.root import Config, changed
-from minidual.errors import ConfigError
+from minidual.errors import UsageError
+from minidual.policies.server import folder_of
 from minidual.stages import policy_folders
-from minidual.stages.policy_folders import benchmark_config, outside_policies
+from minidual.stages.policy_folders import benchmark_config, deploy_config, outside_policies
+from minidual.trials.compared import benchmark_needs, name_policies
+from minidual.trials.methods import METHODS
 
 
 def policy(folder: Path, **values: Any) -> Path:
@@ -26,7 +29,8 @@ def config(**values: Any) -> Config:
 
 
 @pytest.fixture(autouse=True)
-def nothing_shipped(monkeypatch: pytest.MonkeyPatch) -> None:
+def nothing_shipped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("MINIDUAL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(policy_folders, "shipped_policy", lambda task, method: None)
 
 
@@ -72,10 +76,55 @@ def test_a_digest_cannot_be_claimed() -> None:
 @pytest.mark.parametrize(
     ("policies", "message"),
     [
+        (
+            {"theirs": "nowhere"},
+            r"'theirs', and that is none of the methods to compare: moveit, rl",
+        ),
+        ({"Their policy": "nowhere"}, "a policy cannot be named 'Their policy'"),
         ({"rl": "nowhere"}, r"benchmark.policies.rl: there is no policy \(config.json\) in"),
         ({"moveit": "nowhere"}, "benchmark.policies: 'moveit' drives no policy; act, rl do"),
     ],
 )
 def test_a_name_without_a_policy_is_refused(policies: dict[str, str], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(UsageError, match=message):
         benchmark_config(config(methods=("moveit", "rl"), policies=policies))
+
+
+@pytest.fixture
+def own_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names that a test adds are gone after it."""
+    monkeypatch.setattr(METHODS, "_rows", dict(METHODS._all()))
+
+
+def test_a_policy_by_a_new_name_is_a_method_of_its_own(tmp_path: Path, own_table: None) -> None:
+    own = policy(tmp_path / "pretrained_model", type="diffusion")
+    settings = config(
+        methods=("moveit", "theirs", "served"),
+        policies={"theirs": str(own), "served": "ws://127.0.0.1:8000"},
+    )
+    resolved = benchmark_config(settings)
+    assert benchmark_needs(settings) == ("carry",)
+    assert METHODS["theirs"].learned
+    policies = outside_policies(resolved, "pot_lift")
+    assert policies["theirs"] == (own, "pot_lift")
+    assert policies["served"].checkpoint == folder_of("ws://127.0.0.1:8000")
+    assert set(resolved.benchmark.policy_digests) == {"theirs/pot_lift", "served/pot_lift"}
+
+
+def test_a_worker_knows_the_name_from_its_inputs(own_table: None) -> None:
+    name_policies(("theirs",), {"theirs": None})
+    assert METHODS["theirs"].needs_images
+
+
+def test_the_policy_of_deploy_has_a_digest(tmp_path: Path) -> None:
+    own = policy(tmp_path / "pretrained_model")
+    settings = changed(Config(task="pot_lift"), {"deploy.policy": str(own)})
+    before = deploy_config(settings).deploy.policy_digest
+    assert len(before) == 16
+    (own / "weights").write_bytes(b"other")
+    assert deploy_config(settings).deploy.policy_digest not in ("", before)
+    claimed = changed(Config(task="pot_lift"), {"deploy.policy_digest": before})
+    assert deploy_config(claimed).deploy.policy_digest == ""
+    nowhere = changed(settings, {"deploy.policy": "nowhere"})
+    with pytest.raises(UsageError, match=r"deploy\.policy: there is no policy \(config\.json\)"):
+        deploy_config(nowhere)

@@ -121,8 +121,17 @@ def test_a_policy_from_elsewhere_needs_no_training_and_is_no_acceptance():
 
 def test_every_other_stage_needs_what_it_requires():
     config = load_config("standard").config
+    assert STAGES["deploy"].required(config) == ("train-act",)
     for entry in STAGES.values():
-        assert entry.required(config) == entry.requires
+        if entry.name != "deploy":
+            assert entry.required(config) == entry.requires
+
+
+def test_deploy_of_a_policy_from_elsewhere_needs_no_training_and_is_no_acceptance():
+    loaded = load_config("standard", ["deploy.policy=elsewhere"])
+    assert STAGES["deploy"].required(loaded.config) == ("carry",)
+    weaker = STAGES["deploy"].weaker(loaded.config, loaded.reference())
+    assert any("deploy.own_policy" in line for line in weaker)
 
 
 def test_inputs_are_artefacts_of_upstream_stages():

@@ -9,7 +9,9 @@ import sysconfig
 import venv
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.documents import ROOT, code_lines
+
+PAGES = ("README.md", "docs/lerobot.md")
 PLUGINS = sorted(path for path in (ROOT / "plugins").iterdir() if path.is_dir())
 
 
@@ -60,3 +62,9 @@ def environment(folder: Path) -> dict[str, str]:
 def command(python: Path, name: str) -> list[str]:
     """Return the beginning of a command of LeRobot: its own script, unmodified."""
     return [str(python), str(Path(sys.executable).with_name(name))]
+
+
+def printed_lines() -> list[str]:
+    """Return the lines of LeRobot's commands that the pages print, each once and in order."""
+    lines = [line for page in PAGES for line in code_lines((ROOT / page).read_text("utf-8"))]
+    return list(dict.fromkeys(line for line in lines if line.startswith("lerobot-")))

@@ -8,6 +8,7 @@ from minidual.durable import expanded
 from minidual.errors import UsageError
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import PolicyRuntime
+from minidual.policies.server import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import TASKS
@@ -27,8 +28,9 @@ def load_policy(
     `act(images, state)` at each tick. `cameras` is {camera: (height, width)} of what it needs.
 
     Args:
-        policy: A task ("rod_carry"), or the folder of a checkpoint
-            ("runs/standard/train-act/checkpoint").
+        policy: A task ("rod_carry"), the folder of a checkpoint
+            ("runs/standard/train-act/checkpoint", or one of LeRobot's), or the address of a policy
+            server ("ws://127.0.0.1:8000").
         device: "cpu" or "cuda".
         arm: Arm model that was recorded: "panda", "xarm7" or "ur5".
 
@@ -44,6 +46,8 @@ def load_policy(
 def checkpoint_of(policy: str | Path, method: str = "act") -> Path:
     """Return the checkpoint folder of a method's shipped policy for a task, or a folder with one.
 
+    The address of a policy server gives a folder that stands for it.
+
     Raises:
         UsageError: There is none.
     """
@@ -51,6 +55,8 @@ def checkpoint_of(policy: str | Path, method: str = "act") -> Path:
         shipped = shipped_policy(policy, method)
         if shipped is not None:
             return shipped
+    if is_address(str(policy)):
+        return folder_of(str(policy))
     folder = expanded(str(policy))
     if (folder / _CONFIG).is_file():
         return folder

@@ -201,6 +201,15 @@ class DeployConfig(StrictModel):
     """Ticks of a chunk run before the next inference."""
     blend_ticks: int = Field(default=8, ge=0, le=50)
     """Ticks over which a new chunk replaces the old one."""
+    answer_s: float | None = Field(default=None, ge=0.0, le=60.0)
+    """Simulated time from a look to its chunk.
+
+    None: what a policy server took, and nothing for a policy of this process.
+    """
+    policy: str = ""
+    """Folder of a checkpoint, or address of a policy server, instead of the trained policy."""
+    policy_digest: str = ""
+    """Filled in: what `policy` is."""
     threads: int = Field(default=1, ge=1, le=64)
     """Torch threads."""
     device: Literal["cpu", "cuda"] = "cpu"

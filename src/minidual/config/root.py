@@ -24,9 +24,10 @@ class BenchmarkConfig(StrictModel):
     """Undisturbed trials of each method in other tasks, {task: trials}; at most `trials_n`."""
     methods: AtLeast[tuple[str, ...]] = Field(default=("moveit", "impedance", "act"), min_length=1)
     policies: dict[str, str] = Field(default={})
-    """Folder of the policy, or of policies by task, of a learned method.
+    """Folder of the policy, or of policies by task, of a learned method; or address of a server.
 
-    Without: that of the run for `act`, those that come with the package for others.
+    Without: that of the run for `act`, those that come with the package for others. A name that is
+    no method's makes a method of the policy; `methods` must have it too.
     """
     policy_digests: dict[str, str] = Field(default={})
     """Filled in: what the policies from outside the run are, {method/task: digest}."""
@@ -123,7 +124,7 @@ class Config(StrictModel):
 
         Returns:
             The undisturbed trials of each named or further task, whether the benchmark has the
-            run's own task, and whether no policy from elsewhere was named.
+            run's own task, and whether no policy from elsewhere was named, there and in `deploy`.
         """
         benchmark = self.benchmark
         if benchmark.tasks:
@@ -134,6 +135,7 @@ class Config(StrictModel):
             "benchmark.tasks": trials,
             "benchmark.own_task": not benchmark.tasks or self.task in benchmark.tasks,
             "benchmark.own_policies": not benchmark.policies,
+            "deploy.own_policy": not self.deploy.policy,
         }
 
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from minidual.config.learning import TrainConfig
 from minidual.durable import read_json, reading, write_csv
-from minidual.errors import DataError, unknown_name
+from minidual.errors import DataError
 from minidual.policies.demonstrations import Demonstrations
+from minidual.policies.facts import PolicyFacts
 from minidual.registry import Registry
 
 Image = NDArray[np.uint8]
@@ -29,11 +30,18 @@ class ChunkPolicy(ABC):
         cameras: Image size (H, W) by camera.
         chunk_size: Actions per inference.
         dim: Entries of an action: of two arms the number of joints, plus two grippers.
+        own_pace: It looks at every tick and keeps its own queue of actions; `chunk_size` is 1.
+        answer_s: Wall time of its last answer that counts as simulated time: 0 for a policy of this
+            process, for which the simulation waits.
+        facts: What is known of its training.
     """
 
     cameras: Mapping[str, tuple[int, int]]
     chunk_size: int
     dim: int
+    own_pace: bool = False
+    answer_s: float = 0.0
+    facts: PolicyFacts = PolicyFacts()
 
     @property
     def state_dim(self) -> int:
@@ -42,6 +50,9 @@ class ChunkPolicy(ABC):
 
     def reset(self) -> None:  # noqa: B027
         """Forget earlier observations: a new episode begins."""
+
+    def instruct(self, task: str) -> None:  # noqa: B027
+        """Take the task's instruction, for policies that read one."""
 
     @abstractmethod
     def predict(
@@ -137,18 +148,27 @@ POLICIES: Registry[PolicyKind] = Registry("policy", group="minidual.policies")
 # By name, because their modules import torch and LeRobot.
 POLICIES.add("spatial_act", "minidual.policies.act:SPATIAL_ACT")
 POLICIES.add("act", "minidual.policies.act:ACT_KIND")
+_OTHERS: Registry[PolicyKind] = Registry("policy")
+"""Policies that are not trained here: behind a socket, and whatever LeRobot can load."""
+_OTHERS.add("server", "minidual.policies.server:SERVER")
+_OTHERS.add("lerobot", "minidual.policies.foreign:FOREIGN")
 
 
 def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -> ChunkPolicy:
-    """Load any checkpoint; raises as `PolicyKind.load`."""
+    """Load any checkpoint: of a row of POLICIES, else of a type that LeRobot knows.
+
+    Raises:
+        DataError, EnvironmentMissingError: See `PolicyKind.load`.
+    """
     if not folder.is_dir():
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     with reading(f"checkpoint {folder}", f"{REMEDY} --force"):
         kind = read_json(folder / "config.json")["type"]
-        if kind not in POLICIES:
-            unknown = unknown_name("policy", kind, POLICIES)
-            raise DataError(f"checkpoint {folder}: {unknown.message}")
-    return POLICIES[kind].load(folder, device, threads)
+    if kind in POLICIES:
+        row = POLICIES[kind]
+    else:
+        row = _OTHERS[kind if kind in _OTHERS else "lerobot"]
+    return row.load(folder, device, threads)
 
 
 def write_loss_csv(curve: Sequence[LossRow], path: Path) -> None:

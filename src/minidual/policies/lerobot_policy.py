@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from minidual.demos.lerobot_reader import STATE, camera_key, camera_name
+from minidual.demos.lerobot_reader import STATE, camera_name
 from minidual.errors import DataError
+from minidual.plant.cameras import CAMERAS
 from minidual.policies.kinds import ChunkPolicy, Image
 
 
@@ -32,24 +33,35 @@ def threads(count: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+_IMAGES = "observation.images."
+_TASK = "task"
+
+
 class TorchChunkPolicy(ChunkPolicy):
-    """A LeRobot policy with processors, run on `threads` threads (None: torch's default)."""
+    """A LeRobot policy with processors, run on `threads` threads (None: torch's default).
+
+    "observation.images.high" is the camera `high`, and so is our own "observation.images.cam_high".
+    """
 
     def __init__(self, trained: Trained, threads: int | None) -> None:
         self._trained = trained
         self._threads = threads
+        self._task = ""
         config = trained.policy.config
         state = config.robot_state_feature
         action = config.action_feature
         if state is None or action is None:
             raise DataError("the checkpoint does not map a state to actions")
-        self.chunk_size = int(config.chunk_size)
+        self.chunk_size = int(getattr(config, "chunk_size", 1))
         self.dim = int(action.shape[0])
         self._state_dim = int(state.shape[0])
         self.cameras: dict[str, tuple[int, int]] = {}
+        self._keys: dict[str, str] = {}
         for key, feature in config.image_features.items():
+            camera = _camera(key)
             _, height, width = feature.shape
-            self.cameras[camera_name(key)] = (int(height), int(width))
+            self.cameras[camera] = (int(height), int(width))
+            self._keys[camera] = key
 
     @property
     def state_dim(self) -> int:
@@ -60,18 +72,45 @@ class TorchChunkPolicy(ChunkPolicy):
         """See `ChunkPolicy.reset`."""
         self._trained.policy.reset()
 
+    def instruct(self, task: str) -> None:
+        """See `ChunkPolicy.instruct`."""
+        self._task = task
+
     def predict(
         self,
         images: Mapping[str, Image],
         state: NDArray[np.float32],
     ) -> NDArray[np.float64]:
         """Return one chunk."""
-        observation: dict[str, torch.Tensor] = {STATE: torch.from_numpy(state)}
+        observation: dict[str, Any] = {STATE: torch.from_numpy(state), _TASK: self._task}
         for camera, pixels in images.items():
             channels_first = torch.from_numpy(pixels).permute(2, 0, 1)
-            observation[camera_key(camera)] = channels_first.float().div_(255.0)
+            observation[self._keys[camera]] = channels_first.float().div_(255.0)
         with torch.inference_mode(), threads(self._threads):
-            batch = self._trained.preprocessor(observation)
-            actions = self._trained.policy.predict_action_chunk(batch)
-            chunk = self._trained.postprocessor(actions)
-        return chunk[0].to(torch.float64).numpy()
+            chunk = self._answer(self._trained.preprocessor(observation))
+        return chunk.to(torch.float64).numpy(force=True)
+
+    def _answer(self, batch: Any) -> torch.Tensor:
+        """Return actions (chunk_size, dim) in the units of the data."""
+        actions = self._trained.policy.predict_action_chunk(batch)
+        return self._trained.postprocessor(actions)[0]
+
+
+class TorchTickPolicy(TorchChunkPolicy):
+    """A LeRobot policy that looks at every tick, such as diffusion, which reads the last ones."""
+
+    own_pace = True
+
+    def __init__(self, trained: Trained, threads: int | None) -> None:
+        super().__init__(trained, threads)
+        self.chunk_size = 1
+
+    def _answer(self, batch: Any) -> torch.Tensor:
+        """See `TorchChunkPolicy`; the policy queues what it predicts."""
+        return self._trained.postprocessor(self._trained.policy.select_action(batch))
+
+
+def _camera(key: str) -> str:
+    """Return the camera of a feature: one of the scene, else a name of its own."""
+    short = key.removeprefix(_IMAGES)
+    return short if short in CAMERAS else camera_name(key)

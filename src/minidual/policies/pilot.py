@@ -13,10 +13,11 @@ from minidual.control.stack import ControlStack
 from minidual.errors import DataError
 from minidual.plant.cameras import CAMERAS
 from minidual.plant.world import World
-from minidual.policies.kinds import Image
+from minidual.policies.facts import Driver, Place, require_fit
+from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import PolicyStoppedError
-from minidual.policies.policy import PolicyRuntime
-from minidual.policies.takes import read_takes, require_arms
+from minidual.policies.policy import AS_MEASURED, Latency, PolicyRuntime
+from minidual.policies.takes import read_takes, require_arms, require_scene
 from minidual.robot.pair import Robot
 
 SOURCE = "policy"
@@ -27,24 +28,43 @@ Picture = Callable[[str], tuple[Image, float]]
 """Returns a camera's image (H, W, 3) and when it was taken [s], on the control clock."""
 
 
-def load_runtime(checkpoint: Path, config: DeployConfig, robot: Robot) -> PolicyRuntime:
+def load_runtime(
+    checkpoint: Path,
+    config: DeployConfig,
+    robot: Robot,
+    place: Place | None = None,
+) -> PolicyRuntime:
     """Load a checkpoint, clamped to the limits of joints and openings.
+
+    With `place` its cameras, joints, rate, statistics and units are compared with what is there.
 
     Raises:
         DataError: Corrupt checkpoint.
-        UsageError: One for other arms, or cameras that are not here.
+        UsageError: One for other arms, cameras or rates.
     """
     takes = read_takes(checkpoint)
     if takes is not None:
         require_arms(takes, checkpoint, robot, CAMERAS)
-    return PolicyRuntime.load(
-        checkpoint,
-        config.device,
-        threads=config.threads,
+        if place is not None:
+            require_scene(takes, checkpoint, place.picture_px, place.rate_hz)
+    policy = load_policy(checkpoint, config.device, config.threads)
+    if place is None:
+        latency = AS_MEASURED
+    else:
+        require_fit(driver_of(policy), robot, place, str(checkpoint))
+        latency = Latency(place.rate_hz, config.answer_s)
+    return PolicyRuntime(
+        policy,
         n_action_steps=config.n_action_steps,
         blend_ticks=config.blend_ticks,
         limits=(robot.q_lower, robot.q_upper),
+        latency=latency,
     )
+
+
+def driver_of(policy: ChunkPolicy) -> Driver:
+    """Return what a policy reads, drives, and was trained on."""
+    return Driver(policy.cameras, policy.state_dim, policy.dim, policy.facts)
 
 
 def next_command(

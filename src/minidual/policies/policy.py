@@ -4,6 +4,7 @@ The runtime runs `n_action_steps` of each chunk, then blends in the next: they d
 0.05 rad.
 """
 
+import math
 import time
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minidual.errors import DataError, UsageError
+from minidual.policies.chunks import ChunkQueue
 from minidual.policies.demonstrations import Demonstrations
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
-from minidual.policies.plausible import Plausible
+from minidual.policies.plausible import Plausible, PolicyStoppedError
 from minidual.robot.pair import GRIPPERS_N, Array, Robot
 
 _SAMPLES_N = 256
@@ -23,6 +25,22 @@ Limits = tuple[Array, Array]
 """Lower and upper (n,) [rad]."""
 Pictures = Mapping[str, Image | Callable[[], Image]]
 """Images (H, W, 3) uint8 by camera, or functions that render them when needed."""
+
+
+class Latency(NamedTuple):
+    """How much simulated time passes until an answer comes.
+
+    Attributes:
+        rate_hz: Of actions.
+        answer_s: Time of every answer; None: that of `ChunkPolicy.answer_s`.
+    """
+
+    rate_hz: float = 50.0
+    answer_s: float | None = None
+
+
+AS_MEASURED = Latency()
+"""At the usual rate, as long as the policy says."""
 
 
 class PolicyRuntime:
@@ -33,6 +51,7 @@ class PolicyRuntime:
         n_action_steps: See DeployConfig.
         blend_ticks: See DeployConfig.
         limits: Joint limits (lower, upper) [rad] for clamping.
+        latency: How long answers take.
 
     Raises:
         UsageError: Settings unfit for the checkpoint.
@@ -45,17 +64,24 @@ class PolicyRuntime:
         n_action_steps: int = 25,
         blend_ticks: int = 8,
         limits: Limits | None = None,
+        latency: Latency = AS_MEASURED,
     ) -> None:
         self.policy = policy
         self.joints_n = policy.dim - GRIPPERS_N
         self.cameras = policy.cameras
+        if policy.own_pace:
+            n_action_steps = 1
+            blend_ticks = 0
         if not 1 <= n_action_steps <= policy.chunk_size:
             raise UsageError(
                 f"n_action_steps {n_action_steps} is outside 1..{policy.chunk_size}, "
                 "this policy's chunk",
+                remedy=f"--set deploy.n_action_steps={policy.chunk_size}, or fewer",
             )
+        self._latency = latency
         self._steps = n_action_steps
         self._blend_ticks = blend_ticks
+        self._queue = ChunkQueue(n_action_steps, blend_ticks)
         self._lower = np.full(policy.dim, -np.inf)
         self._upper = np.full(policy.dim, np.inf)
         if limits is not None:
@@ -102,9 +128,7 @@ class PolicyRuntime:
 
     def reset(self) -> None:
         """Drop the queue (new episode or mode)."""
-        self._chunk: Array | None = None
-        self._old: Array | None = None
-        self._cursor = 0
+        self._queue.reset()
         self._plausible.reset()
         self.policy.reset()
 
@@ -116,13 +140,11 @@ class PolicyRuntime:
         Raises:
             DataError: Missing or wrong input; PolicyStoppedError: what no clamp may hide.
         """
-        if self._chunk is None or self._cursor >= self._steps:
+        if self._queue.is_due:
             chunk = self._infer(images, state)
-            self._old = self._remainder()
-            self._chunk = chunk
-            self._cursor = 0
-        action = self._blended(self._chunk[self._cursor])
-        self._cursor += 1
+            self._queue.add(chunk, self._delay_ticks())
+        # Without a chunk the arms stay where they are.
+        action = self._queue.next(np.asarray(state, dtype=float))
         self._plausible.action(action)
         return np.clip(action, self._lower, self._upper)
 
@@ -180,22 +202,15 @@ class PolicyRuntime:
                     f"the policy needs {', '.join(self.cameras)}, given were {given}",
                 )
 
-    def _remainder(self) -> Array | None:
-        """Return the actions of the present chunk that are blended with the next one."""
-        if self._chunk is None:
-            return self._old
-        left = self._chunk[self._cursor :]
-        if len(left):
-            return left
-        # Without overlap the last action is held while the new chunk is blended in.
-        return np.repeat(self._chunk[-1:], self._blend_ticks, axis=0)
-
-    def _blended(self, action: Array) -> Array:
-        """Return the action mixed with that of the old chunk, in the first ticks of a new one."""
-        if self._old is None or self._cursor >= min(self._blend_ticks, len(self._old)):
-            return action
-        share = (self._cursor + 1) / (self._blend_ticks + 1)
-        return share * action + (1 - share) * self._old[self._cursor]
+    def _delay_ticks(self) -> int:
+        """Return after how many ticks the last answer comes."""
+        latency = self._latency
+        answer_s = self.policy.answer_s if latency.answer_s is None else latency.answer_s
+        ticks = math.ceil(answer_s * latency.rate_hz - 1e-9)
+        if ticks >= self.policy.chunk_size:
+            limit_s = self.policy.chunk_size / latency.rate_hz
+            raise PolicyStoppedError("late_answer", age_s=answer_s, limit_s=limit_s)
+        return ticks
 
     def _checked_state(self, state: Array) -> NDArray[np.float32]:
         array = np.asarray(state, dtype=np.float32)

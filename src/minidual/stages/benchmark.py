@@ -16,8 +16,14 @@ from minidual.stages.checkpoint_choice import recorded_task
 from minidual.stages.policy_folders import outside_policies
 from minidual.tasks.catalogue import tasks_of
 from minidual.trials import benchmark
+from minidual.trials.compared import benchmark_methods
 from minidual.trials.conditions import CLEAN
-from minidual.trials.methods import METHODS, MethodInputs, TrainedPolicy, check_able
+from minidual.trials.methods import (
+    METHODS,
+    MethodInputs,
+    TrainedPolicy,
+    check_able,
+)
 from minidual.trials.metrics import MethodSummary, TrialMetrics
 from minidual.trials.trial_table import Series, count_results
 
@@ -293,7 +299,7 @@ class _Results:
 
 def run(context: StageContext) -> StageResult:
     """Run all trials and write the tables."""
-    methods = METHODS.names(context.config.benchmark.methods)
+    methods = benchmark_methods(context.config)
     trials_n = benchmark.trials_asked(context.config)
     inputs = _method_inputs(context, methods)
     watch = watch_trials(context.view)
@@ -331,7 +337,12 @@ def run(context: StageContext) -> StageResult:
 def network_notes(context: StageContext, methods: Sequence[str]) -> list[str]:
     """Name the network behind each method that drives the trained policy."""
     trained = context.upstream.get("train-act")
-    learned = [name for name in methods if METHODS[name].learned and _of_the_run(name)]
+    named = context.config.benchmark.policies
+    learned = [
+        name
+        for name in methods
+        if METHODS[name].learned and _of_the_run(name) and name not in named
+    ]
     if trained is None or not learned:
         return []
     network = architecture(read_json(trained / "train.json").get("architecture", "unknown"))
@@ -350,12 +361,13 @@ def _method_inputs(context: StageContext, methods: Sequence[str]) -> dict[str, M
     recorded = context.upstream.get("teleop-record")
     checkpoint = trained / "checkpoint" if trained is not None else None
     policy_task = recorded_task(recorded) if recorded is not None else ""
+    named = context.config.benchmark.policies
     own: dict[str, TrainedPolicy] = {}
     if checkpoint is not None:
         own = {
             method: TrainedPolicy(checkpoint, policy_task)
             for method in methods
-            if METHODS[method].learned and _of_the_run(method)
+            if METHODS[method].learned and _of_the_run(method) and method not in named
         }
     inputs: dict[str, MethodInputs] = {}
     for name, task in tasks.items():

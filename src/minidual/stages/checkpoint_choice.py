@@ -9,6 +9,7 @@ from minidual.durable import expanded
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext
 from minidual.gate.verdict import CONFIG_FILE
+from minidual.policies.server import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
 from minidual.trials.methods import METHODS, TrainedPolicy
 
@@ -63,7 +64,7 @@ def named_policies(
                 f"--checkpoint {word}: the methods that drive a policy here are "
                 f"{', '.join(learned) or 'none'}",
             )
-        named[method] = policy_folder(path, f"--checkpoint {word}")
+        named[method] = policy_place(path, f"--checkpoint {word}")
     return named
 
 
@@ -73,6 +74,15 @@ def policy_folder(path: str | Path, typed: str) -> Path:
     if (folder / _CONFIG).is_file():
         return folder
     raise UsageError(f"{typed}: there is no policy ({_CONFIG}) in that folder")
+
+
+def policy_place(text: str, typed: str) -> Path:
+    """Return the folder of a policy, or one that stands for the address of a policy server.
+
+    Raises:
+        UsageError: There is no policy in that folder.
+    """
+    return folder_of(text) if is_address(text) else policy_folder(text, typed)
 
 
 def _only(word: str, learned: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from minidual.robot.pair import robot_from
 from minidual.stages.plants import simulator_only
 from minidual.tasks.catalogue import make_task, tasks_of
 from minidual.trials.benchmark import trials_asked
+from minidual.trials.compared import benchmark_methods
 from minidual.trials.conditions import CONDITIONS, condition, parse_conditions, rooms
 from minidual.trials.methods import METHODS, check_able
 
@@ -97,7 +98,7 @@ def check_benchmark(config: Config) -> None:
     """Raise UsageError for invalid methods, conditions and limits, or another plant."""
     simulator_only(config, "benchmark")
     tasks = tasks_of(config).values()
-    for name in METHODS.names(config.benchmark.methods):
+    for name in benchmark_methods(config):
         check_able(name, tasks)  # the stage looks at what a policy was trained on
     for name in config.benchmark.success_rate_min:
         METHODS[name]  # refuses an unknown name

@@ -22,7 +22,7 @@ from minidual.robot.pair import Array, robot_from
 from minidual.show.figures.canvas import draw_occlusion
 from minidual.show.figures.film import film_trial
 from minidual.show.watch import watch_trials
-from minidual.stages.checkpoint_choice import recorded_task
+from minidual.stages.checkpoint_choice import policy_place, recorded_task
 from minidual.stages.deploy_checks import (
     GOAL_ERROR_MEDIAN,
     HELD_OUT_SET,
@@ -95,12 +95,7 @@ def _poses(trial: Trial) -> list[object]:
 def run(context: StageContext) -> StageResult:
     """Run every trained policy on every set of trials; film one success and one failure."""
     config = context.config
-    trained = context.upstream["train-act"]
-    checkpoints = [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))]
-    recorded = context.upstream["teleop-record"]
-    check_able(METHOD, [make_task(config)], recorded_task(recorded))
-    episodes = episode_paths(recorded / "episodes")
-    demonstrated = [read_meta(path).trial for path in episodes]
+    checkpoints, demonstrated = _policies(context)
     starts = deploy_starts(config, context.seed, demonstrated)
     sets = _trial_sets(config, context.seed, starts)
     inputs = [MethodInputs(config, context.seed, checkpoint) for checkpoint in checkpoints]
@@ -126,17 +121,33 @@ def run(context: StageContext) -> StageResult:
         checks += set_checks(name, summary, rates, config.deploy)
         data |= record if name == HELD_OUT_SET else {name: record}
     checks.append(_looks_check(context, checkpoints[0], starts.held_out[0]))
-    undisturbed = [*results[HELD_OUT_SET], *results[TRAINING_SET]]
+    undisturbed = [*results[HELD_OUT_SET], *results.get(TRAINING_SET, [])]
     checks += _goal_error_checks(make_task(config), undisturbed)
     return StageResult(checks=checks, data=data)
 
 
+def _policies(context: StageContext) -> tuple[list[Path], list[int]]:
+    """Return the checkpoints, and the trials of their demonstrations.
+
+    Those of a policy that was named are not known: it has no trials from starts of its training.
+    """
+    config = context.config
+    task = make_task(config)
+    if config.deploy.policy:
+        check_able(METHOD, [task])
+        return [policy_place(config.deploy.policy, "deploy.policy")], []
+    trained = context.upstream["train-act"]
+    recorded = context.upstream["teleop-record"]
+    check_able(METHOD, [task], recorded_task(recorded))
+    demonstrated = [read_meta(path).trial for path in episode_paths(recorded / "episodes")]
+    return [trained / "checkpoint", *sorted(trained.glob("seed-*/checkpoint"))], demonstrated
+
+
 def _trial_sets(config: Config, seed: int, starts: Starts) -> dict[str, TrialSet]:
     """Return the sets of trials by name; sets under a condition repeat the held-out starts."""
-    sets = {
-        HELD_OUT_SET: TrialSet(CLEAN, starts.held_out),
-        TRAINING_SET: TrialSet(CLEAN, starts.training),
-    }
+    sets = {HELD_OUT_SET: TrialSet(CLEAN, starts.held_out)}
+    if not config.deploy.policy:
+        sets[TRAINING_SET] = TrialSet(CLEAN, starts.training)
     task = make_task(config)
     for name in config.deploy.conditions:
         widen = CONDITIONS[name].widen

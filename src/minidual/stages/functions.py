@@ -199,6 +199,13 @@ def task_config() -> Resolve:
 
 
 @Deferred
+def deploy_config() -> Resolve:
+    from minidual.stages.policy_folders import deploy_config
+
+    return deploy_config
+
+
+@Deferred
 def benchmark_config() -> Resolve:
     from minidual.stages.policy_folders import benchmark_config
 
@@ -209,8 +216,15 @@ def benchmark_config() -> Resolve:
 
 
 @Deferred
+def deploy_needs() -> Needs:
+    from minidual.stages.policy_folders import deploy_needs
+
+    return deploy_needs
+
+
+@Deferred
 def benchmark_needs() -> Needs:
-    from minidual.trials.methods import benchmark_needs
+    from minidual.trials.compared import benchmark_needs
 
     return benchmark_needs
 

@@ -9,8 +9,11 @@ from minidual.config.root import Config, changed
 from minidual.durable import expanded, read_json
 from minidual.errors import ConfigError
 from minidual.gate.canonical import digest, file_sha256
+from minidual.policies.server import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
+from minidual.stages.checkpoint_choice import policy_place
 from minidual.tasks import catalogue
+from minidual.trials.compared import benchmark_methods
 from minidual.trials.methods import METHODS, TrainedPolicy
 
 _CONFIG = "config.json"
@@ -29,6 +32,22 @@ def benchmark_config(config: Config) -> Config:
     return changed(resolved, {"benchmark.policy_digests": digests})
 
 
+def deploy_config(config: Config) -> Config:
+    """Return the configuration with the task's values, and a digest of `deploy.policy`."""
+    resolved = catalogue.task_config(config)
+    digest_now = ""
+    if resolved.deploy.policy:
+        digest_now = _digest(policy_place(resolved.deploy.policy, "deploy.policy"))
+    if digest_now == resolved.deploy.policy_digest:
+        return resolved
+    return changed(resolved, {"deploy.policy_digest": digest_now})
+
+
+def deploy_needs(config: Config) -> tuple[str, ...]:
+    """Return the stages that `deploy` needs: a policy that is named needs no training."""
+    return ("carry",) if config.deploy.policy else ("train-act",)
+
+
 def outside_policies(config: Config, task: str) -> dict[str, TrainedPolicy]:
     """Return the policies for a task that were named, or that come with the package.
 
@@ -39,7 +58,7 @@ def outside_policies(config: Config, task: str) -> dict[str, TrainedPolicy]:
     """
     named = _named(config.benchmark.policies)
     policies: dict[str, TrainedPolicy] = {}
-    for method in METHODS.names(config.benchmark.methods):
+    for method in benchmark_methods(config):
         spec = METHODS[method]
         if not spec.learned:
             continue
@@ -62,11 +81,15 @@ def _named(policies: Mapping[str, str]) -> dict[str, Path]:
             raise ConfigError(
                 f"benchmark.policies: '{method}' drives no policy; {', '.join(learned)} do",
             )
+        if is_address(path):
+            named[method] = folder_of(path)
+            continue
         folder = expanded(path)
         if not (folder / _CONFIG).is_file() and not any(folder.glob(f"**/{_CONFIG}")):
             raise ConfigError(
                 f"benchmark.policies.{method}: there is no policy ({_CONFIG}) in {folder}",
-                remedy=f"minidual train {method} --task TASK",
+                remedy="name the folder of a checkpoint, such as pretrained_model of lerobot-train,"
+                " or the address of a policy server: ws://127.0.0.1:8000",
             )
         named[method] = folder
     return named

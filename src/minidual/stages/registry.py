@@ -169,17 +169,19 @@ TRAIN_ACT = StageEntry(
 DEPLOY = StageEntry(
     "deploy",
     functions.deploy,
-    requires=("train-act",),
+    requires=("carry", "train-act"),
     summary="Let the policy drive the arms on seeds it never saw",
     reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
-    resolve=functions.task_config,
+    resolve=functions.deploy_config,
     check=functions.check_deploy,
+    needs=functions.deploy_needs,
     inputs={
+        "carry": (),
         "train-act": ("checkpoint/*", "seed-*/checkpoint/*"),
         "teleop-record": ("episodes/*",),
     },
     watchable=True,
-    settings={"trials": "deploy.trials", "task": "task"},
+    settings={"trials": "deploy.trials", "task": "task", "policy": "deploy.policy"},
 )
 BENCHMARK = StageEntry(
     "benchmark",

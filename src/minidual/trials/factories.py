@@ -14,8 +14,8 @@ from minidual.motion.api import Planner
 from minidual.plant.render import Camera, StampedImage
 from minidual.plant.sensing import Sensors
 from minidual.plant.world import World
+from minidual.policies.facts import Place
 from minidual.policies.pilot import PolicyPilot, load_runtime
-from minidual.policies.takes import read_takes, require_scene
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array, robot_from
 from minidual.skills.compliant_carry import CompliantCarry
@@ -163,12 +163,10 @@ def policy(inputs: MethodInputs) -> Factory:
         raise UsageError("a learned method needs a checkpoint", remedy="minidual train-act")
     config = inputs.config
     robot = robot_from(config.robot)
-    takes = read_takes(inputs.checkpoint)
-    runtime = load_runtime(inputs.checkpoint, config.deploy, robot)
-    if takes is not None:
-        camera = config.scene.camera
-        size = (camera.height_px, camera.width_px)
-        require_scene(takes, inputs.checkpoint, size, config.teleop.rate_hz)
+    pictures = config.scene.camera
+    place = Place((pictures.height_px, pictures.width_px), config.teleop.rate_hz)
+    runtime = load_runtime(inputs.checkpoint, config.deploy, robot, place)
+    runtime.policy.instruct(make_task(config).instruction)
     supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
 
     @functools.cache  # one a model: an OpenGL context is slow to create

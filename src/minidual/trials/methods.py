@@ -265,21 +265,6 @@ METHODS: Registry[MethodSpec] = Registry(
 )
 
 
-def benchmark_needs(config: Config) -> tuple[str, ...]:
-    """Return the stages that a benchmark needs: those of the policy only if a method drives it.
-
-    Methods with a trainer of their own bring their policy, and so does one whose policy is named.
-
-    Raises:
-        UsageError: There is no such method.
-    """
-    methods = METHODS.names(config.benchmark.methods)
-    own = [name for name in methods if METHODS[name].learned and METHODS[name].trainer is None]
-    if any(name not in config.benchmark.policies for name in own):
-        return ("carry", "deploy")
-    return ("carry",)
-
-
 def check_able(method: str, tasks: Collection[Task], trained: str = "") -> None:
     """Raise UsageError for a method that can do none of these tasks."""
     spec = METHODS[method]

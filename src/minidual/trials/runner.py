@@ -23,11 +23,18 @@ from minidual.robot.pair import Array, Robot, robot_from
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.judge import Failure, Outcome, begin
 from minidual.tasks.task import Task, Trial
+from minidual.trials.compared import name_policies
 from minidual.trials.condition import Disturbance
 from minidual.trials.conditions import CLEAN
 from minidual.trials.conditions import condition as named_condition
 from minidual.trials.measures import LOG_RATE_HZ, Sample, TrialLog, measure
-from minidual.trials.methods import METHODS, Method, MethodInputs, MethodSpec, check_able
+from minidual.trials.methods import (
+    METHODS,
+    Method,
+    MethodInputs,
+    MethodSpec,
+    check_able,
+)
 from minidual.trials.metrics import TrialMetrics, trial_metrics
 from minidual.trials.strain import strain
 from minidual.workers import in_workers
@@ -80,6 +87,7 @@ class Bench:
         *,
         visuals: bool = False,
     ) -> None:
+        name_policies((method,), inputs.policies.keys() & {method})  # a worker has its own table
         inputs = inputs.of(method)
         self.method = method
         self.seed = inputs.seed

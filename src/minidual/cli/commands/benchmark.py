@@ -31,8 +31,8 @@ def benchmark(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="METHOD=PATH",
-            help="Policy of a learned method, or a folder of them by task; repeatable.",
+            metavar="NAME=PATH",
+            help="Policy of a learned method, or of a new one; a folder or ws://HOST:PORT; repeatable.",
         ),
     ] = None,
     view_options: ViewOptions,
@@ -45,6 +45,7 @@ def benchmark(
         minidual benchmark --tasks rod_carry,handover --methods moveit,act
         minidual benchmark --tasks pot_lift --methods moveit,impedance,rl
         minidual benchmark --conditions clean,push_+y,friction_0.3
+        minidual benchmark --methods moveit,theirs --policy theirs=ws://127.0.0.1:8000
     """
     options = {
         "tasks": tasks,

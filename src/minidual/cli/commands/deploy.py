@@ -17,6 +17,13 @@ def deploy(
         str | None,
         typer.Option(help="Task, such as handover (default: the run's)."),
     ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH",
+            help="Any LeRobot checkpoint, or ws://HOST:PORT (default: the run's policy).",
+        ),
+    ] = None,
     view_options: ViewOptions,
     gate_options: GateOptions,
     session: Session,
@@ -26,6 +33,7 @@ def deploy(
     Examples:
         minidual deploy
         minidual deploy --trials 20 --view web
+        minidual deploy --policy outputs/train/checkpoints/last/pretrained_model
     """
-    options = {"trials": trials, "task": task}
+    options = {"trials": trials, "task": task, "policy": policy}
     return run_stage(session, "deploy", options, gate_options, view_options)

@@ -36,7 +36,7 @@ def try_out(
         list[str] | None,
         typer.Option(
             metavar="[METHOD=]PATH",
-            help="Folder of a policy, repeatable (default: the run's, else the package's).",
+            help="Folder or ws://HOST:PORT of a policy, repeatable (default: the run's or package's).",
         ),
     ] = None,
     video: Annotated[

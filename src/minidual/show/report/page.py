@@ -169,7 +169,8 @@ def _described(report: Report, method: str) -> MethodDescription:
     spec = METHODS[method]
     network = _network(report.context)
     summary = words.method(method, spec.summary)
-    drives_network = spec.learned and spec.trainer is None
+    is_named = method in report.context.config.benchmark.policies
+    drives_network = spec.learned and spec.trainer is None and not is_named
     if not drives_network or network is None:
         return MethodDescription(method, summary)
     if network.summary and words.is_source:
