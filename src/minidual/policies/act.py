@@ -25,6 +25,7 @@ from minidual.policies.architectures import (
 from minidual.policies.batches import Stats
 from minidual.policies.checkpoint import CONFIG, WEIGHTS, check_files, check_sizes, read_tensors
 from minidual.policies.demonstrations import Demonstrations
+from minidual.policies.facts import read_facts
 from minidual.policies.kinds import REMEDY, ChunkPolicy, PolicyKind, Training, TrainResult
 from minidual.policies.lerobot_policy import TorchChunkPolicy, Trained
 from minidual.policies.spatial_act.configuration_spatial_act import SpatialActConfig
@@ -87,6 +88,7 @@ class ActKind(PolicyKind):
         self.require(device)
         with durable.reading(f"checkpoint {folder}", f"{REMEDY} --force"):
             policy = TorchChunkPolicy(self.read(folder, device), threads)
+            policy.facts = read_facts(folder)
             _try_out(policy)
         return policy
 

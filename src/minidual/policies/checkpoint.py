@@ -22,6 +22,8 @@ STEPS = (
 )
 """Steps of ACT in LeRobot's registry. None of them runs code, opens a file or connects to a server.
 """
+_OF_TRAINING = ("training", "warmup", "decay", "seed")
+"""Parts of the names of settings that are no sizes of a network."""
 _STEP_KEYS = {"registry_name", "config", "state_file"}
 STATE_BYTES_MAX = 2**24
 WEIGHTS_BYTES_MAX = 2**32
@@ -63,7 +65,7 @@ def check_sizes(config: PreTrainedConfig) -> None:
     """Raise ValueError if the network would not fit a common memory."""
     sizes: dict[str, tuple[int, ...]] = {}
     for name, value in vars(config).items():
-        if isinstance(value, int):
+        if isinstance(value, int) and not any(part in name for part in _OF_TRAINING):
             sizes[name] = (value,)
     for features in (config.input_features, config.output_features):
         for name, feature in (features or {}).items():

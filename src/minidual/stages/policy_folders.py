@@ -56,9 +56,10 @@ def outside_policies(config: Config, task: str) -> dict[str, TrainedPolicy]:
     Raises:
         ConfigError: A folder that was named holds no policy, or its method drives none.
     """
+    methods = benchmark_methods(config)
     named = _named(config.benchmark.policies)
     policies: dict[str, TrainedPolicy] = {}
-    for method in benchmark_methods(config):
+    for method in methods:
         spec = METHODS[method]
         if not spec.learned:
             continue
