@@ -154,6 +154,39 @@ def test_the_stage_counts_the_rows_of_its_file(
     assert (checks["trials"].observed, checks["trials"].limit) == (12, 12)
 
 
+def test_a_policy_from_elsewhere_runs_without_a_training(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its demonstrations are not known, so it has no trials from their starts."""
+    driven: set[Path] = set()
+
+    def run_trials(method: str, given: Any, trials: list[Any], **more: Any) -> Iterator[Any]:
+        driven.add(given.checkpoint)
+        for trial in trials:
+            yield result(trial.index, method=method, condition=more["condition"])
+
+    monkeypatch.setattr(deploy_stage, "run_trials", run_trials)
+    monkeypatch.setattr(deploy_stage, "film_outcomes", lambda *_: None)
+    monkeypatch.setattr(deploy_stage, "measure_inference", lambda *_: FAST)
+    monkeypatch.setattr(deploy_stage, "_looks_check", lambda *_: LOOKS_AT_OBJECT.report(2.0))
+    theirs = tmp_path / "pretrained_model"
+    theirs.mkdir()
+    (theirs / "config.json").write_text('{"type": "diffusion"}')
+    settings = {"policy": str(theirs), "trials": 6, "hidden_trials": 2, "hidden_rate_max": None}
+    context = StageContext(
+        config=Config.model_validate({"deploy": settings}),
+        seed=1,
+        profile="standard",
+        folder=tmp_path / "deploy",
+        upstream={},
+    )
+    checks = deploy_stage.run(context).checks
+    assert failing(checks) == set()
+    assert driven == {theirs}
+    assert "training_success_rate" not in {check.name for check in checks}
+
+
 def test_deploy_asks_for_the_trials_of_every_training_seed(tmp_path: Path) -> None:
     results = {"held_out": [replace(row, condition="held_out") for row in missed(0)]}
     checks = deploy_stage.write_table(tmp_path / "trials.csv", results, {"held_out": 30})
