@@ -1,4 +1,4 @@
-"""`make bench`, or `python -m scripts.bench [control] [carry] [planning] [hard] [environments] [options]`.
+"""`make bench`, or `python -m scripts.bench [BENCH ...] [options]`.
 
 A bench measures against a yardstick of the same run: an absolute time says as much about the machine
 and its other work as about the code.
@@ -25,11 +25,20 @@ BENCHES: Registry[Bench] = Registry(
         "planning": "scripts.bench.planning:measure",
         "hard": "scripts.bench.hard:measure",
         "environments": "scripts.bench.environments:measure",
+        "passivity": "scripts.bench.passivity:measure",
+        "passivity-arms": "scripts.bench.passivity_arms:measure",
     },
 )
-REPEATS_N = {"control": 2000, "carry": 4000, "planning": 20, "hard": 50, "environments": 1500}
+REPEATS_N = {
+    "control": 2000,
+    "carry": 4000,
+    "planning": 20,
+    "hard": 50,
+    "environments": 1500,
+    "passivity": 100,
+}
 _REPEATS_N_DEFAULT = 20
-ONLY_NAMED = ("hard",)
+ONLY_NAMED = ("hard", "passivity", "passivity-arms")
 """They take many minutes, so they run only if named."""
 
 
@@ -73,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--repeats",
         type=int,
-        help="how often each thing is timed; draws per set of hard",
+        help="how often each thing is timed; draws per set of hard; traces a delay of passivity",
     )
     parser.add_argument("--seed", type=int, default=20261, help="of the planning queries")
     parser.add_argument(

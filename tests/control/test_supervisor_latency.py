@@ -16,6 +16,7 @@ from minidual.control.measurement import Measurement
 from minidual.control.observer import Expected
 from minidual.control.reflexes import REFLEXES
 from minidual.control.supervisor import Supervisor
+from minidual.control.tick_check import Violation
 from minidual.plant.world import World
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import DUAL_PANDA, Array
@@ -249,6 +250,17 @@ def emergency_stop(world: World) -> Timed:
     return arms
 
 
+def passivity(world: World) -> Timed:
+    arms = timed(world)
+
+    def report(t: float) -> None:
+        if begun(t):
+            arms.supervisor.report(Violation("passivity", "", "left arm for 0.5 s", -0.7, -0.5))
+
+    arms.run(0.2, before=report)
+    return arms
+
+
 def not_finite(world: World) -> Timed:
     arms = timed(world)
     arms.run(0.2, senses=lambda t, q, v: (nan_of(1)(q) if begun(t) else q, v))
@@ -326,6 +338,7 @@ MAKERS: dict[str, Callable[[World], Timed]] = {
     "measurement.implausible": implausible,
     "measurement.stale": stale,
     "measurement.clock": clock,
+    "passivity": passivity,
     "plant_failed": plant_failed,
     "controller_failed": controller_failed,
     "stale_command": stale_command,
@@ -352,6 +365,7 @@ PLACES: dict[str, tuple[str, float | None]] = {
     "measurement.implausible": ("left_panda_joint2", None),
     "measurement.stale": ("joint positions and velocities", 0.02),
     "measurement.clock": ("after 0.099 s", None),
+    "passivity": ("left arm for 0.5 s", -0.5),
     "plant_failed": ("a drive is too hot", None),
     "controller_failed": ("the law is singular", None),
     "stale_command": ("no command", 0.1),

@@ -19,7 +19,13 @@ REPORTED = {
         "duration_median_s",
         "jerk_rms_median",
     ],
-    "teleop-record": ["success_rate", "attempts", "latency_p50_s", "recorded_per_min"],
+    "teleop-record": [
+        "success_rate",
+        "attempts",
+        "lag_p99_s",
+        "latency_p50_s",
+        "recorded_per_min",
+    ],
     "train-act": [
         "train_s",
         "samples_per_s",

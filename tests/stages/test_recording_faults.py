@@ -111,6 +111,19 @@ def test_a_recorder_that_takes_40_s_an_episode(
     assert failing_checks(task, record(task, workers=1)) == {"episodes_per_min"}
 
 
+class LaggingRig(ToyRig):
+    """The arms are 150 ms behind the leader."""
+
+    behind_s = 0.15
+
+
+def test_arms_that_lag_behind_the_leader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = recorded(tmp_path, monkeypatch, LaggingRig)
+    attempts = record(task, workers=1)
+    assert failing_checks(task, attempts) == {"lag_p50_s"}
+    assert attempts.attempts[0].measures["lag_s"] == pytest.approx(0.15, abs=0.005)
+
+
 class SlowLeader(ScriptedLeader):
     """Each reading takes 110 ms."""
 

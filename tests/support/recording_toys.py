@@ -35,9 +35,15 @@ def job(folder: Path, **teleop: Any) -> Job:
 
 
 class ToyRig(Rig):
-    """Every fourth trial fails; `late_s` is the age of the joints when the images are taken."""
+    """Every fourth trial fails.
+
+    Attributes:
+        late_s: Age of the joints when the images are taken.
+        behind_s: By which the joints are behind their commands.
+    """
 
     late_s = 0.0
+    behind_s = 0.02
 
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
@@ -49,7 +55,8 @@ class ToyRig(Rig):
             time.sleep(60.0)
         phase = np.random.default_rng(trial.index).uniform(0.0, 2.0 * np.pi, 14)
         times = np.arange(TICKS) / 50.0
-        q = DUAL_PANDA.home + 0.05 * np.sin(2.0 * np.pi * 0.5 * times[:, None] + phase)
+        q = _sway(times, phase)
+        action = _sway(times + self.behind_s, phase)
         camera = self.job.task.scene.camera
         pixels = np.random.default_rng(7).integers(
             90,
@@ -67,7 +74,7 @@ class ToyRig(Rig):
                     qvel=np.zeros(14),
                     gripper=np.ones(2),
                     images=images,
-                    action=q[k] + 0.01,
+                    action=action[k],
                     action_gripper=np.ones(2),
                 ),
             )
@@ -77,6 +84,10 @@ class ToyRig(Rig):
 
     def close(self) -> None:
         """Nothing to free."""
+
+
+def _sway(times_s: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    return DUAL_PANDA.home + 0.05 * np.sin(2.0 * np.pi * 0.5 * times_s[:, None] + phase)
 
 
 def hang_in_conversion(paths: Iterable[Path], out_dir: Path, *_: Any, **__: Any) -> None:

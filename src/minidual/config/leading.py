@@ -1,8 +1,9 @@
 """Configuration of what leads the arms while demonstrations are recorded."""
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from minidual.config.base import StrictModel
+from minidual.config.link import SimulatedNetwork
 
 
 class MirrorConfig(StrictModel):
@@ -34,6 +35,27 @@ class PersonConfig(StrictModel):
     """Most attempts of a session; None: as many as the person makes."""
     rest_after_episodes: int = Field(default=20, ge=0, le=1000)
     """Episodes after which a rest is proposed; 0: never."""
+
+
+class LinkConfig(StrictModel):
+    """A simulated network between leader and arms, and the link over it."""
+
+    network: str = ""
+    """Such as delay=100ms,jitter=20ms,loss=5%,reorder=1%; empty: the leader stands beside the arms."""
+    passive: bool = True
+    """Whether the link's controllers keep both ports passive; its energies are observed anyway."""
+    takes_back_drift: bool = True
+    energy_min_j: float = Field(default=-0.5, ge=-1e3, le=0.0)
+    """Observed energy below which a port makes energy."""
+    short_max_s: float = Field(default=0.5, gt=0.0, le=60.0)
+    """Time under that bound after which the supervisor stops the arms."""
+
+    @field_validator("network")
+    @classmethod
+    def _is_a_network(cls, text: str) -> str:
+        if text:
+            SimulatedNetwork.parse(text)
+        return text
 
 
 class NetworkConfig(StrictModel):

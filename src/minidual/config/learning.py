@@ -8,6 +8,7 @@ from minidual.config.base import AtLeast, AtMost, Rate, StrictModel
 from minidual.config.leading import (
     GamepadConfig,
     GelloConfig,
+    LinkConfig,
     MirrorConfig,
     MultiplyConfig,
     NetworkConfig,
@@ -68,12 +69,18 @@ class TeleopConfig(StrictModel):
     """Most attempts per requested episode."""
     jerk_max_rad_s3: AtMost[float] = Field(default=200.0, gt=0.0, le=1e6)
     """Episodes with a larger RMS jerk are rejected."""
+    following: Literal["auto", "smooth", "swift"] = "auto"
+    """How the arms follow: swift feeds the leader's velocity forward. auto: swift for persons and
+    devices, smooth for scripts. Policies drive as their demonstrations were led."""
     latency_max_s: AtMost[float] = Field(default=0.1, gt=0.0, le=60.0)
+    lag_max_s: AtMost[float] = Field(default=0.1, gt=0.0, le=60.0)
+    """Of the joints behind the leader, median of all moving samples."""
     episodes_per_min: AtLeast[float | None] = Field(default=3.0, ge=0.0, le=1e4)
     """None reports the rate: a few episodes say more of the start of processes than of recording."""
     operator: OperatorConfig = OperatorConfig()
     mirror: MirrorConfig = MirrorConfig()
     person: PersonConfig = PersonConfig()
+    link: LinkConfig = LinkConfig()
     network: NetworkConfig = NetworkConfig()
     gamepad: GamepadConfig = GamepadConfig()
     gello: GelloConfig = GelloConfig()

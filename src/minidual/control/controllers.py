@@ -20,6 +20,7 @@ from minidual.control.execution import TrajectoryExecution
 from minidual.control.joint_control import ComputedTorque, ReferenceFilter
 from minidual.control.kernels import minimum_jerk
 from minidual.control.payload import Payload
+from minidual.control.target_lead import AnticipatingFilter
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, arms_of
 
@@ -87,6 +88,8 @@ class JointTrajectoryController(Controller):
         self._payload = payload
         self._holds = False
         self._servo = ComputedTorque(kinematics)
+        self._robot = kinematics.robot
+        self._filter: ReferenceFilter | AnticipatingFilter
         self._filter = ReferenceFilter(dt_s, kinematics.robot)
         self._executions: dict[TrajectoryExecution, _Fade | None] = {}
         """Running trajectories, with the fade of their start; None where it is over."""
@@ -96,6 +99,11 @@ class JointTrajectoryController(Controller):
         """Reference acceleration without them."""
         self._target = np.zeros(dof)
         self.reference = self._target
+
+    def anticipate(self, period_s: float) -> None:
+        """Feed the velocity of streamed targets of this period forward; the arms stand still."""
+        self._filter = AnticipatingFilter(self._dt, period_s, self._robot)
+        self._filter.reset(self.reference)
 
     def activate(self, q: Array, v: Array) -> None:
         """Start the reference at the measurement."""
@@ -112,6 +120,8 @@ class JointTrajectoryController(Controller):
         self._target = output.q_target.copy()
         self._holds = output.state is ArbiterState.HOLDING
         self._filter.limit_speed(output.speed)
+        if isinstance(self._filter, AnticipatingFilter):
+            self._filter.feeds = output.state is ArbiterState.ACTIVE
         for execution in output.executions:
             if not isinstance(execution, TrajectoryExecution) or execution in self._executions:
                 continue

@@ -38,7 +38,11 @@ class ReferenceFilter:
     """Second-order tracking of joint targets, with lag 2 / w after the ramp."""
 
     def __init__(
-        self, dt_s: float, robot: Robot, *, bandwidth_rad_s: float = REFERENCE_RAD_S
+        self,
+        dt_s: float,
+        robot: Robot,
+        *,
+        bandwidth_rad_s: float = REFERENCE_RAD_S,
     ) -> None:
         self._w = bandwidth_rad_s
         self._dt = dt_s

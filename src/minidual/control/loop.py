@@ -129,6 +129,12 @@ class ControlLoop:
         gravity = np.array(self._kinematics.gravity(measurement.q))
         self.applied = tau.copy() if holding else gravity  # keep the torques that hold an object
 
+    def anticipate(self, period_s: float) -> None:
+        """See `StackState.anticipate`; targets come with this period."""
+        for controller in self._controllers:
+            if isinstance(controller, JointTrajectoryController):
+                controller.anticipate(period_s)
+
     def recover(self) -> None:
         """Resume after a reflex at the measured posture, from the torques applied last.
 

@@ -112,6 +112,10 @@ REFLEXES: dict[str, ReflexKind] = {
         "see that the source runs and keeps its rate; supervisor.stale_s is how long it may be silent",
         {"": Cause("no command has come for too long", "s")},
     ),
+    "passivity": ReflexKind(
+        "leave teleop.link.passive on; see the energies of the link in attempts/*-link.csv",
+        {"": Cause("the link between leader and arms makes energy", "J")},
+    ),
 }
 
 

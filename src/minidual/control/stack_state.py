@@ -43,6 +43,13 @@ class StackState:
         """Ticks since the reset that came more than half a control period late."""
         return self._loop.reader.overruns_n
 
+    def anticipate(self, rate_hz: float) -> None:
+        """Feed the velocity of streamed targets of this rate forward; call while the arms rest.
+
+        The arms then lag a leader by little more than a period of the targets.
+        """
+        self._loop.anticipate(1.0 / rate_hz)
+
     @property
     def manager(self) -> ControllerManager:
         """The controllers."""

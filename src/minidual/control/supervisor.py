@@ -80,6 +80,7 @@ class Supervisor:
         self.reflex: Reflex | None = None
         """Latched until `reset`."""
         self._estop = ""
+        self._reported: Violation | None = None
         self.reset()
 
     # Interface -----------------------------------------------------------------------------------------------
@@ -95,6 +96,7 @@ class Supervisor:
         """
         emergency.check()
         self.reflex = None
+        self._reported = None
         if not holding:
             self.hold(None)
         self._deadline_s = math.inf
@@ -107,6 +109,10 @@ class Supervisor:
     def estop(self, reason: str = "pressed") -> None:
         """Stop the arms in the next tick; thread-safe."""
         self._estop = reason or "pressed"  # one assignment is atomic: no lock
+
+    def report(self, violation: Violation) -> None:
+        """Stop the arms in the next tick for what something outside the loop has found."""
+        self._reported = violation
 
     def hold(self, arm: int | None, T_tcp_shape: Array | None = None) -> None:
         """See `Clearance`."""
@@ -206,6 +212,8 @@ class Supervisor:
         if pressed:
             self._estop = ""  # a later one acts after `reset`
             return Violation("emergency_stop", "", pressed)
+        if self._reported is not None:
+            return self._reported
         stale_s = self.config.stale_s
         late_s = measurement.period_s - self.dt_s
         if late_s > stale_s:

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 from minidual import durable
 from minidual.config.base import StrictModel
 from minidual.demos.checks import Thumbnails
+from minidual.demos.lag import Lag
 from minidual.demos.quality import EpisodeQuality
 from minidual.errors import DataError
 from minidual.tasks.task import Trial, placement
@@ -18,7 +19,7 @@ KEPT = "episodes"
 REJECTED = "rejected"
 ATTEMPTS = "attempts"
 """Folders of a recording: demonstrations, other episodes, and one JSON file for each attempt."""
-MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad")
+MEASURES = ("completion_s", "goal_error_m", "tilt_max_rad", "lag_s")
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Attempt:
         latencies_s: Wall time per tick, see `SessionResult`.
         wall_s: Wall time to plan, run, write and read back.
         adopted: Whether an interrupted recording ran it.
-        quality, sync_error_max_s, faults, views: Of the file, read back; `views` are thumbnails.
+        quality, lag, sync_error_max_s, faults, views: Of the file, read back; `views` are thumbnails.
     """
 
     trial: Trial
@@ -42,6 +43,7 @@ class Attempt:
     wall_s: float = 0.0
     adopted: bool = False
     quality: EpisodeQuality | None = None
+    lag: Lag | None = None
     sync_error_max_s: float = float("nan")
     faults: tuple[str, ...] = ()
     views: Thumbnails = field(default_factory=dict)
@@ -107,6 +109,10 @@ class AttemptFiles:
     def record_path(self, index: int) -> Path:
         """Return the path of a trial's JSON file."""
         return self.folder / ATTEMPTS / f"{index:06d}.json"
+
+    def link_path(self, index: int) -> Path:
+        """Return the path of what a trial's link did (CSV)."""
+        return self.folder / ATTEMPTS / f"{index:06d}-link.csv"
 
     def write(self, attempt: Attempt) -> None:
         """Write an attempt's JSON file."""

@@ -6,7 +6,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal, NamedTuple, Self
 
+import numpy as np
+
 from minidual.config.learning import TeleopConfig
+from minidual.control.tick_check import Violation
 from minidual.demos.station import NO_STATION, Button, Station
 from minidual.motion.api import Planner
 from minidual.registry import Registry
@@ -84,12 +87,14 @@ class Feedback(NamedTuple):
         q: Joints (n,) [rad].
         openings: Of the hands (2,).
         external_nm: Torques (n,) that nothing but a contact explains.
+        met_nm: Torques (n,) that the surroundings put on the arms, steady ones included.
     """
 
     stamp_s: float
     q: Array
     openings: Array
     external_nm: Array
+    met_nm: Array = np.zeros(0)
 
 
 class Leader(ABC):
@@ -99,11 +104,13 @@ class Leader(ABC):
         features: What it gives.
         usage: Instructions, printed before the recording.
         hint: What a person should see of its state, such as the hand that its keys move.
+        violation: What the supervisor is to stop the arms for, or None.
     """
 
     features: ClassVar[Features] = Features()
     usage: ClassVar[str] = ""
     hint: str = ""
+    violation: Violation | None = None
 
     @classmethod
     @abstractmethod
@@ -137,6 +144,13 @@ class Leader(ABC):
 
     def close(self) -> None:  # noqa: B027 (as above)
         """Release the device."""
+
+
+def follows_swiftly(config: TeleopConfig) -> bool:
+    """Return whether arms feed the leader's velocity forward (`teleop.following`)."""
+    if config.following == "auto":
+        return LEADERS[config.leader].features.realtime
+    return config.following == "swift"
 
 
 LEADERS: Registry[type[Leader]] = Registry("leader", group="minidual.leaders")

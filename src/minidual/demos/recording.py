@@ -22,6 +22,7 @@ from minidual.demos.leader import LEADERS
 from minidual.demos.quality import EpisodeQuality
 from minidual.demos.rig import Rig
 from minidual.errors import DataError
+from minidual.robot.pair import Array
 from minidual.workers import in_workers
 
 INPUTS_FILE = "inputs.json"
@@ -131,6 +132,12 @@ class RecordedAttempts(NamedTuple):
         """Demonstrations in order."""
         return tuple(attempt for attempt in self.attempts if attempt.kept)
 
+    @property
+    def lags_s(self) -> Array:
+        """Lags of the moving samples of all demonstrations (m,), see `demos.lag`."""
+        lags = [attempt.lag.samples_s for attempt in self.kept if attempt.lag is not None]
+        return np.concatenate([np.empty(0), *lags])
+
     def numbers(self, elapsed_s: float = 0.0) -> dict[str, float]:
         """Return the judged numbers; NaN propagates and fails its check.
 
@@ -139,6 +146,7 @@ class RecordedAttempts(NamedTuple):
         """
         qualities = [cast(EpisodeQuality, attempt.quality) for attempt in self.kept]
         latencies_s = np.concatenate([attempt.latencies_s for attempt in self.attempts])
+        lags_s = self.lags_s if len(self.lags_s) else np.array([np.nan])
         recording_s = self._recording_s(self.attempts)
         adopted_s = self._recording_s([attempt for attempt in self.attempts if attempt.adopted])
         # A rejected attempt without pictures has no error; a demonstration's NaN must show.
@@ -157,6 +165,8 @@ class RecordedAttempts(NamedTuple):
             "sync_error_max_s": float(np.max(sync_errors_s)),
             "latency_p50_s": float(np.percentile(latencies_s, 50)),
             "latency_p99_s": float(np.percentile(latencies_s, 99)),
+            "lag_p50_s": float(np.percentile(lags_s, 50)),
+            "lag_p99_s": float(np.percentile(lags_s, 99)),
             "episodes_per_min": 60.0 * episodes_n / max(recording_s, adopted_s + elapsed_s),
             "recorded_per_min": 60.0 * episodes_n / recording_s,
             "recorded_ticks": sum(quality.ticks for quality in qualities),

@@ -2,10 +2,9 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -18,8 +17,11 @@ from minidual.demos.checks import thumbnails
 from minidual.demos.corrections import DrivingPolicy
 from minidual.demos.episode import inspect_episode
 from minidual.demos.job import PURPOSE, Job, Room
-from minidual.demos.leader import LEADERS, Leader, LeaderSetup
+from minidual.demos.lag import leader_lag
+from minidual.demos.leader import LEADERS, Leader, LeaderSetup, follows_swiftly
+from minidual.demos.link.linked_leader import LinkedLeader, linked
 from minidual.demos.quality import episode_quality, rms_jerk
+from minidual.demos.room_tour import RoomTour
 from minidual.demos.schema import EpisodeMeta
 from minidual.demos.session import SessionResult, TeleopSession, Tick
 from minidual.demos.station import NO_STATION, Station
@@ -41,6 +43,8 @@ MOTION_MIN_RAD = 1e-3
 class Rig:
     """World and session of one process."""
 
+    _leader: Leader | None = None
+
     def __init__(self, job: Job, cameras: Sequence[str]) -> None:
         self.job = job
         self.kinematics = Kinematics(job.robot)
@@ -54,10 +58,11 @@ class Rig:
             rate_hz=job.teleop.rate_hz,
             supervisor=trial_supervisor(job.supervisor, self.world.dt, job.robot),
         )
+        if follows_swiftly(job.teleop):
+            stack.anticipate(job.teleop.rate_hz)
         self.session = TeleopSession(stack, job.teleop, self._pictures)
         if job.policy is not None:
             self.session.policy = self._loaded(job.policy)
-        self._leader: Leader | None = None
         self.station = NO_STATION
 
     def _loaded(self, load: Callable[[], DrivingPolicy]) -> DrivingPolicy:
@@ -89,7 +94,7 @@ class Rig:
         ticks_per_room = round(teleop.room_change_s * teleop.rate_hz)
         # Leaving a room restores what was there when it was entered: the mark comes first.
         self.world.mark_goal(*placement(trial.goal[task.carried]))
-        with _RoomTour(lambda turn: self.room(trial, turn), ticks_per_room) as tour:
+        with RoomTour(lambda turn: self.room(trial, turn), ticks_per_room) as tour:
 
             def tick(measured: Tick) -> None:
                 on_tick(measured)
@@ -102,7 +107,8 @@ class Rig:
         if self._leader is None:
             job = self.job
             setup = LeaderSetup(job.robot, job.task, job.teleop, job.seed, self.station)
-            self._leader = LEADERS[job.teleop.leader].connect(setup)
+            leader = LEADERS[job.teleop.leader].connect(setup)
+            self._leader = linked(leader, setup)
         return self._leader
 
     def room(self, trial: Trial, turn: int = 0) -> AbstractContextManager[None]:
@@ -174,7 +180,7 @@ class Rig:
                 trial,
                 success=result.success,
                 reason=self._reason(result),
-                measures=_measures(result.outcome),
+                measures={**_measures(result.outcome), **self._link_measures()},
                 latencies_s=result.latencies_s,
             )
             is_unwanted = result.ended_by == "next" or self._is_empty(result)
@@ -191,8 +197,20 @@ class Rig:
             return attempt
 
     def _leader_facts(self) -> Mapping[str, object]:
-        leader = getattr(self, "_leader", None)
+        leader = self._leader
         return {} if leader is None else leader.facts
+
+    def _link_measures(self) -> dict[str, float]:
+        """Return what the link did in the episode; {} without one."""
+        leader = self._leader
+        return leader.measures() if isinstance(leader, LinkedLeader) else {}
+
+    def _write_link(self, trial: Trial) -> None:
+        leader = self._leader
+        if isinstance(leader, LinkedLeader) and leader.ticks:
+            path = AttemptFiles(self.job.folder).link_path(trial.index)
+            durable.make_folder(path.parent)
+            durable.write_csv(path, leader.rows())
 
     def _is_empty(self, result: SessionResult) -> bool:
         """Return whether an episode lasts under a second, or no joint moves."""
@@ -231,8 +249,14 @@ class Rig:
             attempt = replace(attempt, sync_error_max_s=float(np.max(sync_errors_s)))
         if faults:
             return attempt
+        lag = leader_lag(episode.action, episode.qpos, episode.meta.fps)
+        measures = dict(attempt.measures)
+        if np.isfinite(lag.aligned_s):
+            measures["lag_s"] = lag.aligned_s
         return replace(
             attempt,
+            lag=lag,
+            measures=measures,
             quality=episode_quality(episode, self.kinematics),
             views=thumbnails(episode.images),
         )
@@ -240,6 +264,7 @@ class Rig:
     def _concluded(self, attempt: Attempt, began: float) -> Attempt:
         """Return the attempt with its wall time, and write its JSON file."""
         attempt = replace(attempt, wall_s=time.perf_counter() - began)
+        self._write_link(attempt.trial)
         AttemptFiles(self.job.folder).write(attempt)
         return attempt
 
@@ -256,6 +281,8 @@ class Rig:
         if teleop.correct:
             extra["corrects"] = Path(teleop.correct).name
         room = self.job.room(trial)
+        if teleop.link.network:
+            extra["network"] = teleop.link.network
         if room is not None:
             extra["condition"] = room[0]
             extra["room_change_s"] = teleop.room_change_s
@@ -281,41 +308,3 @@ def _measures(outcome: Outcome) -> dict[str, float]:
         if np.isfinite(value):
             measures[name] = value
     return measures
-
-
-class _RoomTour(AbstractContextManager["_RoomTour"]):
-    """Shows the cameras one room after the other.
-
-    Args:
-        show: Returns the context of a turn's room.
-        ticks_each: Ticks after which the room changes; 0: never.
-    """
-
-    def __init__(
-        self,
-        show: Callable[[int], AbstractContextManager[None]],
-        ticks_each: int,
-    ) -> None:
-        self._show = show
-        self._ticks_each = ticks_each
-        self._ticks = 0
-        self._shown = ExitStack()
-
-    def __enter__(self) -> "_RoomTour":
-        self._shown.enter_context(self._show(0))
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._shown.__exit__(kind, error, traceback)
-
-    def tick(self) -> None:
-        """Count a tick; change the room if it is due."""
-        self._ticks += 1
-        if self._ticks_each and self._ticks % self._ticks_each == 0:
-            self._shown.close()
-            self._shown.enter_context(self._show(self._ticks // self._ticks_each))

@@ -334,9 +334,17 @@ class TeleopSession:
         )
         self._move(judge, 1)
         latency_s = time.perf_counter() - started
-        seat.mirror.leader.feedback(Feedback(stamp_s, q, gripper, self.stack.supervisor.touch))
+        self._feed_back(seat.mirror.leader, stamp_s, q, gripper)
         stopped = output.state == ArbiterState.STOPPED
         return _TickRun(tick, latency_s, "stopped" if stopped else None)
+
+    def _feed_back(self, leader: Leader, stamp_s: float, q: Array, gripper: Array) -> None:
+        """Tell the leader what the arms met, and the supervisor what is wrong with the leader."""
+        supervisor = self.stack.supervisor
+        met_nm = supervisor.observer.external.copy()
+        leader.feedback(Feedback(stamp_s, q, gripper, supervisor.touch, met_nm))
+        if leader.violation is not None:
+            supervisor.report(leader.violation)
 
     def _come_to_rest(self, judge: Judge) -> None:
         if self.stack.source is not None:

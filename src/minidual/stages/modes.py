@@ -9,6 +9,7 @@ import numpy as np
 
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import dumping
+from minidual.demos.leader import follows_swiftly
 from minidual.durable import expanded, write_csv, write_text
 from minidual.errors import ExitCode, GateClosedError, UsageError
 from minidual.gate.canonical import dumps
@@ -135,6 +136,8 @@ def _demo(
         rate_hz=rate_hz,
         supervisor=trial_supervisor(config.supervisor, world.dt, robot, dumping(recorder)),
     )
+    if follows_swiftly(config.teleop):  # as the policy's demonstrations were led
+        stack.anticipate(rate_hz)
     planner = Planner(config=config.plan.planner, robot=robot)
     operator = ScriptedOperator(config.scene, config.teleop.operator, kinematics=Kinematics(robot))
 

@@ -147,7 +147,12 @@ TELEOP_RECORD = StageEntry(
     inputs={},
     keeps=("episodes", "rejected", "attempts", "inputs.json"),
     watchable=True,
-    settings={"episodes": "teleop.episodes_n", "task": "task", "correct": "teleop.correct"},
+    settings={
+        "episodes": "teleop.episodes_n",
+        "task": "task",
+        "correct": "teleop.correct",
+        "network": "teleop.link.network",
+    },
 )
 TRAIN_ACT = StageEntry(
     "train-act",
@@ -171,7 +176,17 @@ DEPLOY = StageEntry(
     functions.deploy,
     requires=("carry", "train-act"),
     summary="Let the policy drive the arms on seeds it never saw",
-    reads=("robot", "task", "deploy", "scene", "arbiter", "supervisor", "teleop.rate_hz"),
+    reads=(
+        "robot",
+        "task",
+        "deploy",
+        "scene",
+        "arbiter",
+        "supervisor",
+        "teleop.rate_hz",
+        "teleop.following",
+        "teleop.leader",
+    ),
     resolve=functions.deploy_config,
     check=functions.check_deploy,
     needs=functions.deploy_needs,

@@ -13,6 +13,7 @@ from typing import Any
 from minidual.config.learning import DeployConfig, TeleopConfig
 from minidual.config.root import Config
 from minidual.demos import recording, rig
+from minidual.demos.attempt import AttemptFiles
 from minidual.demos.corrections import DrivingPolicy
 from minidual.demos.leader import LEADERS, Leader
 from minidual.demos.lerobot_reader import LeRobotTables
@@ -28,7 +29,8 @@ from minidual.gate.criterion import Criterion
 from minidual.gate.stage import StageContext, StageResult
 from minidual.robot.pair import robot_from
 from minidual.show.figures.film import film_demonstration
-from minidual.show.figures.teleop import draw_quality
+from minidual.show.figures.link import draw_link
+from minidual.show.figures.teleop import draw_lags, draw_quality
 from minidual.stages.leading import leading
 from minidual.tasks.catalogue import make_task
 from minidual.trials.conditions import rooms
@@ -67,6 +69,13 @@ LATENCY_P99 = Criterion(
     remedy="use fewer workers",
     clocked=True,
 )
+LAG_P50 = Criterion(
+    "lag_p50_s",
+    "<",
+    unit="s",
+    why="joints behind the leader, median of the moving samples of all demonstrations",
+    remedy="set teleop.following to swift, or raise teleop.rate_hz",
+)
 EPISODES_PER_MIN = Criterion(
     "episodes_per_min",
     ">",
@@ -99,6 +108,7 @@ SUCCESS_RATE = Criterion(
     why="share of attempts that achieved the task; others are left out",
 )
 ATTEMPTS = Criterion("attempts", why="trials that were led")
+LAG_P99 = Criterion("lag_p99_s", unit="s", why="the same, 99th percentile")
 LATENCY_P50 = Criterion("latency_p50_s", unit="s", why="median of the same", clocked=True)
 RECORDED_PER_MIN = Criterion(
     "recorded_per_min",
@@ -120,12 +130,14 @@ def record_checks(numbers: Mapping[str, float], config: TeleopConfig) -> list[Ch
         SCHEMA_OK.check(numbers["schema_ok"], True),
         JERK_RMS_MAX.check(numbers["jerk_rms_max"], config.jerk_max_rad_s3),
         LATENCY_P99.check(numbers["latency_p99_s"], config.latency_max_s),
+        LAG_P50.check(numbers["lag_p50_s"], config.lag_max_s),
         EPISODES_PER_MIN.check(numbers["episodes_per_min"], rate_min),
         SYNC_ERROR_MAX.check(numbers["sync_error_max_s"], MAX_SYNC_S),
         DATASET_ROWS.check(numbers["dataset_rows"], numbers["recorded_ticks"]),
         DATASET_EPISODES.check(numbers["dataset_episodes"], numbers["episodes"]),
         SUCCESS_RATE.report(numbers["success_rate"]),
         ATTEMPTS.report(numbers["attempts"]),
+        LAG_P99.report(numbers["lag_p99_s"]),
         LATENCY_P50.report(numbers["latency_p50_s"]),
         RECORDED_PER_MIN.report(numbers["recorded_per_min"]),
     ]
@@ -182,7 +194,7 @@ class _Demonstrations:
 
 
 def run(context: StageContext) -> StageResult:
-    """Record, convert and film; write quality.csv and quality.svg."""
+    """Record, convert and film; write quality.csv, quality.svg and lag.svg."""
     folder = context.folder
     teleop = context.config.teleop
     job = _job(context)
@@ -199,17 +211,30 @@ def run(context: StageContext) -> StageResult:
         film_demonstration(job, recorded.kept[0].trial.index, folder / "demonstration.mp4")
     tests = [job.task.trial(context.seed, "deploy", k) for k in range(_TESTS_SHOWN)]
     draw_quality(recorded.attempts, tests, teleop.jerk_max_rad_s3, folder / "quality.svg")
+    draw_lags(recorded.lags_s, teleop.lag_max_s, folder / "lag.svg")
+    _draw_link(context, recorded.kept)
     rejected = [a for a in attempts if not a.kept]
     data = {
         "rejected": {str(a.trial.index): a.reason for a in rejected},
         "faults": {str(a.trial.index): list(a.faults) for a in recorded.attempts if a.faults},
         "jerk_filter": JERK_FILTER,
     }
+    if teleop.link.network:
+        data["link"] = {str(a.trial.index): _of_link(a) for a in attempts}
     return StageResult(
         checks=record_checks(numbers, teleop),
         data=data,
         notes=_notes(attempts, rejected),
     )
+
+
+def _draw_link(context: StageContext, kept: Sequence[rig.Attempt]) -> None:
+    """Draw what the link did in the first demonstration, if there is one."""
+    if not context.config.teleop.link.network or not kept:
+        return
+    path = AttemptFiles(context.folder).link_path(kept[0].trial.index)
+    if path.exists():
+        draw_link(path, context.folder / "link.svg")
 
 
 def _job(context: StageContext) -> rig.Job:
@@ -281,6 +306,12 @@ def _nothing_recorded(
             "or the defaults of teleop.operator"
         )
     return NothingEvaluatedError(message, remedy=remedy)
+
+
+def _of_link(attempt: rig.Attempt) -> dict[str, float]:
+    """Return the measures of an attempt that its link gave."""
+    measures = attempt.measures
+    return {name: measures[name] for name in measures if name.startswith("link_")}
 
 
 def _notes(attempts: Sequence[rig.Attempt], rejected: Sequence[rig.Attempt]) -> list[str]:

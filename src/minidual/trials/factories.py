@@ -9,6 +9,7 @@ from minidual.config.scene import ObjectConfig
 from minidual.config.seeds import stream, subseed
 from minidual.control.stack import ControlStack
 from minidual.control.supervisor import Supervisor
+from minidual.demos.leader import follows_swiftly
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
 from minidual.plant.render import Camera, StampedImage
@@ -181,6 +182,8 @@ def policy(inputs: MethodInputs) -> Factory:
             rate_hz=config.teleop.rate_hz,
             supervisor=supervisor,
         )
+        if follows_swiftly(config.teleop):  # as its demonstrations were led
+            stack.anticipate(config.teleop.rate_hz)
 
         def picture(name: str) -> StampedImage:
             return camera(world.model).stamped(world.data, name)

@@ -24,6 +24,14 @@ def teleop_record(
             metavar="CHECKPOINT",
         ),
     ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(
+            metavar="delay=100ms,...",
+            help="Network between leader and arms, simulated in both directions: delay and jitter "
+            "of a round trip, loss and reorder in percent.",
+        ),
+    ] = None,
     view_options: ViewOptions,
     gate_options: GateOptions,
     session: Session,
@@ -35,6 +43,7 @@ def teleop_record(
         minidual teleop-record --task handover --view web
         minidual teleop-record --run fixed --correct runs/first/train-act/checkpoint \
             --set teleop.leader=browser
+        minidual teleop-record --network delay=100ms,jitter=20ms,loss=5%,reorder=1%
     """
-    options = {"episodes": episodes, "task": task, "correct": correct}
+    options = {"episodes": episodes, "task": task, "correct": correct, "network": network}
     return run_stage(session, "teleop-record", options, gate_options, view_options)

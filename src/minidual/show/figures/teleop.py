@@ -8,6 +8,7 @@ import numpy as np
 
 from minidual.demos.episode import read_episode
 from minidual.demos.rig import Attempt
+from minidual.robot.pair import Array
 from minidual.show.figures.canvas import BLUE, GREEN, INK, LIMIT, ORANGE, new_figure, save_plot
 from minidual.tasks.task import Trial, placement
 
@@ -32,6 +33,21 @@ def draw_quality(
     _draw_starts(starts, attempts, tested)
     _draw_jerks(jerks, attempts, jerk_limit_rad_s3)
     _draw_motion(motion, attempts)
+    save_plot(figure, path)
+
+
+def draw_lags(lags_s: Array, limit_s: float, path: Path) -> None:
+    """Draw a histogram of the joints' lags (m,) [s] behind the leader."""
+    figure, ((axis,),) = new_figure(1, 1, 5.5, 3.2)
+    axis.hist(1e3 * lags_s, bins=np.arange(0.0, 305.0, 5.0), color=BLUE)
+    for percent, style in ((50, "-"), (99, "--")):
+        if len(lags_s):
+            lag_ms = 1e3 * float(np.percentile(lags_s, percent))
+            label = f"{percent} %: {lag_ms:.0f} ms"
+            axis.axvline(lag_ms, color=ORANGE, lw=1.2, ls=style, label=label)
+    axis.axvline(1e3 * limit_s, color=LIMIT, lw=1, ls=":", label="limit of the median")
+    axis.set(title="Joints behind the leader", xlabel="ms", ylabel="moving samples")
+    axis.legend(fontsize=7)
     save_plot(figure, path)
 
 

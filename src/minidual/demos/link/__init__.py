@@ -1,0 +1,1 @@
+"""A link between leader and arms whose network is late and lossy, and which stays passive."""
