@@ -74,8 +74,7 @@ class ToyLesson:
     def __init__(self, shown: bool = True) -> None:
         self.shown = shown
 
-    @property
-    def description(self) -> Any:
+    def describe(self, config: Any) -> Any:
         return Description("rod_carry", ("to_mark", "place"), "along", 10.0)
 
     def worlds(self, config: Any, wanted: Any) -> Points:

@@ -27,6 +27,11 @@ class RlConfig(StrictModel):
     randomise: Rate = 0.5
     """Share of the episodes with drawn masses, frictions and sensor offsets."""
 
+    episodes_of_start: int = Field(default=4, ge=1, le=1000)
+    """Tries from one start, where a planner prepares each start."""
+    senses_force: bool = True
+    """Whether the policy reads forces at the hands, where the lesson lets one leave them out."""
+
     # Demonstrations
     demonstrations_n: int = Field(default=150, ge=0, le=100_000)
     """Scripted demonstrations that the policy copies first; 0: from scratch."""

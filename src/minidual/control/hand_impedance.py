@@ -25,6 +25,7 @@ _ELBOW_DAMPING_PER_S = 20.0
 """Of one hand's null space: dry friction of 0.5 Nm holds an elbow off by 0.03 to 0.04 rad (0.1 with 20 and 9)."""
 _HEAVIEST = 20.0
 """Largest inertia [kg, kg m^2] of a hand that damping is made for: near a singularity it is hundreds, and soon past."""
+_NO_SHIFT = (0.0, 0.0, 0.0)
 _AT_TCP = np.eye(4)
 _AT_TCP.setflags(write=False)
 
@@ -58,8 +59,8 @@ class HandImpedance(ComputedTorque):
         self.other: InHand | None = None
         """What the other hand holds, if the reference moves with it; both from the next engagement on."""
         self._other = self.other
-        self.backed_m = 0.0
-        """The reference is drawn back by so much along the object's y axis."""
+        self.shift_m = _NO_SHIFT
+        """The reference is moved by so much along the object's axes."""
         K, most = np.repeat(
             [[STIFFNESS_N_PER_M, STIFFNESS_NM_PER_RAD], [FORCE_MAX_N, MOMENT_MAX_NM]],
             3,
@@ -74,7 +75,7 @@ class HandImpedance(ComputedTorque):
         """Set the damping from q (n,), and forget what was learnt."""
         held = self._held = self.held
         self._other = self.other
-        self.backed_m = 0.0
+        self.shift_m = _NO_SHIFT
         self._learnt = np.zeros(6)
         T, J = self._placed(q)
         M = self._kinematics.mass_matrix(q)[self._joints, self._joints]
@@ -95,7 +96,7 @@ class HandImpedance(ComputedTorque):
     def lag(self, q: Array, q_ref: Array) -> Array:
         """Return how far the object is behind its reference (3,) [m], in the reference's axes.
 
-        The reference counts as it is planned, not drawn back.
+        The reference counts as it is planned, not shifted.
         """
         T_ref = self._wanted(q, q_ref)
         T = np.empty((4, 4))
@@ -114,8 +115,8 @@ class HandImpedance(ComputedTorque):
     ) -> Array:
         """See `ComputedTorque`; of its own arm, or raise SingularPostureError."""
         T_ref = self._wanted(q, q_ref)
-        if self.backed_m:
-            T_ref[:3, 3] -= self.backed_m * T_ref[:3, 1]
+        if any(self.shift_m):
+            T_ref[:3, 3] += T_ref[:3, :3] @ self.shift_m
         qdd = a_ref.copy()
         push = np.zeros(len(q)) if load is None else load.copy()
         of_hand = self._law, self._hands.views, self._arm, T_ref

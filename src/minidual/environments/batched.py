@@ -105,7 +105,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Floats, Floats, Array]):
         action: str = "pair_increments",
         observation: Sequence[str] = LIFT,
         privileged: Sequence[str] = (),
-        reward: Sequence[RewardTerm] = LIFT_REWARD,
+        reward: Sequence[RewardTerm[LiftState]] = LIFT_REWARD,
         rate_hz: int = RATE_HZ,
         purpose: str = "training",
         first: int = 0,

@@ -72,8 +72,8 @@ class LiftState(NamedTuple):
     succeeded: Flags
 
 
-class RewardTerm(NamedTuple):
-    """One term of a reward.
+class RewardTerm[State](NamedTuple):
+    """One term of a reward on a state of N worlds.
 
     Attributes:
         kind: "gain" of a potential, "rate" a step, or "event".
@@ -82,7 +82,7 @@ class RewardTerm(NamedTuple):
     name: str
     weight: float
     kind: Literal["gain", "rate", "event"]
-    value: Callable[[LiftState], Array]
+    value: Callable[[State], Array]
 
 
 # What the object's way has reached ------------------------------------------------------------
@@ -197,7 +197,7 @@ def success(state: LiftState) -> Array:
     return state.succeeded.astype(float)
 
 
-LIFT_REWARD: tuple[RewardTerm, ...] = (
+LIFT_REWARD: tuple[RewardTerm[LiftState], ...] = (
     RewardTerm("reach", 1.0, "gain", reach),
     RewardTerm("grasp_each", 0.4, "gain", grasp_each),
     RewardTerm("grasp_both", 0.6, "gain", grasp_both),
@@ -215,7 +215,7 @@ TOGETHER = ("grasp_both", "lift", "along", "lower", "release", "success")
 """Terms that pay only for what both hands do."""
 
 
-class Reward:
+class Reward[State]:
     """The sum of terms, of N worlds.
 
     Args:
@@ -225,7 +225,7 @@ class Reward:
 
     def __init__(
         self,
-        terms: Sequence[RewardTerm],
+        terms: Sequence[RewardTerm[State]],
         worlds_n: int,
         discount: float = 1.0,
     ) -> None:
@@ -233,13 +233,13 @@ class Reward:
         self._discount = discount
         self._last: dict[str, Array] = {term.name: np.zeros(worlds_n) for term in self.terms}
 
-    def restart(self, state: LiftState, worlds: Flags) -> None:
+    def restart(self, state: State, worlds: Flags) -> None:
         """Take the potentials of new trials, in which no event has happened."""
         for term in self.terms:
             value = _finite(term.value(state)) if term.kind == "gain" else np.zeros(len(worlds))
             self._last[term.name][worlds] = value[worlds]
 
-    def pay(self, state: LiftState) -> Mapping[str, Array]:
+    def pay(self, state: State) -> Mapping[str, Array]:
         """Return what each term pays (N,), weighted."""
         paid: dict[str, Array] = {}
         for term in self.terms:
@@ -249,7 +249,7 @@ class Reward:
             paid[term.name] = term.weight * self._of_kind(term, value, last)
         return paid
 
-    def _of_kind(self, term: RewardTerm, value: Array, last: Array) -> Array:
+    def _of_kind(self, term: RewardTerm[State], value: Array, last: Array) -> Array:
         if term.kind == "gain":
             return self._discount * value - last
         if term.kind == "event":

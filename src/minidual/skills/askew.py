@@ -7,12 +7,15 @@ go in is drawn back, turned by the other signs in turn, and pushed again (docs/i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from minidual.control.hand_impedance import HandImpedance, InHand
 from minidual.robot.pair import Array, pose, rot_z
 
+EVERY_S = 0.02
+"""Time between two updates of a mating."""
 _PAD_M = 0.0165
 """Length of a pad along a part: the gap grows by 0.29 mm a degree."""
 _BETWEEN_M = 0.0004
@@ -32,10 +35,14 @@ _SIGNS = ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
 """Signs of the part that is more askew and of the other one, in the order of the tries."""
 
 
+def excess_m(gap_m: float, width_m: float) -> float:
+    """Return how much further apart the fingers are than round an aligned part of this width."""
+    return gap_m - width_m - _BETWEEN_M
+
+
 def askew_rad(gap_m: float, width_m: float) -> float:
     """Return by how much a part of this width stands askew, without its sign."""
-    excess_m = gap_m - width_m - _BETWEEN_M
-    angle = excess_m / _PAD_M
+    angle = excess_m(gap_m, width_m) / _PAD_M
     return 0.0 if angle < _LEAST_RAD else min(angle, _MOST_RAD)
 
 
@@ -46,30 +53,64 @@ class HeldPart:
     Attributes:
         held: As it was noted, aligned.
         angle: How askew it stands [rad], with the sign to be tried first.
+        seen_rad: By how much the camera saw it turned about the hand's axis; 0 if it did not look.
     """
 
     held: InHand
     angle: float
+    seen_rad: float = 0.0
 
     def turned(self, sign: float) -> InHand:
         """Return what the hand holds if the part stands askew by sign * angle about the hand's axis."""
-        turn = pose(rot_z(sign * self.angle), (0.0, 0.0, 0.0))
-        return self.held._replace(T_tcp_object=turn @ self.held.T_tcp_object)
+        return turned_in_hand(self.held, sign * self.angle)
+
+
+def turned_in_hand(held: InHand, angle_rad: float) -> InHand:
+    """Return what a hand holds if it stands askew by an angle about the hand's axis."""
+    turn = pose(rot_z(angle_rad), (0.0, 0.0, 0.0))
+    return held._replace(T_tcp_object=turn @ held.T_tcp_object)
+
+
+class Meeting(NamedTuple):
+    """Two parts in front of each other, and the soft hand that is about to push.
+
+    Attributes:
+        law: Of the soft hand.
+        own, other: Parts in that hand and in the other one.
+        hand: The soft hand, 0 left or 1 right.
+        now_s: Present time.
+    """
+
+    law: HandImpedance
+    own: HeldPart
+    other: HeldPart
+    hand: int
+    now_s: float
+
+
+class Mating(Protocol):
+    """What acts on a part while a soft hand pushes it into another one."""
+
+    def update(self, q: Array, q_ref: Array, now_s: float) -> None:
+        """Act, `EVERY_S` after the last time; q and q_ref (n,) [rad] are measured and planned."""
+        ...
+
+    def busy(self, now_s: float) -> bool:
+        """Whether the push must go on beyond its plan."""
+        ...
 
 
 class AskewSearch:
     """Corrects what a soft hand and the other one hold, and tries other signs where a part is stuck.
 
     Call `update` some times a tenth of a second while the soft hand pushes.
-
-    Args:
-        law: Of the soft hand.
-        own: Part in that hand.
-        other: Part in the other hand.
     """
 
-    def __init__(self, law: HandImpedance, own: HeldPart, other: HeldPart, now_s: float) -> None:
-        self._law = law
+    def __init__(self, meeting: Meeting) -> None:
+        own = meeting.own
+        other = meeting.other
+        now_s = meeting.now_s
+        self._law = meeting.law
         self._parts = own, other
         self._more = 0 if abs(own.angle) >= abs(other.angle) else 1
         self._angles = np.zeros(2)
@@ -98,7 +139,8 @@ class AskewSearch:
         share = min(1.0, (now_s - self._turning_s) / _BACK_S)
         self._angles = self._from + share * (self._goal - self._from)
         self._tell()
-        self._law.backed_m = 0.0 if share == 1.0 else self._back_m
+        back_m = 0.0 if share == 1.0 else self._back_m
+        self._law.shift_m = (0.0, -back_m, 0.0)
         if now_s < self._next_s or not self.tries_left:
             return
         lag_m = float(self._law.lag(q, q_ref)[1])
@@ -130,5 +172,6 @@ def part_in_hand(held: InHand, gap_m: float, width_m: float, seen_rad: Sequence[
             mean gives the sign that is tried first. Empty for none.
     """
     angle = askew_rad(gap_m, width_m)
-    sign = -1.0 if seen_rad and np.mean(seen_rad) < 0.0 else 1.0
-    return HeldPart(held, sign * angle)
+    mean_rad = float(np.mean(seen_rad)) if seen_rad else 0.0
+    sign = -1.0 if mean_rad < 0.0 else 1.0
+    return HeldPart(held, sign * angle, mean_rad)

@@ -6,11 +6,12 @@ import pinocchio as pin
 
 from minidual.control.hand_impedance import InHand
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
+from minidual.errors import DataError
 from minidual.motion.api import Planner
 from minidual.plant.protocol import ObjectSensors
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array, inverse, pose
-from minidual.skills.askew import AskewSearch, HeldPart, part_in_hand
+from minidual.skills.askew import EVERY_S, AskewSearch, HeldPart, Mating, Meeting, part_in_hand
 from minidual.skills.planned_carry import PlannedCarry
 from minidual.skills.states import OPEN, Segment
 from minidual.tasks.task import Task, Trial
@@ -18,7 +19,6 @@ from minidual.tasks.task import Task, Trial
 _LOOK_PHASE = "carry"
 """Phase at whose end the camera looks at what the hands hold."""
 _LOOKS_N = 20
-_SEARCH_EVERY_S = 0.02
 
 
 class CompliantCarry(PlannedCarry):
@@ -43,23 +43,23 @@ class CompliantCarry(PlannedCarry):
     ) -> None:
         self.sensors: Mapping[str, ObjectSensors] = {}
         self._turns: dict[str, list[float]] = {}
-        self._search: AskewSearch | None = None
-        self._search_tick = 0
+        self._mating: Mating | None = None
+        self._mating_tick = 0
         super().__init__(stack, planner, task, trial, seed, poses=poses)
 
     @property
     def done(self) -> bool:
-        """See `Drive`; a part that is being tried in another direction is waited for."""
-        search = self._search
-        waits = search is not None and self.aborted is None and search.busy(self.world.time)
+        """See `Drive`; a mating that is busy is waited for."""
+        mating = self._mating
+        waits = mating is not None and self.aborted is None and mating.busy(self.world.time)
         return super().done and not waits
 
     def step(self) -> None:
         """See `PlannedCarry`."""
         if self.phase == _LOOK_PHASE and not self.task.together:
             self._look()
-        if self._search is not None:
-            self._search_askew(self._search)
+        if self._mating is not None:
+            self._mate(self._mating)
         super().step()
 
     def _take_control(self, segment: Segment) -> None:
@@ -74,7 +74,8 @@ class CompliantCarry(PlannedCarry):
         inserts = segment.phase == "insert"
         left.other = right.held if inserts else None
         right.other = left.held if inserts else None
-        self._search = self._new_search(segment) if inserts else None
+        self._mating = self._new_mating(self._meeting(segment)) if inserts else None
+        self._mating_tick = 0
         stack.switch_controllers(names)
 
     # Parts that stand askew --------------------------------------------------------------------
@@ -97,14 +98,17 @@ class CompliantCarry(PlannedCarry):
             turns.append(float(turn[2]))
             del turns[:-_LOOKS_N]
 
-    def _new_search(self, segment: Segment) -> AskewSearch:
-        """Return the search of an insertion by the soft hand of a segment."""
+    def _new_mating(self, meeting: Meeting) -> Mating | None:
+        """Return what acts while the soft hand pushes; None pushes straight on."""
+        return AskewSearch(meeting)
+
+    def _meeting(self, segment: Segment) -> Meeting:
+        """Return the parts that the soft hand of a segment is about to put together."""
         (side,) = segment.soft
         own = SIDES.index(side)
         parts = [self._part(arm) for arm in range(len(SIDES))]
         law = self.stack.hands[own].law
-        self._search_tick = 0
-        return AskewSearch(law, parts[own], parts[1 - own], self.world.time)
+        return Meeting(law, parts[own], parts[1 - own], own, self.world.time)
 
     def _part(self, arm: int) -> HeldPart:
         """Return what a hand holds, with how askew its fingers say that it stands."""
@@ -115,16 +119,20 @@ class CompliantCarry(PlannedCarry):
         gap_m = 2.0 * float(self.world.fingers[arm])
         return part_in_hand(held, gap_m, width_m, self._turns.get(held.name, []))
 
-    def _search_askew(self, search: AskewSearch) -> None:
-        """Let the search act while the part is pushed in."""
+    def _mate(self, mating: Mating) -> None:
+        """Let the mating act while the part is pushed in; what it cannot read stops the arms."""
         if self.stack.stopping or self.aborted is not None:
-            self._search = None
+            self._mating = None
             return
-        every = round(_SEARCH_EVERY_S / self.world.dt)
-        self._search_tick += 1
+        every = round(EVERY_S / self.world.dt)
+        self._mating_tick += 1
         soft = any(hand.name in self.stack.manager.active for hand in self.stack.hands)
-        if self._search_tick % every == 0 and soft:
-            search.update(self.world.q, self.stack.manager.reference, self.world.time)
+        if self._mating_tick % every or not soft:
+            return
+        try:
+            mating.update(self.world.q, self.stack.manager.reference, self.world.time)
+        except DataError as error:  # the arms need this step's torque
+            self.stack.fail(error)
 
     # Grasps ------------------------------------------------------------------------------------
 

@@ -48,6 +48,10 @@ _WALL_M = 0.010
 _BLOCK_M = _BORE_M + 2 * _WALL_M
 _BLOCK_LENGTH_M = 0.08
 _MOUTH_M = -(_BLOCK_LENGTH_M / 2 + _BORE_DEPTH_M)  # y in the socket's frame
+MOUTH = (0.0, _MOUTH_M, 0.0)
+"""Middle of the bore's mouth in the socket's frame [m]."""
+TIP = _TIP_M
+"""Middle of the peg's end that goes in, in the peg's frame [m]."""
 _GRASP_Y_M = {SOCKET: 0.0, PEG: -0.06}  # so the hands keep 21 cm apart
 _AIM_M = 0.036  # depth to which the peg is driven
 _BEFORE_M = 0.045  # distance of its tip from the mouth before the push

@@ -1,6 +1,6 @@
 """The method `rl`: its trainer, and its trials. What differs by task is a lesson's."""
 
-from minidual.config.root import Config
+from minidual.config.root import Config, preset
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.policies.rl.lesson import LESSONS
 from minidual.policies.rl.network import RlNetwork
@@ -36,14 +36,14 @@ class RlTrainer:
 
     def steps(self, config: Config) -> int:
         """Return the actions of a training."""
-        return config.methods.rl.steps
+        return suited(config).methods.rl.steps
 
     def train(self, job: TrainingJob) -> TrainingSummary:
         """Train, and write the checkpoint."""
         from minidual.policies.rl.training import RlJob, train_rl
 
         lesson = LESSONS[job.config.task]
-        rl_job = RlJob(job.config, lesson, job.seed, job.progress, job.advance)
+        rl_job = RlJob(suited(job.config), lesson, job.seed, job.progress, job.advance)
         result = train_rl(rl_job)
         result.network.write(job.folder / "checkpoint")
         numbers = {
@@ -54,6 +54,12 @@ class RlTrainer:
             "validation_success_rate": result.validation_rate,
         }
         return TrainingSummary(result.steps, result.resumed_from, numbers, result.curve, _CURVE)
+
+
+def suited(config: Config) -> Config:
+    """Return the configuration with the values of `methods.rl` that the task's lesson prefers."""
+    preferred = getattr(LESSONS[config.task], "settings", {})
+    return preset(config, {f"methods.rl.{name}": value for name, value in preferred.items()})
 
 
 def driven(inputs: MethodInputs) -> Factory:

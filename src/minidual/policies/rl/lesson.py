@@ -33,12 +33,14 @@ class WorldsWanted(NamedTuple):
         seed: Of the training.
         purpose: Random stream of the starts.
         randomise: Share of episodes with drawn masses, frictions and sensor offsets.
+        once: Whether only the first episode of each world counts: a world may rest after it.
     """
 
     worlds_n: int
     seed: int
     purpose: str
     randomise: float
+    once: bool = False
 
 
 class Demonstrated(NamedTuple):
@@ -49,11 +51,14 @@ class Demonstrated(NamedTuple):
 
 
 class Lesson(Protocol):
-    """One task that is learned by trying."""
+    """One task that is learned by trying.
 
-    @property
-    def description(self) -> Description:
-        """What the policy reads and gives."""
+    A lesson may have two attributes more: `title`, what drives where the policy does only a part,
+    and `settings`, {setting of `methods.rl`: value} for those that are left at their defaults.
+    """
+
+    def describe(self, config: Config) -> Description:
+        """Return what the policy reads and gives."""
         ...
 
     def worlds(self, config: Config, wanted: WorldsWanted) -> VectorEnv[Any, Any, Any]:
@@ -74,7 +79,17 @@ class Lesson(Protocol):
 
 LESSONS: Registry[Lesson] = Registry(
     "lesson",
-    {"pot_lift": "minidual.trials.lessons.pot_lift:POT_LIFT"},  # by name: it imports simulations
+    {  # by name: they import simulations
+        "pot_lift": "minidual.trials.lessons.pot_lift:POT_LIFT",
+        "insertion": "minidual.trials.lessons.insertion:INSERTION",
+    },
     group="minidual.lessons",
 )
 """Lessons by task."""
+
+
+def title_of(task: str) -> str:
+    """Return what drives a task with a policy learned by trying, or "" where the policy does it all."""
+    if task not in LESSONS:
+        return ""
+    return str(getattr(LESSONS[task], "title", ""))

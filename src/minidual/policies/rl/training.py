@@ -106,7 +106,7 @@ class Training:
     def __init__(self, job: RlJob, worlds: SteppedWorlds) -> None:
         self.job = job
         self.worlds = worlds
-        self.description: Description = job.lesson.description
+        self.description: Description = job.lesson.describe(job.config)
         self.demonstrations = _demonstrations(job)
         self.normalisation: Normalisation = normalisation_of(self._typical_observations())
         self.model: ClonedPpo = make_ppo(
@@ -287,7 +287,7 @@ def validation_rate(job: RlJob, network: RlNetwork) -> float:
     count = job.settings.validation_starts
     if count == 0:
         return float("nan")
-    wanted = WorldsWanted(count, job.seed, VALIDATION, job.settings.randomise)
+    wanted = WorldsWanted(count, job.seed, VALIDATION, job.settings.randomise, once=True)
     worlds = SteppedWorlds(job.lesson.worlds(job.config, wanted))
     try:
         return float(np.mean(first_episodes(worlds, network)))
@@ -328,7 +328,7 @@ def _fingerprint(job: RlJob) -> str:
         job.seed,
         relevant,
         job.settings.model_dump(mode="json"),
-        list(job.lesson.description),
+        list(job.lesson.describe(job.config)),
         torch.__version__,
         stable_baselines3.__version__,
     ]

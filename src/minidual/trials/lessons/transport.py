@@ -12,7 +12,7 @@ from minidual.config.root import Config, changed
 from minidual.config.seeds import stream
 from minidual.environments.batched import RATE_HZ, BatchedEnv, fast_physics
 from minidual.environments.observations import LIFT
-from minidual.environments.rewards import LIFT_REWARD, RewardTerm
+from minidual.environments.rewards import LIFT_REWARD, LiftState, RewardTerm
 from minidual.policies.rl.beside import Beside
 from minidual.policies.rl.lesson import Array32, Demonstrated, WorldsWanted
 from minidual.policies.rl.network import Description, RlNetwork
@@ -61,12 +61,16 @@ class TransportLesson:
         *,
         observation: Sequence[str] = LIFT,
         action: str = "pair_increments",
-        reward: Sequence[RewardTerm] = LIFT_REWARD,
+        reward: Sequence[RewardTerm[LiftState]] = LIFT_REWARD,
         demonstrator: Demonstrator | None = None,
     ) -> None:
-        self.description = Description(task, tuple(observation), action, float(RATE_HZ))
+        self._description = Description(task, tuple(observation), action, float(RATE_HZ))
         self._reward = tuple(reward)
         self._demonstrator = demonstrator
+
+    def describe(self, config: Config) -> Description:
+        """Return what the policy reads and gives."""
+        return self._description
 
     def worlds(self, config: Config, wanted: WorldsWanted) -> VectorEnv[Any, Any, Any]:
         """Return worlds, a share of them randomised; their physics of 2 ms carries over to trials."""
@@ -111,8 +115,8 @@ class TransportLesson:
             config,
             purpose=purpose,
             condition=CONDITIONS[_RANDOMISED] if randomised else None,
-            action=self.description.action,
-            observation=self.description.observation,
+            action=self._description.action,
+            observation=self._description.observation,
             reward=self._reward,
         )
 
