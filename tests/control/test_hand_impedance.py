@@ -272,3 +272,14 @@ def test_a_hand_that_takes_over_near_a_singularity_is_damped_for_where_it_goes(
         far = max(far, float(np.abs(plant.q - stack.manager.reference)[:7].max()))
     assert stack.reflex is None
     assert far < 0.1
+
+
+def test_a_shift_moves_the_reference_along_the_axes_of_the_object() -> None:
+    """The spring then pulls by stiffness times the shift, as far as its bound lets it."""
+    held = PEG._replace(T_tcp_planned=PEG.T_tcp_object)
+    law = law_of(held)
+    law.shift_m = (0.001, -0.002, 0.0015)
+    wrench, T = wrench_of(law, HOME, HOME, held)
+    assert T[:3, :3].T @ wrench[:3] == pytest.approx([2.0, -4.0, 3.0], abs=1e-6)
+    law.engage(HOME)
+    assert wrench_of(law, HOME, HOME, held)[0] == pytest.approx(np.zeros(6), abs=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from minidual.control.hand_impedance import HandImpedance, InHand
 from minidual.robot.pair import pose, rot_z
-from minidual.skills.askew import AskewSearch, askew_rad, part_in_hand
+from minidual.skills.askew import AskewSearch, Meeting, askew_rad, part_in_hand
 
 SOCKET_M = 0.0443
 PEG_M = 0.022
@@ -47,7 +47,7 @@ class Stuck:
 
     def __init__(self, lag_m: float = 0.02) -> None:
         self.lag_m = lag_m
-        self.backed_m = 0.0
+        self.shift_m = (0.0, 0.0, 0.0)
         self.told: list[tuple[float, float]] = []
 
     def correct(self, held: InHand, other: InHand) -> None:
@@ -62,11 +62,11 @@ def tried(law: Stuck, peg_mm: float, socket_mm: float) -> tuple[AskewSearch, lis
     """Return a search after 10 s, and the signs that it has held for the peg and the socket."""
     peg = part_in_hand(InHand("peg"), 1e-3 * peg_mm, PEG_M, [])
     socket = part_in_hand(InHand("socket"), 1e-3 * socket_mm, SOCKET_M, [])
-    search = AskewSearch(law, peg, socket, 0.0)
+    search = AskewSearch(Meeting(law, peg, socket, 1, 0.0))
     signs: list[tuple[int, int]] = []
     for now_s in np.arange(0.0, 10.0, 0.02):
         search.update(np.zeros(14), np.zeros(14), now_s)
-        if law.backed_m == 0.0:
+        if law.shift_m[1] == 0.0:
             sign = (int(np.sign(law.told[-1][0])), int(np.sign(law.told[-1][1])))
             if any(sign) and (not signs or signs[-1] != sign):
                 signs.append(sign)
@@ -104,10 +104,11 @@ def test_a_part_that_follows_keeps_the_first_signs_and_is_not_drawn_back():
 def test_a_part_that_is_stuck_is_drawn_back_before_it_is_turned():
     law = Stuck()
     part = part_in_hand(InHand("peg"), 0.0236, PEG_M, [])
-    search = AskewSearch(law, part, part_in_hand(InHand("socket"), 0.0, SOCKET_M, []), 0.0)
+    socket = part_in_hand(InHand("socket"), 0.0, SOCKET_M, [])
+    search = AskewSearch(Meeting(law, part, socket, 1, 0.0))
     for now_s in (0.0, 0.6, 1.62, 1.7):
         search.update(np.zeros(14), np.zeros(14), now_s)
-    assert law.backed_m > law.lag_m
+    assert law.shift_m[1] < -law.lag_m
     assert search.busy(1.7)
 
 
@@ -120,5 +121,5 @@ def test_the_law_takes_another_estimate_without_forgetting_what_it_learnt(kinema
     law.correct(shifted, None)
     assert law.lag(q, q) == pytest.approx([0.0, -0.01, 0.0], abs=1e-9)
     assert law._learnt == pytest.approx(1.0)
-    law.backed_m = 0.02
+    law.shift_m = (0.0, -0.02, 0.0)
     assert law.lag(q, q) == pytest.approx([0.0, -0.01, 0.0], abs=1e-9)

@@ -331,7 +331,8 @@ def run(context: StageContext) -> StageResult:
         results.captions.update(write_films(context, jobs))
     checks = results.write()
     data = {"tasks": results.data, "captions": results.captions}
-    return StageResult(checks=checks, data=data, notes=network_notes(context, methods))
+    notes = [*network_notes(context, methods), *title_notes(methods, list(trials_of))]
+    return StageResult(checks=checks, data=data, notes=notes)
 
 
 def network_notes(context: StageContext, methods: Sequence[str]) -> list[str]:
@@ -348,6 +349,16 @@ def network_notes(context: StageContext, methods: Sequence[str]) -> list[str]:
     network = architecture(read_json(trained / "train.json").get("architecture", "unknown"))
     summary = f": {network.summary}" if network.summary else ""
     return [f"{name} drives {network.name}{summary}" for name in learned]
+
+
+def title_notes(methods: Sequence[str], tasks: Sequence[str]) -> list[str]:
+    """Say where the policy of a method drives only a part of a task."""
+    return [
+        f"{method} on {task} is {METHODS[method].title(task)}"
+        for method in methods
+        for task in tasks
+        if METHODS[method].title(task)
+    ]
 
 
 def _method_inputs(context: StageContext, methods: Sequence[str]) -> dict[str, MethodInputs]:

@@ -81,6 +81,9 @@ def train(context: ToolContext) -> ToolResult:
         _film(own, method, task)
     own.publish()
     lines = [*aligned([_row(record) for record in records]), "", *_next_commands(own, method, task)]
+    title = METHODS[method].title(task.name)
+    if title:
+        lines = [title, "", *lines]
     return ToolResult(lines, [f"policy: {own.folder / 'checkpoint'}"], {"trainings": records})
 
 

@@ -18,7 +18,7 @@ from minidual.tasks.task import Trial
 from minidual.trials.answers import answer, medians
 from minidual.trials.benchmark import TRY, draw_under
 from minidual.trials.conditions import CLEAN, condition
-from minidual.trials.methods import METHODS, MethodInputs, check_able
+from minidual.trials.methods import METHODS, MethodInputs, check_able, shown_as
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import run_trials
 
@@ -51,7 +51,7 @@ def try_out(context: ToolContext) -> ToolResult:
     results = _run(context, methods, inputs, name, trials)
     rows = [trial.to_row() for trial in results]
     write_csv(context.output / "trials.csv", rows, missing="does not apply")
-    lines = [*aligned([_row(method, results) for method in methods]), ""]
+    lines = [*aligned([_row(method, task.name, results) for method in methods]), ""]
     lines += _failures(results)
     answers = _answers(task.name, methods, results, context.seed)
     lines += answers
@@ -101,12 +101,12 @@ def _run(
     return results
 
 
-def _row(method: str, results: Sequence[TrialMetrics]) -> dict[str, str]:
+def _row(method: str, task: str, results: Sequence[TrialMetrics]) -> dict[str, str]:
     """Return a method's row of the table; medians are over successful trials."""
     trials = [trial for trial in results if trial.method == method]
     successes_n = sum(trial.success for trial in trials)
     return {
-        "method": method,
+        "method": shown_as(method, task),
         "success": f"{successes_n} of {len(trials)}",
         "time [s]": _number(medians(trials, "duration_s"), 2),
         "tilt [deg]": _number(math.degrees(medians(trials, "tilt_max_rad")), 2),

@@ -15,7 +15,7 @@ from minidual.config.base import StrictModel
 from minidual.config.methods import RlConfig
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
-from minidual.policies.rl.lesson import LESSONS
+from minidual.policies.rl.lesson import LESSONS, title_of
 from minidual.registry import Deferred, Registry
 from minidual.tasks.catalogue import TASKS, make_task
 from minidual.tasks.task import Task, Trial
@@ -96,8 +96,13 @@ class MethodInputs(NamedTuple):
 
 type Build = Callable[[MethodInputs], Factory]
 """Builds what the trials of one process share, and returns the factory of trials."""
+type Title = Callable[[str], str]
 type Cannot = Callable[[Task, str], str]
 """(task, trained) -> why a method cannot do a task, or ""."""
+
+
+def _drives_it_all(task: str) -> str:
+    return ""
 
 
 def _can_any_task(task: Task, trained: str) -> str:
@@ -135,6 +140,7 @@ class MethodSpec(NamedTuple):
             them.
         learned: Whether it drives a trained policy.
         trainer: Trains its policy from an environment; that of `act` is the stage train-act.
+        title: Task -> what drives there, where the name of the method says too much, or "".
     """
 
     build: Build
@@ -148,6 +154,7 @@ class MethodSpec(NamedTuple):
     config: type[StrictModel] | None = None
     learned: bool = False
     trainer: Deferred[Trainer] | None = None
+    title: Title = _drives_it_all
 
     def reads(self, task: Task) -> Collection[str]:
         """Return the rows of SENSES that it reads in a task."""
@@ -245,6 +252,7 @@ RL = MethodSpec(
     config=RlConfig,
     learned=True,
     trainer=_rl_trainer,
+    title=title_of,
 )
 REPLAY = MethodSpec(_replayed, "the plan of one demonstration, driven blind", senses=())
 HOLD = MethodSpec(_resting, "the arms rest", senses=())
@@ -263,6 +271,12 @@ METHODS: Registry[MethodSpec] = Registry(
     },
     group="minidual.methods",
 )
+
+
+def shown_as(method: str, task: str) -> str:
+    """Return a method's name, with what drives on a task where its policy does only a part of it."""
+    title = METHODS[method].title(task) if method in METHODS else ""
+    return f"{method} ({title})" if title else method
 
 
 def check_able(method: str, tasks: Collection[Task], trained: str = "") -> None:

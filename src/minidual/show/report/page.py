@@ -168,7 +168,8 @@ def _described(report: Report, method: str) -> MethodDescription:
     words = report.words
     spec = METHODS[method]
     network = _network(report.context)
-    summary = words.method(method, spec.summary)
+    titles = [f"{task}: {spec.title(task)}" for task in report.tables if spec.title(task)]
+    summary = "; ".join([words.method(method, spec.summary), *titles])
     is_named = method in report.context.config.benchmark.policies
     drives_network = spec.learned and spec.trainer is None and not is_named
     if not drives_network or network is None:
