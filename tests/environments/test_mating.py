@@ -148,7 +148,11 @@ def test_without_force_an_observation_does_not_depend_on_torques() -> None:
 
 @pytest.mark.parametrize(
     ("names", "message"),
-    [((), "at least one"), (("gaps", "gaps"), "different terms"), (("gap",), "there are askew_guess")],
+    [
+        ((), "at least one"),
+        (("gaps", "gaps"), "different terms"),
+        (("gap",), "there are askew_guess"),
+    ],
 )
 def test_other_terms_are_refused(names: tuple[str, ...], message: str) -> None:
     with pytest.raises(UsageError, match=message):

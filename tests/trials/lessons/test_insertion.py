@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -52,10 +54,8 @@ def test_copies_of_a_trial_go_on_alike_and_apart() -> None:
 
 
 @pytest.mark.torch
-def test_it_is_trained_by_command(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_it_is_trained_by_command(tmp_path: Path) -> None:
     """A few hundred actions: demonstrations by the rule, cloning, one update, a fresh trial."""
-    from minidual.cli.main import main
-
     settings = {
         "steps": 64,
         "worlds_n": 4,
@@ -65,10 +65,12 @@ def test_it_is_trained_by_command(tmp_path: Path, capfd: pytest.CaptureFixture[s
         "validation_starts": 2,
         "value_warmup": 0,
     }
-    words = ["train", "rl", "--task", "insertion", "--trials", "1", "--runs-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "minidual.cli", "train", "rl", "--task", "insertion"]
+    words = [*command, "--trials", "1", "--runs-dir", str(tmp_path)]
     for name, value in settings.items():
         words += ["--set", f"methods.rl.{name}={value}"]
-    assert main(words) == 0
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     folder = tmp_path / "standard" / "train" / "rl" / "insertion"
     record = json.loads((folder / "training.json").read_text())
     assert record["steps"] >= 64
@@ -77,4 +79,4 @@ def test_it_is_trained_by_command(tmp_path: Path, capfd: pytest.CaptureFixture[s
     described = json.loads((folder / "checkpoint" / "config.json").read_text())
     assert described["task"] == "insertion"
     assert described["observation"] == list(TERMS)
-    assert "planner + learned insertion" in capfd.readouterr().out
+    assert "planner + learned insertion" in done.stdout

@@ -18,7 +18,7 @@ def observed(actions: RelativePose, lag_m: float, guess: tuple[float, float]) ->
     rows = np.zeros((1, SIZE), np.float32)
     units = np.array([0.006, 0.030, 0.006, 0.04, 0.04])
     rows[0, COLUMNS["value"]] = actions.value / units
-    error = actions.value + [0.0, lag_m, 0.0, 0.0, 0.0]
+    error = actions.value + np.array([0.0, lag_m, 0.0, 0.0, 0.0])
     rows[0, COLUMNS["error"]] = error / units
     rows[0, COLUMNS["askew_guess"]] = np.array(guess) / 0.04
     return rows

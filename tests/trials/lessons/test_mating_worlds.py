@@ -81,7 +81,7 @@ def test_trials_that_end_before_the_mating_are_left_out() -> None:
 
 def test_trials_that_all_end_before_the_mating_are_an_error() -> None:
     worlds = worlds_of(PlayedTrunks(dict.fromkeys(range(100))), ("clean",))
-    with pytest.raises(DataError, match="50 trials ended before their mating; .* on the way"):
+    with pytest.raises(DataError, match=r"50 trials ended before their mating; .* on the way"):
         worlds.reset()
 
 
