@@ -19,7 +19,12 @@ from minidual.tasks.insertion import DEPTH_M, HAND_OF, MOUTH, PEG, SOCKET, TIP, 
 from minidual.tasks.judge import Judge, begin
 from minidual.tasks.truth import Truth
 from minidual.trials.branching import BranchPoint
-from minidual.trials.lessons.mating_pilot import MATING_S, LearnedInsertion, learned_insertions
+from minidual.trials.lessons.mating_pilot import (
+    MATING_S,
+    LearnedInsertion,
+    Policy,
+    learned_insertions,
+)
 from minidual.trials.methods import MethodInputs
 from minidual.trials.runner import Bench
 
@@ -109,6 +114,7 @@ class MatingRuns:
         self._seed = seed
         self._terms = terms
         self._benches: dict[str, Bench] = {}
+        self._policy: Policy | None = None
 
     def prepare(self, request: Start) -> None:
         """See `Runs`: compile, load and plan once, so that no trunk has to."""
@@ -116,6 +122,7 @@ class MatingRuns:
             return
         inputs = MethodInputs(self._config, self._seed)
         bench = Bench(_METHOD, inputs, request.condition)
+        bench.factory = learned_insertions(bench.task.config, self._seed, lambda: self._policy)
         self._benches[request.condition] = bench
         if len(self._benches) == 1:
             with contextlib.suppress(_WarmError):
@@ -139,8 +146,8 @@ class MatingRuns:
             judge = begin(bench.world, bench.task, trial, bench.spec.demands)
             high_m = bench.task.scene.task.clear_height_m
             episode = MatingEpisode(judge, high_m, self._terms, branches)
-            factory = learned_insertions(bench.task.config, self._seed, lambda: episode.act)
-            method = factory(bench.world, bench.kinematics, trial)
+            self._policy = episode.act
+            method = bench.factory(bench.world, bench.kinematics, trial)
             if not isinstance(method, LearnedInsertion):
                 raise TypeError(f"the method is a {type(method).__name__}")
             return episode.drive(method, bench.task.time_limit_s)
