@@ -14,6 +14,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import socket
 import traceback
 import weakref
 from collections.abc import Callable
@@ -171,7 +172,7 @@ class Forge:
 
     def __init__(self, make: Callable[..., Runs], *args: Any) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
+        self._pipe, theirs = _pair()
         process = context.Process(target=_forge, args=(theirs, make, args), daemon=True)
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(name, "1")
@@ -186,7 +187,7 @@ class Forge:
         Raises:
             BranchError: The forge broke.
         """
-        ours, theirs = multiprocessing.Pipe()
+        ours, theirs = _pair()
         pid = self._process.pid
         if pid is None:
             raise BranchError("the process that starts runs does not exist")
@@ -224,6 +225,12 @@ class Trunks:
     def keep(self, request: Any, trunk: Trunk) -> None:
         """Take a trunk back whose latest copy has ended, or which never came to its branch point."""
         self._kept[request] = trunk
+
+
+def _pair() -> tuple[Connection, Connection]:
+    """Return both ends of a connection that a process can be sent over another one."""
+    ours, theirs = socket.socketpair()
+    return Connection(ours.detach()), Connection(theirs.detach())
 
 
 def _end(pipe: Connection, process: Any) -> None:

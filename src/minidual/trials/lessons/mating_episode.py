@@ -10,7 +10,7 @@ import numpy as np
 
 from minidual.config.root import Config
 from minidual.config.seeds import stream
-from minidual.environments.mating import MatingSensed, RelativePose, observe_mating
+from minidual.environments.mating import Floats, MatingSensed, RelativePose, observe_mating
 from minidual.environments.mating_rewards import MATING_REWARD, MatingState
 from minidual.environments.rewards import Reward
 from minidual.errors import MinidualError
@@ -32,8 +32,6 @@ _WARM = "rl-warm"
 """Random stream of the start on which a process makes itself ready."""
 _METHOD = "impedance"
 """Its conditions and demands are those of the trials."""
-
-
 _HELD = tuple(sorted(HAND_OF, key=lambda name: SIDES.index(HAND_OF[name])))
 """What the left and the right hand hold."""
 
@@ -57,7 +55,7 @@ class Report(NamedTuple):
         success: By the judge of all methods.
     """
 
-    observation: Array
+    observation: Floats
     reward: float
     ended: bool = False
     late: bool = False
@@ -177,19 +175,20 @@ class MatingEpisode:
         self._reward: Reward[MatingState] = Reward(MATING_REWARD, 1)
         self._began_s: float | None = None
         self._force_n = 0.0
-        self._observation: Array | None = None
+        self._observation: Floats | None = None
         self._aborted = False
 
     def act(self, sensed: MatingSensed) -> Array:
         """Return the next action (5,): the policy of the trial."""
-        self._observation = observe_mating(self._terms, sensed)
+        observation = observe_mating(self._terms, sensed)
+        self._observation = observation
         if self._began_s is None:
             self._began_s = self._judge.truth.time
             self._branches.here()
             self._reward.restart(self._state(), np.ones(1, dtype=bool))
-            report = Report(self._observation, 0.0)
+            report = Report(observation, 0.0)
         else:
-            report = Report(self._observation, self._paid())
+            report = Report(observation, self._paid())
         self._force_n = 0.0
         return np.asarray(self._branches.exchange(report), dtype=float)
 
@@ -237,7 +236,7 @@ class MatingEpisode:
         )
         self._branches.end(report)
 
-    def _last_observation(self, method: LearnedInsertion) -> Array:
+    def _last_observation(self, method: LearnedInsertion) -> Floats:
         """Return the observation (k,) of this moment, or the latest one where the trial broke."""
         latest = self._observation
         if latest is None or method.mating is None:

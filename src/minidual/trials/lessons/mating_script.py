@@ -10,6 +10,7 @@ from gymnasium.vector import VectorEnv
 
 from minidual import emergency
 from minidual.environments.mating import RelativePose, mating_columns
+from minidual.environments.rewards import Flags
 from minidual.policies.rl.lesson import Array32, Demonstrated
 from minidual.robot.pair import Array
 
@@ -42,7 +43,7 @@ class MatingScript:
         self._actions = np.zeros(worlds_n, dtype=int)
         self._back_m = np.zeros(worlds_n)
 
-    def restart(self, worlds: Array) -> None:
+    def restart(self, worlds: Flags) -> None:
         """Begin episodes in the chosen worlds (N,)."""
         self._tried[worlds] = 0
         self._actions[worlds] = 0
