@@ -90,7 +90,7 @@ def test_failed_acceptance_exits_1(cli):
 def test_usage_errors_exit_2(cli, capsys):
     assert run_command_line(["frist"], cli.bench.table) == 2
     err = capsys.readouterr().err
-    assert "no command 'frist'; there are config, explain, export, first" in err
+    assert "no command 'frist'; there are config, data, explain, export, first" in err
     assert "did you mean 'first'?" in err
     assert cli("first", "--nonsense")[0] == 2
     assert cli("first", "--profile", "nope")[0] == 2
