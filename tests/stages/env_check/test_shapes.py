@@ -14,7 +14,7 @@ from minidual.plant.model import build_model, build_spec
 from minidual.robot.pair import DUAL_PANDA, Robot
 from minidual.stages.env_check.shapes import compare_shapes, extent_of
 from tests.support.env_check_samples import failing, judged
-from tests.support.urdf_files import changed_ur5, setting
+from tests.support.urdf_files import Change, adding, changed_ur5, setting
 
 VISUAL = "link[@name='forearm_link']/visual"
 
@@ -33,20 +33,19 @@ def test_the_pandas_are_drawn_as_they_collide_in_both_engines(
 
 
 @pytest.mark.parametrize(
-    ("part", "attributes", "reason"),
+    ("change", "reason"),
     [
-        ("geometry/mesh", {"scale": "1000 1000 1000"}, "times as large"),
-        ("geometry/mesh", {"scale": "0.02 0.02 1"}, "times the volume"),
-        ("origin", {"xyz": "0 0 0", "rpy": "1.5708 0 0"}, "beside what collides"),
+        (setting(f"{VISUAL}/geometry/mesh", scale="1000 1000 1000"), "times as large"),
+        (setting(f"{VISUAL}/geometry/mesh", scale="0.02 0.02 1"), "times the volume"),
+        (adding(VISUAL, "<origin xyz='0 0 0' rpy='1.5708 0 0'/>"), "beside what collides"),
     ],
 )
 def test_a_visual_mesh_in_another_unit_place_or_orientation(
-    part: str,
-    attributes: dict[str, str],
+    change: Change,
     reason: str,
     tmp_path: Path,
 ) -> None:
-    robot = Robot(changed_ur5(tmp_path, setting(f"{VISUAL}/{part}", **attributes)))
+    robot = Robot(changed_ur5(tmp_path, change))
     comparison = compare_shapes(build_model(SceneConfig(), robot), robot)
     checks = judged(shapes=comparison)
     assert failing(checks) == {"shapes.unlike"}
