@@ -18,7 +18,7 @@ from minidual.demos.corrections import Corrections, DrivingPolicy
 from minidual.demos.leader import Feedback, Leader
 from minidual.demos.mirror import Mirror
 from minidual.demos.seat import Seat, for_a_person
-from minidual.demos.signals import Driver, Signals
+from minidual.demos.signals import Driver, Signals, recorded_signals
 from minidual.demos.station import NO_STATION, Button
 from minidual.errors import MinidualError
 from minidual.plant.render import Image, StampedImage
@@ -69,13 +69,6 @@ class Tick(NamedTuple):
         values = self._asdict()
         values |= values.pop("signals")
         return values
-
-
-def recorded_signals(config: TeleopConfig) -> tuple[str, ...]:
-    """Return the signals that episodes hold: who drove too, if a policy is corrected."""
-    if config.correct and "driver" not in config.signals:
-        return (*config.signals, "driver")
-    return config.signals
 
 
 def _furthest_stamp(pictures: Mapping[str, StampedImage], joints_stamp_s: float) -> float | None:
@@ -174,7 +167,7 @@ class TeleopSession:
         self.station = NO_STATION
         self.policy: DrivingPolicy | None = None
         self._pictures = pictures
-        self._signals = Signals(stack, recorded_signals(config), 1.0 / config.rate_hz)
+        self._signals = Signals(stack, recorded_signals(config))
         self._corrections: Corrections | None = None
 
     def run(

@@ -5,6 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from minidual.config.learning import TeleopConfig
 from minidual.control.commands import ArbiterState
 from minidual.control.reflexes import REFLEXES
 from minidual.control.stack import ControlStack
@@ -30,20 +31,25 @@ ARBITER_STATES = tuple(ArbiterState)
 REFLEX_NAMES = ("", *REFLEXES)
 
 
+def recorded_signals(config: TeleopConfig) -> tuple[str, ...]:
+    """Return the signals that episodes hold: who drove too, if a policy is corrected."""
+    if config.correct and "driver" not in config.signals:
+        return (*config.signals, "driver")
+    return config.signals
+
+
 class Signals:
     """Measures the chosen signals of a tick.
 
     Args:
         stack: Of the session.
         names: Of `schema.SIGNALS`.
-        period_s: Of a tick.
     """
 
-    def __init__(self, stack: ControlStack[World], names: Sequence[str], period_s: float) -> None:
+    def __init__(self, stack: ControlStack[World], names: Sequence[str]) -> None:
         self._stack = stack
         self._names = tuple(names)
-        self._period_s = period_s
-        self._kinematics = Kinematics(stack.plant.robot) if names else None
+        self._kinematics = Kinematics(stack.plant.robot)
         self.reset()
 
     def reset(self) -> None:
@@ -103,7 +109,6 @@ class Signals:
         It is what the external torques of the arm's joints mean at the hand, by damped least
         squares.
         """
-        assert self._kinematics is not None
         robot = self._kinematics.robot
         external_nm = self._stack.supervisor.touch
         wrenches = np.zeros((2, 6))
@@ -116,7 +121,6 @@ class Signals:
 
     def _internal_force(self) -> float:
         """Return the force [N] with which the hands press on what lies between them, 0 or more."""
-        assert self._kinematics is not None
         left, right = self._kinematics.tcp_poses(self._stack.plant.q)
         apart = left[:3, 3] - right[:3, 3]
         axis = apart / np.linalg.norm(apart)

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
 from minidual.errors import UsageError, unknown_name
+from minidual.robot.files import Packages
 from minidual.robot.inertias import has_inertia
 from minidual.robot.models import ArmModel, HandModel
 from minidual.robot.urdf import ends, in_order, listed, read_urdf
@@ -17,7 +18,7 @@ _ROUNDING_RAD = 1e-6
 _EXCESS_MAX = 1.0 + 1e-6
 
 
-def check_joints(arm: ArmModel, elements: Sequence[ET.Element], packages: tuple) -> None:
+def check_joints(arm: ArmModel, elements: Sequence[ET.Element], packages: Packages) -> None:
     """Refuse an arm model whose joints are not the moving ones of its chain, in their order.
 
     Args:
@@ -144,7 +145,8 @@ def _set_most(
 ) -> None:
     """Set the URDF's velocity or effort where it has none or a larger one."""
     limit = joint.find("limit")
-    assert limit is not None, "set_range has given it one"
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
     stated = float(limit.get(attribute, "0"))
     if stated > 0.0 and most > stated * _EXCESS_MAX:
         raise UsageError(
