@@ -120,18 +120,18 @@ def main(domain: int) -> None:
         time.sleep(0.002)
     listener.ages_s.clear()
     began_s = time.monotonic()
-    asked = 0
+    asked = False
     led_s = 0.0
     now_s = 0.0
     while now_s < HEAR_S or (not listener.arrived and now_s < ARRIVE_S):
         listener.hear()
         now_s = time.monotonic() - began_s
-        if asked == 0 and now_s > 1.0:
+        if not asked and now_s > 0.5:
             listener.topics.publish_text(MODE_SWITCH, "fly")
             listener.topics.publish_floats(TELEOP_TARGET, np.zeros(3), "")
             listener.topics.publish_text(MODE_SWITCH, "teleop")
-            asked = 1
-        if now_s > 1.0 and now_s - led_s > 0.02:
+            asked = True
+        if now_s > 1.5 and now_s - led_s > 0.02:
             listener.lead()
             led_s = now_s
         time.sleep(0.001)
