@@ -20,9 +20,10 @@ PAGES = sorted(
 )
 WORDS_MAX = 1600
 """Of one page; a page that needs more has two jobs."""
-WORDS_ALL_MAX = 54_000
+WORDS_ALL_MAX = 58_000
 """Of all pages in docs/ together, counted as `wc -w` does: about 36,500 for the eight stages, and one
-page for each further thing that a person can do (leaders, reinforcement learning, other arms, ROS 2)."""
+page for each further thing that a person can do (leaders, reinforcement learning, other arms,
+data and policies of others, ROS 2)."""
 CODE = ("src", "scripts", "tests", "examples", "configs", "Makefile", "pyproject.toml")
 """Where a page may be named by its path, such as docs/control.md."""
 TOYS = {Path(__file__), ROOT / "tests" / "scripts" / "test_site.py"}
