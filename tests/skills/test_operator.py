@@ -61,11 +61,12 @@ def test_the_hands_hold_the_rod_from_grasp_to_release(operator: ScriptedOperator
     trial = rod_trial("t", 0, (0.52, 0.23, 0.2), (0.5, -0.25, 0.0))
     demo = operator.plan(trial, seed=SEED)
     left_grasp, right_grasp = grasp_offsets(scene)
-    for tick, (x, y, yaw) in (
-        (_tick(operator, "descend"), trial.start["rod"]),
-        (_tick(operator, "open") - 1, trial.goal["rod"]),
+    radius_m = scene.object.radius_m
+    for tick, (x, y, yaw), height_m in (
+        (_tick(operator, "descend"), trial.start["rod"], radius_m),
+        (_tick(operator, "open") - 1, trial.goal["rod"], radius_m - operator.config.set_down_m),
     ):
-        T_world_rod = level_pose(x, y, scene.object.radius_m, yaw)
+        T_world_rod = level_pose(x, y, height_m, yaw)
         left, right = kinematics.tcp_poses(demo.q[tick])
         np.testing.assert_allclose(left, T_world_rod @ left_grasp, atol=1e-5)
         np.testing.assert_allclose(right, T_world_rod @ right_grasp, atol=1e-5)
@@ -209,12 +210,12 @@ def test_no_posture_that_reaches_the_hands_is_closer_to_the_reference() -> None:
     kinematics = Kinematics()
     left, right = (T.copy() for T in kinematics.tcp_poses(HOME))
     left[:3, 3] += (0.15, 0.1, -0.3)
-    weights = np.array([1.0, 2.0, 1.0, 1.0, 3.0, 1.0, 0.5])
+    weights = np.tile([1.0, 2.0, 1.0, 1.0, 3.0, 1.0, 0.5], 2)
     q = posture_at(DUAL_PANDA, (left, right), HOME, HOME, weights)
     for arm, J in enumerate(kinematics.tcp_jacobians(q)):
         part = slice(7 * arm, 7 * arm + 7)
         null = np.linalg.svd(J[:, part])[2][-1]
-        assert abs(null @ (weights * (HOME - q)[part])) < 1e-4
+        assert abs(null @ (weights * (HOME - q))[part]) < 1e-4
 
 
 def test_a_pose_out_of_reach_is_refused_with_the_hand_and_the_place() -> None:

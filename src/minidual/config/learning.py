@@ -35,6 +35,12 @@ class OperatorConfig(StrictModel):
     """Longest pause before the lift and before the lowering."""
     grasp_spread_m: float = Field(default=0.0, ge=0.0, le=0.05)
     """Largest shift of each hand's grasp along the object."""
+    set_down_m: float = Field(default=0.0015, ge=0.0, le=0.005)
+    """How far below its rest height the object is led before the hands open.
+
+    A policy that copies the lowering ends a millimetre higher or lower; it must not let go in the
+    air.
+    """
 
 
 class TeleopConfig(StrictModel):

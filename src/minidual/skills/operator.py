@@ -208,6 +208,7 @@ class ScriptedOperator:
         away = 1.0 - progress["descend"] + progress["retreat"]
         above_m = PHASES["approach"].rise_m * away
         lifted_m = self.scene.task.lift_height_m * (progress["lift"] - progress["lower"])
+        lifted_m -= self.config.set_down_m * progress["lower"]
         height_m = self.scene.object.rest_height_m + above_m + lifted_m
         T_world_rod = level_pose(x, y, height_m, yaw)
         left, right = (T_world_rod @ T_rod_tcp for T_rod_tcp in grasps)
