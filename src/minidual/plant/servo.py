@@ -29,9 +29,16 @@ class JointServo:
         self._robot = robot
         self._w = frequency_rad_s
 
-    def torque(self, q: Array, v: Array, q_target: Array, v_target: Array) -> Array:
+    def torque(
+        self,
+        q: Array,
+        v: Array,
+        q_target: Array,
+        v_target: Array,
+        a_target: Array | float = 0.0,
+    ) -> Array:
         """Return motor torques (n,) [Nm]."""
-        a = self._w**2 * (q_target - q) + 2.0 * self._w * (v_target - v)
+        a = a_target + self._w**2 * (q_target - q) + 2.0 * self._w * (v_target - v)
         friction = self._robot.arm.damping * v
         tau = self._kinematics.rnea(q, v, a) + friction
         return np.clip(tau, -self._robot.tau_max, self._robot.tau_max)

@@ -1,0 +1,70 @@
+"""The robot description that a controller sends: seven joints, no shapes, velocity limits by position."""
+
+import xml.etree.ElementTree as ET
+from functools import cache
+
+from minidual.plant.franka.limits import limits_of
+from minidual.robot.description import file_at
+from minidual.robot.models import ArmModel
+
+_SHAPES = ("visual", "collision")
+_LAST_LINK = "link8"
+
+
+@cache
+def model_urdf(arm: ArmModel) -> str:
+    """Return the URDF of one arm as the client library reads it.
+
+    Links are `link0` to `link8`, joints `joint1` to `joint7`; a client finds them by these names.
+    """
+    limits = limits_of(arm)
+    source = ET.parse(file_at(arm.urdf)).getroot()
+    names = _chain(source, arm)
+    joints = {name: index for index, name in enumerate(arm.joints)}
+    robot = ET.Element("robot", {"name": "emulated_arm"})
+    for element in source:
+        if element.tag == "link" and element.get("name") in names:
+            for shape in _SHAPES:
+                for part in element.findall(shape):
+                    element.remove(part)
+            element.set("name", names[element.get("name", "")])
+            robot.append(element)
+    for element in source.findall("joint"):
+        parent, child = element.find("parent"), element.find("child")
+        if parent is None or child is None:
+            continue
+        if parent.get("link") not in names or child.get("link") not in names:
+            continue
+        parent.set("link", names[parent.get("link", "")])
+        child.set("link", names[child.get("link", "")])
+        index = joints.get(element.get("name", ""))
+        if index is not None:
+            element.set("name", f"joint{index + 1}")
+            velocity = {
+                "velocity_offset": f"{limits.velocity_offset[index]:g}",
+                "deceleration_limit": f"{limits.deceleration[index]:g}",
+            }
+            ET.SubElement(element, "position_based_velocity_limits", velocity)
+            limit = element.find("limit")
+            if limit is not None:
+                limit.set("velocity", f"{limits.v_max[index]:g}")
+                limit.set("lower", f"{limits.q_lower[index]:g}")
+                limit.set("upper", f"{limits.q_upper[index]:g}")
+        robot.append(element)
+    return ET.tostring(robot, encoding="unicode")
+
+
+def _chain(source: ET.Element, arm: ArmModel) -> dict[str, str]:
+    """Return {link of the arm: its name for the client}, from the base to the flange."""
+    child_of: dict[str, tuple[str, str]] = {}
+    for joint in source.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is not None and child is not None:
+            child_of[child.get("link", "")] = (parent.get("link", ""), joint.get("name", ""))
+    links = [arm.flange_link]
+    while links[-1] != arm.base_link:
+        links.append(child_of[links[-1]][0])
+    links.reverse()
+    names = {link: f"link{index}" for index, link in enumerate(links)}
+    names[arm.flange_link] = _LAST_LINK
+    return names
