@@ -61,8 +61,7 @@ class TestJointTargets:
         assert "joint_motion_generator_acceleration_discontinuity" in errors
 
     def test_too_much_acceleration_alone(self) -> None:
-        jerk = 4500.0
-        a = np.minimum(jerk * DT_S * np.arange(1, 5), 13.0)
+        a = np.minimum(3.5 * np.arange(1, 5), 8.0)
         v = np.cumsum(a) * DT_S
         q = HOME + np.cumsum(v)[:, None] * DT_S * ONE
         assert first_errors(JointMotion(LIMITS, HOME), q) == [
@@ -70,7 +69,7 @@ class TestJointTargets:
         ]
 
     def test_too_much_jerk_alone(self) -> None:
-        q = HOME + 8.0 * DT_S**2 * ONE  # 8 rad/s^2 at once: below 10, the jerk is 8000
+        q = HOME + 6.0 * DT_S**2 * ONE  # 6 rad/s^2 at once: below 7.5, the jerk is 6000
         assert JointMotion(LIMITS, HOME).target(q) == [
             "joint_motion_generator_acceleration_discontinuity"
         ]
@@ -102,7 +101,7 @@ class TestJointTargets:
 
     def test_velocities_are_checked_like_targets(self) -> None:
         motion = JointMotion(LIMITS, HOME)
-        assert motion.velocity(0.004 * ONE) == []
+        assert motion.velocity(0.003 * ONE) == []
         assert "joint_motion_generator_velocity_discontinuity" in motion.velocity(0.1 * ONE)
 
     def test_a_lost_command_is_bridged_at_constant_acceleration(self) -> None:
@@ -162,7 +161,7 @@ class TestPoses:
             "cartesian_motion_generator_acceleration_discontinuity",
         ]
 
-    @pytest.mark.parametrize("twist", [np.eye(6)[0] * 3.2, np.eye(6)[4] * 2.6])
+    @pytest.mark.parametrize("twist", [np.eye(6)[0] * 1.8, np.eye(6)[4] * 2.6])
     def test_too_fast(self, twist: np.ndarray) -> None:
         motion = CartesianMotion(LIMITS, np.eye(4))
         motion.twist = 0.999 * twist
@@ -172,13 +171,13 @@ class TestPoses:
     def test_too_much_acceleration_and_too_much_jerk_alone(self) -> None:
         motion = CartesianMotion(LIMITS, np.eye(4))
         errors: list[str] = []
-        acceleration = np.minimum(4.0 * np.arange(1, 5), 9.5)
+        acceleration = np.minimum(6.0 * np.arange(1, 5), 14.0)
         for v in np.cumsum(acceleration) * DT_S:
             errors = motion.velocity(np.eye(6)[0] * v)
             if errors:
                 break
         assert errors == ["cartesian_motion_generator_velocity_discontinuity"]
-        errors = CartesianMotion(LIMITS, np.eye(4)).velocity(np.eye(6)[0] * 6.0 * DT_S)
+        errors = CartesianMotion(LIMITS, np.eye(4)).velocity(np.eye(6)[0] * 9.0 * DT_S)
         assert errors == ["cartesian_motion_generator_acceleration_discontinuity"]
 
     def test_twists_that_are_not_finite(self) -> None:
@@ -228,7 +227,7 @@ class TestMeasurements:
         [
             ({"q": HOME + 3.0}, "joint_position_limits_violation"),
             ({"v": 3.0 * np.ones(7)}, "joint_velocity_violation"),
-            ({"speed_m_per_s": 3.5}, "cartesian_velocity_violation"),
+            ({"speed_m_per_s": 2.0}, "cartesian_velocity_violation"),
             ({"tau": 120.0 * np.ones(7)}, "tau_j_range_violation"),
             ({"position_m": np.array([0.4, 0.0, -0.1])}, "cartesian_position_limits_violation"),
         ],

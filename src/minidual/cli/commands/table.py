@@ -28,6 +28,7 @@ from minidual.cli.commands.export_ros2 import export_ros2
 from minidual.cli.commands.leader_calibrate import leader_calibrate
 from minidual.cli.commands.modes import modes
 from minidual.cli.commands.plan import plan
+from minidual.cli.commands.plant_serve import plant_serve
 from minidual.cli.commands.replay import replay
 from minidual.cli.commands.report import report
 from minidual.cli.commands.run import run
@@ -59,6 +60,7 @@ RUN_COMMANDS: dict[str, Command] = {
 CONFIG_COMMANDS: dict[str, Command] = {"show": config_show, "forget": config_forget}
 TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {
     "leader": ("Devices that lead the arms.", {"calibrate": leader_calibrate}),
+    "plant": ("What the arms are: the emulator of two controllers.", {"serve": plant_serve}),
     "export": ("Files for other programs.", {"ros2": export_ros2}),
     "data": (
         "Demonstrations of any origin.",

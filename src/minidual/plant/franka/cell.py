@@ -97,7 +97,7 @@ class EmulatedCell:
             speed = float(np.linalg.norm(jacobian[:3] @ v[joints]))
             state = MeasuredState(q[joints], v[joints], tau[joints], speed, position_m)
             arm.sense(state, T_base_hand, jacobian, gravity[joints])
-            external = world.data.qfrc_constraint[self._dofs[index]]
+            external = self._external_torque(self._dofs[index])
             self._external[index] += share * (external - self._external[index])
             square = jacobian @ jacobian.T + 1e-6 * np.eye(6)
             self._wrench[index] = np.linalg.solve(square, jacobian @ self._external[index])
@@ -106,6 +106,17 @@ class EmulatedCell:
         grip_n = world.grip
         for index, hand in enumerate(self.hands):
             hand.tick(gaps_m[index], float(grip_n[index]))
+
+    def _external_torque(self, dofs: Array) -> Array:
+        """Return the torques (7,) of contacts and of forces from outside [Nm]."""
+        data = self.world.data
+        applied = (
+            data.qfrc_smooth[dofs]
+            + data.qfrc_bias[dofs]
+            - data.qfrc_passive[dofs]
+            - data.qfrc_actuator[dofs]
+        )
+        return data.qfrc_constraint[dofs] + applied
 
     def _hand_jacobian(self, arm: int) -> Array:
         """Return the Jacobian (6, 7) of a hand, in the base's axes."""

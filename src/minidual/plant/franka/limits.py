@@ -1,8 +1,8 @@
 """What a controller refuses: limits of commanded motions, torques and collisions, by the vendor's names.
 
 Nothing here knows a network or a simulator. The derivatives are those of the commands, at 1 kHz.
-Source of the numbers: Franka Control Interface documentation, "Limits for Franka Research 3", and
-the arm's own limits of position and velocity.
+Source of the numbers: the arm model, and the Franka Control Interface documentation: "Limits for
+Panda", and for the fall of the velocity near a position limit "Limits for Franka Research 3".
 """
 
 from collections.abc import Sequence
@@ -51,9 +51,9 @@ class FciLimits:
     jerk_max: Array
     tau_max: Array
     tau_rate_max: Array
-    linear: tuple[float, float, float] = (3.0, 9.0, 4500.0)
-    angular: tuple[float, float, float] = (2.5, 17.0, 8500.0)
-    elbow: tuple[float, float, float] = (1.5, 10.0, 5000.0)
+    linear: tuple[float, float, float] = (1.7, 13.0, 6500.0)
+    angular: tuple[float, float, float] = (2.5, 25.0, 12500.0)
+    elbow: tuple[float, float, float] = (2.175, 10.0, 5000.0)
     tau_range_nm: float = 1.2
     power_max_w: float = 600.0
 
@@ -87,8 +87,8 @@ def limits_of(arm: ArmModel) -> FciLimits:
         v_max=np.array(arm.v_max),
         velocity_offset=np.array(_VELOCITY_OFFSET),
         deceleration=np.array(_DECELERATION),
-        a_max=np.full(7, 10.0),
-        jerk_max=np.full(7, 5000.0),
+        a_max=np.array(arm.a_max),
+        jerk_max=np.array(arm.jerk_max),
         tau_max=np.array(arm.tau_max),
         tau_rate_max=np.full(7, arm.tau_rate_max),
     )
