@@ -206,4 +206,4 @@ def test_poses_and_twists_are_followed_and_refused(arm: ArmController) -> None:
     arm.recover()
     started(arm, Generator.CARTESIAN_POSITION, Controller.CARTESIAN_IMPEDANCE)
     arm.command(message(O_T_EE_c=(2.0 * np.eye(4)).ravel()))
-    assert arm.errors == ("cartesian_position_motion_generator_invalid_frame_flag",)
+    assert arm.errors == ("cartesian_position_motion_generator_invalid_frame",)

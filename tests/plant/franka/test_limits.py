@@ -150,7 +150,7 @@ class TestPoses:
         for wrong in (2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)):
             assert not is_transformation(wrong)
             assert CartesianMotion(LIMITS, np.eye(4)).target(wrong) == [
-                "cartesian_position_motion_generator_invalid_frame_flag"
+                "cartesian_position_motion_generator_invalid_frame"
             ]
 
     def test_jumps_have_three_names(self) -> None:

@@ -30,7 +30,7 @@ def cell() -> EmulatedCell:
 
 @pytest.fixture
 def server(cell: EmulatedCell) -> Iterator[EmulatorServer]:
-    serving = EmulatorServer(cell, HOSTS, Pace.CLIENT)
+    serving = EmulatorServer(cell, HOSTS, Pace.CLIENT, patience_s=0.02)
     yield serving
     serving.close()
     for arm in cell.arms:

@@ -20,7 +20,7 @@ def plant_serve(
         str,
         typer.Option(
             metavar="real|client",
-            help="real: a millisecond is a millisecond. client: wait for commands, up to 50 ms each.",
+            help="real: a millisecond is a millisecond. client: wait for late commands.",
         ),
     ] = "real",
     session: Session,

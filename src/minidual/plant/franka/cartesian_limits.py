@@ -32,7 +32,7 @@ class CartesianMotion:
     def target(self, pose: Array) -> list[str]:
         """Take the next pose (4, 4); return the errors."""
         if not is_transformation(pose):
-            return ["cartesian_position_motion_generator_invalid_frame_flag"]
+            return ["cartesian_position_motion_generator_invalid_frame"]
         shift = pose[:3, 3] - self.pose[:3, 3]
         turn = rotation_vector(pose[:3, :3] @ self.pose[:3, :3].T)
         far = float(np.linalg.norm(shift)) > _START_M or float(np.linalg.norm(turn)) > START_RAD

@@ -9,6 +9,8 @@ from minidual.robot.models import ArmModel
 
 _SHAPES = ("visual", "collision")
 _LAST_LINK = "link8"
+EMULATED = "emulated_arm"
+"""Name of the described robot: a client tells the emulator from hardware by it."""
 
 
 @cache
@@ -21,7 +23,7 @@ def model_urdf(arm: ArmModel) -> str:
     source = ET.parse(file_at(arm.urdf)).getroot()
     names = _chain(source, arm)
     joints = {name: index for index, name in enumerate(arm.joints)}
-    robot = ET.Element("robot", {"name": "emulated_arm"})
+    robot = ET.Element("robot", {"name": EMULATED})
     for element in source:
         if element.tag == "link" and element.get("name") in names:
             for shape in _SHAPES:

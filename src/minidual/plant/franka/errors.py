@@ -174,7 +174,7 @@ ERRORS: tuple[VendorError, ...] = (
         "a pose needs too much jerk of a joint",
     ),
     VendorError(
-        "cartesian_position_motion_generator_invalid_frame_flag",
+        "cartesian_position_motion_generator_invalid_frame",
         "reference",
         "the pose is no transformation",
     ),

@@ -17,7 +17,7 @@ from minidual.robot.pair import SIDES
 
 HOSTS = ("127.0.0.1", "127.0.0.2")
 _PERIOD_S = 1e-3
-_PATIENCE_S = 0.05
+PATIENCE_S = 0.5
 _BEHIND_MAX_S = 0.05
 
 
@@ -25,7 +25,7 @@ class Pace(StrEnum):
     """How the emulator's time passes.
 
     real: one millisecond of the wall each, as a controller's. client: as that, but it waits up to
-    50 ms for each command, so that a busy machine loses no packets.
+    half a second for each command, so that a busy machine loses no packets.
     """
 
     REAL = "real"
@@ -39,6 +39,7 @@ class EmulatorServer:
         cell: Arms, hands, world.
         hosts: Addresses of the left and right controller.
         pace: How its time passes.
+        patience_s: How long it waits for a command, with pace `client`.
 
     Attributes:
         late_ticks: Milliseconds that took longer, with pace `real`.
@@ -53,6 +54,7 @@ class EmulatorServer:
         cell: EmulatedCell,
         hosts: Sequence[str] = HOSTS,
         pace: Pace = Pace.REAL,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         if len(set(hosts)) != len(SIDES):
             raise UsageError(
@@ -62,6 +64,7 @@ class EmulatorServer:
         self.cell = cell
         self.hosts = tuple(hosts)
         self.pace = pace
+        self._patience_s = patience_s
         self.late_ticks = 0
         self.arms: list[ServedArm] = []
         self.hands: list[ServedHand] = []
@@ -93,7 +96,7 @@ class EmulatorServer:
         missing = [arm for arm in self.arms if arm.expects and not arm.receive()]
         if self.pace is Pace.REAL:
             return
-        deadline_s = time.perf_counter() + _PATIENCE_S
+        deadline_s = time.perf_counter() + self._patience_s
         while missing:
             left_s = deadline_s - time.perf_counter()
             sockets = [arm.channel.udp for arm in missing if arm.channel.udp is not None]

@@ -1,0 +1,243 @@
+"""One Franka arm and its hand through the vendor's client library; its C++ loop owns the 1 kHz."""
+
+import math
+import threading
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from minidual.config.plant import PlantConfig
+from minidual.errors import EnvironmentMissingError
+from minidual.plant.franka.description import EMULATED
+from minidual.plant.franka.errors import ERRORS, ERRORS_BY_NAME
+from minidual.robot.pair import Array, Robot
+
+_CLOSE_BELOW = 0.4
+_OPENING_STEP = 0.05
+"""A smaller change of a hand's opening is no new command."""
+_HAND_SPEED_M_PER_S = 0.08
+_ANY_WIDTH_M = 0.1
+_HAND_PERIOD_S = 0.02
+_BRAKE_SHARE = 0.5
+
+
+def client_library() -> Any:
+    """Return the module of the vendor's client library.
+
+    Raises:
+        EnvironmentMissingError: The extra is not installed.
+    """
+    try:
+        import franky
+    except ModuleNotFoundError as error:
+        raise EnvironmentMissingError(
+            "plant 'franka' needs the library franky-control, which is not installed",
+            remedy="pip install 'minidual[franka]'",
+        ) from error
+    return franky
+
+
+def described(name: str) -> str:
+    """Return an error of the vendor with the family of our reflexes and what it means."""
+    error = ERRORS_BY_NAME.get(name)
+    return name if error is None else f"{name} ({error.reflex}: {error.text})"
+
+
+class ArmLink:
+    """One arm.
+
+    Args:
+        host: Address of its controller.
+        robot: Both arms, for limits.
+        arm: 0 left, 1 right.
+        config: Section `plant`.
+
+    Attributes:
+        host: As given.
+        q, v, tau: Last measurement (7,).
+        time_s: Of the last state, since the connection.
+        fault: Why it cannot be driven, or empty.
+
+    Raises:
+        EnvironmentMissingError: There is no controller, or it speaks another version.
+    """
+
+    def __init__(self, host: str, robot: Robot, arm: int, config: PlantConfig) -> None:
+        self.host = host
+        self._franky = franky = client_library()
+        joints = robot.joints_of(arm)
+        self._a_brake = _BRAKE_SHARE * config.acceleration_share * robot.a_max[joints]
+        try:
+            self._robot = franky.Robot(
+                host,
+                relative_dynamics_factor=franky.RelativeDynamicsFactor(
+                    config.velocity_share,
+                    config.acceleration_share,
+                    config.acceleration_share,
+                ),
+                default_torque_threshold=config.collision_torque_nm,
+                default_force_threshold=config.collision_force_n,
+                realtime_config=franky.RealtimeConfig.Ignore,
+            )
+        except Exception as error:  # the library's own classes
+            raise EnvironmentMissingError(
+                f"no Franka controller answers at {host}: {error}",
+                remedy="check the cable, open the brakes and activate FCI in Desk; "
+                "`minidual plant serve` starts the emulator",
+            ) from error
+        self.emulated = EMULATED in self._robot.model_urdf
+        self.fault = ""
+        self._stopped = False
+        self._began_s: float | None = None
+        self.time_s = 0.0
+        self.q = np.zeros(7)
+        self.v = np.zeros(7)
+        self.tau = np.zeros(7)
+        self.success_rate = 1.0
+        self.read()
+
+    def read(self) -> bool:
+        """Read the newest state; return whether it is newer than the last."""
+        try:
+            self._robot.poll_motion()
+        except Exception as error:
+            self._note(error)
+        try:
+            state = self._robot.state
+        except Exception as error:
+            self._note(error)
+            return False
+        stamp_s = float(state.time.to_sec())
+        if self._began_s is None:
+            self._began_s = stamp_s
+        time_s = stamp_s - self._began_s
+        newer = time_s > self.time_s
+        self.time_s = time_s
+        self.q = np.array(state.q)
+        self.v = np.array(state.dq)
+        self.tau = np.array(state.tau_J)
+        self.success_rate = float(state.control_command_success_rate)
+        names = [error.name for error in ERRORS if getattr(state.current_errors, error.name)]
+        if names:
+            self.fault = ", ".join(described(name) for name in names)
+        elif state.robot_mode == self._franky.RobotMode.UserStopped:
+            self.fault = "user_stopped (emergency_stop: the stop button is pressed)"
+        return newer
+
+    def _note(self, error: Exception) -> None:
+        """Keep why a motion ended, by the names in the library's message."""
+        text = str(error)
+        if "preempted" in text:  # our own stop
+            return
+        names = [known.name for known in ERRORS if f'"{known.name}"' in text]
+        reasons = [described(name) for name in names]
+        if not reasons:
+            reasons = [f"{type(error).__name__}: {text.splitlines()[0] if text else 'no reason'}"]
+        self.fault = self.fault or ", ".join(reasons)
+
+    def follow(self, q: Array, v: Array, period_s: float) -> None:
+        """Be at q (7,) with velocity v (7,) after a period; without the next target, come to rest."""
+        if self.fault:
+            return
+        franky = self._franky
+        rest = q + v * np.abs(v) / (2.0 * self._a_brake)
+        milliseconds = franky.Duration(max(1, round(1000.0 * period_s)))
+        waypoints = [
+            franky.JointWaypoint(franky.JointState(q, v), minimum_time=milliseconds),
+            franky.JointWaypoint(franky.JointState(rest)),
+        ]
+        motion = franky.JointWaypointMotion(waypoints, return_when_finished=False)
+        try:
+            self._robot.move(motion, asynchronous=True)
+            self._stopped = False
+        except Exception as error:
+            self._note(error)
+
+    def stop(self) -> None:
+        """Let the controller brake the arm, and hold it."""
+        if self._stopped:
+            return
+        self._stopped = True
+        try:
+            self._robot.stop()
+            self._robot.join_motion(1.0)
+        except Exception as error:
+            self._note(error)
+
+    def recover(self) -> None:
+        """Clear what the controller can clear."""
+        with suppress(Exception):  # the exception of the motion that ended; `read` has noted it
+            self._robot.join_motion(1.0)
+        try:
+            self.fault = ""
+            if self._robot.has_errors and not self._robot.recover_from_errors():
+                self.fault = "the controller refused to recover"
+        except Exception as error:
+            self._note(error)
+        self._stopped = False
+        self.read()
+
+
+class HandLink:
+    """One hand, read and commanded by a thread of its own: its service answers slowly."""
+
+    def __init__(self, host: str, travel_m: float, grip_n: float) -> None:
+        self._hand = client_library().Gripper(host)
+        self._travel_m = travel_m
+        self._grip_n = grip_n
+        self._opening = math.nan
+        self._wanted: float | None = None
+        self._work: Any = None
+        self.finger_m = 0.5 * float(self._hand.width)
+        self.grip_n = 0.0
+        self.fault = ""
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True, name=f"hand {host}")
+        self._thread.start()
+
+    def open_to(self, opening: float) -> None:
+        """Close (below 0.4) or open; NaN and small changes change nothing."""
+        if math.isnan(opening):
+            return
+        if not math.isnan(self._opening) and abs(opening - self._opening) < _OPENING_STEP:
+            return
+        if self._opening < _CLOSE_BELOW and opening < _CLOSE_BELOW:
+            return
+        self._opening = opening
+        self._wanted = opening
+
+    def _run(self) -> None:
+        while not self._ended.wait(_HAND_PERIOD_S):
+            try:
+                self._turn()
+                self.fault = ""
+            except Exception as error:
+                self.fault = f"{type(error).__name__}: {error}"
+
+    def _turn(self) -> None:
+        state = self._hand.state
+        self.finger_m = 0.5 * float(state.width)
+        self.grip_n = self._grip_n if state.is_grasped else 0.0
+        opening = self._wanted
+        if opening is None:
+            return
+        self._wanted = None
+        if self._work is not None:
+            self._hand.stop()
+        if opening < _CLOSE_BELOW:
+            self._work = self._hand.grasp_async(
+                0.0,
+                _HAND_SPEED_M_PER_S,
+                self._grip_n,
+                _ANY_WIDTH_M,
+                _ANY_WIDTH_M,
+            )
+        else:
+            width_m = 2.0 * self._travel_m * min(opening, 1.0)
+            self._work = self._hand.move_async(width_m, _HAND_SPEED_M_PER_S)
+
+    def close(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self._thread.join(timeout=2.0)

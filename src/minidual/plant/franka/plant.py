@@ -1,0 +1,206 @@
+"""Two Franka arms as a plant: joint targets out, stamped states in, errors by name."""
+
+import time
+from typing import ClassVar
+
+import numpy as np
+
+from minidual.errors import UsageError
+from minidual.plant.connect import PlantRequest
+from minidual.plant.franka.link import ArmLink, HandLink, client_library
+from minidual.plant.lifecycle import ArmHealth, CommandKind, Sent
+from minidual.robot.pair import SIDES, Array
+
+_POLL_S = 0.0005
+_SILENT_S = 0.06
+_SILENT_EMULATOR_S = 1.0
+"""So long a step waits for the next state; an emulator on a busy machine is slower."""
+_SKEW_GAIN = 1e-4
+"""Share of the difference of the controllers' clocks that a step takes for drift."""
+WHY_NO_TORQUE = (
+    "controller C and other torque laws need their own loop at 1 kHz: Python streamed only 366 to "
+    "421 Hz, with stalls up to 0.98 s. A torque law would have to run inside the vendor's C++ loop; "
+    "use controllers A or B"
+)
+
+
+class FrankaPlant:
+    """Two arms with hands behind the vendor's controllers.
+
+    The plant's clock is the left controller's; a step ends when both have measured again. A
+    controller that falls silent leaves its stamp behind, and the supervisor stops both arms.
+    """
+
+    kinds = (CommandKind.POSITION,)
+    kind = CommandKind.POSITION
+    why_not: ClassVar[dict[CommandKind, str]] = {CommandKind.TORQUE: WHY_NO_TORQUE}
+    grip_max_n = 70.0
+
+    def __init__(self, request: PlantRequest) -> None:
+        self.robot = request.robot
+        self.hosts = request.hosts
+        self.dt = 1.0 / request.config.rate_hz
+        self._config = request.config
+        self._arms: list[ArmLink] = []
+        self._hands: list[HandLink] = []
+        self.place = "hardware"
+        self.time = 0.0
+        self._skew_s = 0.0
+        self.sent: Sent | None = None
+        self._silent_s = _SILENT_S
+
+    def connect(self) -> None:
+        """Connect both arms, then both hands.
+
+        Raises:
+            UsageError: There are not two different hosts, or the arms have not seven joints.
+            EnvironmentMissingError: The library is missing, or a controller does not answer.
+        """
+        if len(set(self.hosts)) != len(SIDES):
+            raise UsageError(
+                f"plant 'franka' needs the addresses of two controllers, left and right, not "
+                f"{', '.join(self.hosts) or 'none'}",
+                remedy="--plant franka://LEFT,RIGHT",
+            )
+        if self.robot.dof_per_arm != 7:
+            raise UsageError(
+                f"plant 'franka' drives arms with 7 joints; '{self.robot.arm.name}' has "
+                f"{self.robot.dof_per_arm}",
+                remedy="--set robot.arm=panda",
+            )
+        client_library()
+        try:
+            for index, host in enumerate(self.hosts):
+                self._arms.append(ArmLink(host, self.robot, index, self._config))
+            for host in self.hosts:
+                travel_m = self.robot.hand.travel_m
+                self._hands.append(HandLink(host, travel_m, self._config.grip_n))
+        except Exception:
+            self.close()
+            raise
+        if any(arm.emulated for arm in self._arms):
+            self.place = "emulator"
+            self._silent_s = _SILENT_EMULATOR_S
+        left, right = self._arms
+        self.time = left.time_s
+        self._skew_s = right.time_s - left.time_s
+
+    def activate(self, kind: CommandKind) -> None:
+        """Clear errors of an earlier motion."""
+        if any(arm.fault for arm in self._arms):
+            self.recover()
+
+    # Measurements ------------------------------------------------------------------------------
+
+    @property
+    def stamps_s(self) -> Array:
+        """Times (2,) [s] of the arms' states, on the plant's clock."""
+        left, right = self._arms
+        return np.array([left.time_s, right.time_s - self._skew_s])
+
+    @property
+    def stamp_s(self) -> float:
+        """See `Plant`: of the older state."""
+        return float(self.stamps_s.min())
+
+    @property
+    def healths(self) -> list[ArmHealth]:
+        """Health of each arm and its hand."""
+        healths: list[ArmHealth] = []
+        for side, arm, hand in zip(SIDES, self._arms, self._hands, strict=True):
+            faults = [arm.fault] if arm.fault else []
+            if hand.fault:
+                faults.append(f"hand: {hand.fault}")
+            healths.append(ArmHealth(side, tuple(faults)))
+        return healths
+
+    @property
+    def health(self) -> str:
+        """See `Plant`."""
+        return "; ".join(
+            f"{health.arm} arm: {fault}" for health in self.healths for fault in health.faults
+        )
+
+    @property
+    def q(self) -> Array:
+        """See `Plant`."""
+        return np.concatenate([arm.q for arm in self._arms])
+
+    @property
+    def v(self) -> Array:
+        """See `Plant`."""
+        return np.concatenate([arm.v for arm in self._arms])
+
+    @property
+    def tau(self) -> Array:
+        """Measured torques (n,) [Nm], on the links' side."""
+        return np.concatenate([arm.tau for arm in self._arms])
+
+    @property
+    def fingers(self) -> Array:
+        """See `Plant`."""
+        return np.array([hand.finger_m for hand in self._hands])
+
+    @property
+    def grip(self) -> Array:
+        """The set force of hands that report a grasp, else 0 (2,) [N]: the hands measure none."""
+        return np.array([hand.grip_n for hand in self._hands])
+
+    @property
+    def success_rates(self) -> list[float]:
+        """Share of each arm's last 100 commands that its controller got in time."""
+        return [arm.success_rate for arm in self._arms]
+
+    # Commands ----------------------------------------------------------------------------------
+
+    def follow(self, q: Array, v: Array, openings: Array) -> None:
+        """See `PositionPlant`."""
+        for index, arm in enumerate(self._arms):
+            joints = self.robot.joints_of(index)
+            arm.follow(q[joints], v[joints], self.dt)
+        for hand, opening in zip(self._hands, openings, strict=True):
+            hand.open_to(float(opening))
+        self.sent = Sent(self.kind, self.time, q=q.copy(), v=v.copy())
+
+    def brake(self, arms: tuple[int, ...]) -> None:
+        """See `Plant`: the controllers stop these arms themselves."""
+        for index in arms:
+            self._arms[index].stop()
+
+    def step(self) -> None:
+        """Wait until both controllers' clocks have gone on by a period."""
+        due_s = self.time + self.dt
+        patient_until_s = time.perf_counter() + self.dt + self._silent_s
+        left, right = self._arms
+        while True:
+            for arm in self._arms:
+                arm.read()
+            if self.stamp_s >= due_s - 1e-9:
+                break
+            if time.perf_counter() > patient_until_s:
+                break
+            time.sleep(_POLL_S)
+        self.time = max(due_s, self.stamp_s)
+        drift_s = right.time_s - left.time_s - self._skew_s
+        self._skew_s += _SKEW_GAIN * drift_s
+
+    # Ends --------------------------------------------------------------------------------------
+
+    def recover(self) -> None:
+        """Clear what the controllers can clear; see `healths` for the rest."""
+        for arm in self._arms:
+            arm.recover()
+
+    def close(self) -> None:
+        """Stop both arms, and let go of the hands."""
+        for arm in self._arms:
+            arm.stop()
+        for hand in self._hands:
+            hand.close()
+        self._hands = []
+        self._arms = []
+
+
+def franka(request: PlantRequest) -> FrankaPlant:
+    """Return the row `franka` of `PLANTS`."""
+    return FrankaPlant(request)
