@@ -1,4 +1,4 @@
-"""A quick plant that takes joint targets: joints follow them exactly one step later."""
+"""A quick plant that takes joint targets: joints follow them exactly one step later, or with a fault."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from minidual.robot.pair import DUAL_PANDA, Array, Robot
 
 
 class Follower:
-    """Two arms at 50 Hz with ideal drives; `stuck` joints stay, `late_arm_s` ages one arm's stamps."""
+    """Two arms at 50 Hz with ideal drives.
+
+    Faults: `stuck` joints stay, `late_arm_s` ages one arm's stamps, `lag_ticks` delays an arm's
+    joints, `jitter_s` makes steps uneven, `tau_off` adds to the torques, `sag_rad_s` lets joints
+    sink, `fingers_least_m` stops the fingers, `limits_rad` is what it declares, `swapped` arms.
+    """
 
     place = "test double"
     kinds = (CommandKind.POSITION,)
@@ -21,9 +26,16 @@ class Follower:
         self.dt = dt
         self.grip_max_n = 70.0
         self.calls: list[str] = []
-        self.targets: list[Array] = []
+        self.targets: list[Array] = [robot.home.copy()]
         self.stuck = np.zeros(robot.dof, dtype=bool)
         self.late_arm_s = 0.0
+        self.lag_ticks = [0, 0]
+        self.jitter_s = 0.0
+        self.tau_off = np.zeros(robot.dof)
+        self.sag_rad_s = np.zeros(robot.dof)
+        self.fingers_least_m = 0.0
+        self.limits_rad: tuple[Array, Array] | None = None
+        self.swapped = False
         self.faults: list[tuple[str, ...]] = [(), ()]
         self.recovers = True
         self.braked: tuple[int, ...] = ()
@@ -64,7 +76,7 @@ class Follower:
 
     @property
     def time(self) -> float:
-        return self._ticks * self.dt
+        return self._ticks * self.dt + self.jitter_s * (self._ticks % 2)
 
     stamp_s = time
 
@@ -86,7 +98,7 @@ class Follower:
 
     @property
     def tau(self) -> Array:
-        return np.array(self._kinematics.gravity(self._q))
+        return np.array(self._kinematics.gravity(self._q)) + self.tau_off
 
     @property
     def sent(self) -> Sent:
@@ -95,12 +107,19 @@ class Follower:
     def follow(self, q: Array, v: Array, openings: Array) -> None:
         self._target = q.copy()
         self.targets.append(q.copy())
-        self.openings = openings.copy()
+        self.openings = np.where(np.isnan(openings), self.openings, openings)
+        wide = self.openings * self.robot.hand.travel_m
+        self.fingers = np.maximum(wide, self.fingers_least_m)
 
     def brake(self, arms: tuple[int, ...]) -> None:
         self.braked = arms
 
     def step(self) -> None:
         self._last = self._q.copy()
-        self._q = np.where(self.stuck, self._q, self._target)
+        n = self.robot.dof_per_arm
+        told = [self.targets[-1 - min(lag, len(self.targets) - 1)] for lag in self.lag_ticks]
+        wanted = np.concatenate([told[0][:n], told[1][n:]])
+        if self.swapped:
+            wanted = np.concatenate([wanted[n:], wanted[:n]])
+        self._q = np.where(self.stuck, self._q, wanted) + self.sag_rad_s * self.dt
         self._ticks += 1

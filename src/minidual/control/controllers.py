@@ -17,7 +17,7 @@ import numpy as np
 from minidual.control.arbiter import ArbiterOutput
 from minidual.control.commands import ArbiterState, Command, JointCommand, Reason, TrajectoryCommand
 from minidual.control.execution import TrajectoryExecution
-from minidual.control.joint_control import ComputedTorque, ReferenceFilter
+from minidual.control.joint_control import SERVO_RAD_S, ComputedTorque, ReferenceFilter
 from minidual.control.kernels import minimum_jerk
 from minidual.control.payload import Payload
 from minidual.control.target_lead import AnticipatingFilter
@@ -87,6 +87,7 @@ class JointTrajectoryController(Controller):
         self._dt = dt_s
         self._payload = payload
         self._holds = False
+        self._kinematics = kinematics
         self._servo = ComputedTorque(kinematics)
         self._robot = kinematics.robot
         self._filter: ReferenceFilter | AnticipatingFilter
@@ -104,6 +105,11 @@ class JointTrajectoryController(Controller):
         """Feed the velocity of streamed targets of this period forward; the arms stand still."""
         self._filter = AnticipatingFilter(self._dt, period_s, self._robot)
         self._filter.reset(self.reference)
+
+    def soften(self, share: float) -> None:
+        """Track the reference with a share of the full stiffness; 1 restores it."""
+        frequency = SERVO_RAD_S * share**0.5
+        self._servo = ComputedTorque(self._kinematics, natural_frequency_rad_s=frequency)
 
     def activate(self, q: Array, v: Array) -> None:
         """Start the reference at the measurement."""

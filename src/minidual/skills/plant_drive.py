@@ -10,6 +10,7 @@ import numpy as np
 
 from minidual.config.root import Config
 from minidual.control.commands import JointCommand
+from minidual.control.controllers import JointTrajectoryController
 from minidual.control.kernels import minimum_jerk
 from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
@@ -19,7 +20,6 @@ from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.supervised import trial_supervisor
 
-_SOURCE = "policy"
 _MINIMUM_JERK_PEAK = 1.875  # peak over mean speed of a minimum-jerk motion
 _MOVE_MIN_S = 0.6
 _SPEED_RAD_S = 1.0
@@ -77,18 +77,26 @@ class PlantDrive:
         connection: Open.
         config: Arbiter, supervisor and rate of the targets.
         speed: Share of full speed, 0.1 to 1.
+        source: Of the arbiter, that streams the targets.
 
     Attributes:
         stack: For stops and recovery.
         speed: As given; moves are as much slower.
     """
 
-    def __init__(self, connection: Connection, config: Config, speed: float = 1.0) -> None:
+    def __init__(
+        self,
+        connection: Connection,
+        config: Config,
+        speed: float = 1.0,
+        source: str = "policy",
+    ) -> None:
         plant = connection.plant
         self.connection = connection
         self.plant = plant
         self.robot = plant.robot
         self.speed = speed
+        self._source = source
         supervisor = trial_supervisor(config.supervisor, plant.dt, plant.robot)
         self.stack = ControlStack(
             plant,
@@ -114,10 +122,10 @@ class PlantDrive:
         Raises:
             DriveError: They are not given.
         """
-        self.stack.request(_SOURCE)
+        self.stack.request(self._source)
         self._target = self.stack.measurement.q.copy()
         end_s = self.plant.time + _GIVEN_MAX_S
-        while self.stack.source != _SOURCE:
+        while self.stack.source != self._source:
             if self.plant.time > end_s:
                 raise DriveError(f"the arms were not given: the arbiter is {self.stack.state}")
             self.stack.step()
@@ -131,14 +139,14 @@ class PlantDrive:
         """
         if target is not None:
             self._target = np.asarray(target, dtype=float)
-        if self.stack.source == _SOURCE and self.stack.tick_next:
+        if self.stack.source == self._source and self.stack.tick_next:
             command = JointCommand(
                 self._target.copy(),
                 self.openings.copy(),
                 self.plant.time,
                 next(self._sequence),
             )
-            self.stack.propose(_SOURCE, command)
+            self.stack.propose(self._source, command)
         self.stack.step()
         self._keep()
 
@@ -198,6 +206,17 @@ class PlantDrive:
         for target in targets:
             self.step(target)
         return self.take()
+
+    def soften(self, share: float) -> None:
+        """Lower the stiffness of the joints to a share, in our controllers or in the plant's own."""
+        plants_own = getattr(self.plant, "soften", None)
+        if plants_own is not None:
+            plants_own(share)
+            return
+        for group in self.robot.groups:
+            law = self.stack.manager[group]
+            if isinstance(law, JointTrajectoryController):
+                law.soften(share)
 
     def take_rows(self) -> None:
         """Forget the rows kept so far."""

@@ -7,6 +7,7 @@ from minidual.plant.lifecycle import CommandKind
 
 STAGE_PLANTS: dict[str, tuple[CommandKind, ...]] = {
     "env-check": (CommandKind.TORQUE, CommandKind.POSITION),
+    "migrate": (CommandKind.TORQUE, CommandKind.POSITION),
 }
 """Stages and tools that drive any plant, with the kinds of command that they send."""
 

@@ -19,7 +19,7 @@ from minidual.plant.franka.errors import ERRORS
 from minidual.robot.models import PANDA
 
 franky = pytest.importorskip("franky", reason="needs the extra minidual[franka] (franky-control)")
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 HOSTS = ("127.0.0.51", "127.0.0.52")
 

@@ -26,6 +26,7 @@ from minidual.cli.commands.env_check import env_check
 from minidual.cli.commands.explain import explain
 from minidual.cli.commands.export_ros2 import export_ros2
 from minidual.cli.commands.leader_calibrate import leader_calibrate
+from minidual.cli.commands.migrate import migrate
 from minidual.cli.commands.modes import modes
 from minidual.cli.commands.plan import plan
 from minidual.cli.commands.plant_serve import plant_serve
@@ -56,6 +57,7 @@ RUN_COMMANDS: dict[str, Command] = {
     "status": status,
     "explain": explain,
     "stop": stop,
+    "migrate": migrate,
 }
 CONFIG_COMMANDS: dict[str, Command] = {"show": config_show, "forget": config_forget}
 TOOL_GROUPS: dict[str, tuple[str, dict[str, Command]]] = {

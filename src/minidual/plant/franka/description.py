@@ -3,9 +3,12 @@
 import xml.etree.ElementTree as ET
 from functools import cache
 
+import numpy as np
+
 from minidual.plant.franka.limits import limits_of
 from minidual.robot.description import file_at
 from minidual.robot.models import ArmModel
+from minidual.robot.pair import Array
 
 _SHAPES = ("visual", "collision")
 _LAST_LINK = "link8"
@@ -70,3 +73,24 @@ def _chain(source: ET.Element, arm: ArmModel) -> dict[str, str]:
     names = {link: f"link{index}" for index, link in enumerate(links)}
     names[arm.flange_link] = _LAST_LINK
     return names
+
+
+def declared_limits(urdf: str) -> tuple[Array, Array] | None:
+    """Return the least and largest positions (7,) [rad] in a controller's description, or None."""
+    try:
+        robot = ET.fromstring(urdf)
+    except ET.ParseError:
+        return None
+    bounds: dict[int, tuple[float, float]] = {}
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        number = joint.get("name", "")[-1:]
+        if limit is not None and joint.get("type") == "revolute" and number.isdigit():
+            bounds[int(number)] = (
+                float(limit.get("lower", "nan")),
+                float(limit.get("upper", "nan")),
+            )
+    if sorted(bounds) != list(range(1, 8)):
+        return None
+    lower, upper = np.array([bounds[index] for index in range(1, 8)]).T
+    return lower, upper

@@ -9,7 +9,7 @@ import numpy as np
 
 from minidual.config.plant import PlantConfig
 from minidual.errors import EnvironmentMissingError
-from minidual.plant.franka.description import EMULATED
+from minidual.plant.franka.description import EMULATED, declared_limits
 from minidual.plant.franka.errors import ERRORS, ERRORS_BY_NAME
 from minidual.robot.pair import Array, Robot
 
@@ -19,6 +19,8 @@ _OPENING_STEP = 0.05
 _HAND_SPEED_M_PER_S = 0.08
 _ANY_WIDTH_M = 0.1
 _HAND_PERIOD_S = 0.02
+_STIFFNESS_NM_PER_RAD = (3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0)
+"""The controller's own."""
 _BRAKE_SHARE = 0.5
 
 
@@ -55,6 +57,7 @@ class ArmLink:
 
     Attributes:
         host: As given.
+        limits_rad: Least and largest positions (7,) that its controller declares, or None.
         q, v, tau: Last measurement (7,).
         time_s: Of the last state, since the connection.
         fault: Why it cannot be driven, or empty.
@@ -87,6 +90,7 @@ class ArmLink:
                 "`minidual plant serve` starts the emulator",
             ) from error
         self.emulated = EMULATED in self._robot.model_urdf
+        self.limits_rad = declared_limits(self._robot.model_urdf)
         self.fault = ""
         self._stopped = False
         self._began_s: float | None = None
@@ -162,6 +166,14 @@ class ArmLink:
         try:
             self._robot.stop()
             self._robot.join_motion(1.0)
+        except Exception as error:
+            self._note(error)
+
+    def soften(self, share: float) -> None:
+        """Set the stiffness of the controller's joints to a share of its default."""
+        self.stop()
+        try:
+            self._robot.set_joint_impedance([share * k for k in _STIFFNESS_NM_PER_RAD])
         except Exception as error:
             self._note(error)
 

@@ -162,6 +162,21 @@ class FrankaPlant:
             hand.open_to(float(opening))
         self.sent = Sent(self.kind, self.time, q=q.copy(), v=v.copy())
 
+    @property
+    def limits_rad(self) -> tuple[Array, Array] | None:
+        """Least and largest joint positions (n,) that the controllers declare, or None."""
+        declared = [arm.limits_rad for arm in self._arms]
+        bounds = [limits for limits in declared if limits is not None]
+        if len(bounds) < len(SIDES):
+            return None
+        lower, upper = zip(*bounds, strict=True)
+        return np.concatenate(lower), np.concatenate(upper)
+
+    def soften(self, share: float) -> None:
+        """Set the stiffness of both controllers' joints to a share of their default."""
+        for arm in self._arms:
+            arm.soften(share)
+
     def brake(self, arms: tuple[int, ...]) -> None:
         """See `Plant`: the controllers stop these arms themselves."""
         for index in arms:
@@ -190,6 +205,7 @@ class FrankaPlant:
         """Clear what the controllers can clear; see `healths` for the rest."""
         for arm in self._arms:
             arm.recover()
+        self.time = max(self.time, self.stamp_s)  # the controllers' clocks went on
 
     def close(self) -> None:
         """Stop both arms, and let go of the hands."""

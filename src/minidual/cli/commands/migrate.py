@@ -1,0 +1,97 @@
+"""`minidual migrate`."""
+
+from typing import Annotated
+
+import typer
+
+from minidual.cli.console import print_outcome
+from minidual.cli.documents import outcome_document
+from minidual.cli.options import GateOptions
+from minidual.cli.session import Session
+from minidual.cli.terminal import ConsoleProgress
+from minidual.errors import ExitCode, check_name
+from minidual.gate.gate import Gate
+from minidual.gate.runner import Runner
+from minidual.gate.store import RunStore
+
+
+def migrate(
+    *,
+    step: Annotated[
+        str | None,
+        typer.Argument(metavar="STEP", help="One of the five steps (default: the next one)."),
+    ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="What is driven: sim, sim-position, franka://HOST,HOST or MODULE:FACTORY.",
+        ),
+    ] = None,
+    boards: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER", help="Pictures of a checkerboard: FOLDER/high, left, right."
+        ),
+    ] = None,
+    confirm: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROWS",
+            help="What a person has tried on hardware: estop-button,mains,cable.",
+        ),
+    ] = None,
+    signed_by: Annotated[str | None, typer.Option(help="Who has tried it.")] = None,
+    gate_options: GateOptions,
+    session: Session,
+) -> ExitCode:
+    """From the simulator to hardware in five gated steps, twelve rows of a checklist.
+
+    10 % speed with one arm, 10 % with both, 30 % with both, teleoperation, full speed with
+    recording. A step refuses to start before the one below has passed on the same plant.
+
+    Examples:
+        minidual migrate --plant sim
+        minidual migrate both-arms-10 --plant franka://127.0.0.1,127.0.0.2
+    """
+    from minidual.stages.migrate.table import MIGRATION
+
+    address = plant or session.loaded.config.plant.address
+    options = {
+        "plant": plant,
+        "boards": boards,
+        "confirm": confirm,
+        "signed-by": signed_by,
+    }
+    typed = {name: value for name, value in options.items() if value is not None}
+    store = RunStore(session.store.folder, "migration")
+
+    def command(words: str) -> str:
+        last = words.split()[-1]
+        return session.common.command(f"migrate {last} --plant {address}")
+
+    if step is not None:
+        check_name("step", step, MIGRATION)
+    else:
+        gate = Gate(MIGRATION, store, session.loaded, dict.fromkeys(MIGRATION, typed))
+        open_steps = [name for name in MIGRATION if gate.state(name).state != "pass"]
+        if not open_steps and not gate_options.force:
+            session.finish(
+                {"migration": "passed", "plant": address, "exit_code": 0},
+                [f"the migration has passed on {address}"],
+            )
+            return ExitCode.PASS
+        step = open_steps[0] if open_steps else next(iter(MIGRATION))
+    runner = Runner(
+        table=MIGRATION,
+        store=store,
+        loaded=session.loaded,
+        progress=ConsoleProgress(session.people),
+        command=command,
+    )
+    outcome = runner.run(step, typed, force=gate_options.force, waiver=gate_options.waive_gate)
+    following = f"next: {session.common.command(f'migrate --plant {address}')}"
+    print_outcome(session.people, MIGRATION[step], outcome, following)
+    document = {**outcome_document(outcome), "next": following}
+    session.finish(document, [store.verdict_path(step)])
+    return outcome.exit_code

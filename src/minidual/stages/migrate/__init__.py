@@ -1,0 +1,1 @@
+"""`minidual migrate`: from the simulator to hardware in five gated steps."""
