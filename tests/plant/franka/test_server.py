@@ -140,6 +140,46 @@ def test_one_arm_in_a_reflex_leaves_the_other_one_to_its_client(
     clients[1].close()
 
 
+@pytest.mark.parametrize(("out_ms", "ends"), [(5, False), (20, True), (200, True)])
+def test_a_cable_that_is_out_on_one_arm(
+    server: EmulatorServer, cell: EmulatedCell, out_ms: int, ends: bool
+) -> None:
+    """From 20 lost commands on, that arm stops by name; nothing jumps, the other goes on."""
+    server._patience_s = 0.001
+    clients = [RawClient(server, index) for index in (0, 1)]
+    homes = [arm.q.copy() for arm in cell.arms]
+    for each in clients:
+        assert each.move(0, 0) == MoveStatus.MOTION_STARTED
+    steps_rad: list[float] = []
+    for k in range(out_ms + 20):
+        for index, each in enumerate(clients):
+            cable_out = index == 0 and 10 <= k < 10 + out_ms
+            if not cable_out:
+                each.command(each.state(), q_c=homes[index])
+        before = [arm.q.copy() for arm in cell.arms]
+        server.tick()
+        moved = [np.abs(arm.q - old).max() for arm, old in zip(cell.arms, before, strict=True)]
+        steps_rad.append(float(max(moved)))
+    named = cell.arms[0].last_errors if ends else ()
+    assert named == (("communication_constraints_violation",) if ends else ())
+    assert (cell.arms[0].mode is RobotMode.MOVE) is not ends
+    assert cell.arms[1].mode is RobotMode.MOVE
+    assert max(steps_rad) < 1e-4
+    for each in clients:
+        each.close()
+
+
+def test_commands_out_of_order_count_once(client: RawClient, cell: EmulatedCell) -> None:
+    client.move(0, 0)
+    q = cell.arms[0].q.copy()
+    old = client.state()
+    state = hold(client, 5, q)
+    client.command(state, q_c=q)
+    client.command(old, q_c=q + 0.5)  # overtaken on the way: it would be a jump
+    client.server.tick()
+    assert cell.arms[0].mode is RobotMode.MOVE
+
+
 def test_pressing_the_stop_button_of_the_process_stops_both(
     client: RawClient, cell: EmulatedCell
 ) -> None:

@@ -294,8 +294,8 @@ def test_the_shift_between_two_paths_is_found() -> None:
 
 class TestGates:
     @pytest.fixture
-    def runner(self, tmp_path: Path) -> Iterator[Runner]:
-        yield Runner(
+    def runner(self, tmp_path: Path) -> Runner:
+        return Runner(
             table=MIGRATION,
             store=RunStore(tmp_path, "migration"),
             loaded=load_config("standard", []),

@@ -253,6 +253,10 @@ def _meshes(work: _Work) -> None:
 
 
 def _cameras(work: _Work) -> None:
+    """Calibrate; hardware needs pictures that were taken."""
+    if work.boards is None and work.drive.connection.place == "hardware":
+        work.m.focal = Worst(where="no pictures: add --boards FOLDER")
+        return
     rows.calibration(work.m, work.config, work.drive.robot, work.boards)
 
 
