@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -293,12 +292,11 @@ def test_the_shift_between_two_paths_is_found() -> None:
 
 
 class TestGates:
-    @pytest.fixture
-    def runner(self, tmp_path: Path) -> Runner:
+    def runner(self, folder: Path, address: str) -> Runner:
         return Runner(
             table=MIGRATION,
-            store=RunStore(tmp_path, "migration"),
-            loaded=load_config("standard", []),
+            store=RunStore(folder, "migration"),
+            loaded=load_config("standard", [f"plant.address={address}"]),
             command=lambda words: f"minidual migrate {words}",
         )
 
@@ -306,20 +304,19 @@ class TestGates:
         assert tuple(step.name for step in STEPS) == NAMES == tuple(MIGRATION)
         assert not set(NAMES) & set(STAGES)
 
-    def test_a_step_refuses_before_the_one_below_has_passed(self, runner: Runner) -> None:
+    def test_a_step_refuses_before_the_one_below_has_passed(self, tmp_path: Path) -> None:
         with pytest.raises(GateClosedError, match="one-arm-10 has not run") as error:
-            runner.run("both-arms-10", {"plant": ADDRESS})
+            self.runner(tmp_path, ADDRESS).run("both-arms-10")
         assert "minidual migrate one-arm-10" in (error.value.remedy or "")
 
     def test_a_step_that_passed_on_another_plant_does_not_open_the_gate(
-        self, runner: Runner
+        self, tmp_path: Path
     ) -> None:
-        assert runner.run("one-arm-10", {"plant": ADDRESS}).exit_code == 0
+        first = self.runner(tmp_path, ADDRESS).run("one-arm-10")
+        assert first.exit_code == 0
+        assert first.verdict.data["place"] == "test double"
         with pytest.raises(GateClosedError, match="one-arm-10 is stale"):
-            runner.run("both-arms-10", {"plant": "sim-position"})
-        verdict = runner.run("both-arms-10", {"plant": ADDRESS}).verdict
-        assert verdict.status == "pass"
-        assert verdict.data["place"] == "test double"
+            self.runner(tmp_path, "sim-position").run("both-arms-10")
 
 
 def test_the_command_names_the_steps_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:

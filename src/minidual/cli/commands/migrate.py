@@ -9,6 +9,7 @@ from minidual.cli.documents import outcome_document
 from minidual.cli.options import GateOptions
 from minidual.cli.session import Session
 from minidual.cli.terminal import ConsoleProgress
+from minidual.config.loader import Override
 from minidual.errors import ExitCode, check_name
 from minidual.gate.gate import Gate
 from minidual.gate.runner import Runner
@@ -57,8 +58,10 @@ def migrate(
     from minidual.stages.migrate.table import MIGRATION
 
     address = plant or session.loaded.config.plant.address
+    loaded = session.loaded
+    if plant is not None:  # of the whole migration: steps on another plant are stale
+        loaded = loaded.with_overrides([Override("plant.address", plant, f"--plant {plant}")])
     options = {
-        "plant": plant,
         "boards": boards,
         "confirm": confirm,
         "signed-by": signed_by,
@@ -85,7 +88,7 @@ def migrate(
     runner = Runner(
         table=MIGRATION,
         store=store,
-        loaded=session.loaded,
+        loaded=loaded,
         progress=ConsoleProgress(session.people),
         command=command,
     )

@@ -35,7 +35,6 @@ MIGRATION = StageTable(
             requires=NAMES[max(0, index - 1) : index],
             summary=_SUMMARIES[index],
             reads=_READS,
-            settings={"plant": "plant.address"},
         )
         for index, name in enumerate(NAMES)
     ],
