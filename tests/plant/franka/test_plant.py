@@ -63,8 +63,8 @@ def test_both_arms_are_measured_on_one_clock(open_link: Connection) -> None:
     assert np.allclose(driven.q, DUAL_PANDA.home)
     before_s = driven.time
     driven.step()
-    assert driven.time == pytest.approx(before_s + 0.02, abs=2e-3)
-    assert np.abs(driven.stamps_s - driven.time).max() < 5e-3
+    assert driven.time == pytest.approx(before_s + 0.02, abs=5e-3)
+    assert np.abs(driven.stamps_s - driven.time).max() < 9e-3
     assert np.allclose(driven.tau, 1.0)
 
 
