@@ -19,7 +19,7 @@ class Mounted(NamedTuple):
         base, flange: Links between which the arm is.
         base_xy_m, base_height_m, base_rpy_rad: See ArmModel.
         home: See ArmModel.
-        mount_rpy_rad, mount_xyz_m: See ArmModel.
+        mount_rpy_rad, mount_xyz_m, never_touch: See ArmModel.
     """
 
     urdf: str
@@ -31,6 +31,7 @@ class Mounted(NamedTuple):
     base_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    never_touch: tuple[tuple[str, str], ...] = ()
 
 
 _UR = "ur_description/urdf"
@@ -80,6 +81,7 @@ ARMS = {
         (-0.286, -0.331, -1.236, 2.222, -1.904, -0.39, -0.815),
         0.5,
         (0.0, 0.0, 0.785),
+        never_touch=(("left_upper_elbow", "left_upper_shoulder"),),
     ),
     "baxter_right": Mounted(
         _BAXTER,
@@ -89,6 +91,7 @@ ARMS = {
         (-1.202, -0.347, 0.77, 2.286, -0.056, 0.317, -1.696),
         0.5,
         (0.0, 0.0, 0.785),
+        never_touch=(("right_upper_elbow", "right_upper_shoulder"),),
     ),
     "tiago_pro_left": Mounted(
         _TIAGO_PRO,
@@ -154,6 +157,7 @@ def model_of(name: str, mounted: Mounted) -> ArmModel:
         mount_rpy_rad=mounted.mount_rpy_rad,
         mount_xyz_m=mounted.mount_xyz_m,
         base_xy_m=mounted.base_xy_m,
+        never_touch=mounted.never_touch,
         base_height_m=mounted.base_height_m,
         base_rpy_rad=mounted.base_rpy_rad,
         home=home,

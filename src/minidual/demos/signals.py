@@ -87,7 +87,7 @@ class Signals:
                 return ARBITER_STATES.index(self._stack.state)
             case "reflex":
                 reflex = self._stack.reflex
-                return 0 if reflex is None else REFLEX_NAMES.index(reflex.name)
+                return 0 if reflex is None else REFLEX_NAMES.index(reflex.reflex.name)
             case "driver":
                 return DRIVERS.index(driver)
             case "late_s":

@@ -227,8 +227,10 @@ def joined(parts: Sequence[Demonstrations]) -> Demonstrations:
         _, numbers = np.unique(part.episode_index, return_inverse=True)
         episodes.append(numbers.astype(np.int64) + begun_n)
         begun_n += int(numbers.max()) + 1
-        is_known = part.driver is not None
-        drivers.append(part.driver if is_known else np.zeros(len(part), dtype=np.int64))
+        if part.driver is None:
+            drivers.append(np.zeros(len(part), dtype=np.int64))
+        else:
+            drivers.append(part.driver)
     return Demonstrations(
         {name: np.concatenate([part.images[name] for part in parts]) for name in first.images},
         np.concatenate([part.state for part in parts]),

@@ -15,10 +15,11 @@ from minidual.plant.model import build_model
 from minidual.plant.world import World
 from minidual.robot.description import description_notes
 from minidual.robot.kinematics import Kinematics
-from minidual.robot.pair import robot_from
+from minidual.robot.pair import Robot, robot_from
 from minidual.show.figures.film import FILM_FPS, Postures, film_postures
 from minidual.show.figures.film_model import film_model
 from minidual.show.watch import StackNarrator, watched
+from minidual.skills.supervised import SceneClearance
 from minidual.stages.env_check import tracking
 from minidual.stages.env_check.checks import Measurements, installation_checks, measured_checks
 from minidual.stages.env_check.figure import save_tracking
@@ -91,12 +92,29 @@ def _check_strength(kinematics: Kinematics) -> None:
         )
 
 
+def _check_clearance(robot: Robot) -> None:
+    """Refuse arms with parts so near at home that the supervisor would let nothing move.
+
+    Raises:
+        UsageError: Two parts are nearer than where a stop may end.
+    """
+    pair, distance_m, bound_m = SceneClearance(robot)(robot.home)
+    if distance_m < bound_m:
+        raise UsageError(
+            f"at home {pair} are {1e3 * distance_m:.1f} mm apart; the supervisor keeps "
+            f"{1e3 * bound_m:.0f} mm",
+            remedy="choose another home; where the hulls of two links of one arm meet although "
+            "the links cannot, name the pair in never_touch",
+        )
+
+
 def _measure(context: StageContext, world: World, task: ProgressTask) -> Measurements:
     """Measure everything; write the pictures of the cameras and the film of the swing."""
     config = context.config.env_check
     robot = world.robot
     kinematics = Kinematics(robot)
     _check_strength(kinematics)
+    _check_clearance(robot)
     contacts = tracking.arm_contacts(world)
     cameras = check_cameras(world, context.folder / "cameras.png")
     task.advance(note="cameras")
