@@ -36,6 +36,7 @@ REPEATS_N = {
     "hard": 50,
     "environments": 1500,
     "passivity": 100,
+    "passivity-arms": 20,
 }
 _REPEATS_N_DEFAULT = 20
 ONLY_NAMED = ("hard", "passivity", "passivity-arms")

@@ -28,6 +28,9 @@ exec(
 DelayedPlant = _PAGE["DelayedPlant"]
 SEAM = {name for name in vars(Plant) if not name.startswith("_")} | set(Plant.__annotations__)
 
+OPTIONAL = {"kind"}
+"""What a plant may say and has a default."""
+
 
 class OnlyAPlant:
     """Passes on what the protocol names, and refuses everything else."""
@@ -36,6 +39,8 @@ class OnlyAPlant:
         self._plant = plant
 
     def __getattr__(self, name: str) -> Any:
+        if name in OPTIONAL:
+            raise AttributeError(name)
         if name not in SEAM:
             raise AssertionError(f"{name} is not part of a plant")
         return getattr(self._plant, name)

@@ -404,7 +404,7 @@ def test_a_trajectory_of_another_robot_is_refused():
     engines = SceneEngines(PlanningScene(robot=Robot(ARM_MODELS["ur5"])))
     motion = timing.resting(HOME, 0.01, "both_arms")
     for check in (engines.verify, lambda m: certify(engines.solids, m)):
-        with pytest.raises(UsageError, match="the trajectory has 14 joints, two ur5 have 12"):
+        with pytest.raises(UsageError, match="the trajectory has 14 joints, the arms ur5 have 12"):
             check(motion)
 
 

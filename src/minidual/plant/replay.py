@@ -111,9 +111,9 @@ def replay(
     _check_times(recording, begin_s, stop_s)
     try:
         model = build_model(recording.scene, recording.robot, visuals=False)
-    except ValueError as error:  # MuJoCo's compiler
+    except UsageError as error:
         raise DataError(
-            f"the recording's scene cannot be built: {error}",
+            f"the recording's scene cannot be built: {error.message}",
             remedy="record it again",
         ) from error
     check_shapes(model, recording)

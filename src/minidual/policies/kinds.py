@@ -164,6 +164,8 @@ def load_policy(folder: Path, device: str = "cpu", threads: int | None = None) -
         raise DataError(f"there is no checkpoint folder {folder}", remedy=REMEDY)
     with reading(f"checkpoint {folder}", f"{REMEDY} --force"):
         kind = read_json(folder / "config.json")["type"]
+        if not isinstance(kind, str):
+            raise ValueError(f"its type is {kind!r}; it must be a name")
     if kind in POLICIES:
         row = POLICIES[kind]
     else:
