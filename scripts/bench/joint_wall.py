@@ -155,5 +155,13 @@ def run(
             active[port] += side.correction[:, 0, 0] != 0.0
         if k % every == 0:
             samples.append((x.copy(), y.copy(), reference.copy(), -wall))
-    courses = [np.array(values) for values in zip(*samples, strict=True)]
-    return Course(*courses, observed, active / steps_n, every * DT_S)
+    leader, follower, reference, contact = (np.array(part) for part in zip(*samples, strict=True))
+    return Course(
+        leader=leader,
+        follower=follower,
+        reference=reference,
+        contact=contact,
+        observed=observed,
+        active=active / steps_n,
+        period_s=every * DT_S,
+    )

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minidual.config.link import SimulatedNetwork
 from minidual.config.seeds import stream
@@ -155,7 +156,7 @@ class Contacts:
     """
 
     bounces: Array
-    settled: Array
+    settled: NDArray[np.bool_]
     press_n: Array
     drift_m: Array
 

@@ -37,7 +37,7 @@ def leader_lag(action: NDArray[np.floating], q: NDArray[np.floating], rate_hz: f
     moving = moving[moving >= history]
     if not len(moving):
         return Lag(float("nan"), np.empty(0))
-    lags_s = np.arange(0.0, LAG_MAX_S, _STEP_S)
+    lags_s: Array = np.arange(0.0, LAG_MAX_S, _STEP_S, dtype=np.float64)
     squares = np.zeros((len(lags_s), len(moving)))
     for k, lag_s in enumerate(lags_s):
         asked_s = times_s[moving] - lag_s

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from minidual.config.link import SimulatedNetwork
 from minidual.robot.pair import Array
@@ -81,14 +82,14 @@ class Channel:
         self._k += 1
         return self._received
 
-    def _drawn(self) -> tuple[Array, Array]:
+    def _drawn(self) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
         """Return how many steps the packets of a step take (B,), and whether they are lost (B,)."""
         turn = self._k % _DRAWN_STEPS
         if turn == 0:
             self._steps, self._is_lost = self._draw()
         return self._steps[turn], self._is_lost[turn]
 
-    def _draw(self) -> tuple[Array, Array]:
+    def _draw(self) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
         shape = (_DRAWN_STEPS, len(self._each))
         change = self._jitter_steps * self._rng.uniform(-1.0, 1.0, shape)
         held = self._held_steps * (self._rng.random(shape) < self._reorder)

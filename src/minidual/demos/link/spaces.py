@@ -49,7 +49,12 @@ class HandPoses:
     Translation [m] and rotation [rad] of each hand are groups of their own, in world axes.
     """
 
-    groups = ("left translation", "left rotation", "right translation", "right rotation")
+    groups: tuple[str, ...] = (
+        "left translation",
+        "left rotation",
+        "right translation",
+        "right rotation",
+    )
 
     def between(self, start: Array, end: Array) -> Array:
         """See `Space`."""
