@@ -41,8 +41,7 @@ def teleop_record(
     Examples:
         minidual teleop-record --episodes 50
         minidual teleop-record --task handover --view web
-        minidual teleop-record --run fixed --correct runs/first/train-act/checkpoint \
-            --set teleop.leader=browser
+        minidual teleop-record --run fixed --correct policy --set teleop.leader=browser
         minidual teleop-record --network delay=100ms,jitter=20ms,loss=5%,reorder=1%
     """
     options = {"episodes": episodes, "task": task, "correct": correct, "network": network}
