@@ -194,7 +194,7 @@ def test_a_joint_outside_its_limits(tmp_path: Path) -> None:
     arm = replace(DUAL_PANDA.arm, **{name: getattr(DUAL_PANDA.arm, name)[:6] for name in PER_JOINT})
     (fault,) = inspect_episode(path, robot=Robot(arm))[1]
     assert fault.name == "joints_wrong"
-    assert "holds 14 joints; two panda arms have 12" in fault.detail
+    assert "holds 14 joints; the arms panda have 12" in fault.detail
 
 
 @pytest.mark.parametrize(

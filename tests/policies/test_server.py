@@ -19,7 +19,8 @@ from minidual.policies.kinds import POLICIES, load_policy
 from minidual.policies.pilot import load_runtime
 from minidual.policies.plausible import PolicyStoppedError
 from minidual.policies.policy import Latency, PolicyRuntime
-from minidual.policies.server import SERVER, ServerPolicy, folder_of, is_address
+from minidual.policies.server import SERVER, ServerPolicy
+from minidual.policies.server_address import folder_of, is_address
 from minidual.robot.pair import DUAL_PANDA
 from tests.support.documents import ROOT
 from tests.support.policy_server import CHUNK, HELLO, served

@@ -10,7 +10,7 @@ import pytest
 
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
-from minidual.policies.server import folder_of
+from minidual.policies.server_address import folder_of
 from minidual.stages import policy_folders
 from minidual.stages.policy_folders import benchmark_config, deploy_config, outside_policies
 from minidual.trials.compared import benchmark_needs, name_policies

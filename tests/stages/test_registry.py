@@ -47,7 +47,7 @@ def test_a_stage_loads_and_its_parameters_are_json(name):
         assert json.loads(json.dumps(parameters, allow_nan=False)) == parameters
 
 
-CHOICES = {"report.language": "zh"}
+CHOICES = {"report.language": "zh", "teleop.link.network": "delay=100ms"}
 """Other values of options that take only some texts."""
 
 

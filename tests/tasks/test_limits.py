@@ -143,6 +143,8 @@ PROFILE_LIMITS = (
     ),
     Limit("benchmark.own_task", AT_LEAST, True, "goal"),
     Limit("benchmark.own_policies", AT_LEAST, True, "goal"),
+    Limit("deploy.own_policy", AT_LEAST, True, "goal"),
+    Limit("teleop.lag_max_s", AT_MOST, 0.1, "mission"),
     Limit("scene.task.goal_range_m", AT_LEAST, 0.05, "design"),
     Limit("scene.task.goal_range_rad", AT_LEAST, 0.2618, "design"),  # 15 degrees
     Limit("scene.task.yaw_tolerance_rad", AT_MOST, 0.08727, "design"),  # 5 degrees

@@ -8,7 +8,7 @@ from minidual.durable import expanded
 from minidual.errors import UsageError
 from minidual.policies.pilot import load_runtime
 from minidual.policies.policy import PolicyRuntime
-from minidual.policies.server import folder_of, is_address
+from minidual.policies.server_address import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import TASKS

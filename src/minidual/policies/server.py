@@ -1,9 +1,6 @@
 """A policy behind a socket: on another machine or in another environment (docs/lerobot.md)."""
 
 import atexit
-import hashlib
-import json
-import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,33 +15,8 @@ from minidual.policies.facts import PolicyFacts
 from minidual.policies.kinds import ChunkPolicy, Image, PolicyKind, Training, TrainResult
 from minidual.policies.messages import hello_of, pack, unpack
 
-KIND = "server"
-"""Type in the config.json that stands for an address."""
-_SCHEMES = ("ws://", "wss://")
 _OPEN_TIMEOUT_S = 10.0
 _ANSWER_TIMEOUT_S = 60.0
-
-
-def is_address(text: str) -> bool:
-    """Return whether a text is the address of a policy server."""
-    return text.startswith(_SCHEMES)
-
-
-def folder_of(address: str) -> Path:
-    """Return a folder that stands for a server, where a checkpoint's folder is expected.
-
-    Its config.json holds the address: what it is part of depends on the address, and not on the
-    weights behind it.
-    """
-    name = hashlib.sha256(address.encode()).hexdigest()[:16]
-    cache = durable.expanded(os.environ.get("MINIDUAL_CACHE") or "~/.cache/minidual")
-    folder = cache / "policy-servers" / name
-    config = folder / "config.json"
-    text = json.dumps({"type": KIND, "address": address}) + "\n"
-    if not config.is_file() or config.read_text(encoding="utf-8") != text:
-        durable.make_folder(folder)
-        durable.write_text(config, text)
-    return folder
 
 
 class ServerPolicy(ChunkPolicy):

@@ -9,7 +9,7 @@ from minidual.durable import expanded
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext
 from minidual.gate.verdict import CONFIG_FILE
-from minidual.policies.server import folder_of, is_address
+from minidual.policies.server_address import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
 from minidual.trials.methods import METHODS, TrainedPolicy
 

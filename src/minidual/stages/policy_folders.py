@@ -9,7 +9,7 @@ from minidual.config.root import Config, changed
 from minidual.durable import expanded, read_json
 from minidual.errors import ConfigError
 from minidual.gate.canonical import digest, file_sha256
-from minidual.policies.server import folder_of, is_address
+from minidual.policies.server_address import folder_of, is_address
 from minidual.policies.shipped import shipped_policy
 from minidual.stages.checkpoint_choice import policy_place
 from minidual.tasks import catalogue

@@ -46,7 +46,7 @@ def test_leaders_are_found_by_name(scene: SceneConfig) -> None:
     assert buttons_at(leader, 8.7) == (Button.SUCCESS,)
     with pytest.raises(
         UsageError,
-        match=r"(?s)no leader 'keybord'; there are augmented, browser, gamepad.*'keyboard'",
+        match=r"(?s)no leader 'keybord'; there are augmented, browser, corrector, gamepad.*'keyboard'",
     ):
         LEADERS["keybord"]
     assert sorted(LEADERS) == sorted(ROWS)

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+from minidual.errors import UsageError
 from minidual.plant.model import build_spec
 from minidual.plant.world import World
 from minidual.robot.pair import DUAL_PANDA
@@ -81,9 +82,9 @@ class TestTracking:
             assert (after[0] - before[0]) / (2 * h) == pytest.approx(v, abs=1e-8)
             assert (after[1] - before[1]) / (2 * h) == pytest.approx(a, abs=1e-8)
         assert not tracking.sine_reference(DUAL_PANDA, 0.3, 0.5, 0.0)[1].any()
-        with pytest.raises(ValueError, match="velocity limits"):
+        with pytest.raises(UsageError, match="velocity limits"):
             tracking.sine_reference(DUAL_PANDA, 0.5, 1.0, 0.0)
-        with pytest.raises(ValueError, match="joint limits"):
+        with pytest.raises(UsageError, match="joint limits"):
             tracking.sine_reference(DUAL_PANDA, 2.0, 0.1, 0.0)
 
 
