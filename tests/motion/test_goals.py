@@ -92,14 +92,14 @@ def test_states_come_from_the_arm_model():
     six = Robot(ARM_MODELS["ur5"])
     states = NamedStates(robot=six)
     assert (states.joints("home", "both_arms", np.zeros(12)) == six.home).all()
-    with pytest.raises(ConfigError, match=r"states.x.left_rad: 7 values; an arm has 6 joints"):
+    with pytest.raises(ConfigError, match=r"states.x.left_rad: 7 values; the arm has 6 joints"):
         NamedStates(SemanticsConfig(states={"x": NamedStateConfig(left_rad=(0.0,) * 7)}), six)
 
 
 @pytest.mark.parametrize(
     ("state", "says"),
     [
-        (NamedStateConfig(left_rad=(0.0,) * 6), r"states.x.left_rad: 6 values; an arm has 7"),
+        (NamedStateConfig(left_rad=(0.0,) * 6), r"states.x.left_rad: 6 values; the arm has 7"),
         (NamedStateConfig(), "neither left_rad nor right_rad"),
         (NamedStateConfig(right_rad=(0.0,) * 7), r"right_panda_joint4 = 0 rad; its limits"),
     ],

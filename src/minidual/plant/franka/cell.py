@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from minidual.config.scene import SceneConfig
 from minidual.plant.franka.arm import ArmController
@@ -107,7 +108,7 @@ class EmulatedCell:
         for index, hand in enumerate(self.hands):
             hand.tick(gaps_m[index], float(grip_n[index]))
 
-    def _external_torque(self, dofs: Array) -> Array:
+    def _external_torque(self, dofs: NDArray[np.int64]) -> Array:
         """Return the torques (7,) of contacts and of forces from outside [Nm]."""
         data = self.world.data
         applied = (

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from minidual.config.scene import SceneConfig
 from minidual.errors import UsageError
 from minidual.plant.model import build_model
+from minidual.plant.render import Image
 from minidual.robot.pair import Array, Robot
 
 CAMERAS = ("high", "left", "right")
@@ -54,13 +56,13 @@ def expected_focals(scene: SceneConfig, robot: Robot) -> dict[str, float]:
     return focals
 
 
-def rendered_boards(focal_px: float) -> list[Array]:
+def rendered_boards(focal_px: float) -> list[Image]:
     """Return pictures of the board from several sides, by a camera of a known focal length."""
     board = _board()
     height, width = board.shape
     matrix = _camera_matrix(focal_px)
     metres_per_px = SQUARE_M / _CELL_PX
-    pictures: list[Array] = []
+    pictures: list[Image] = []
     for tilt_x, tilt_y in _TILTS_RAD:
         rotation, _ = cv2.Rodrigues(np.array([tilt_x, tilt_y, 0.05]))
         distance_m = 1.15 * focal_px * width * metres_per_px / _SIZE[0]
@@ -74,9 +76,14 @@ def rendered_boards(focal_px: float) -> list[Array]:
         )
         plane = np.column_stack([rotation[:, 0], rotation[:, 1], shift])
         homography = matrix @ plane @ to_metres
-        pictures.append(
-            cv2.warpPerspective(board, homography, _SIZE, flags=cv2.INTER_AREA, borderValue=(255,)),
+        drawn = cv2.warpPerspective(
+            board,
+            homography,
+            _SIZE,
+            flags=cv2.INTER_AREA,
+            borderValue=(255,),
         )
+        pictures.append(np.asarray(drawn, np.uint8))
     return pictures
 
 
@@ -94,15 +101,15 @@ def _camera_matrix(focal_px: float) -> Array:
     )
 
 
-def calibrate(pictures: list[Array]) -> Calibration:
+def calibrate(pictures: list[Image]) -> Calibration:
     """Calibrate by pictures of one size; NaN if the board is found in fewer than three."""
     grid = np.zeros((INNER[0] * INNER[1], 3), np.float32)
     grid[:, :2] = np.mgrid[0 : INNER[0], 0 : INNER[1]].T.reshape(-1, 2) * SQUARE_M
-    found: list[Array] = []
+    found: list[NDArray[np.float32]] = []
     for picture in pictures:
         seen, corners = cv2.findChessboardCornersSB(picture, INNER)
         if seen:
-            found.append(corners)
+            found.append(np.asarray(corners, np.float32))
     if len(found) < 3:
         return Calibration(float("nan"), float("nan"), len(found))
     height, width = pictures[0].shape[:2]
@@ -121,7 +128,7 @@ def calibrate(pictures: list[Array]) -> Calibration:
     return Calibration(float(matrix[1, 1]) * _SIZE[1] / height, float(error_px), len(found))
 
 
-def taken_boards(folder: Path, camera: str) -> list[Array]:
+def taken_boards(folder: Path, camera: str) -> list[Image]:
     """Return the pictures in FOLDER/CAMERA, grey.
 
     Raises:
@@ -136,4 +143,4 @@ def taken_boards(folder: Path, camera: str) -> list[Array]:
             f"corners and {SQUARE_M:g} m squares into {', '.join(CAMERAS)}",
         )
     pictures = [cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in names]
-    return [picture for picture in pictures if picture is not None]
+    return [np.asarray(picture, np.uint8) for picture in pictures if picture is not None]

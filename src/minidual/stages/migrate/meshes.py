@@ -21,15 +21,14 @@ def small_meshes(robot: Robot, model: mujoco.MjModel | None = None) -> list[str]
         robot: The arms.
         model: With visual geoms; by default the robot's own.
     """
-    if model is None:
-        model = build_model(SceneConfig(), robot, visuals=True)
+    shown: mujoco.MjModel = model or build_model(SceneConfig(), robot, visuals=True)
     small: list[str] = []
-    for body in range(model.nbody):
-        name = model.body(body).name
+    for body in range(shown.nbody):
+        name = shown.body(body).name
         if not name.startswith(tuple(f"{side}_" for side in robot.sides)):
             continue
-        drawn = _extent(model, body, GROUP_VISUAL)
-        collides = _extent(model, body, GROUP_COLLISION)
+        drawn = _extent(shown, body, GROUP_VISUAL)
+        collides = _extent(shown, body, GROUP_COLLISION)
         if drawn is None or collides is None:
             continue
         if float(collides.max()) < _COVER * float(drawn.max()):
