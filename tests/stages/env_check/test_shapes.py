@@ -38,6 +38,7 @@ def test_the_pandas_are_drawn_as_they_collide_in_both_engines(
         (setting(f"{VISUAL}/geometry/mesh", scale="1000 1000 1000"), "times as large"),
         (setting(f"{VISUAL}/geometry/mesh", scale="0.02 0.02 1"), "times the volume"),
         (adding(VISUAL, "<origin xyz='0 0 0.5'/>"), "beside what collides"),
+        (adding(VISUAL, "<origin rpy='3.1416 0 0' xyz='0 0 0'/>"), "beside what collides"),
     ],
 )
 def test_a_visual_mesh_in_another_unit_place_or_orientation(
