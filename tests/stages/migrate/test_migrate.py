@@ -197,7 +197,11 @@ class TestInjectedFaults:
 
     def test_row_6_a_joint_that_does_not_arrive_with_soft_gains(self) -> None:
         plant = Follower()
-        plant.soften = lambda share: plant.stuck.__setitem__(2, share < 1.0)
+
+        def soften(share: float) -> None:
+            plant.stuck[2] |= share < 1.0
+
+        plant.soften = soften
         overshoot, left = rows.soft_step(drive_of(plant, 0.1), HOME, (0,))
         assert left.where == "left_panda_joint3"
         assert left.value > 0.03

@@ -22,6 +22,7 @@ from minidual.plant.franka.limits import (
 )
 from minidual.plant.franka.wire import (
     IDLE_GENERATOR,
+    JOINTS_N,
     Controller,
     Generator,
     MoveStatus,
@@ -75,9 +76,9 @@ class ArmController:
         self.controller: Controller | None = None
         self.generator: Generator | None = None
         self.q = q.copy()
-        self.v = np.zeros(7)
-        self.a = np.zeros(7)
-        self.tau = np.zeros(7)
+        self.v = np.zeros(JOINTS_N)
+        self.a = np.zeros(JOINTS_N)
+        self.tau = np.zeros(JOINTS_N)
         self.packets = PacketWatch()
         self.nominal = Thresholds.default()
         self.accelerating = Thresholds.default()
@@ -87,11 +88,11 @@ class ArmController:
         self._torques = TorqueCommands(limits)
         self._waiting_ticks = 0
         self._commanded = False
-        self._jacobian = np.zeros((6, 7))
+        self._jacobian = np.zeros((6, JOINTS_N))
         self._T_base_hand = np.eye(4)
-        self._gravity = np.zeros(7)
+        self._gravity = np.zeros(JOINTS_N)
         self._measured_q = q.copy()
-        self._measured_v = np.zeros(7)
+        self._measured_v = np.zeros(JOINTS_N)
 
     # Requests ----------------------------------------------------------------------------------
 
@@ -113,8 +114,8 @@ class ArmController:
         self.packets = PacketWatch()
         self._commanded = False
         self._waiting_ticks = 0
-        self.v = np.zeros(7)
-        self.a = np.zeros(7)
+        self.v = np.zeros(JOINTS_N)
+        self.a = np.zeros(JOINTS_N)
         self._torques = TorqueCommands(self.limits)
         after_poses = source in _CARTESIAN
         prefix = "cartesian_motion_generator" if after_poses else "joint_motion_generator"
@@ -285,12 +286,12 @@ class ArmController:
         self.mode = mode
         self.controller = None
         self.generator = None
-        self.tau = np.zeros(7)
+        self.tau = np.zeros(JOINTS_N)
 
     def _brake(self) -> None:
         """Bring the desired motion to rest."""
         if not self.v.any():
-            self.a = np.zeros(7)
+            self.a = np.zeros(JOINTS_N)
             return
         change = _BRAKE_SHARE * self.limits.a_max * DT_S
         v = self.v - np.clip(self.v, -change, change)

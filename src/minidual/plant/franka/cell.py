@@ -8,7 +8,7 @@ from minidual.config.scene import SceneConfig
 from minidual.plant.franka.arm import ArmController
 from minidual.plant.franka.hand import HandController
 from minidual.plant.franka.limits import DT_S, FciLimits, MeasuredState, limits_of
-from minidual.plant.franka.wire import ARM_STATE, HAND_STATE, Controller, Record
+from minidual.plant.franka.wire import ARM_STATE, HAND_STATE, JOINTS_N, Controller, Record
 from minidual.plant.servo import HandServo, JointServo
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array, Robot, pose, rot_z
@@ -49,7 +49,7 @@ class EmulatedCell:
         self.arms = [ArmController(self.limits, q[robot.joints_of(arm)]) for arm in _ARMS]
         self.hands = [HandController(servo, robot.hand.travel_m) for servo in self._hand_servos]
         self.time_ms = 0
-        self._external = np.zeros((2, 7))
+        self._external = np.zeros((len(SIDES), JOINTS_N))
         self._wrench = np.zeros((2, 6))
         self._T_flange_tcp = pose(rot_z(robot.arm.mount_rpy_rad[2]), (0.0, 0.0, _FLANGE_TO_TCP_M))
         self._states = [self._constant_state() for _ in _ARMS]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from minidual.plant.franka.wire import JOINTS_N
 from minidual.robot.models import ArmModel
 from minidual.robot.pair import Array
 
@@ -79,8 +80,8 @@ def limits_of(arm: ArmModel) -> FciLimits:
         ValueError: It has another number of joints.
     """
     joints_n = len(arm.joints)
-    if joints_n != 7:
-        raise ValueError(f"arm '{arm.name}' has {joints_n} joints; the interface is for 7")
+    if joints_n != JOINTS_N:
+        raise ValueError(f"arm '{arm.name}' has {joints_n} joints; the interface is for {JOINTS_N}")
     return FciLimits(
         q_lower=np.array(arm.q_lower),
         q_upper=np.array(arm.q_upper),
@@ -90,7 +91,7 @@ def limits_of(arm: ArmModel) -> FciLimits:
         a_max=np.array(arm.a_max),
         jerk_max=np.array(arm.jerk_max),
         tau_max=np.array(arm.tau_max),
-        tau_rate_max=np.full(7, arm.tau_rate_max),
+        tau_rate_max=np.full(JOINTS_N, arm.tau_rate_max),
     )
 
 
@@ -122,8 +123,8 @@ class JointMotion:
             "" if after_poses else "joint_position_motion_generator_start_pose_invalid"
         )
         self.q = q.copy()
-        self.v = np.zeros(7) if v is None else v.copy()
-        self.a = np.zeros(7)
+        self.v = np.zeros(JOINTS_N) if v is None else v.copy()
+        self.a = np.zeros(JOINTS_N)
         self._first = True
 
     def target(self, q: Array) -> list[str]:
@@ -174,7 +175,7 @@ class TorqueCommands:
 
     def __init__(self, limits: FciLimits) -> None:
         self._limits = limits
-        self.tau = np.zeros(7)
+        self.tau = np.zeros(JOINTS_N)
 
     def command(self, tau: Array, gravity: Array, v: Array) -> list[str]:
         """Take the next torques (7,), without the gravity that the controller adds; return errors."""
@@ -202,7 +203,9 @@ class Thresholds:
     @classmethod
     def default(cls) -> "Thresholds":
         """Return the thresholds of a controller that was told none."""
-        return cls(np.full(7, 20.0), np.full(7, 20.0), np.full(6, 20.0), np.full(6, 20.0))
+        return cls(
+            np.full(JOINTS_N, 20.0), np.full(JOINTS_N, 20.0), np.full(6, 20.0), np.full(6, 20.0)
+        )
 
     def valid(self) -> bool:
         """Return whether all are finite, and above 0."""

@@ -11,6 +11,7 @@ from minidual.config.plant import PlantConfig
 from minidual.errors import EnvironmentMissingError
 from minidual.plant.franka.description import EMULATED, declared_limits
 from minidual.plant.franka.errors import ERRORS, ERRORS_BY_NAME
+from minidual.plant.franka.wire import JOINTS_N
 from minidual.robot.pair import Array, Robot
 
 _CLOSE_BELOW = 0.4
@@ -95,9 +96,9 @@ class ArmLink:
         self._stopped = False
         self._began_s: float | None = None
         self.time_s = 0.0
-        self.q = np.zeros(7)
-        self.v = np.zeros(7)
-        self.tau = np.zeros(7)
+        self.q = np.zeros(JOINTS_N)
+        self.v = np.zeros(JOINTS_N)
+        self.tau = np.zeros(JOINTS_N)
         self.success_rate = 1.0
         self.read()
 

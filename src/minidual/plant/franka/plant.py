@@ -8,6 +8,7 @@ import numpy as np
 from minidual.errors import UsageError
 from minidual.plant.connect import PlantRequest
 from minidual.plant.franka.link import ArmLink, HandLink, client_library
+from minidual.plant.franka.wire import JOINTS_N
 from minidual.plant.lifecycle import ArmHealth, CommandKind, Sent
 from minidual.robot.pair import SIDES, Array
 
@@ -62,9 +63,9 @@ class FrankaPlant:
                 f"{', '.join(self.hosts) or 'none'}",
                 remedy="--plant franka://LEFT,RIGHT",
             )
-        if self.robot.dof_per_arm != 7:
+        if self.robot.dof_per_arm != JOINTS_N:
             raise UsageError(
-                f"plant 'franka' drives arms with 7 joints; '{self.robot.arm.name}' has "
+                f"plant 'franka' drives arms with {JOINTS_N} joints; '{self.robot.arm.name}' has "
                 f"{self.robot.dof_per_arm}",
                 remedy="--set robot.arm=panda",
             )

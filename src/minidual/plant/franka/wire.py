@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+JOINTS_N = 7
+"""Joints of an arm: records and limits of the interface have so many entries."""
 ARM_PORT = 1337
 HAND_PORT = 1338
 ARM_VERSION = 10
@@ -185,17 +187,17 @@ MOVE = np.dtype(
 """What follows it in later clients (variable rate, velocities) is not read."""
 COLLISION_BEHAVIOR = np.dtype(
     [
-        ("lower_torque_acceleration", "<f8", (7,)),  # [Nm], contacts while accelerating
-        ("upper_torque_acceleration", "<f8", (7,)),  # [Nm], collisions
-        ("lower_torque_nominal", "<f8", (7,)),
-        ("upper_torque_nominal", "<f8", (7,)),
+        ("lower_torque_acceleration", "<f8", (JOINTS_N,)),  # [Nm], contacts while accelerating
+        ("upper_torque_acceleration", "<f8", (JOINTS_N,)),  # [Nm], collisions
+        ("lower_torque_nominal", "<f8", (JOINTS_N,)),
+        ("upper_torque_nominal", "<f8", (JOINTS_N,)),
         ("lower_force_acceleration", "<f8", (6,)),  # [N] and [Nm]
         ("upper_force_acceleration", "<f8", (6,)),
         ("lower_force_nominal", "<f8", (6,)),
         ("upper_force_nominal", "<f8", (6,)),
     ],
 )
-JOINT_IMPEDANCE = np.dtype([("stiffness", "<f8", (7,))])  # [Nm/rad]
+JOINT_IMPEDANCE = np.dtype([("stiffness", "<f8", (JOINTS_N,))])  # [Nm/rad]
 CARTESIAN_IMPEDANCE = np.dtype([("stiffness", "<f8", (6,))])  # [N/m] and [Nm/rad]
 GUIDING_MODE = np.dtype([("axes", "?", (6,)), ("nullspace", "?")])
 FRAME = np.dtype([("transform", "<f8", (16,))])
@@ -209,14 +211,14 @@ LOAD = np.dtype(
 ARM_COMMAND = np.dtype(
     [
         ("message_id", "<u8"),  # of the state that it answers
-        ("q_c", "<f8", (7,)),  # joint positions [rad]
-        ("dq_c", "<f8", (7,)),  # joint velocities [rad/s]
+        ("q_c", "<f8", (JOINTS_N,)),  # joint positions [rad]
+        ("dq_c", "<f8", (JOINTS_N,)),  # joint velocities [rad/s]
         ("O_T_EE_c", "<f8", (16,)),  # pose of the end effector in the base
         ("O_dP_EE_c", "<f8", (6,)),  # its twist [m/s, rad/s]
         ("elbow_c", "<f8", (2,)),  # third joint [rad], sign of the fourth
         ("valid_elbow", "?"),
         ("motion_generation_finished", "?"),
-        ("tau_J_d", "<f8", (7,)),  # torques [Nm], without gravity and friction
+        ("tau_J_d", "<f8", (JOINTS_N,)),  # torques [Nm], without gravity and friction
         ("torque_command_finished", "?"),
     ],
 )
@@ -237,19 +239,19 @@ ARM_STATE = np.dtype(
         ("F_x_Cload", "<f4", (3,)),
         ("elbow", "<f4", (2,)),
         ("elbow_d", "<f4", (2,)),
-        ("tau_J", "<f4", (7,)),  # measured torques, links' side [Nm]
-        ("tau_J_d", "<f4", (7,)),  # desired, without gravity
-        ("dtau_J", "<f4", (7,)),
-        ("q", "<f4", (7,)),  # measured positions [rad]
-        ("q_d", "<f4", (7,)),  # desired
-        ("dq", "<f4", (7,)),  # measured velocities [rad/s]
-        ("dq_d", "<f4", (7,)),
-        ("ddq_d", "<f4", (7,)),
-        ("joint_contact", "<f4", (7,)),  # 1 where a lower threshold is exceeded
+        ("tau_J", "<f4", (JOINTS_N,)),  # measured torques, links' side [Nm]
+        ("tau_J_d", "<f4", (JOINTS_N,)),  # desired, without gravity
+        ("dtau_J", "<f4", (JOINTS_N,)),
+        ("q", "<f4", (JOINTS_N,)),  # measured positions [rad]
+        ("q_d", "<f4", (JOINTS_N,)),  # desired
+        ("dq", "<f4", (JOINTS_N,)),  # measured velocities [rad/s]
+        ("dq_d", "<f4", (JOINTS_N,)),
+        ("ddq_d", "<f4", (JOINTS_N,)),
+        ("joint_contact", "<f4", (JOINTS_N,)),  # 1 where a lower threshold is exceeded
         ("cartesian_contact", "<f4", (6,)),
-        ("joint_collision", "<f4", (7,)),  # 1 where an upper one is
+        ("joint_collision", "<f4", (JOINTS_N,)),  # 1 where an upper one is
         ("cartesian_collision", "<f4", (6,)),
-        ("tau_ext_hat_filtered", "<f4", (7,)),  # external torques [Nm]
+        ("tau_ext_hat_filtered", "<f4", (JOINTS_N,)),  # external torques [Nm]
         ("O_F_ext_hat_K", "<f4", (6,)),  # external wrench in the base [N, Nm]
         ("K_F_ext_hat_K", "<f4", (6,)),  # the same in the stiffness frame
         ("O_dP_EE_d", "<f4", (6,)),
@@ -260,8 +262,8 @@ ARM_STATE = np.dtype(
         ("O_T_EE_c", "<f4", (16,)),
         ("O_dP_EE_c", "<f4", (6,)),
         ("O_ddP_EE_c", "<f4", (6,)),
-        ("theta", "<f4", (7,)),  # motor positions [rad]
-        ("dtheta", "<f4", (7,)),
+        ("theta", "<f4", (JOINTS_N,)),  # motor positions [rad]
+        ("dtheta", "<f4", (JOINTS_N,)),
         ("accelerometer_top", "<f4", (18,)),
         ("accelerometer_bottom", "<f4", (18,)),
         ("motion_generator_mode", "u1"),  # 0 idle, else Generator + 1
