@@ -19,7 +19,7 @@ class Mounted(NamedTuple):
         base, flange: Links between which the arm is.
         base_xy_m, base_height_m, base_rpy_rad: See ArmModel.
         home: See ArmModel.
-        mount_rpy_rad, mount_xyz_m, never_touch: See ArmModel.
+        mount_rpy_rad, mount_xyz_m, never_touch, drawn_apart: See ArmModel.
     """
 
     urdf: str
@@ -32,6 +32,7 @@ class Mounted(NamedTuple):
     mount_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount_xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     never_touch: tuple[tuple[str, str], ...] = ()
+    drawn_apart: tuple[str, ...] = ()
 
 
 _UR = "ur_description/urdf"
@@ -82,6 +83,7 @@ ARMS = {
         0.5,
         (0.0, 0.0, 0.785),
         never_touch=(("left_upper_elbow", "left_upper_shoulder"),),
+        drawn_apart=("left_upper_elbow",),
     ),
     "baxter_right": Mounted(
         _BAXTER,
@@ -92,6 +94,7 @@ ARMS = {
         0.5,
         (0.0, 0.0, 0.785),
         never_touch=(("right_upper_elbow", "right_upper_shoulder"),),
+        drawn_apart=("right_upper_elbow",),
     ),
     "tiago_pro_left": Mounted(
         _TIAGO_PRO,
@@ -158,6 +161,7 @@ def model_of(name: str, mounted: Mounted) -> ArmModel:
         mount_xyz_m=mounted.mount_xyz_m,
         base_xy_m=mounted.base_xy_m,
         never_touch=mounted.never_touch,
+        drawn_apart=mounted.drawn_apart,
         base_height_m=mounted.base_height_m,
         base_rpy_rad=mounted.base_rpy_rad,
         home=home,

@@ -180,6 +180,15 @@ def never_touching(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     return tuple(pair for pair in without_repeats if links.issuperset(pair))
 
 
+def drawn_apart(robot: Robot) -> set[str]:
+    """Return the links that their makers draw beside what collides, by the rows of the arms."""
+    return {
+        f"{side}_{link}"
+        for side, arm in zip(SIDES, robot.arms, strict=True)
+        for link in arm.drawn_apart
+    }
+
+
 def _disabled_pairs(address: str, arm: ArmModel) -> list[tuple[str, str]]:
     """Return the pairs of links that an SRDF does not check."""
     path = file_at(address, packages_of(arm.packages))

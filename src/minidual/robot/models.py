@@ -56,6 +56,7 @@ class ArmModel:
         srdf: The same, of a file with pairs of links that never collide.
         packages: Folder of each package of package:// that is no installed distribution.
         never_touch: More such pairs.
+        drawn_apart: Links whose maker draws them beside what collides.
         joints: Joint names, base first.
         mount_rpy_rad: Orientation of the palm in the flange's frame.
         mount_xyz_m: Position of the palm in the flange's frame, of an adapter.
@@ -83,6 +84,7 @@ class ArmModel:
     urdf: str
     srdf: str | None
     never_touch: tuple[tuple[str, str], ...] = ()
+    drawn_apart: tuple[str, ...] = ()
     joints: tuple[str, ...]
     base_link: str
     flange_link: str

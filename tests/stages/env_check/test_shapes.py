@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import mujoco
@@ -38,7 +39,8 @@ def test_the_pandas_are_drawn_as_they_collide_in_both_engines(
         (setting(f"{VISUAL}/geometry/mesh", scale="1000 1000 1000"), "times as large"),
         (setting(f"{VISUAL}/geometry/mesh", scale="0.02 0.02 1"), "times the volume"),
         (adding(VISUAL, "<origin xyz='0 0 0.5'/>"), "beside what collides"),
-        (adding(VISUAL, "<origin rpy='3.1416 0 0' xyz='0 0 0'/>"), "beside what collides"),
+        (adding(VISUAL, "<origin rpy='1.5708 0 0' xyz='0 0 0'/>"), "or turned against it"),
+        (adding(VISUAL, "<origin rpy='3.1416 0 0' xyz='0 0 0'/>"), "or turned against it"),
     ],
 )
 def test_a_visual_mesh_in_another_unit_place_or_orientation(
@@ -74,3 +76,12 @@ def test_the_extent_of_flat_points_has_no_volume() -> None:
     assert extent.volume_m3 == 0.0
     assert extent.diagonal_m == pytest.approx(np.sqrt(2.0))
     assert extent_of([]) is None
+
+
+def test_a_row_may_say_that_a_link_is_drawn_beside_what_collides(tmp_path: Path) -> None:
+    aside = adding(VISUAL, "<origin xyz='0 0 0.5'/>")
+    arm = changed_ur5(tmp_path, aside)
+    told = Robot(dataclasses.replace(arm, drawn_apart=("forearm_link",)))
+    assert compare_shapes(build_model(SceneConfig(), told), told).unlike == []
+    other = Robot(dataclasses.replace(arm, drawn_apart=("upper_arm_link",)))
+    assert len(compare_shapes(build_model(SceneConfig(), other), other).unlike) == 2

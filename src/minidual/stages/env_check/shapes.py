@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from minidual.collision.engines import robot_geometry
 from minidual.plant.contact import GROUP_COLLISION, GROUP_VISUAL
-from minidual.robot.description import links_of
+from minidual.robot.description import drawn_apart, links_of
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, Robot, pose
 
@@ -23,9 +23,15 @@ SIZE_RATIO_MAX = 3.0
 
 Units are wrong by 10 or more; of the arms of example-robot-data none differs by more than 2.2.
 """
-OFFSET_MAX = 0.6
-"""Distance of the centres, over the larger diagonal. A long link that is turned by a quarter about
-its end has 0.7; the roughest collision shapes of example-robot-data (Baxter's) have 0.54."""
+OVERLAP_MIN = 0.5
+"""Least share of the smaller bounding box that lies in the other one.
+
+A forearm that is turned by a quarter or by half about its end has 0.26; of the arms of
+example-robot-data all links have 0.9 or more, but for Baxter's upper elbow with 0.06 (a row names
+such a link in `drawn_apart`).
+"""
+_MARGIN_M = 0.01
+"""Added to each side of a box for this: flat boxes overlap too."""
 _SECTIONS = 48
 _GEOM = mujoco.mjtGeom
 
@@ -61,11 +67,18 @@ class LinkShapes(NamedTuple):
         drawn: What pictures show.
         mujoco: What collides in MuJoCo.
         pinocchio: What collides in Pinocchio.
+        may_be_apart: Whether the arm's row says that it is drawn beside what collides.
     """
 
     drawn: Extent | None
     mujoco: Extent | None
     pinocchio: Extent | None
+    may_be_apart: bool = False
+
+    @property
+    def extents(self) -> dict[str, Extent | None]:
+        """The shapes by what they are for."""
+        return {"drawn": self.drawn, "mujoco": self.mujoco, "pinocchio": self.pinocchio}
 
     @property
     def engines_apart_m(self) -> float:
@@ -89,12 +102,21 @@ class LinkShapes(NamedTuple):
         volumes = self.drawn.volume_m3 / max(self.mujoco.volume_m3, 1e-12)
         if self.drawn.volume_m3 > 0.0 and not 1.0 / cubed <= volumes <= cubed:
             return f"is drawn with {volumes:.3g} times the volume of what collides"
-        off_m = _centre(self.drawn) - _centre(self.mujoco)
-        larger_m = max(self.drawn.diagonal_m, self.mujoco.diagonal_m)
-        offset = float(np.linalg.norm(off_m)) / larger_m
-        if offset > OFFSET_MAX:
-            return f"is drawn {np.linalg.norm(off_m):.3g} m beside what collides"
+        if not self.may_be_apart and _overlap(self.drawn, self.mujoco) < OVERLAP_MIN:
+            off_m = np.linalg.norm(_centre(self.drawn) - _centre(self.mujoco))
+            return f"is drawn {off_m:.3g} m beside what collides, or turned against it"
         return ""
+
+
+def _overlap(one: Extent, other: Extent) -> float:
+    """Return the share of the smaller bounding box that lies in the other one."""
+    lower_m = np.maximum(one.lower_m, other.lower_m) - _MARGIN_M
+    upper_m = np.minimum(one.upper_m, other.upper_m) + _MARGIN_M
+    common_m3 = np.prod(np.maximum(upper_m - lower_m, 0.0))
+    smaller_m3 = min(
+        np.prod(extent.upper_m - extent.lower_m + 2.0 * _MARGIN_M) for extent in (one, other)
+    )
+    return float(common_m3 / smaller_m3)
 
 
 def _centre(extent: Extent) -> Array:
@@ -125,7 +147,7 @@ class ShapeComparison(NamedTuple):
         return {
             link: {
                 name: None if extent is None else extent.record()
-                for name, extent in shapes._asdict().items()
+                for name, extent in shapes.extents.items()
             }
             for link, shapes in self.links.items()
         }
@@ -139,6 +161,7 @@ def compare_shapes(model: mujoco.MjModel, robot: Robot) -> ShapeComparison:
         robot: Of the model.
     """
     of_pinocchio = _pinocchio_points(robot)
+    apart = drawn_apart(robot)
     links: dict[str, LinkShapes] = {}
     for link in links_of(robot):
         body = int(model.body(link).id)
@@ -146,6 +169,7 @@ def compare_shapes(model: mujoco.MjModel, robot: Robot) -> ShapeComparison:
             drawn=extent_of(_body_points(model, body, GROUP_VISUAL)),
             mujoco=extent_of(_body_points(model, body, GROUP_COLLISION)),
             pinocchio=extent_of(of_pinocchio.get(link, [])),
+            may_be_apart=link in apart,
         )
     return ShapeComparison(links)
 
