@@ -21,11 +21,10 @@ link.settimeout(0.5)
 sender = f"sway-{time.time_ns()}"
 home = None
 sequence = 0
-began_s = time.monotonic()
-while home is None or time.monotonic() - began_s < LASTS_S:
+elapsed_s = 0.0
+while elapsed_s < LASTS_S:
     message = {"version": 1, "sender": sender, "sequence": sequence, "stamp_s": time.monotonic()}
     if home is not None:
-        elapsed_s = time.monotonic() - began_s
         angle = 0.1 * (1 - math.cos(math.pi * elapsed_s))
         message["q"] = [q + (angle if joint % 7 == 1 else 0.0) for joint, q in enumerate(home)]
         message["openings"] = [1.0, 1.0] if elapsed_s < LASTS_S / 2 else [0.0, 0.0]
@@ -37,9 +36,8 @@ while home is None or time.monotonic() - began_s < LASTS_S:
     except (TimeoutError, ConnectionRefusedError):
         time.sleep(0.2)
         continue
-    if home is None:
-        home = state["q"]
-        began_s = time.monotonic()
+    home = home or state["q"]
+    elapsed_s = state["stamp_s"]  # simulated time of the episode: it waits for the start button
     time.sleep(1 / RATE_HZ)
 message |= {"sequence": sequence, "pressed": ["success"]}
 link.sendto(json.dumps(message).encode(), ADDRESS)

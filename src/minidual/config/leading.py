@@ -1,5 +1,7 @@
 """Configuration of what leads the arms while demonstrations are recorded."""
 
+from typing import Literal
+
 from pydantic import Field, field_validator
 
 from minidual.config.base import StrictModel
@@ -59,14 +61,17 @@ class LinkConfig(StrictModel):
 
 
 class NetworkConfig(StrictModel):
-    """A program that leads over UDP."""
+    """A program that leads over UDP or a WebSocket."""
 
+    transport: Literal["udp", "websocket"] = "udp"
     host: str = Field(default="127.0.0.1", min_length=1)
     """Interface; the default serves programs on this machine only. Messages are not encrypted."""
     port: int = Field(default=8765, ge=0, le=65535)
     """0 takes a free one."""
     silence_max_s: float = Field(default=0.25, gt=0.0, le=10.0)
     """Age after which the last target counts as no reading, and another sender may lead."""
+    origins: tuple[str, ...] = ()
+    """Of pages, such as http://localhost:3000, that may lead over a WebSocket; programs always may."""
 
 
 class GamepadConfig(StrictModel):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import random
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,21 +14,17 @@ import numpy as np
 import pytest
 
 from minidual.config.leading import NetworkConfig
-from minidual.config.learning import TeleopConfig
-from minidual.config.root import Config
 from minidual.config.scene import SceneConfig
-from minidual.demos.episode import read_episode
 from minidual.demos.leader import Feedback, LeaderSample
 from minidual.demos.leaders.network import NetworkLeader
-from minidual.demos.rig import Job, Rig
 from minidual.demos.station import Button
 from minidual.errors import EnvironmentMissingError
 from minidual.robot.pair import DUAL_PANDA
-from minidual.tasks.catalogue import make_task
 from tests.support.carry_trials import sample_trial
+from tests.support.leading_program import assert_both_arms_moved, episode_led_by
 
 HOME = DUAL_PANDA.home
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "lead_over_udp.py"
+EXAMPLE = "lead_over_udp.py"
 
 
 @pytest.fixture
@@ -192,20 +186,5 @@ def test_the_example_program_records_an_episode_in_which_both_arms_move(tmp_path
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    program = subprocess.Popen([sys.executable, str(EXAMPLE), str(port), "2"], cwd=tmp_path)
-    try:
-        teleop = TeleopConfig.model_validate({"leader": "network", "network": {"port": port}})
-        teleop = teleop.model_copy(update={"cameras": ()})
-        config = Config()
-        rig = Rig(Job(tmp_path, make_task(config), teleop, config.arbiter, 1), cameras=())
-        attempt = rig.record(0)
-        rig.close()
-        assert program.wait(20.0) == 0
-    finally:
-        program.kill()
-        program.wait()
-    assert attempt.path is not None, attempt.reason
-    episode = read_episode(attempt.path, cameras=())
-    moved = np.ptp(episode.qpos, axis=0)
-    assert min(moved[1], moved[8]) > 0.05
-    assert episode.gripper[-1].max() < episode.gripper[0].min()
+    episode = episode_led_by(EXAMPLE, tmp_path, {"port": port})
+    assert_both_arms_moved(episode)

@@ -1,6 +1,5 @@
-"""Another program leads, over UDP."""
+"""Another program leads, over UDP or a WebSocket."""
 
-import socket
 import time
 from collections import Counter, deque
 from dataclasses import replace
@@ -11,17 +10,15 @@ from pydantic import ValidationError
 
 from minidual.config.leading import NetworkConfig
 from minidual.demos.leader import Features, Feedback, Leader, LeaderSample, LeaderSetup
+from minidual.demos.leaders.network_door import Door, Parcel, UdpDoor
 from minidual.demos.leaders.network_message import StateMessage, TargetMessage
+from minidual.demos.leaders.network_websocket import WebSocketDoor
 from minidual.demos.station import Button
-from minidual.errors import EnvironmentMissingError
 from minidual.robot.pair import Array, Robot
 from minidual.tasks.task import Trial
 
-_DATAGRAM_MAX_BYTES = 65_535
 _REMEMBERED_N = 1000
 """Sequences that tell a duplicate from a late message."""
-_PER_READ_MAX = 1000
-"""Datagrams taken in one reading: a flood must not stop the loop."""
 
 
 class Order:
@@ -61,7 +58,7 @@ class Order:
 
 
 class NetworkLeader(Leader):
-    """Follows the newest target that a program sends to a UDP port, and answers with the state.
+    """Follows the newest target that a program sends to a port, and answers with the state.
 
     Raises:
         EnvironmentMissingError: The port is taken, or the interface does not exist.
@@ -75,15 +72,15 @@ class NetworkLeader(Leader):
         realtime=True,
     )
     usage: ClassVar[str] = (
-        "network: another program sends targets to the UDP port teleop.network.port "
-        "(docs/teleoperation.md, examples/lead_over_udp.py)"
+        "network: another program sends targets to port teleop.network.port, over UDP or, with "
+        "teleop.network.transport=websocket, over a WebSocket (docs/teleoperation.md)"
     )
 
     def __init__(self, robot: Robot, config: NetworkConfig) -> None:
         self._robot = robot
         self._silence_max_s = config.silence_max_s
-        self._socket = _bound(config)
-        self.port: int = self._socket.getsockname()[1]
+        self._door: Door = _door(config)
+        self.port = self._door.port
         self._order = Order(config.silence_max_s)
         self._sample: LeaderSample | None = None
         self._came_s = float("-inf")
@@ -117,32 +114,26 @@ class NetworkLeader(Leader):
     def read(self, now_s: float) -> LeaderSample | None:
         """Return the newest target; None once nothing has come for a while."""
         pressed: list[Button] = []
-        for _ in range(_PER_READ_MAX):
-            try:
-                data, address = self._socket.recvfrom(_DATAGRAM_MAX_BYTES)
-            except BlockingIOError:
-                break
-            except OSError:  # an earlier answer was refused by its receiver
-                continue
-            pressed += self._take(data, address)
+        for parcel in self._door.parcels():
+            pressed += self._take(parcel)
         silent_s = time.monotonic() - self._came_s
         if self._sample is None or silent_s > self._silence_max_s:
             return None
         age_s = time.monotonic() - self._stamp_s - self._clock_offset_s
         return replace(self._sample, pressed=tuple(pressed), age_s=age_s)
 
-    def _take(self, data: bytes, address: tuple[str, int]) -> tuple[Button, ...]:
-        """Take a datagram; return the buttons of a message that is followed."""
+    def _take(self, parcel: Parcel) -> tuple[Button, ...]:
+        """Take a message; return its buttons if it is followed."""
         now_s = time.monotonic()
         try:
-            message = TargetMessage.model_validate_json(data)
+            message = TargetMessage.model_validate_json(parcel.data)
             sample = message.sample(self._robot)
         except (ValidationError, ValueError):
             self._order.counts["malformed"] += 1
             return ()
         if not self._order.admits(message, now_s):
             return ()
-        self._answer(message.sequence, address)
+        self._answer(message.sequence, parcel)
         if sample is None:
             return message.pressed
         self._sample = sample
@@ -152,11 +143,9 @@ class NetworkLeader(Leader):
         self._clock_offset_s = min(self._clock_offset_s, now_s - message.stamp_s)
         return message.pressed
 
-    def _answer(self, sequence: int, address: tuple[str, int]) -> None:
+    def _answer(self, sequence: int, parcel: Parcel) -> None:
         state = self._state.model_copy(update={"sequence": sequence})
-        try:
-            self._socket.sendto(state.model_dump_json().encode(), address)
-        except OSError:
+        if not parcel.answer(state.model_dump_json()):
             self._order.counts["answers that could not be sent"] += 1
 
     def feedback(self, feedback: Feedback) -> None:
@@ -171,7 +160,7 @@ class NetworkLeader(Leader):
 
     def close(self) -> None:
         """Free the port."""
-        self._socket.close()
+        self._door.close()
 
 
 def _state(
@@ -187,17 +176,7 @@ def _state(
     )
 
 
-def _bound(config: NetworkConfig) -> socket.socket:
-    family = socket.AF_INET6 if ":" in config.host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        listener.bind((config.host, config.port))
-    except OSError as error:
-        listener.close()
-        reason = error.strerror or str(error)
-        raise EnvironmentMissingError(
-            f"the network leader cannot listen at {config.host}, UDP port {config.port}: {reason}",
-            remedy="--set teleop.network.port=N, or teleop.network.host=127.0.0.1",
-        ) from error
-    listener.setblocking(False)
-    return listener
+def _door(config: NetworkConfig) -> Door:
+    if config.transport == "websocket":
+        return WebSocketDoor(config)
+    return UdpDoor(config)

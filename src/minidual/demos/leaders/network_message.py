@@ -1,4 +1,4 @@
-"""Messages between a program that leads and the network leader: JSON, one a datagram."""
+"""Messages between a program that leads and the network leader: JSON, one a datagram or frame."""
 
 from typing import Annotated, Literal, Self
 
