@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.support.documents import ROOT, code_lines
 
 PAGES = ("README.md", "docs/lerobot.md")
-PLUGINS = sorted(path for path in (ROOT / "plugins").iterdir() if path.is_dir())
+PLUGINS = sorted((ROOT / "plugins").glob("lerobot_*"))
 
 
 def build(folder: Path) -> Path:
