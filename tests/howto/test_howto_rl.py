@@ -13,7 +13,7 @@ import pytest
 
 from tests.support import howto
 
-pytestmark = pytest.mark.torch
+pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
 
 def test_a_lesson_of_another_distribution_is_trained_as_printed(tmp_path: Path) -> None:

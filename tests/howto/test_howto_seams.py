@@ -53,7 +53,15 @@ def test_a_condition_of_another_distribution_acts_on_the_tasks_object(printed) -
     assert printed("howto-condition.md", "wind") == ["wind success disturbed: True"]
 
 
-@pytest.mark.parametrize("name", sorted(TASKS.keys() - {"rod_carry"}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        "pot_lift",
+        "handover",
+        pytest.param("insertion", marks=pytest.mark.slow),
+        pytest.param("sort", marks=pytest.mark.slow),
+    ],
+)
 def test_a_task_of_the_package_is_its_own_files(
     name: str,
     tmp_path: Path,
@@ -86,31 +94,47 @@ def test_a_task_of_the_package_is_its_own_files(
     assert result == usual
 
 
-def test_a_learned_method_of_another_distribution_has_settings_and_a_training(
-    tmp_path: Path,
-) -> None:
-    """It is trained and tried from the command line, and its settings are checked."""
-    (module,) = howto.blocks("howto-trainer.md")
-    (toml,) = howto.blocks("howto-trainer.md", "toml")
-    page = (howto.DOCS / "howto-trainer.md").read_text(encoding="utf-8")
-    site = tmp_path / "site"
-    site.mkdir()
-    environment = howto.distribution(site, "paced", {"paced": module}, toml)
+class Paced:
+    """The how-to's learned method, installed from outside.
 
-    def minidual(words: str) -> subprocess.CompletedProcess[str]:
+    Attributes:
+        page: The how-to.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        (module,) = howto.blocks("howto-trainer.md")
+        (toml,) = howto.blocks("howto-trainer.md", "toml")
+        self.page = (howto.DOCS / "howto-trainer.md").read_text(encoding="utf-8")
+        self.runs = folder / "runs"
+        site = folder / "site"
+        site.mkdir()
+        self._environment = howto.distribution(site, "paced", {"paced": module}, toml)
+
+    def minidual(self, words: str) -> subprocess.CompletedProcess[str]:
+        """Type a command beside the distribution."""
         command = [sys.executable, "-m", "minidual.cli", *shlex.split(words)]
-        command += ["--runs-dir", str(tmp_path / "runs")]
-        return subprocess.run(command, env=environment, capture_output=True, text=True)
+        command += ["--runs-dir", str(self.runs)]
+        return subprocess.run(command, env=self._environment, capture_output=True, text=True)
 
-    train, compare = re.findall(r"^minidual (.*)$", page, re.MULTILINE)
-    trained = minidual(train)
-    assert trained.returncode == 0, trained.stderr
-    assert "2 of 2" in trained.stdout
-    checkpoint = tmp_path / "runs" / "standard" / "train" / "paced" / "rod_carry" / "checkpoint"
-    assert json.loads((checkpoint / "config.json").read_text())["pace"] == 1.0
-    tried = minidual(compare)
-    assert tried.returncode == 0, tried.stderr
-    assert "paced" in tried.stdout
-    wrong = minidual("config show --set methods.paced.trials=0")
+
+def test_settings_of_a_method_of_another_distribution_are_checked(tmp_path: Path) -> None:
+    paced = Paced(tmp_path)
+    shown = paced.minidual("config show --set methods.paced.trials=3")
+    assert shown.returncode == 0, shown.stderr
+    wrong = paced.minidual("config show --set methods.paced.trials=0")
     assert wrong.returncode == 2
     assert "methods.paced.trials: must be greater than or equal to 1" in wrong.stderr
+
+
+@pytest.mark.slow
+def test_a_learned_method_of_another_distribution_is_trained_and_tried(tmp_path: Path) -> None:
+    paced = Paced(tmp_path)
+    train, compare = re.findall(r"^minidual (.*)$", paced.page, re.MULTILINE)
+    trained = paced.minidual(train)
+    assert trained.returncode == 0, trained.stderr
+    assert "2 of 2" in trained.stdout
+    checkpoint = paced.runs / "standard" / "train" / "paced" / "rod_carry" / "checkpoint"
+    assert json.loads((checkpoint / "config.json").read_text())["pace"] == 1.0
+    tried = paced.minidual(compare)
+    assert tried.returncode == 0, tried.stderr
+    assert "paced" in tried.stdout
