@@ -32,7 +32,7 @@ def bridge(
 ) -> ExitCode:
     """Put the simulated arms on ROS 2 topics, with requests to the arbiter. Needs no ROS.
 
-    Needs the extra: pip install 'minidual[ros2]'.
+    Needs the extra `ros2` of minidual.
 
     Examples:
         minidual bridge --task pot_lift

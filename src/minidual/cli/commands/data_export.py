@@ -23,7 +23,7 @@ def data_export(
 ) -> ExitCode:
     """Write episodes as MCAP with ROS 2 messages.
 
-    Needs the extra: pip install 'minidual[ros2]'.
+    Needs the extra `ros2` of minidual.
 
     Examples:
         minidual data export runs/standard/teleop-record/episodes --mcap bags
