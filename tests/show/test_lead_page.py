@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -69,7 +69,12 @@ def send(page: ClientConnection, **message: Any) -> None:
     page.send(msgspec.msgpack.encode(message))
 
 
-def drag(page: ClientConnection, side: str, position: tuple[float, ...]) -> None:
+def drag(
+    page: ClientConnection,
+    side: str,
+    position: Sequence[float],
+    wxyz: Sequence[float] = (0.0, 1.0, 0.0, 0.0),
+) -> None:
     for kind in ("DragStart", "Update", "DragEnd"):
         message: dict[str, Any] = {
             "type": f"TransformControls{kind}Message",
@@ -77,7 +82,7 @@ def drag(page: ClientConnection, side: str, position: tuple[float, ...]) -> None
             "owner": "",
         }
         if kind == "Update":
-            message |= {"wxyz": [0.0, 1.0, 0.0, 0.0], "position": list(position)}
+            message |= {"wxyz": list(wxyz), "position": [float(x) for x in position]}
         send(page, **message)
 
 
@@ -103,6 +108,48 @@ def test_a_dragged_handle_is_where_the_hand_is_to_go(
     drag(page, "left", (0.4, 0.2, 0.3))
     until(lambda: bool(np.allclose(left_hand(leader)[:3, 3], (0.4, 0.2, 0.3))))
     np.testing.assert_allclose(left_hand(leader)[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-6)
+
+
+def test_the_handle_between_the_hands_moves_both(
+    leader: BrowserLeader,
+    page: ClientConnection,
+) -> None:
+    home = Kinematics().tcp_poses(HOME)
+    middle = 0.5 * (home[0][:3, 3] + home[1][:3, 3])
+    raised = middle + np.array([0.0, 0.0, 0.05])
+    drag(page, "both", tuple(raised), wxyz=[1.0, 0.0, 0.0, 0.0])
+    until(lambda: bool(np.isclose(left_hand(leader)[2, 3], home[0][2, 3] + 0.05)))
+    sample = leader.read(0.0)
+    assert sample is not None
+    assert sample.Ts_world_tcp is not None
+    for T, T_home in zip(sample.Ts_world_tcp, home, strict=True):
+        np.testing.assert_allclose(T[:3, 3], T_home[:3, 3] + (0.0, 0.0, 0.05), atol=1e-6)
+        np.testing.assert_allclose(T[:3, :3], T_home[:3, :3], atol=1e-6)
+    quarter = math.sqrt(0.5)
+    drag(page, "both", tuple(raised), wxyz=[quarter, 0.0, 0.0, quarter])
+    x, y, _ = home[0][:3, 3] - middle
+    turned = raised + np.array([-y, x, home[0][2, 3] - middle[2]])
+    until(lambda: bool(np.allclose(left_hand(leader)[:3, 3], turned, atol=1e-6)))
+    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(left_hand(leader)[:3, :3], R @ home[0][:3, :3], atol=1e-6)
+
+
+def test_the_handle_between_the_hands_stays_between_them(
+    leader: BrowserLeader,
+    view: WebView,
+    page: ClientConnection,
+) -> None:
+    home = Kinematics().tcp_poses(HOME)
+    moved = home[0][:3, 3] + (0.0, 0.1, 0.02)
+    drag(page, "left", tuple(moved))
+    until(lambda: bool(np.allclose(left_hand(leader)[:3, 3], moved)))
+    between = view.lead_page().handles()._between
+    middle = 0.5 * (moved + home[1][:3, 3])
+    np.testing.assert_allclose(between.position, middle, atol=1e-6)
+    sample = leader.read(0.0)
+    assert sample is not None
+    assert sample.Ts_world_tcp is not None
+    np.testing.assert_allclose(sample.Ts_world_tcp[1], home[1], atol=1e-6)
 
 
 def test_a_handle_of_no_number_is_ignored(leader: BrowserLeader, page: ClientConnection) -> None:

@@ -24,7 +24,8 @@ class BrowserLeader(Leader):
     )
     usage: ClassVar[str] = (
         "browser: open the address of the view; press Start; drag the arrows and rings at a hand "
-        "to move and turn it; close it with its slider; end with Success"
+        "to move and turn it, those between the hands to move both; close a hand with its slider; "
+        "end with Success"
     )
 
     def __init__(self, robot: Robot, handles: HandHandles) -> None:

@@ -15,6 +15,8 @@ from minidual.robot.pair import SIDES, Array, pose
 _STYLE = "padding:4px 12px;font-size:13px"
 _SHOW_PERIOD_S = 0.15
 _HANDLE_SCALE = 0.14
+_STILL = 1e-5
+"""Change of a pose [m, or of its matrix] that nobody has dragged."""
 _LABELS = {
     Button.START: ("Start", "green"),
     Button.SUCCESS: ("Success", "teal"),
@@ -81,13 +83,18 @@ class LeadPage(Station):
 
 
 class PageHandles(HandHandles):
-    """A gizmo and a gripper slider a hand, and one clutch."""
+    """A gizmo and a gripper slider a hand, one gizmo between them that moves both, and one clutch.
+
+    Two hands that hold an object must move together, and a mouse drags one gizmo at a time.
+    """
 
     def __init__(self, server: Any, latency: Callable[[], float | None]) -> None:
         self._server = server
         self._latency = latency
         self._gizmos: list[Any] = []
+        self._between: Any = None
         self._Ts = [np.eye(4), np.eye(4)]
+        self._T_between = np.eye(4)
         self._openings = [1.0, 1.0]
         with server.gui.add_folder("hands"):
             self._sliders = [self._add_slider(side) for side in SIDES]
@@ -109,8 +116,12 @@ class PageHandles(HandHandles):
         """Put the handles at the hands. Scenes that were replaced have lost theirs."""
         for gizmo in self._gizmos:
             gizmo.remove()
+        if self._between is not None:
+            self._between.remove()
         self._Ts = [np.array(T) for T in Ts_world_tcp]
+        self._T_between = pose(np.eye(3), self._middle())
         self._gizmos = [self._add_gizmo(side, T) for side, T in zip(SIDES, self._Ts, strict=True)]
+        self._between = self._add_gizmo("both", self._T_between)
 
     def open(self) -> None:
         """Open both hands, and let go of the clutch."""
@@ -118,23 +129,26 @@ class PageHandles(HandHandles):
             slider.value = 1.0
         self._clutch.value = False
 
-    def _add_gizmo(self, side: str, T: Array) -> Any:
-        x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+    def _add_gizmo(self, name: str, T: Array) -> Any:
         return self._server.scene.add_transform_controls(
-            f"/lead/{side}",
+            f"/lead/{name}",
             scale=_HANDLE_SCALE,
             depth_test=False,
-            wxyz=(w, x, y, z),
+            wxyz=_wxyz(T),
             position=tuple(T[:3, 3]),
         )
 
     def read(self) -> HandReading:
         """Return where the handles are; values that are no numbers are ignored."""
         for hand, gizmo in enumerate(self._gizmos):
-            self._take_pose(hand, gizmo)
+            T = _pose_of(gizmo)
+            if T is not None:
+                self._Ts[hand] = T
             opening = float(self._sliders[hand].value)
             if np.isfinite(opening):
                 self._openings[hand] = min(max(opening, 0.0), 1.0)
+        if self._between is not None:
+            self._follow_between()
         left, right = self._openings
         return HandReading(
             (self._Ts[0].copy(), self._Ts[1].copy()),
@@ -143,11 +157,39 @@ class PageHandles(HandHandles):
             self._latency(),
         )
 
-    def _take_pose(self, hand: int, gizmo: Any) -> None:
-        position = np.asarray(gizmo.position, dtype=float)
-        w, x, y, z = np.asarray(gizmo.wxyz, dtype=float)
-        quaternion = np.array([x, y, z, w])
-        norm = float(np.linalg.norm(quaternion))
-        if np.isfinite(position).all() and np.isfinite(norm) and norm > 0.5:
-            R = Rotation.from_quat(quaternion).as_matrix()
-            self._Ts[hand] = pose(R, position)
+    def _follow_between(self) -> None:
+        """Move both handles as the one between them was moved, or that one to their middle."""
+        T = _pose_of(self._between)
+        if T is not None and not np.allclose(T, self._T_between, atol=_STILL):
+            T_moved = T @ np.linalg.inv(self._T_between)
+            for hand, gizmo in enumerate(self._gizmos):
+                self._Ts[hand] = T_moved @ self._Ts[hand]
+                _put(gizmo, self._Ts[hand])
+            self._T_between = T
+        elif not np.allclose(self._middle(), self._T_between[:3, 3], atol=_STILL):
+            self._T_between[:3, 3] = self._middle()
+            _put(self._between, self._T_between)
+
+    def _middle(self) -> Array:
+        return 0.5 * (self._Ts[0][:3, 3] + self._Ts[1][:3, 3])
+
+
+def _wxyz(T: Array) -> tuple[float, float, float, float]:
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
+    return float(w), float(x), float(y), float(z)
+
+
+def _put(gizmo: Any, T: Array) -> None:
+    gizmo.position = tuple(T[:3, 3])
+    gizmo.wxyz = _wxyz(T)
+
+
+def _pose_of(gizmo: Any) -> Array | None:
+    """Return the pose (4, 4) of a gizmo; None if a page has sent what is no pose."""
+    position = np.asarray(gizmo.position, dtype=float)
+    w, x, y, z = np.asarray(gizmo.wxyz, dtype=float)
+    quaternion = np.array([x, y, z, w])
+    norm = float(np.linalg.norm(quaternion))
+    if not np.isfinite(position).all() or not np.isfinite(norm) or norm <= 0.5:
+        return None
+    return pose(Rotation.from_quat(quaternion).as_matrix(), position)
