@@ -39,7 +39,7 @@ test-slow: $(READY) egl ## run the tests marked slow
 bench: $(READY) ## time control steps, planning, a new scene and a cold start
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m scripts.bench $(ARGS)
 
-results: $(READY) egl ## measure what is missing of docs/results.md, and fill its tables: hours
+results: $(READY) egl ## measure what is missing of docs/results*.md, and fill its tables: hours
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HF_HUB_OFFLINE=1 MUJOCO_GL=egl $(BIN)/python -m scripts.results $(ARGS)
 
 campaign: $(READY) egl ## kill, tamper, break and interrupt: 15 minutes; docs/reliability.md

@@ -1,6 +1,6 @@
 """`make results`, or `python -m scripts.results [--only NAME,...] [--fill] [--print] [options]`.
 
-Makes the tables of docs/results.md from runs, and measures what is missing. Each measurement
+Makes the tables of docs/results*.md from runs, and measures what is missing. Each measurement
 continues after an interruption: type the same command again. A table whose input is missing keeps
 its content, and a line says so.
 """
@@ -24,13 +24,14 @@ from minidual.trials.methods import METHODS
 from minidual.trials.metrics import TrialMetrics
 from scripts.results import benches, five_tasks, standard, trainings
 from scripts.results.blocks import blocks, with_blocks
-from scripts.results.quotes import stale_quotes
+from scripts.results.quotes import Published, stale_quotes
 from scripts.results.trials import Plan, run_cell
 
 ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "docs" / "results.md"
+RESULTS = tuple(sorted((ROOT / "docs").glob("results*.md")))
+"""The pages of results: each measured number stands on one of them."""
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-"""Pages that may quote blocks of RESULTS."""
+"""Pages that hold blocks, or quote RESULTS."""
 NO_RESULTS = {"85 of 100", "15 of 20", "6 of 255", "0 of 40"}
 """Counts on pages that are no results.
 
@@ -98,15 +99,20 @@ def _fill(sources: dict[str, Source], publish: Publish, *, measures: bool) -> in
 
 
 def _stale_quotes() -> int:
-    """Say which numbers of other pages docs/results.md does not have; return how many."""
-    published = RESULTS.read_text(encoding="utf-8")
+    """Say which numbers of pages the results do not have; return how many."""
+    published = published_pages()
     stale_n = 0
     for page in PAGES:
         for quote in stale_quotes(page.read_text(encoding="utf-8"), published):
             if quote not in NO_RESULTS:
-                _say(f"{page.name} quotes {quote}, which docs/results.md does not say")
+                _say(f"{page.name} quotes {quote}, which the results do not say")
                 stale_n += 1
     return stale_n
+
+
+def published_pages() -> Published:
+    """Return {name: text} of the pages of results."""
+    return {page.name: page.read_text(encoding="utf-8") for page in RESULTS}
 
 
 def _print(contents: dict[str, str]) -> None:
@@ -173,7 +179,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _tasks(options: argparse.Namespace) -> Source:
     plan = _plan(options)
-    five_tasks.check_fresh(plan, RESULTS.read_text(encoding="utf-8"))
+    five_tasks.check_fresh(plan, "\n".join(published_pages().values()))
     return Source(
         lambda: _one(five_tasks.NAME, five_tasks.block(plan)),
         lambda: _measure_tasks(plan, options.workers),

@@ -1,7 +1,7 @@
 """Marked blocks of a Markdown page.
 
 A block begins with the line `<!-- results: NAME -->` and ends with `<!-- /results -->`. What stands
-between them is written by `make results`; a page quotes docs/results.md by a block of the same name.
+between them is written by `make results`; a page quotes the results by a block of the same name.
 """
 
 import re

@@ -46,7 +46,7 @@ def block(plan: Plan) -> str | None:
 
 
 def check_fresh(plan: Plan, published: str) -> None:
-    """Raise UsageError if the starts stand in the published page, and none is measured here.
+    """Raise UsageError if the starts stand in the published pages, and none is measured here.
 
     Starts that a publication showed have been seen. What is measured here already may be
     continued and published again.

@@ -1,16 +1,21 @@
-"""Numbers that pages quote from docs/results.md: they must stand there.
+"""Numbers that pages quote from the results: they must stand there.
 
-A page quotes by a block of the same name, or by a link whose text holds the number, such as
-`[8 of 100](results.md#policies)`: it must stand in that section. docs/results.md itself quotes its
-sections by `(#policies)`. A count such as `8 of 100` that is no link must stand somewhere there.
+The results are the pages docs/results*.md. A page quotes them by a block of the same name, or by a
+link whose text holds the number, such as `[8 of 100](results.md#policies)`: it must stand in that
+section of that page. A page of results quotes its own sections by `(#policies)`. A count such as
+`8 of 100` that is no link must stand in one of the pages.
 """
 
 import re
+from collections.abc import Mapping
 
 from scripts.results.blocks import blocks
 
+type Published = Mapping[str, str]
+"""{name of a page of results: its text}."""
+
 _LINK = re.compile(
-    r"\[(?P<text>[^\]]+)\]\((?:[\w./-]*/)?results\.md(?:#(?P<anchor>[\w-]+))?\)",
+    r"\[(?P<text>[^\]]+)\]\((?:[\w./-]*/)?(?P<page>results[\w-]*\.md)(?:#(?P<anchor>[\w-]+))?\)",
 )
 _OWN_LINK = re.compile(r"\[(?P<text>[^\]]+)\]\(#(?P<anchor>[\w-]+)\)")
 _NUMBER = re.compile(
@@ -23,50 +28,60 @@ _LEAST_TRIALS = 20
 """A count of fewer is no measured rate."""
 
 
-def stale_quotes(page: str, results: str) -> list[str]:
-    """Return what a page quotes and docs/results.md does not say."""
+def stale_quotes(page: str, published: Published) -> list[str]:
+    """Return what a page quotes and the results do not say."""
     return [
-        *_other_blocks(page, results),
-        *_stale_links(page, results),
-        *_stale_counts(page, results),
+        *_other_blocks(page, published),
+        *_stale_links(page, published),
+        *_stale_counts(page, published),
     ]
 
 
-def _other_blocks(page: str, results: str) -> list[str]:
-    own = blocks(results)
-    return [f"block '{name}'" for name, content in blocks(page).items() if own.get(name) != content]
+def _other_blocks(page: str, published: Published) -> list[str]:
+    of_results: dict[str, str] = {}
+    for text in published.values():
+        of_results |= blocks(text)
+    quoted = blocks(page).items()
+    return [f"block '{name}'" for name, content in quoted if of_results.get(name) != content]
 
 
-def _stale_links(page: str, results: str) -> list[str]:
+def _stale_links(page: str, published: Published) -> list[str]:
     stale: list[str] = []
-    link = _OWN_LINK if page == results else _LINK
-    for match in link.finditer(page):
-        anchor = match["anchor"]
-        section = _section(results, anchor) if anchor else results
-        for number in _NUMBER.findall(match["text"]):
-            if not _stands_in(number, section):
-                stale.append(f"{_one_line(number)} (section {anchor or 'any'})")
+    for match in _LINK.finditer(page):
+        source = published.get(match["page"], "")
+        stale += _missing_numbers(match["text"], source, match["anchor"])
+    if page in published.values():
+        for match in _OWN_LINK.finditer(page):
+            stale += _missing_numbers(match["text"], page, match["anchor"])
     return stale
 
 
-def _stale_counts(page: str, results: str) -> list[str]:
+def _missing_numbers(text: str, source: str, anchor: str | None) -> list[str]:
+    """Return the numbers of a link's text that its section, or its page, does not have."""
+    section = _section(source, anchor) if anchor else source
+    numbers = [number for number in _NUMBER.findall(text) if not _stands_in(number, section)]
+    return [f"{_one_line(number)} (section {anchor or 'any'})" for number in numbers]
+
+
+def _stale_counts(page: str, published: Published) -> list[str]:
     prose = _LINK.sub("", _CODE.sub("", page))
     counts = [_one_line(count) for count in _COUNT.findall(prose)]
     rates = [count for count in counts if _trials(count) >= _LEAST_TRIALS]
-    return [count for count in rates if not _stands_in(count, results)]
+    texts = published.values()
+    return [count for count in rates if not any(_stands_in(count, text) for text in texts)]
 
 
 def _trials(count: str) -> int:
     return int(count.rpartition(" ")[2].replace(",", ""))
 
 
-def _section(results: str, anchor: str) -> str:
+def _section(page: str, anchor: str) -> str:
     """Return a section of second level by the name of its link; nothing if there is none."""
-    headings = list(_SECTION.finditer(results))
-    ends = [*(heading.start() for heading in headings[1:]), len(results)]
+    headings = list(_SECTION.finditer(page))
+    ends = [*(heading.start() for heading in headings[1:]), len(page)]
     for heading, end in zip(headings, ends, strict=True):
         if heading["title"].strip().lower().replace(" ", "-") == anchor:
-            return results[heading.start() : end]
+            return page[heading.start() : end]
     return ""
 
 

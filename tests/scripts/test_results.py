@@ -501,10 +501,10 @@ type Call = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def own_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a page that stands for docs/results.md."""
+    """Return a page that stands for the results."""
     page = tmp_path / "results.md"
     page.write_text(PAGE, encoding="utf-8")
-    monkeypatch.setattr(results, "RESULTS", page)
+    monkeypatch.setattr(results, "RESULTS", (page,))
     monkeypatch.setattr(results, "PAGES", (page,))
     monkeypatch.setattr(results, "FOLDER", tmp_path / "made")
     return page
@@ -607,13 +607,12 @@ def test_a_wrong_request_is_refused(call: Call, words: tuple[str, ...], reason: 
 
 @pytest.mark.parametrize("page", results.PAGES, ids=lambda page: page.name)
 def test_a_page_quotes_what_the_results_say(page: Path) -> None:
-    published = results.RESULTS.read_text(encoding="utf-8")
-    stale = stale_quotes(page.read_text(encoding="utf-8"), published)
+    stale = stale_quotes(page.read_text(encoding="utf-8"), results.published_pages())
     assert set(stale) <= results.NO_RESULTS
 
 
 def test_every_exception_is_needed() -> None:
-    published = results.RESULTS.read_text(encoding="utf-8")
+    published = results.published_pages()
     stale: list[str] = []
     for page in results.PAGES:
         stale += stale_quotes(page.read_text(encoding="utf-8"), published)
@@ -623,16 +622,16 @@ def test_every_exception_is_needed() -> None:
 def test_the_report_quotes_what_the_results_say() -> None:
     from minidual.policies.architectures import KEYFRAME_ACT
 
-    published = results.RESULTS.read_text(encoding="utf-8")
     clean, room = "8 of 100", "5 of 100"
     assert f"carried {clean} rods, and {room} in a changed room" in KEYFRAME_ACT.beside
     link = f"[{clean} and {room}](results.md#policies)"
-    assert stale_quotes(link, published) == []
+    assert stale_quotes(link, results.published_pages()) == []
 
 
-def test_every_table_has_its_block() -> None:
-    made = {standard.METHODS_BLOCK, standard.TASKS_BLOCK, *results.SOURCES}
-    assert set(blocks(results.RESULTS.read_text(encoding="utf-8"))) == made
+def test_every_table_has_its_block_on_one_page_of_results() -> None:
+    made = [standard.METHODS_BLOCK, standard.TASKS_BLOCK, *results.SOURCES]
+    found = [name for text in results.published_pages().values() for name in blocks(text)]
+    assert sorted(found) == sorted(made)
 
 
 @pytest.mark.parametrize(
@@ -651,21 +650,30 @@ def test_every_table_has_its_block() -> None:
         ("    prints 7 of 100\n", []),
         ("[Results](results.md#nowhere) are there.", []),
         ("[8 of 100](results.md#nowhere)", ["8 of 100 (section nowhere)"]),
+        ("It takes [5 ms](results-speed.md#planning).", []),
+        ("It takes [6 ms](results-speed.md#planning).", ["6 (section planning)"]),
+        ("It takes [5 ms](results.md#planning).", ["5 (section planning)"]),
+        ("It takes [5 ms](results-none.md#planning).", ["5 (section planning)"]),
+        ("It solves 40 of 41.", []),
         (with_blocks(PAGE, {"tasks": "88"}), ["block 'tasks'"]),
         (PAGE, []),
     ],
 )
 def test_another_number_is_found(page: str, stale: list[str]) -> None:
-    assert stale_quotes(page, PAGE) == stale
+    speed = "# Speed\n\n## Planning\n\n5 ms, 40 of 41.\n"
+    assert stale_quotes(page, {"results.md": PAGE, "results-speed.md": speed}) == stale
 
 
 def test_the_results_quote_themselves() -> None:
     """A summary at the end of the page must follow its tables."""
     own = f"{PAGE}\n## Goals\n\n[87 of 100](#tasks), [8 of 100 (4-15 %)](#policies)\n"
-    assert stale_quotes(own, own) == ["8 of 100 (4-15 %) (section policies)"]
-    assert stale_quotes(own.replace(" (4-15 %)", ""), own.replace(" (4-15 %)", "")) == []
-    stale = own.replace("[87", "[86")
-    assert "86 of 100 (section tasks)" in stale_quotes(stale, stale)
+
+    def stale(page: str) -> list[str]:
+        return stale_quotes(page, {"results.md": page})
+
+    assert stale(own) == ["8 of 100 (4-15 %) (section policies)"]
+    assert stale(own.replace(" (4-15 %)", "")) == []
+    assert "86 of 100 (section tasks)" in stale(own.replace("[87", "[86"))
 
 
 def test_a_stale_quote_fails_the_command(
@@ -676,7 +684,7 @@ def test_a_stale_quote_fails_the_command(
 ) -> None:
     page = tmp_path / "page.md"
     page.write_text("It carries [9 of 100](results.md#policies).", encoding="utf-8")
-    monkeypatch.setattr(results, "PAGES", (results.RESULTS, page))
+    monkeypatch.setattr(results, "PAGES", (*results.RESULTS, page))
     code, _, said = call("--only", "step", "--step", str(bench))
     assert code == 1
     assert "page.md quotes 9 of 100 (section policies)" in said

@@ -23,7 +23,7 @@ PEG_M = 0.022
     ],
 )
 def test_the_gap_tells_how_askew_a_part_stands(gap_mm, width_m, angle_deg):
-    """Gaps as measured in simulation, in docs/results.md."""
+    """Gaps as measured in simulation (docs/insertion.md)."""
     assert np.degrees(askew_rad(1e-3 * gap_mm, width_m)) == pytest.approx(angle_deg, abs=0.6)
 
 
