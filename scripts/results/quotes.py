@@ -77,10 +77,10 @@ def _trials(count: str) -> int:
 
 def _section(page: str, anchor: str) -> str:
     """Return a section of second level by the name of its link; nothing if there is none."""
-    headings = list(_SECTION.finditer(page))
-    ends = [*(heading.start() for heading in headings[1:]), len(page)]
-    for heading, end in zip(headings, ends, strict=True):
+    for heading in _SECTION.finditer(page):
         if heading["title"].strip().lower().replace(" ", "-") == anchor:
+            following = _SECTION.search(page, heading.end())
+            end = following.start() if following else len(page)
             return page[heading.start() : end]
     return ""
 
