@@ -36,9 +36,10 @@ REPEATS_N = {
     "hard": 50,
     "environments": 1500,
     "passivity": 100,
-    "passivity-arms": 20,
 }
 _REPEATS_N_DEFAULT = 20
+NOT_REPEATED = ("passivity-arms",)
+"""They run each case once."""
 ONLY_NAMED = ("hard", "passivity", "passivity-arms")
 """They take many minutes, so they run only if named."""
 
@@ -53,8 +54,11 @@ def main(words: list[str]) -> int:
     options = parser.parse_args(words)
     if options.repeats is not None and options.repeats < 1:
         parser.error(f"--repeats {options.repeats}: at least 1")
+    names = _requested(options)
+    if options.repeats is not None and all(name in NOT_REPEATED for name in names):
+        parser.error(f"--repeats: {', '.join(names)} runs each case once")
     tables: dict[str, BenchTable] = {}
-    for name in _requested(options):
+    for name in names:
         inputs = BenchInputs(
             config=Config(),
             seed=options.seed,

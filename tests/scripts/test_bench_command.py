@@ -71,8 +71,14 @@ def test_an_unknown_bench_and_no_repeats_are_refused(call: Call) -> None:
         call("--repeats", "0")
 
 
+def test_a_bench_that_repeats_nothing_refuses_repeats(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        bench.main(["passivity-arms", "--repeats", "5"])
+    assert "passivity-arms runs each case once" in capsys.readouterr().err
+
+
 def test_every_bench_can_be_loaded() -> None:
-    assert set(bench.BENCHES) == set(bench.REPEATS_N)
+    assert set(bench.BENCHES) == {*bench.REPEATS_N, *bench.NOT_REPEATED}
     assert all(callable(bench.BENCHES[name]) for name in bench.BENCHES)
 
 

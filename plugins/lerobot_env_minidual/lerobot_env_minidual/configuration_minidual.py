@@ -17,7 +17,7 @@ def make_task(
     task: str, views: list[str], rate_hz: float, settings: dict[str, Any]
 ) -> gymnasium.Env:
     """Return one world, which costs nothing once its episode has ended."""
-    from minidual.bridge.env import EvaluatedTask
+    from minidual.plugin_parts.env import EvaluatedTask
 
     return FreezeAfterEpisodeEnd(
         EvaluatedTask(task, views=views, rate_hz=rate_hz, settings=settings or None),
@@ -43,7 +43,7 @@ class MinidualEnv(EnvConfig):
 
     def __post_init__(self) -> None:
         """Declare the features of the tasks, which all have the same."""
-        from minidual.bridge.names import camera_name, check_views, position_names
+        from minidual.plugin_parts.names import camera_name, check_views, position_names
         from minidual.robot.pair import DUAL_PANDA
         from minidual.tasks.catalogue import TASKS
 

@@ -7,7 +7,7 @@ from lerobot.lerobot_types import RobotAction, RobotObservation
 from lerobot.robots import Robot
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
-from minidual.bridge.arms import ArmsSettings, SimulatedArms
+from minidual.plugin_parts.arms import ArmsSettings, SimulatedArms
 
 from .config_bi_minidual import BiMinidualConfig
 

@@ -7,7 +7,7 @@ from lerobot.lerobot_types import RobotAction
 from lerobot.teleoperators import Teleoperator
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
-from minidual.bridge.leading import Lead, LeadSettings
+from minidual.plugin_parts.leading import Lead, LeadSettings
 
 from .config_minidual_leader import MinidualLeaderConfig
 

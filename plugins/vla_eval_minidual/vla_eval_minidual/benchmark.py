@@ -8,8 +8,8 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult
 from vla_eval.specs import GRIPPER_01, IMAGE_RGB, LANGUAGE, DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
-from minidual.bridge.env import EvaluatedTask
-from minidual.bridge.names import camera_name, check_views, position_names
+from minidual.plugin_parts.env import EvaluatedTask
+from minidual.plugin_parts.names import camera_name, check_views, position_names
 from minidual.robot.pair import DUAL_PANDA, SIDES
 from minidual.tasks.catalogue import TASKS
 

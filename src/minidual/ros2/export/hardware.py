@@ -68,21 +68,22 @@ def _mujoco(robot: Robot, names: PackageNames) -> list[ET.Element]:
     return [system]
 
 
-def _mock(robot: Robot, names: PackageNames) -> list[ET.Element]:
+def _systems_of_arms(robot: Robot, suffix: str, plugin: str) -> list[ET.Element]:
+    """Return one block an arm, with its joints, named by side and suffix."""
     systems: list[ET.Element] = []
     for side in SIDES:
-        system = _system(f"{side}_mock", "mock_components/GenericSystem")
+        system = _system(f"{side}_{suffix}", plugin)
         _add_joints(system, robot, side)
         systems.append(system)
     return systems
 
 
+def _mock(robot: Robot, names: PackageNames) -> list[ET.Element]:
+    return _systems_of_arms(robot, "mock", "mock_components/GenericSystem")
+
+
 def _gazebo(robot: Robot, names: PackageNames) -> list[ET.Element]:
-    systems: list[ET.Element] = []
-    for side in SIDES:
-        system = _system(f"{side}_gazebo", "gz_ros2_control/GazeboSimSystem")
-        _add_joints(system, robot, side)
-        systems.append(system)
+    systems = _systems_of_arms(robot, "gazebo", "gz_ros2_control/GazeboSimSystem")
     gazebo = ET.Element("gazebo")
     plugin = ET.SubElement(
         gazebo,

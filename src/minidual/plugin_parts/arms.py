@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from minidual.api.settings import configured
-from minidual.bridge.link import announce, withdraw
-from minidual.bridge.names import camera_name, check_views, position_names
-from minidual.bridge.rate import RateWatch
 from minidual.demos.job import PURPOSE
 from minidual.environments.task_env import CONTROL_HZ, Observation, TaskEnv
 from minidual.errors import UsageError, unknown_name
 from minidual.plant.render import Image
+from minidual.plugin_parts.link import announce, withdraw
+from minidual.plugin_parts.names import camera_name, check_views, position_names
+from minidual.plugin_parts.rate import RateWatch
 from minidual.robot.pair import GRIPPERS_N, Array, robot_from
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from minidual.bridge.env import EvaluatedTask
 from minidual.errors import UsageError
+from minidual.plugin_parts.env import EvaluatedTask
 from minidual.tasks.catalogue import TASKS
 
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from minidual.api.settings import Settings, configured
-from minidual.bridge.names import camera_name, check_views
 from minidual.environments.task_env import CONTROL_HZ, Observation, TaskEnv
 from minidual.plant.render import Image
+from minidual.plugin_parts.names import camera_name, check_views
 from minidual.tasks.catalogue import make_task
 
 

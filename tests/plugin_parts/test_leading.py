@@ -8,11 +8,11 @@ from typing import Self
 import numpy as np
 import pytest
 
-from minidual.bridge.arms import ArmsSettings, SimulatedArms
-from minidual.bridge.leading import Lead, LeadSettings
 from minidual.demos.leader import LEADERS, Features, Feedback, Leader, LeaderSample, LeaderSetup
 from minidual.demos.station import Button
 from minidual.errors import UsageError
+from minidual.plugin_parts.arms import ArmsSettings, SimulatedArms
+from minidual.plugin_parts.leading import Lead, LeadSettings
 from minidual.robot.pair import DUAL_PANDA
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from minidual.api.settings import Settings, configured
-from minidual.bridge.link import LedArms, present_arms
-from minidual.bridge.names import position_names
 from minidual.config.root import Config
 from minidual.demos.leader import LEADERS, Feedback, Leader, LeaderSetup
 from minidual.demos.mirror import Mirror
 from minidual.demos.station import Button
 from minidual.environments.task_env import CONTROL_HZ
 from minidual.errors import UsageError
+from minidual.plugin_parts.link import LedArms, present_arms
+from minidual.plugin_parts.names import position_names
 from minidual.robot.pair import robot_from
 from minidual.tasks.catalogue import make_task
 

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from minidual.bridge import link
-from minidual.bridge.arms import ArmsSettings, SimulatedArms
-from minidual.bridge.names import camera_name, check_views, position_names
-from minidual.bridge.rate import RateWatch
 from minidual.demos.job import PURPOSE
 from minidual.errors import UsageError
+from minidual.plugin_parts import link
+from minidual.plugin_parts.arms import ArmsSettings, SimulatedArms
+from minidual.plugin_parts.names import camera_name, check_views, position_names
+from minidual.plugin_parts.rate import RateWatch
 from minidual.robot.pair import DUAL_PANDA
 
 JOINT = "left_panda_joint1.pos"
