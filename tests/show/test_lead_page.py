@@ -16,7 +16,7 @@ from websockets.typing import Subprotocol
 
 from minidual.config.learning import TeleopConfig
 from minidual.config.root import ViewConfig
-from minidual.demos.leader import LeaderSetup
+from minidual.demos.leader import Feedback, LeaderSetup
 from minidual.demos.leaders.browser import BrowserLeader
 from minidual.demos.station import NO_STATION, Button, Status
 from minidual.errors import EnvironmentMissingError
@@ -206,6 +206,15 @@ def test_released_from_the_clutch_the_handles_return_to_the_hands(
     assert sample.clutch
     clutch.value = False
     np.testing.assert_allclose(left_hand(leader), Kinematics().tcp_poses(HOME)[0], atol=1e-6)
+
+
+def test_a_person_sees_how_high_the_finger_tips_are(leader: BrowserLeader) -> None:
+    q = HOME.copy()
+    q[1] += 0.1
+    left, right = (1e3 * T[2, 3] for T in Kinematics().tcp_poses(q))
+    leader.feedback(Feedback(0.1, q, np.ones(2), np.zeros(14)))
+    assert leader.hint == f"finger tips above the table: left {left:.0f} mm, right {right:.0f} mm"
+    assert left < right - 10.0
 
 
 def test_the_round_trip_to_the_page_is_measured(

@@ -49,6 +49,12 @@ class BrowserLeader(Leader):
             )
         return cls(setup.robot, handles)
 
+    @property
+    def hint(self) -> str:
+        """How high the finger tips are: a picture hardly shows it."""
+        left, right = (1e3 * float(T[2, 3]) for T in self._kinematics.tcp_poses(self._q))
+        return f"finger tips above the table: left {left:.0f} mm, right {right:.0f} mm"
+
     def align(self, trial: Trial, q_follower: Array) -> None:
         """Put the handles at the hands, which are open."""
         self._q = q_follower
