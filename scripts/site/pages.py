@@ -14,7 +14,8 @@ _NOT_PAGES = ("build/", "dist/")
 _INDEX = "docs/README.md"
 _HOME = "README.md"
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
-_SECTION = re.compile(r"^(Guides|How-tos|Explanations|Reference): ", re.MULTILINE)
+KINDS = ("Guides", "How-tos", "Explanations", "Reference")
+"""Sections of the index, one for each kind of page."""
 
 type Generated = Mapping[str, Callable[[], str]]
 """{title: text of a page}."""
@@ -104,10 +105,13 @@ def is_chinese(page: str) -> bool:
 
 
 def sections(index: str) -> dict[str, str]:
-    """Return {section: text} of the index of the documentation, up to its first heading below."""
-    body = index.partition("\n## ")[0]
-    _, *parts = _SECTION.split(body)
-    return dict(zip(parts[::2], parts[1::2], strict=True))
+    """Return {kind of pages: text of its section} of the index of the documentation."""
+    found: dict[str, str] = {}
+    for part in re.split(r"^## ", index, flags=re.MULTILINE)[1:]:
+        title, _, text = part.partition("\n")
+        if title in KINDS:
+            found[title] = text
+    return found
 
 
 def title_of(page: Path) -> str:

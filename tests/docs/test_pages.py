@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from scripts.site.pages import sections
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
     {
@@ -24,8 +26,6 @@ WORDS_ALL_MAX = 56_000
 """Of all pages in docs/ together, counted as `wc -w` does: about 36,500 for the eight stages, and one
 page for each further thing that a person can do (leaders, reinforcement learning, other arms,
 data and policies of others, ROS 2). A new page cuts what it repeats."""
-GROUPS = ("Guides", "How-tos", "Explanations", "Reference")
-"""Sections of docs/README.md: a page has one job, so it stands in one of them."""
 CODE = ("src", "scripts", "tests", "examples", "configs", "Makefile", "pyproject.toml")
 """Where a page may be named by its path, such as docs/control.md."""
 TOYS = {Path(__file__), ROOT / "tests" / "scripts" / "test_site.py"}
@@ -166,32 +166,22 @@ def test_every_page_is_in_the_index() -> None:
     assert pages - index == set()
 
 
-def groups_of_index(text: str) -> dict[str, set[str]]:
-    """Return {section of the index: pages of this folder that it lists}."""
-    groups: dict[str, set[str]] = {}
-    for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
-        title, _, body = part.partition("\n")
-        if title in GROUPS:
-            groups[title] = set(re.findall(r"\]\(([\w-]+\.md)", body))
-    return groups
-
-
 def wrongly_grouped(text: str, pages: set[str]) -> list[str]:
-    """Return the pages that stand in no group of the index, or in several."""
-    groups = groups_of_index(text).values()
+    """Return the pages that stand in no section of the index, or in several: a page has one job."""
+    groups = [set(re.findall(r"\]\(([\w-]+\.md)", body)) for body in sections(text).values()]
     return sorted(page for page in pages if sum(page in group for group in groups) != 1)
 
 
-def test_every_page_stands_in_one_group_of_the_index() -> None:
+def test_every_page_stands_in_one_section_of_the_index() -> None:
     index = ROOT / "docs" / "README.md"
-    text = index.read_text(encoding="utf-8")
-    assert tuple(groups_of_index(text)) == GROUPS
     pages = {page.name for page in index.parent.glob("*.md")} - {index.name}
-    assert wrongly_grouped(text, pages) == []
+    assert wrongly_grouped(index.read_text(encoding="utf-8"), pages) == []
 
 
-def test_a_page_in_no_group_or_in_two_is_found() -> None:
-    text = "## Guides\n\n[a](a.md), [b](b.md)\n\n## Reference\n\n[b](b.md#x)\n\n## Else\n\n[c](c.md)\n"
+def test_a_page_in_no_section_or_in_two_is_found() -> None:
+    text = (
+        "## Guides\n\n[a](a.md), [b](b.md)\n\n## Reference\n\n[b](b.md#x)\n\n## Else\n\n[c](c.md)\n"
+    )
     assert wrongly_grouped(text, {"a.md", "b.md", "c.md"}) == ["b.md", "c.md"]
 
 

@@ -18,7 +18,7 @@ from minidual.config.root import Config
 from minidual.stages.registry import STAGES, TOOLS
 from scripts.site.build import build_site
 from scripts.site.commands import command_reference
-from scripts.site.pages import gather, pages_of, sections, title_of
+from scripts.site.pages import KINDS, gather, pages_of, sections, title_of
 from scripts.site.settings import field_comments, settings_reference, type_in_words
 from scripts.site.surface import surface_reference
 from tests.support.browser import Browser, find_browser
@@ -28,11 +28,15 @@ DOCS = "docs"
 """Apart from the names of pages that only these tests have: a test looks for pages that code names."""
 INDEX = """# Documentation
 
-Guides: what you can do.
+## Guides
+
+What you can do.
 
 - [Start](start.md): the first hour, with [a file](../examples/scene.yaml)
 
-Reference: tables.
+## Reference
+
+Tables.
 
 - [Words](words.md)
 
@@ -99,7 +103,7 @@ def test_every_page_is_in_the_site() -> None:
 
 def test_the_index_has_the_four_kinds_of_pages() -> None:
     found = sections((ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
-    assert list(found) == ["Guides", "How-tos", "Explanations", "Reference"]
+    assert tuple(found) == KINDS
     assert "quickstart.md" in found["Guides"]
     assert "howto-" not in found["Reference"]
 

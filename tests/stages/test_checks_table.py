@@ -72,9 +72,7 @@ def faults_of_table(text: str) -> list[str]:
         differing = sorted(set(section.reported) ^ reported)
         faults += [f"{stage}: {name} has no limit, or a limit" for name in differing]
         faults += [
-            f"{stage}: {row.check} has an empty cell"
-            for row in section.rows
-            if not row.fault
+            f"{stage}: {row.check} has an empty cell" for row in section.rows if not row.fault
         ]
         faults += [f"{stage}: no test {row.test}" for row in section.rows if not exists(row.test)]
     return faults
