@@ -98,17 +98,18 @@ class PortEnergy:
         return self.received - self.out + self.dissipated
 
 
-class ImpedancePort:
-    """The leader's port: it moves, and the link gives it a force.
-
-    The controller takes away the share of the force that would do more work on the leader than the
-    arms have sent, and damps to repay a deficit.
+class Port:
+    """What both ports have: an energy, and a controller that keeps the port passive.
 
     Args:
         shape: (..., G, n).
         dt_s: Period of a step.
         bounds: Of what the controller adds.
         passive: False only observes; one value, or (..., G).
+
+    Attributes:
+        energy: That went through the port.
+        correction: What the controller adds in the coming step (..., G, n).
     """
 
     def __init__(
@@ -120,11 +121,19 @@ class ImpedancePort:
         passive: Array | bool = True,
     ) -> None:
         self.energy = PortEnergy(shape[:-1])
+        self.correction: Array = np.zeros(shape)
         self._dt_s = dt_s
         self._bounds = bounds
         self._passive = np.broadcast_to(passive, shape[:-1])
         self._force = np.zeros(shape)
-        self._correction = np.zeros(shape)
+
+
+class ImpedancePort(Port):
+    """The leader's port: it moves, and the link gives it a force.
+
+    The controller takes away the share of the force that would do more work on the leader than the
+    arms have sent, and damps to repay a deficit. What it adds is a force.
+    """
 
     def step(self, moved: Array, force: Array, far_energy: Array) -> Array:
         """Return the force (..., G, n) against the leader in the coming step.
@@ -135,15 +144,10 @@ class ImpedancePort:
             far_energy: (..., G) that the other port tells to have taken in.
         """
         self.energy.receive(far_energy)
-        self.energy.flow(power(self._force, moved), power(self._correction, moved))
+        self.energy.flow(power(self._force, moved), power(self.correction, moved))
         self._force = np.array(force)
-        self._correction = self._corrected(force, moved)
-        return force + self._correction
-
-    @property
-    def correction(self) -> Array:
-        """The force (..., G, n) that the controller adds in the coming step."""
-        return self._correction
+        self.correction = self._corrected(force, moved)
+        return force + self.correction
 
     def _corrected(self, force: Array, moved: Array) -> Array:
         if not self._passive.any():
@@ -163,12 +167,12 @@ class ImpedancePort:
         return np.where(self._passive, onward - bounded, 0.0)[..., None] * unit
 
 
-class AdmittancePort:
+class AdmittancePort(Port):
     """The arms' port: the link moves their reference, and they answer with a force.
 
     The controller takes away the share of the motion that would do more work on the arms than the
     leader has sent, and moves along the force to repay a deficit. What the reference lost by this is
-    taken back while there is energy for it.
+    taken back while there is energy for it. What the controller adds is a motion.
 
     Args:
         shape: (..., G, n).
@@ -187,14 +191,9 @@ class AdmittancePort:
         passive: Array | bool = True,
         compensates: Array | bool = True,
     ) -> None:
-        self.energy = PortEnergy(shape[:-1])
-        self._dt_s = dt_s
-        self._bounds = bounds
-        self._passive = np.broadcast_to(passive, shape[:-1])
+        super().__init__(shape, dt_s, bounds, passive=passive)
         self._compensates = np.broadcast_to(compensates, shape[:-1]) & self._passive
-        self._force = np.zeros(shape)
         self._motion = np.zeros(shape)
-        self._correction = np.zeros(shape)
 
     def step(self, wanted: Array, drift: Array, force: Array, far_energy: Array) -> Array:
         """Return how the reference moves (..., G, n) in the coming step.
@@ -207,19 +206,14 @@ class AdmittancePort:
             far_energy: (..., G) that the other port tells to have taken in.
         """
         self.energy.receive(far_energy)
-        self.energy.flow(-power(force, self._motion), -power(force, self._correction))
+        self.energy.flow(-power(force, self._motion), -power(force, self.correction))
         expected = 2.0 * force - self._force
         self._force = np.array(force)
         correction = self._corrected(wanted, expected)
         added = self._added(wanted + correction, drift, expected)
         self._motion = wanted + added
-        self._correction = correction
+        self.correction = correction
         return self._motion + correction
-
-    @property
-    def correction(self) -> Array:
-        """The motion (..., G, n) that the controller adds in the coming step."""
-        return self._correction
 
     def _corrected(self, wanted: Array, force: Array) -> Array:
         if not self._passive.any():
