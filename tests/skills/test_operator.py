@@ -99,8 +99,21 @@ def test_grippers_close_once_and_open_once(operator: ScriptedOperator) -> None:
     closed = np.flatnonzero(demo.gripper[:, 0] == 0.0)
     np.testing.assert_array_equal(demo.gripper[:, 0], demo.gripper[:, 1])
     assert closed[0] == _tick(operator, "descend")
-    assert closed[-1] + 1 == _tick(operator, "lower")
+    assert closed[-1] + 1 == _tick(operator, "land")
     assert len(closed) == closed[-1] - closed[0] + 1
+
+
+def test_the_last_of_the_way_down_is_slow(operator: ScriptedOperator) -> None:
+    """Wherever within four millimetres a policy that copies it meets the table."""
+    demo = operator.plan(sample_trial(operator.scene, SEED, "demonstrations", 0), seed=SEED)
+    down = slice(_tick(operator, "carry"), _tick(operator, "land"))
+    kinematics = Kinematics()
+    heights_m = np.array([kinematics.tcp_poses(q)[0][2, 3] for q in demo.q[down]])
+    near = heights_m[1:] < heights_m[-1] + operator.config.set_down_m + 0.004
+    speeds_m_per_s = -np.diff(heights_m) * demo.rate_hz
+    assert near.sum() > 10
+    assert speeds_m_per_s[near].max() < 0.06
+    assert speeds_m_per_s.max() > 0.2
 
 
 def test_the_approach_errs_across_before_and_along_while_the_hands_go_down(

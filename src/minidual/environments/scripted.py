@@ -34,7 +34,11 @@ _THERE_M = 0.012
 _ROUGHLY_THERE_M = 0.062
 _PATIENCE = 12
 """Steps along the way after which a rougher arrival is good enough."""
-_LANDED_M = 0.003
+_LANDED_M = 0.0005
+_PRESSED_M = 0.003
+"""How far below its rest height the pot is led: it must not be let go in the air."""
+_LANDING_STEPS = 4
+"""Steps at this height after which it counts as landed, whatever a noisy reading says."""
 _FIRM_N = 57.0
 _RISE_STEP_M = 0.03
 _RISE_TO_M = 0.25
@@ -68,6 +72,10 @@ _PACE = {
     Phase.RISE: 0.6,
 }
 """Share of the largest increments, by phase."""
+_RAMP_STEPS = 3
+"""Steps over which hands that hold something take up their pace: a jerk shakes it out of the grip."""
+_LEAST_STEPS = 2.5
+"""They go at most one part in so many of the way left, so that they arrive slowly."""
 _OPEN_WIDE = 0.9
 
 
@@ -94,16 +102,20 @@ class LiftScript:
         self.phase = np.zeros(env.num_envs, dtype=int)
         self._wanted = np.zeros((env.num_envs, 2, 4))
         self._waited = np.zeros(env.num_envs, dtype=int)
+        self._since = np.zeros(env.num_envs, dtype=int)
 
     def restart(self, ended: npt.NDArray[np.bool_]) -> None:
         """Begin anew in worlds where a trial began (N,)."""
         self.phase[ended] = Phase.REACH
         self._waited[ended] = 0
+        self._since[ended] = 0
 
     def action(self) -> npt.NDArray[np.float32]:
         """Return actions (N, 10) for the present state."""
+        before = self.phase.copy()
         for world in range(self._env.num_envs):
             self._decide(world)
+        self._since = np.where(self.phase == before, self._since + 1, 0)
         return self._towards_wanted()
 
     # Phases ------------------------------------------------------------------------------------
@@ -180,11 +192,15 @@ class LiftScript:
         if way_m < near_m:
             self.phase[world] = Phase.LOWER
             grasp_m = self._rest_m + self._grasps[:, 2, 3]
-            self._wanted[world, :, 2] = grasp_m - 0.002
+            self._wanted[world, :, 2] = grasp_m - _PRESSED_M
+            self._waited[world] = 0
+            return
         self._waited[world] += 1
 
     def _lower(self, world: int) -> None:
-        if self._rise_m(world) < _LANDED_M:
+        way_m = np.abs(self._actions.wanted[world, :, 2] - self._wanted[world, :, 2])
+        self._waited[world] += way_m.max() < 1e-3
+        if self._rise_m(world) < _LANDED_M or self._waited[world] >= _LANDING_STEPS:
             self.phase[world] = Phase.OPEN
             self._wanted[world] = self._actions.wanted[world]
 
@@ -211,7 +227,10 @@ class LiftScript:
         apart_m = np.abs(0.5 * (way[:, 0] - way[:, 1])[:, :2]).max(axis=1)
         free = self.phase <= Phase.DESCEND
         steps = np.maximum(steps, np.where(free, apart_m / _APPROACH_APART_M, 0.0))
-        steps = np.maximum(steps / pace, 1.0)
+        holding = (self.phase >= Phase.LIFT) & (self.phase <= Phase.LOWER)
+        ramp = np.minimum((self._since + 1.0) / _RAMP_STEPS, 1.0)
+        pace *= np.where(holding, ramp, 1.0)
+        steps = np.maximum(steps / pace, np.where(holding, _LEAST_STEPS, 1.0))
         action = actions.action_to(self._wanted, 1.0 / steps)
         on_the_way = (self.phase == Phase.ALONG) & (steps > 1.0)
         action[on_the_way, _APART_SHIFT] = 0.0  # a rigid turn: hands that hold do not move apart
