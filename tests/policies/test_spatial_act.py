@@ -200,6 +200,28 @@ def test_a_keyframe_is_the_mean_of_the_looks_until_it_is_past(
     assert torch.allclose(again, fourth)
 
 
+@pytest.mark.parametrize(
+    ("looks", "past_n"),
+    [
+        ([(0.9, 0.9), (0.85, 0.9), (-1.1, -1.1), (-1.1, -1.1)], 1),
+        ([(0.9, 0.9), (-0.2, -0.2), (-1.3, -1.3)], 1),  # the second look is amid the closing
+        ([(0.9, 0.9), (0.1, 0.1), (-1.3, -1.3)], 1),
+        ([(0.9, 0.9), (-0.2, 0.3), (-1.3, -1.3)], 1),  # one hand is a little behind
+        ([(0.9, 0.9), (-0.2, -0.2), (-1.3, -1.3), (0.0, 0.0), (0.9, 0.9)], 2),
+        ([(0.9, 0.9), (-1.3, 0.9), (-1.3, -1.3), (0.9, -1.3)], 3),  # one hand after the other
+        ([(-1.3, 0.9), (-1.2, 0.8), (-1.3, 0.9)], 0),
+    ],
+)
+def test_a_switch_counts_once_wherever_in_it_the_looks_fall(
+    looks: list[tuple[float, float]],
+    past_n: int,
+) -> None:
+    switches = backbone.Switches(torch.tensor([looks[0]]))
+    for openings in looks[1:]:
+        switches.look(torch.tensor([openings]))
+    assert switches.past_n == past_n
+
+
 def _policy(demos: Demonstrations) -> Any:
     torch.manual_seed(0)
     policy = act.SPATIAL_ACT.make(TrainConfig(**SMALL), demos)

@@ -26,6 +26,8 @@ _LEAST_VARIANCE = 1e-6
 _SWITCHED = 1.0
 """Least change of an opening at a switch [standard deviations]; its two values are about two apart.
 """
+_MOVED = 0.2
+"""Least change of another opening that takes part in the switch [standard deviations]."""
 _BEGINS_BETWEEN = 0.25
 """Share of training samples that get past keyframes.
 
@@ -56,6 +58,34 @@ def _same(flat: Tensor) -> Tensor:
 
 def _draw(n: int, device: torch.device) -> Tensor:
     return torch.rand(n, 1, 1, device=device)
+
+
+class Switches:
+    """Counts the switches of grippers from one look to the next.
+
+    A look may fall into the middle of a switch: what goes on in the same direction, and a second
+    gripper that follows, belong to the same switch.
+
+    Attributes:
+        past_n: Switches so far.
+    """
+
+    def __init__(self, openings: Tensor) -> None:
+        self.past_n = 0
+        self._reference = openings
+        self._direction = torch.zeros_like(openings)
+
+    def look(self, openings: Tensor) -> None:
+        """Take the openings (B, G) of the next look [standard deviations]."""
+        change = openings - self._reference
+        goes_on = change * self._direction > 0.0
+        if bool(((change.abs() > _SWITCHED) & ~goes_on).any()):
+            self.past_n += 1
+            takes_part = change.abs() > _MOVED
+            self._direction = torch.where(takes_part, change.sign(), self._direction)
+            self._reference = openings
+        else:
+            self._reference = torch.where(goes_on, openings, self._reference)
 
 
 class SpatialSoftmax(nn.Module):
@@ -251,8 +281,7 @@ class SpatialActPolicy(ACTPolicy):
         super().reset()
         self._total = torch.zeros(0)
         self._count = 0
-        self._next_keyframe = -1
-        self._openings_at_switch = torch.zeros(0)
+        self._switches: Switches | None = None
 
     def fast_on_cpu(self) -> None:
         """See `KeypointEncoder.fast_on_cpu`."""
@@ -280,18 +309,16 @@ class SpatialActPolicy(ACTPolicy):
     def _mean_look(self, openings: Tensor, flat: Tensor) -> Tensor:
         """Return the mean of the keyframes (B, K A) predicted since `reset`, 0 for past ones."""
         look = flat.unflatten(1, self.model.backbone.shape)
-        is_first = self._next_keyframe < 0
-        if is_first:
+        if self._switches is None:
+            self._switches = Switches(openings)
             self._total = torch.zeros_like(look)
             self._count = 0
-        switched = (openings - self._openings_at_switch).abs() > _SWITCHED if not is_first else None
-        if switched is None or bool(switched.any()):
-            self._next_keyframe += 1
-            self._openings_at_switch = openings
+        else:
+            self._switches.look(openings)
         self._total = self._total + look
         self._count += 1
         mean = self._total / self._count
-        mean[:, : self._next_keyframe] = 0.0
+        mean[:, : self._switches.past_n] = 0.0
         return mean.flatten(1)
 
     def forward(self, batch: dict[str, Tensor], **kwargs: Any) -> tuple[Tensor, dict[str, float]]:
