@@ -34,7 +34,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import SoftStopController
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError, UsageError
-from minidual.plant.lifecycle import CommandKind, kind_of
+from minidual.plant.lifecycle import CommandKind, catch_up, kind_of
 from minidual.plant.protocol import Plant, PlantEndedError
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import SIDES, Array
@@ -100,6 +100,7 @@ class ControlLoop:
         Raises:
             UsageError: The arms move, or are not measured.
         """
+        catch_up(self._plant)
         measurement = self.reader.first()
         self._check_rest(measurement, "control starts at rest", remedy="stop them first")
         self.reader.begin(measurement)
@@ -141,6 +142,7 @@ class ControlLoop:
         Raises:
             UsageError: The arms move or are not measured, or the plant reports a fault.
         """
+        catch_up(self._plant)
         measurement = self.reader.first()
         remedy = "go on with step() until they rest"
         self._check_rest(measurement, "the arms may not recover while they move", remedy=remedy)

@@ -7,13 +7,16 @@ more to say; a `Connection` asks it, and answers in its place where it is silent
 from collections.abc import Sequence
 from enum import StrEnum
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
 from minidual.errors import UsageError
 from minidual.plant.protocol import Plant
 from minidual.robot.pair import SIDES, Array
+
+if TYPE_CHECKING:  # a plant on a network needs no simulator
+    from minidual.plant.twin import Twin
 
 
 class CommandKind(StrEnum):
@@ -87,11 +90,22 @@ def kind_of(plant: object) -> CommandKind:
     return CommandKind(getattr(plant, "kind", CommandKind.TORQUE))
 
 
+def runs_on(plant: object) -> bool:
+    """Return whether a plant's time goes on while nobody steps; it then has `catch_up()`."""
+    return hasattr(plant, "catch_up")
+
+
+def catch_up(plant: Any) -> None:
+    """Let a plant whose time runs on read its newest measurements."""
+    if runs_on(plant):
+        plant.catch_up()
+
+
 class Connection:
     """Life cycle of one plant: connect, activate, ask, recover, close.
 
     A plant may have `connect()`, `activate(kind)`, `stamps_s`, `healths`, `sent`, `recover()`,
-    `close()`, `kinds` and `place`. What it lacks has a default.
+    `close()`, `kinds`, `place`, `catch_up()` and `twin()`. What it lacks has a default.
 
     Attributes:
         address: As typed, for messages and reports.
@@ -157,6 +171,15 @@ class Connection:
     def sent(self) -> Sent | None:
         """What was sent last; None if the plant does not say."""
         return getattr(self.plant, "sent", None)
+
+    def twin(self) -> "Twin | None":
+        """Return the simulated world behind the plant; None on hardware.
+
+        Raises:
+            UsageError: It is another scene than the configured one.
+        """
+        make = getattr(self.plant, "twin", None)
+        return None if make is None else make()
 
     def recover(self) -> None:
         """Clear what can be cleared; see `healths` for the rest."""

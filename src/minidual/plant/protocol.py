@@ -77,6 +77,11 @@ class Plant(Protocol):
         ...
 
 
+def openings_of(plant: Plant) -> Array:
+    """Return the measured openings (2,) of the hands, 0 closed to 1 open."""
+    return plant.fingers / plant.robot.hand.travel_m
+
+
 class PoseSample(NamedTuple):
     """A measured pose (4, 4) and its age in control steps."""
 

@@ -15,6 +15,7 @@ from numba.core import types
 from minidual.config.control import SensingConfig
 from minidual.plant.bodies import HAND_FORCES
 from minidual.plant.protocol import PoseSample, Reading
+from minidual.plant.render import Camera, StampedImage
 from minidual.plant.world import World
 from minidual.robot.compiled import ROWS, VECTOR, kernel
 from minidual.robot.pair import Array
@@ -43,7 +44,8 @@ def add_forces(samples: Array, row: int, seen: Array) -> None:
 class Sensors:
     """Samples the world and delivers late; until then, the first sample.
 
-    With the same seed, smaller noise is the same noise scaled. `name` None means the only object.
+    With the same seed, smaller noise is the same noise scaled. `name` None means the only object;
+    `dt_s` is the control period, by default the world's.
     """
 
     def __init__(
@@ -52,19 +54,21 @@ class Sensors:
         config: SensingConfig,
         rng: np.random.Generator,
         name: str | None = None,
+        dt_s: float | None = None,
     ) -> None:
+        dt_s = world.dt if dt_s is None else dt_s
         self._world = world
         self._config = config
         self._rng = rng
         self._object = world.truth(name)
-        self.delay_ticks = round(config.delay_s / world.dt)
-        self._period_ticks = max(1, round(1.0 / (config.pose_rate_hz * world.dt)))
+        self.delay_ticks = round(config.delay_s / dt_s)
+        self._period_ticks = max(1, round(1.0 / (config.pose_rate_hz * dt_s)))
         bias = rng.standard_normal(6)
         self._bias = np.r_[config.pose_bias_m * bias[:3], config.pose_bias_rad * bias[3:]]
         self._scale = np.r_[[config.pose_noise_m] * 3, [config.pose_noise_rad] * 3]
         self._tick = 0
         self._begin_s = world.time
-        self._dt = world.dt
+        self._dt = dt_s
         self._late = deque[Reading]()
 
     def sense(self) -> Reading:
@@ -109,3 +113,32 @@ class Sensors:
         T[:3, 3] += error[:3]
         T[:3, :3] = pin.exp3(error[3:]) @ T[:3, :3]
         return T
+
+
+class SimulatedSenses:
+    """Sensors and cameras in a simulated world; see `Senses`.
+
+    Args:
+        world: The plant's own, or its twin.
+        dt_s: Control period.
+    """
+
+    def __init__(self, world: World, dt_s: float) -> None:
+        self._world = world
+        self._dt_s = dt_s
+        self._camera: Camera | None = None
+
+    def of_object(
+        self,
+        config: SensingConfig,
+        rng: np.random.Generator,
+        name: str | None = None,
+    ) -> Sensors:
+        """See `Senses`."""
+        return Sensors(self._world, config, rng, name, self._dt_s)
+
+    def picture(self, camera: str) -> StampedImage:
+        """See `Senses`; the world must have visual meshes."""
+        if self._camera is None:  # an OpenGL context is slow to create
+            self._camera = Camera.recorded(self._world.model, self._world.scene.camera)
+        return self._camera.stamped(self._world.data, camera)

@@ -5,6 +5,7 @@ import numpy as np
 from minidual.plant.connect import PlantRequest
 from minidual.plant.lifecycle import CommandKind, Sent
 from minidual.plant.servo import HandServo, JointServo
+from minidual.plant.twin import OwnWorld
 from minidual.plant.world import World
 from minidual.robot.pair import SIDES, Array
 
@@ -14,6 +15,10 @@ class TorqueWorld(World):
 
     place = "simulator"
     kinds = (CommandKind.TORQUE,)
+
+    def twin(self) -> OwnWorld:
+        """Return itself."""
+        return OwnWorld(self)
 
 
 class PositionWorld:
@@ -45,6 +50,10 @@ class PositionWorld:
         self.sent = Sent(CommandKind.POSITION, self.time, q=self._q, v=self._v)
         for hand in self._hands:
             hand.reset()
+
+    def twin(self) -> OwnWorld:
+        """Return the world behind the drives."""
+        return OwnWorld(self.world)
 
     @property
     def health(self) -> str:

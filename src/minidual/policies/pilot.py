@@ -12,7 +12,7 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import DataError
 from minidual.plant.cameras import CAMERAS
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant, openings_of
 from minidual.policies.facts import Driver, Place, require_fit
 from minidual.policies.kinds import ChunkPolicy, Image, load_policy
 from minidual.policies.plausible import PolicyStoppedError
@@ -69,7 +69,7 @@ def driver_of(policy: ChunkPolicy) -> Driver:
 
 def next_command(
     runtime: PolicyRuntime,
-    world: World,
+    plant: Plant,
     picture: Picture,
     sequence: int,
 ) -> JointCommand:
@@ -79,17 +79,17 @@ def next_command(
         DataError: An input does not fit; PolicyStoppedError: a camera fails, or see
             `PolicyRuntime.act`.
     """
-    images = {name: partial(_fresh_image, picture, name, world) for name in runtime.cameras}
-    measured_s = world.time
-    action = runtime.act(images, np.concatenate([world.q, world.gripper]))
-    answer_age_s = world.time - measured_s
+    images = {name: partial(_fresh_image, picture, name, plant) for name in runtime.cameras}
+    measured_s = plant.time
+    action = runtime.act(images, np.concatenate([plant.q, openings_of(plant)]))
+    answer_age_s = plant.time - measured_s
     if answer_age_s > PICTURE_AGE_MAX_S:
         raise PolicyStoppedError("late_answer", age_s=answer_age_s, limit_s=PICTURE_AGE_MAX_S)
     n = runtime.joints_n
     return JointCommand(action[:n], action[n:], measured_s, sequence)
 
 
-def _fresh_image(picture: Picture, camera: str, world: World) -> Image:
+def _fresh_image(picture: Picture, camera: str, plant: Plant) -> Image:
     """Return a camera's image; PolicyStoppedError if it fails or its image is old."""
     try:
         image, stamp_s = picture(camera)
@@ -99,7 +99,7 @@ def _fresh_image(picture: Picture, camera: str, world: World) -> Image:
             camera=camera,
             error=f"{type(error).__name__}: {error}",
         ) from error
-    age_s = world.time - stamp_s
+    age_s = plant.time - stamp_s
     if not -PICTURE_AGE_MAX_S <= age_s <= PICTURE_AGE_MAX_S:
         raise PolicyStoppedError(
             "stale_picture",
@@ -113,17 +113,16 @@ def _fresh_image(picture: Picture, camera: str, world: World) -> Image:
 class PolicyPilot:
     """One trial of a policy.
 
-    The stack's world is already reset, its rate as recorded.
+    The stack's plant stands at the start, its rate is as recorded.
     """
 
     def __init__(
         self,
-        stack: ControlStack[World],
+        stack: ControlStack[Plant],
         runtime: PolicyRuntime,
         picture: Picture,
     ) -> None:
         self.stack = stack
-        self.world = stack.plant
         self.aborted: str | None = None
         self._broken: Exception | None = None
         self._runtime = runtime
@@ -178,7 +177,7 @@ class PolicyPilot:
     def _propose(self) -> None:
         """Propose the policy's command; an error stops the arms, and this tick has its torque."""
         try:
-            command = next_command(self._runtime, self.world, self._picture, self._step + 1)
+            command = next_command(self._runtime, self.stack.plant, self._picture, self._step + 1)
         except DataError as error:
             self.aborted = error.message
             self.stack.halt(SOURCE)

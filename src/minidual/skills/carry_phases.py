@@ -9,10 +9,11 @@ from collections.abc import Generator, Iterator
 import numpy as np
 
 from minidual.config.control import CarryConfig
+from minidual.config.scene import SceneConfig
 from minidual.control.commands import Command, JointCommand, ObjectCommand, TrajectoryCommand
 from minidual.control.stack import DEFAULT_CONTROLLERS, OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array, inverse
 from minidual.skills.carry_motions import (
@@ -53,11 +54,11 @@ class RefusedError(Exception):
 class CarryPhases:
     """Proposes the commands of a carry, phase by phase.
 
-    The first four arguments say what is to be done, the last four by what.
+    The first four arguments say what is to be done, the others by what.
 
     Args:
-        world: World with the object.
         kinematics: Of the arms.
+        scene: With the object.
         config: Pace and impedance.
         goal: Of the object.
         stack: Takes the commands.
@@ -73,17 +74,18 @@ class CarryPhases:
 
     def __init__(
         self,
-        world: World,
         kinematics: Kinematics,
+        scene: SceneConfig,
         config: CarryConfig,
         goal: Placement,
         *,
-        stack: ControlStack[World],
+        stack: ControlStack[Plant],
         watch: CarryWatch,
         supervisor: Supervisor,
         open_s: float,
     ) -> None:
-        self._world = world
+        self._plant = stack.plant
+        self._scene = scene
         self._kinematics = kinematics
         self._config = config
         self._goal = goal
@@ -93,13 +95,13 @@ class CarryPhases:
         self._open_s = open_s
         self._sequence = 0
         self.phase = "approach"
-        self.began_s = world.time
+        self.began_s = self._plant.time
         self.follows = True
 
     def enter(self, phase: str) -> None:
         """Begin a phase."""
         self.phase = phase
-        self.began_s = self._world.time
+        self.began_s = self._plant.time
 
     def run(self) -> Iterator[None]:
         """Go through all phases; each `next` is one control step.
@@ -109,14 +111,14 @@ class CarryPhases:
             SingularPostureError: The law cannot take over at the grasp.
             RefusedError: The arbiter refused a command.
         """
-        world = self._world
+        plant = self._plant
         watch = self._watch
         stack = self._stack
         rise_m = PHASES["approach"].rise_m
-        q_over = posture_over(world.scene, world.robot, self._lying(), rise_m)
+        q_over = posture_over(self._scene, plant.robot, self._lying(), rise_m)
         self._grasp(q_over)  # raises before anything moves
         stack.request(SOURCE)
-        q_start = world.q
+        q_start = plant.q
         while stack.source != SOURCE:
             yield
         q_over = yield from self._approach(q_start, q_over)
@@ -125,7 +127,7 @@ class CarryPhases:
         yield from self._move("descend", q_over, q_grasp)
         yield from self._close(q_grasp)
         yield from self._transport(rest_m)
-        q = world.q
+        q = plant.q
         yield from self._move("open", q, q, self._open_s)
         q_away = self._grasp(q, above_m=PHASES["retreat"].rise_m)
         yield from self._move("retreat", q, q_away)
@@ -157,16 +159,16 @@ class CarryPhases:
                 self._propose("close", self._posture(q))
 
     def _posture(self, q: Array) -> JointCommand:
-        return JointCommand(q, _CLOSED, self._world.time, self._next())
+        return JointCommand(q, _CLOSED, self._plant.time, self._next())
 
     def _grasp(self, q_near: Array, *, above_m: float = 0.0) -> Array:
         """Return the posture (n,) at or above the grasps."""
-        world = self._world
-        return grasp_posture(world.scene, world.robot, self._lying(), q_near, above_m=above_m)
+        plant = self._plant
+        return grasp_posture(self._scene, plant.robot, self._lying(), q_near, above_m=above_m)
 
     def _lying(self) -> Array:
         """Return the object's pose (4, 4) at its known height on the table."""
-        return pose_of(self._world.scene.object, placement(self._watch.T_world_object))
+        return pose_of(self._scene.object, placement(self._watch.T_world_object))
 
     def _move(
         self,
@@ -176,9 +178,9 @@ class CarryPhases:
         duration_s: float | None = None,
     ) -> Iterator[None]:
         """Move open hands from q to q_goal (n,)."""
-        world = self._world
-        motion = joint_move(q, q_goal, world.robot, self._config.pace, world.dt, duration_s)
-        command = TrajectoryCommand(motion, _OPEN, world.time, self._next())
+        plant = self._plant
+        motion = joint_move(q, q_goal, plant.robot, self._config.pace, plant.dt, duration_s)
+        command = TrajectoryCommand(motion, _OPEN, plant.time, self._next())
         self._propose(phase, command)
         yield from self._executing()
 
@@ -186,17 +188,17 @@ class CarryPhases:
 
     def _transport(self, rest_m: float) -> Iterator[None]:
         """Take hold of the object, carry it to the goal, and unload it there."""
-        world = self._world
+        plant = self._plant
         watch = self._watch
         stack = self._stack
         T_object = watch.T_world_object
         path = plan_path(
-            world.scene,
-            world.robot,
+            self._scene,
+            plant.robot,
             self._config.pace,
             self._goal,
             T_object,
-            world.q,
+            plant.q,
             rest_m,
         )
         T_level_object = inverse(level_part(T_object)) @ T_object
@@ -206,7 +208,7 @@ class CarryPhases:
         yield from self._follow("carry", path, T_level_object)
         path = yield from self._arrive(path, T_level_object)
         yield from self._follow("unload", path, T_level_object)
-        while not stack.calm and world.time < self.began_s + _CALM_S:
+        while not stack.calm and plant.time < self.began_s + _CALM_S:
             yield  # the object is down, an elbow may still swing
         watch.sensing.let_go()
         self._supervisor.hold(None)
@@ -214,8 +216,8 @@ class CarryPhases:
 
     def _take_hold(self, T_object: Array) -> None:
         """Hand the object at T_object (4, 4) over to controller C."""
-        scene = self._world.scene
-        tcps = self._kinematics.tcp_poses(self._world.q)
+        scene = self._scene
+        tcps = self._kinematics.tcp_poses(self._plant.q)
         model = held_object(scene, T_object, tcps)
         self._stack.impedance.configure(model, self._config.impedance)
         self._watch.sensing.take_hold()
@@ -227,7 +229,7 @@ class CarryPhases:
         """Move the object as a phase does on a path; see `held_motion`."""
         squeeze_n = self._watch.squeeze_n
         motion, squeeze_at = held_motion(phase, path, T_level_object, squeeze_n)
-        command = ObjectCommand(motion, squeeze_at, _CLOSED, self._world.time, self._next())
+        command = ObjectCommand(motion, squeeze_at, _CLOSED, self._plant.time, self._next())
         self._propose(phase, command)
         yield from self._executing()
 

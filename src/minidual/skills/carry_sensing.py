@@ -6,8 +6,7 @@ import numpy as np
 
 from minidual.config.control import CarryConfig
 from minidual.control.impedance import ObjectState
-from minidual.plant.protocol import ObjectSensors, Reading
-from minidual.plant.world import World
+from minidual.plant.protocol import ObjectSensors, Plant, Reading
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.object_estimate import HeldEstimate, RestingEstimate
@@ -26,7 +25,7 @@ class _ForceFilter(NamedTuple):
 class CarrySensing:
     """Filtered readings and estimated motion of the object.
 
-    Of the world it reads time and joints.
+    Of the plant it reads time and joints.
 
     Attributes:
         reading: Last reading; a pose that is not finite is None.
@@ -45,12 +44,12 @@ class CarrySensing:
 
     def __init__(
         self,
-        world: World,
+        plant: Plant,
         kinematics: Kinematics,
         config: CarryConfig,
         sensors: ObjectSensors,
     ) -> None:
-        self._world = world
+        self._plant = plant
         self._kinematics = kinematics
         self._sensors = sensors
         self._period_s = 1.0 / config.sensing.pose_rate_hz
@@ -58,7 +57,7 @@ class CarrySensing:
         self.reading: Reading = sensors.sense()
         if self.reading.pose is None:
             raise RuntimeError("the first reading of the sensors holds a pose")
-        now_s = world.time
+        now_s = plant.time
         self.now_s = now_s
         self.posed_s = now_s
         self.forces_s = now_s
@@ -67,17 +66,17 @@ class CarrySensing:
         felt = np.nan_to_num(self.raw)
         self.pinch = felt[6:]  # a view
         self.felt_n = 0.0
-        share = world.dt / (config.sensing.force_filter_s + world.dt)
+        share = plant.dt / (config.sensing.force_filter_s + plant.dt)
         self._filter = _ForceFilter(self.raw, felt, share, config.faults.force_glitch_n)
         self._glitches = 0
-        self._glitches_max = round(config.faults.persistence_s / world.dt)
+        self._glitches_max = round(config.faults.persistence_s / plant.dt)
         self.resting = RestingEstimate(self.reading.pose.T_world_object)
         self.held: HeldEstimate | None = None
 
     @property
     def delay_s(self) -> float:
         """Age of an arriving pose [s]."""
-        return self._sensors.delay_ticks * self._world.dt
+        return self._sensors.delay_ticks * self._plant.dt
 
     @property
     def period_s(self) -> float:
@@ -100,7 +99,7 @@ class CarrySensing:
 
     def sense(self) -> None:
         """Read and filter the sensors; to be called once a control step."""
-        self.now_s = self._world.time
+        self.now_s = self._plant.time
         if self.now_s > self._sensed_s:  # the constructor sensed the first step
             self.reading = self._sensors.sense()
         self._take_pose()
@@ -108,11 +107,11 @@ class CarrySensing:
 
     def _take_pose(self) -> None:
         """Drop a pose that is not finite; update the estimate of a held object."""
-        world = self._world
+        plant = self._plant
         pose = self.reading.pose
         if pose is not None:
             if np.isfinite(pose.T_world_object).all():
-                sampled_s = self.now_s - pose.age_ticks * world.dt
+                sampled_s = self.now_s - pose.age_ticks * plant.dt
                 self.posed_s = max(self.posed_s, sampled_s)  # the first poses may be from before
             else:
                 pose = None
@@ -120,9 +119,9 @@ class CarrySensing:
         if self.held is None:
             return
         if pose is None:
-            self.held.update(world.q, world.v)
+            self.held.update(plant.q, plant.v)
         else:
-            self.held.update(world.q, world.v, pose.T_world_object, pose.age_ticks)
+            self.held.update(plant.q, plant.v, pose.T_world_object, pose.age_ticks)
 
     def _take_forces(self) -> None:
         """Filter forces and pinches; glitches are left out until they last."""
@@ -143,15 +142,15 @@ class CarrySensing:
 
     def take_hold(self) -> None:
         """From now on, estimate an object that follows the hands."""
-        world = self._world
+        plant = self._plant
         self.held = HeldEstimate(
             self._kinematics,
-            world.q,
+            plant.q,
             self.resting.T_world_object,
             delay_ticks=self._sensors.delay_ticks,
             least_gain=self._period_s / max(self._memory_s, self._period_s),
         )
-        self.held.update(world.q, world.v)
+        self.held.update(plant.q, plant.v)
         self.felt_n = pressed(self._filter.felt, self.T_world_object)
 
     def let_go(self) -> None:

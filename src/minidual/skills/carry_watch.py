@@ -1,9 +1,9 @@
 """Faults of a carry, from encoders, motor torques and object sensors only."""
 
 from minidual.config.control import CarryConfig
+from minidual.config.scene import SceneConfig
 from minidual.control.impedance import ObjectState
-from minidual.plant.protocol import ObjectSensors
-from minidual.plant.world import World
+from minidual.plant.protocol import ObjectSensors, Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.carry_sensing import CarrySensing
@@ -30,7 +30,14 @@ _SETTLING = 0.2
 class CarryWatch:
     """Sensing and fault detection of one carry, also the object sensor of controller C.
 
-    Of the world it reads joints, fingers and torques.
+    Of the plant it reads joints, fingers and torques.
+
+    Args:
+        plant: What is driven.
+        kinematics: Of the arms.
+        scene: With the object.
+        config: Of the carry.
+        sensors: Of the object.
 
     Attributes:
         sensing: Filtered readings and estimated motion.
@@ -44,28 +51,29 @@ class CarryWatch:
 
     def __init__(
         self,
-        world: World,
+        plant: Plant,
         kinematics: Kinematics,
+        scene: SceneConfig,
         config: CarryConfig,
         sensors: ObjectSensors,
     ) -> None:
-        self._world = world
-        self._body = world.scene.object
-        self._width_m = 2.0 * world.scene.object.half_width_m
+        self._plant = plant
+        self._body = scene.object
+        self._width_m = 2.0 * scene.object.half_width_m
         self._faults = config.faults
         self._gripped_n = _GRIPPED * config.impedance.pinch_n
-        self.sensing = CarrySensing(world, kinematics, config, sensors)
+        self.sensing = CarrySensing(plant, kinematics, config, sensors)
         self.squeeze = Squeeze(
             config.impedance.internal_force_n,
-            world.scene.task.internal_force_min_n,
+            scene.task.internal_force_min_n,
             config.faults.creep_m,
         )
         self._monitor = FaultMonitor(
             config.faults,
-            dt_s=world.dt,
+            dt_s=plant.dt,
             width_m=self._width_m,
             pinch_n=config.impedance.pinch_n,
-            left_n=world.robot.dofs[0],
+            left_n=plant.robot.dofs[0],
         )
         self.grip_limit_n = self.squeeze.limit_n
         self.shifted = False
@@ -75,7 +83,7 @@ class CarryWatch:
         self._grippers_checked_s = 0.0
         self._last_pose = self._pose_bytes()
         self._compared = self.sensing.raw.tolist()
-        self._compared_s = world.time
+        self._compared_s = plant.time
 
     # Estimates ---------------------------------------------------------------------------------
 
@@ -93,6 +101,12 @@ class CarryWatch:
     def gripped(self) -> bool:
         """Whether both hands pinch enough."""
         return min(self.sensing.pinch.tolist()) > self._gripped_n
+
+    @property
+    def _gaps_m(self) -> tuple[float, float]:
+        """Distance between each hand's fingers [m]."""
+        left, right = self._plant.fingers.tolist()
+        return 2.0 * left, 2.0 * right
 
     @property
     def squeeze_n(self) -> float:
@@ -185,7 +199,7 @@ class CarryWatch:
         pose = self.sensing.reading.pose
         if pose is not None:
             self.sensing.resting.add(pose.T_world_object, _SETTLING)
-        return self._monitor.closing(self._world.gaps_m, self.sensing.pinch, t_s)
+        return self._monitor.closing(self._gaps_m, self.sensing.pinch, t_s)
 
     def holding(self, *, steady: bool) -> Fault | None:
         """Check a held object, reducing the internal force on slip; `steady` checks it, too."""
@@ -196,7 +210,7 @@ class CarryWatch:
             return None
         tilt = tilt_rad(held.state.T_world_object, self._body)
         spread_m = held.spread_m
-        fault = monitor.holding(sensing.pinch.tolist(), self._world.gaps_m, spread_m, tilt)
+        fault = monitor.holding(sensing.pinch.tolist(), self._gaps_m, spread_m, tilt)
         self.squeeze.update(spread_m, sensing.felt_n)
         self.grip_limit_n = self.squeeze.limit_n
         pose_fault = None
@@ -216,12 +230,12 @@ class CarryWatch:
         self._grippers_checked_s = now_s
         margin_m = self._faults.gap_margin_m
         if order is Order.OPEN:
-            target_m = 2.0 * self._world.robot.hand.travel_m - margin_m
+            target_m = 2.0 * self._plant.robot.hand.travel_m - margin_m
         else:
             target_m = self._width_m + margin_m
         pinch_n = self.sensing.pinch.tolist()
-        return self._monitor.grippers(now_s, order, self._world.gaps_m, pinch_n, target_m)
+        return self._monitor.grippers(now_s, order, self._gaps_m, pinch_n, target_m)
 
     def motors(self, commanded: Array) -> Fault | None:
         """Compare commanded torques (n,) [Nm] with applied ones."""
-        return self._monitor.motors(commanded, self._world.tau)
+        return self._monitor.motors(commanded, self._plant.tau)

@@ -8,8 +8,7 @@ from minidual.control.hand_impedance import InHand
 from minidual.control.stack import DEFAULT_CONTROLLERS, ControlStack
 from minidual.errors import DataError
 from minidual.motion.api import Planner
-from minidual.plant.protocol import ObjectSensors
-from minidual.plant.world import World
+from minidual.plant.protocol import ObjectSensors, Plant
 from minidual.robot.pair import SIDES, Array, inverse, pose
 from minidual.skills.askew import EVERY_S, AskewSearch, HeldPart, Mating, Meeting, part_in_hand
 from minidual.skills.planned_carry import PlannedCarry
@@ -33,25 +32,24 @@ class CompliantCarry(PlannedCarry):
 
     def __init__(
         self,
-        stack: ControlStack[World],
+        stack: ControlStack[Plant],
         planner: Planner,
         task: Task,
         trial: Trial,
         seed: int,
-        *,
-        poses: Mapping[str, Array] | None = None,
+        poses: Mapping[str, Array],
     ) -> None:
         self.sensors: Mapping[str, ObjectSensors] = {}
         self._turns: dict[str, list[float]] = {}
         self._mating: Mating | None = None
         self._mating_tick = 0
-        super().__init__(stack, planner, task, trial, seed, poses=poses)
+        super().__init__(stack, planner, task, trial, seed, poses)
 
     @property
     def done(self) -> bool:
         """See `Drive`; a mating that is busy is waited for."""
         mating = self._mating
-        waits = mating is not None and self.aborted is None and mating.busy(self.world.time)
+        waits = mating is not None and self.aborted is None and mating.busy(self.plant.time)
         return super().done and not waits
 
     def step(self) -> None:
@@ -91,7 +89,7 @@ class CompliantCarry(PlannedCarry):
             if sample is None:
                 continue
             if tips is None:
-                tips = list(self.stack.kinematics.tcp_poses(self.world.q))
+                tips = list(self.stack.kinematics.tcp_poses(self.plant.q))
             R = tips[arm][:3, :3].T @ sample.T_world_object[:3, :3]
             turn = pin.log3(R @ held.T_tcp_planned[:3, :3].T)
             turns = self._turns.setdefault(held.name, [])
@@ -108,7 +106,7 @@ class CompliantCarry(PlannedCarry):
         own = SIDES.index(side)
         parts = [self._part(arm) for arm in range(len(SIDES))]
         law = self.stack.hands[own].law
-        return Meeting(law, parts[own], parts[1 - own], own, self.world.time)
+        return Meeting(law, parts[own], parts[1 - own], own, self.plant.time)
 
     def _part(self, arm: int) -> HeldPart:
         """Return what a hand holds, with how askew its fingers say that it stands."""
@@ -116,7 +114,7 @@ class CompliantCarry(PlannedCarry):
         if not held.name:
             return HeldPart(held, 0.0)
         width_m = 2.0 * self.task.objects[held.name].body.half_width_m
-        gap_m = 2.0 * float(self.world.fingers[arm])
+        gap_m = 2.0 * float(self.plant.fingers[arm])
         return part_in_hand(held, gap_m, width_m, self._turns.get(held.name, []))
 
     def _mate(self, mating: Mating) -> None:
@@ -124,13 +122,13 @@ class CompliantCarry(PlannedCarry):
         if self.stack.stopping or self.aborted is not None:
             self._mating = None
             return
-        every = round(EVERY_S / self.world.dt)
+        every = round(EVERY_S / self.plant.dt)
         self._mating_tick += 1
         soft = any(hand.name in self.stack.manager.active for hand in self.stack.hands)
         if self._mating_tick % every or not soft:
             return
         try:
-            mating.update(self.world.q, self.stack.manager.reference, self.world.time)
+            mating.update(self.plant.q, self.stack.manager.reference, self.plant.time)
         except DataError as error:  # the arms need this step's torque
             self.stack.fail(error)
 
@@ -138,7 +136,7 @@ class CompliantCarry(PlannedCarry):
 
     def _note_grasps(self, segment: Segment) -> None:
         """Note where in closed hands objects are, from where they lay."""
-        tips = self.stack.kinematics.tcp_poses(self.world.q)
+        tips = self.stack.kinematics.tcp_poses(self.plant.q)
         laws = [hand.law for hand in self.stack.hands]
         for T_world_tcp, law, opening in zip(tips, laws, segment.openings, strict=True):
             if law.held.name:
@@ -148,7 +146,7 @@ class CompliantCarry(PlannedCarry):
         if segment.scene is None:
             return
         for attached in segment.scene.attached:
-            arm = self.world.robot.tcp_names.index(attached.link)
+            arm = self.plant.robot.tcp_names.index(attached.link)
             law = laws[arm]
             if law.held.name != attached.name:
                 planned = attached.shape.T_parent_shape

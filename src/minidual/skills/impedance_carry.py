@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from minidual.config.control import ArbiterConfig, CarryConfig
-from minidual.config.seeds import stream
+from minidual.config.control import ArbiterConfig
+from minidual.config.root import Config
 from minidual.control.impedance import SingularPostureError
 from minidual.control.reflexes import ReflexError
 from minidual.control.soft_stop import halt_duration_s
@@ -13,9 +13,7 @@ from minidual.control.stack import OBJECT_CONTROLLERS, ControlStack
 from minidual.control.supervisor import Supervisor
 from minidual.errors import MinidualError
 from minidual.motion.ik import PoseUnreachableError
-from minidual.plant.protocol import ObjectSensors
-from minidual.plant.sensing import Sensors
-from minidual.plant.world import World
+from minidual.plant.protocol import ObjectSensors, Plant
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
 from minidual.skills.carry_phases import CarryPhases, RefusedError
@@ -40,17 +38,15 @@ class ImpedanceCarry:
     another source, a refusal or silence is the fault `interrupted`: the arbiter stops them.
 
     Args:
-        world: The plant.
+        plant: What is driven.
         kinematics: Of the arms.
-        config: Settings of the carry.
-        trial: Goal of the object, and stream of the sensors' noise.
-        sensors: Of the object; by default simulated ones with the noise of `seed`.
-        seed: Of the noise.
+        config: Scene, carry and arbiter.
+        trial: Goal of the object.
+        sensors: Of the object.
         supervisor: Guards the arms; by default one without distances.
-        arbiter: Settings of the arbiter.
 
     Attributes:
-        world: The plant.
+        plant: What is driven.
         watch: Senses the object and detects faults.
         stack: Drives the arms.
         fault: First fault, or None.
@@ -58,41 +54,37 @@ class ImpedanceCarry:
 
     def __init__(
         self,
-        world: World,
+        plant: Plant,
         kinematics: Kinematics,
-        config: CarryConfig,
+        config: Config,
         trial: Trial,
         *,
-        sensors: ObjectSensors | None = None,
-        seed: int = 0,
+        sensors: ObjectSensors,
         supervisor: Supervisor | None = None,
-        arbiter: ArbiterConfig | None = None,
     ) -> None:
-        self.world = world
-        if sensors is None:
-            rng = stream(seed, f"sensing/{trial.purpose}", trial.index)
-            sensors = Sensors(world, config.sensing, rng)
+        self.plant = plant
+        scene = config.scene
         if supervisor is None:
-            supervisor = Supervisor(dt_s=world.dt, kinematics=Kinematics(world.robot))
-        self.watch = CarryWatch(world, kinematics, config, sensors)
+            supervisor = Supervisor(dt_s=plant.dt, kinematics=Kinematics(plant.robot))
+        self.watch = CarryWatch(plant, kinematics, scene, config.carry, sensors)
         self.stack = ControlStack(
-            world,
+            plant,
             kinematics,
-            arbiter,
-            pinch_force_n=config.impedance.pinch_n,
+            config.arbiter,
+            pinch_force_n=config.carry.impedance.pinch_n,
             sensor=self.watch,
             supervisor=supervisor,
         )
         self._interruptions = Interruptions(self.stack)
         self._phases = CarryPhases(
-            world,
             kinematics,
-            config,
-            placement(trial.goal[world.scene.object.name]),
+            scene,
+            config.carry,
+            placement(trial.goal[scene.object.name]),
             stack=self.stack,
             watch=self.watch,
             supervisor=supervisor,
-            open_s=_open_s(arbiter),
+            open_s=_open_s(config.arbiter),
         )
         self.fault: Fault | None = None
         self._halted = False
@@ -146,7 +138,7 @@ class ImpedanceCarry:
         """Go on in the present phase."""
         self._stop_if_due()
         if self.phase == "stop":
-            stopped_s = self.world.time - self._phases.began_s
+            stopped_s = self.plant.time - self._phases.began_s
             if stopped_s > self._stop_s + _STOPPED_S:
                 self._phases.enter("done")
         elif self.phase != "done":
@@ -184,7 +176,7 @@ class ImpedanceCarry:
                 yield watch.sensors(moving=False)
                 yield watch.grippers(Order.CLOSE)
                 if not watch.gripped:
-                    yield watch.closing(self.world.time - self._phases.began_s)
+                    yield watch.closing(self.plant.time - self._phases.began_s)
             case "squeeze" | "carry":
                 yield watch.sensors(moving=True)
                 yield watch.grippers(Order.NONE)
@@ -242,12 +234,12 @@ class ImpedanceCarry:
         """Keep the first fault, and the time [s] to stop, by default that of a soft stop."""
         if self.fault is not None:
             return
-        world = self.world
+        plant = self.plant
         if np.isnan(fault.at_s):
-            fault = fault._replace(at_s=world.time)
+            fault = fault._replace(at_s=plant.time)
         self.fault = fault
         if stop_s is None:
-            stop_s = halt_duration_s(world.robot, world.q, world.v)
+            stop_s = halt_duration_s(plant.robot, plant.q, plant.v)
         self._stop_s = stop_s
 
     def _stop_if_due(self) -> None:
@@ -255,8 +247,7 @@ class ImpedanceCarry:
             self._phases.enter("stop")
 
 
-def _open_s(arbiter: ArbiterConfig | None) -> float:
+def _open_s(arbiter: ArbiterConfig) -> float:
     """Return the duration of the phase `open`, longer for slower fingers."""
     usual = ArbiterConfig()
-    config = usual if arbiter is None else arbiter
-    return PHASES["open"].force_s * usual.finger_speed_m_per_s / config.finger_speed_m_per_s
+    return PHASES["open"].force_s * usual.finger_speed_m_per_s / arbiter.finger_speed_m_per_s

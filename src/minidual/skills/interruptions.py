@@ -2,7 +2,7 @@
 
 from minidual.control.commands import ArbiterState
 from minidual.control.stack import ControlStack
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant
 from minidual.skills.faults import CLOSED, Fault
 from minidual.skills.pipeline.drive import SOURCE
 
@@ -14,7 +14,7 @@ class Interruptions:
         stack: Its arbiter drives the arms.
     """
 
-    def __init__(self, stack: ControlStack[World]) -> None:
+    def __init__(self, stack: ControlStack[Plant]) -> None:
         self._stack = stack
         self._refusals_n = 0
         self._last_output = stack.output

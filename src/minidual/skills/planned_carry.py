@@ -12,7 +12,8 @@ from minidual.control.reflexes import ReflexError
 from minidual.control.stack import ControlStack
 from minidual.errors import MinidualError
 from minidual.motion.api import Planner
-from minidual.plant.world import World
+from minidual.plant.lifecycle import runs_on
+from minidual.plant.protocol import Plant
 from minidual.robot.pair import SIDES, Array
 from minidual.skills.cycle import solve
 from minidual.skills.pipeline.drive import Drive
@@ -52,11 +53,11 @@ class PlannedCarry(Drive):
         task: What is to be done.
         trial: Its goal.
         seed: Of the search.
-        poses: The objects' sensed poses (4, 4), by default the true ones.
+        poses: The objects' sensed poses (4, 4).
 
     Attributes:
         task: What is done.
-        world: The plant.
+        plant: What is driven.
         poses: The objects' sensed poses (4, 4).
         solution: The plan; None if there is none.
         record: Of the search.
@@ -66,24 +67,21 @@ class PlannedCarry(Drive):
 
     def __init__(
         self,
-        stack: ControlStack[World],
+        stack: ControlStack[Plant],
         planner: Planner,
         task: Task,
         trial: Trial,
         seed: int,
-        *,
-        poses: Mapping[str, Array] | None = None,
+        poses: Mapping[str, Array],
     ) -> None:
         self.task = task
-        self.world = stack.plant
-        if poses is None:
-            poses = {name: self.world.object_pose(name) for name in task.objects}
+        self.plant = stack.plant
         self.poses = poses
         self._poses = _at_known_height(task, trial, poses)
         self._tries_left = _TRIES
         self._touch: _Touch | None = None
         self.solution: Solution | None = None
-        start = State(self.world.q, dict(self._poses))
+        start = State(self.plant.q, dict(self._poses))
         apart_m = stack.supervisor.config.self_collision_min_m
         try:
             self.solution = solve(task, trial, start, planner, seed, apart_m, self.by_force)
@@ -93,6 +91,8 @@ class PlannedCarry(Drive):
             self.record = error.record
         else:
             self.record = self.solution.record
+            if runs_on(self.plant):
+                stack.reset()  # its time went on during the search
             super().__init__(stack, self.solution.segments)
 
     def step(self) -> None:
@@ -114,7 +114,7 @@ class PlannedCarry(Drive):
         payloads_kg: dict[str, float] = {}
         for attached in segment.scene.attached:
             payloads_kg[attached.link] = self.task.objects[attached.name].body.mass_kg
-        for arm, link in enumerate(self.world.robot.tcp_names):
+        for arm, link in enumerate(self.plant.robot.tcp_names):
             self.stack.payload.bear(arm, payloads_kg.get(link, 0.0))
 
     def _stopped(self, error: ReflexError) -> None:
@@ -134,8 +134,8 @@ class PlannedCarry(Drive):
             torque: (n,) [Nm], external torques of the touch.
         """
         stack = self.stack
-        q = self.world.q
-        arm = int(self.world.robot.arm_of_joint[np.argmax(np.abs(torque))])
+        q = self.plant.q
+        arm = int(self.plant.robot.arm_of_joint[np.argmax(np.abs(torque))])
         shift_m = self._shift_to_finger(q, arm, torque)
         stage = _stage_of(solution, segment)
         state = solution.states[stage]
@@ -159,7 +159,7 @@ class PlannedCarry(Drive):
         None if the torques (n,) [Nm] are not those of a force on a finger along the hand.
         """
         kinematics = self.stack.kinematics
-        own = self.world.robot.joints_of(arm)
+        own = self.plant.robot.joints_of(arm)
         J = kinematics.tcp_jacobians(q)[arm][:, own]
         wrench = np.linalg.lstsq(J.T, torque[own])[0]
         x, y, z = kinematics.tcp_poses(q)[arm][:3, :3].T

@@ -265,7 +265,7 @@ TOOLS = (
         functions.try_out,
         watchable=True,
         moves=True,
-        settings={"task": "task"},
+        settings={"task": "task", "plant": "plant.address"},
     ),
     ToolEntry("train", functions.train, moves=True, settings={"task": "task"}),
     ToolEntry("doctor", functions.doctor, moves=True),

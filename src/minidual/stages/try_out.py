@@ -3,16 +3,17 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 from minidual.durable import write_csv
 from minidual.errors import UsageError
 from minidual.gate.stage import ToolContext, ToolResult, aligned
+from minidual.plant.lifecycle import Connection
 from minidual.show.figures.side_by_side import Take, film_takes, take
 from minidual.show.report.sentences import sentence
 from minidual.show.report.words import Words
 from minidual.show.watch import watch_trials
 from minidual.stages.checkpoint_choice import chosen_policies, require_policies
+from minidual.stages.try_plant import check_placed, drive_unscored, opened, site_of
 from minidual.tasks.catalogue import make_task
 from minidual.tasks.task import Trial
 from minidual.trials.answers import answer, medians
@@ -21,6 +22,7 @@ from minidual.trials.conditions import CLEAN, condition
 from minidual.trials.methods import METHODS, MethodInputs, check_able, shown_as
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import run_trials
+from minidual.trials.site import Site
 
 _TRIALS = 5
 _TRIALS_MAX = 10_000
@@ -48,7 +50,12 @@ def try_out(context: ToolContext) -> ToolResult:
             raise UsageError(f"{method} has no trials under '{name}': {reason}")
     draw = draw_under(inputs, name, TRY)
     trials = [draw(index) for index in indices]
-    results = _run(context, methods, inputs, name, trials)
+    with opened(task.config, name) as link:
+        if link is not None and link.twin() is None:
+            return _unscored(context, link, methods, inputs, trials)
+        site = site_of(link, methods, task.config, context.seed)
+        results = _run(context, methods, inputs, name, trials, site)
+        takes = _takes(context, methods, inputs, name, trials[0], site)
     rows = [trial.to_row() for trial in results]
     write_csv(context.output / "trials.csv", rows, missing="does not apply")
     lines = [*aligned([_row(method, task.name, results) for method in methods]), ""]
@@ -56,12 +63,15 @@ def try_out(context: ToolContext) -> ToolResult:
     answers = _answers(task.name, methods, results, context.seed)
     lines += answers
     film = ""
-    if options.get("video"):
-        film = str(_film(context, methods, inputs, name, trials[0]))
+    if takes:
+        file = f"{task.name}.mp4"
+        film_takes(takes, context.output / file)
+        film = str(context.folder / file)
         lines += ["", film]
     data = {
         "task": task.name,
         "condition": name,
+        "plant": context.config.plant.address,
         "trials": rows,
         "answers": answers,
         "film": film,
@@ -83,6 +93,7 @@ def _run(
     inputs: MethodInputs,
     name: str,
     trials: Sequence[Trial],
+    site: Site | None,
 ) -> list[TrialMetrics]:
     results: list[TrialMetrics] = []
     watch = watch_trials(context.view)
@@ -95,6 +106,7 @@ def _run(
                 workers=context.workers,
                 condition=name,
                 watch=watch,
+                site=site,
             ):
                 results.append(result)
                 progress.advance(note=f"{method}, start {result.index}")
@@ -148,18 +160,49 @@ def _answers(
     return sentences
 
 
-def _film(
+def _takes(
     context: ToolContext,
     methods: Sequence[str],
     inputs: MethodInputs,
     name: str,
     trial: Trial,
-) -> Path:
-    """Film the first start of all methods side by side; return the film's final path."""
+    site: Site | None,
+) -> list[Take]:
+    """Run the first start of all methods again for a film, if one was asked for."""
     takes: list[Take] = []
+    if not context.options.get("video"):
+        return takes
     for method in methods:
         context.progress.note(f"filming {method}, start {trial.index}")
-        takes.append(take(method, inputs, trial, condition=name))
-    file = f"{inputs.config.task}.mp4"
-    film_takes(takes, context.output / file)
-    return context.folder / file
+        takes.append(take(method, inputs, trial, condition=name, site=site))
+    return takes
+
+
+def _unscored(
+    context: ToolContext,
+    link: Connection,
+    methods: Sequence[str],
+    inputs: MethodInputs,
+    trials: Sequence[Trial],
+) -> ToolResult:
+    """Drive one trial where only a person can judge, and say what is to be confirmed."""
+    task = make_task(inputs.config)
+    placed_by = str(context.options.get("placed-by", ""))
+    check_placed(placed_by, link, task, trials)
+    if len(methods) > 1:
+        raise UsageError("--method names several; a person judges one", remedy="--method moveit")
+    trial = trials[0]
+    driven = drive_unscored(link, methods[0], task, inputs, trial)
+    lines = [f"{methods[0]}, start {trial.index} on {link.place}: {driven.ended}", "", "confirm:"]
+    lines += [f"  {name}" for name in driven.confirm]
+    data = {
+        "task": task.name,
+        "plant": link.address,
+        "place": link.place,
+        "placed_by": placed_by,
+        "scored": False,
+        "ended": driven.ended,
+        "confirm": list(driven.confirm),
+    }
+    note = f"not scored: {link.address} gives no true poses; a person has to look"
+    return ToolResult(lines, [note], data)

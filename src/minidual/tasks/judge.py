@@ -62,7 +62,9 @@ def begin(
     world.mark_goal(*placement(trial.goal[task.carried]))
     if reset:
         world.reset(poses=trial.start)
-    return Judge(task, trial, demanding)
+    judge = Judge(task, trial, demanding)
+    judge.truth.began_s = world.time
+    return judge
 
 
 class Judge:

@@ -133,20 +133,22 @@ class Truth(dict[str, ObjectTruth]):
     """True state of a task's objects, by name.
 
     Attributes:
-        time: Simulated time [s].
+        began_s: Simulated time at which the trial began.
+        time: Since then [s].
         duration_s: Time of the finish, else of now; the judge sets it before `end`.
     """
 
     def __init__(self, objects: Mapping[str, ObjectConfig]) -> None:
         super().__init__({name: ObjectTruth(name, body) for name, body in objects.items()})
         self._world: World | None = None
+        self.began_s = 0.0
         self.time = 0.0
         self.duration_s = 0.0
 
     def refresh(self, world: World) -> None:
         """Read the world."""
         self._world = world
-        self.time = world.time
+        self.time = world.time - self.began_s
         for item in self.values():
             item.refresh(world)
 

@@ -1,9 +1,6 @@
 """Methods: object impedance, planned motion with joint control, and learned policies."""
 
-import functools
 from collections.abc import Callable, Mapping
-
-import mujoco
 
 from minidual.config.scene import ObjectConfig
 from minidual.config.seeds import stream, subseed
@@ -12,9 +9,7 @@ from minidual.control.supervisor import Supervisor
 from minidual.demos.leader import follows_swiftly
 from minidual.errors import UsageError
 from minidual.motion.api import Planner
-from minidual.plant.render import Camera, StampedImage
-from minidual.plant.sensing import Sensors
-from minidual.plant.world import World
+from minidual.plant.protocol import ObjectSensors, Plant
 from minidual.policies.facts import Place
 from minidual.policies.pilot import PolicyPilot, load_runtime
 from minidual.robot.kinematics import Kinematics
@@ -32,8 +27,8 @@ from minidual.trials.methods import Factory, MethodInputs
 
 _REST_S = 2.0
 
-type _Plan = Callable[[World, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]
-"""(world, kinematics, trial, sensed poses) -> planned trial."""
+type _Plan = Callable[[Plant, Kinematics, Trial, Mapping[str, Array]], PlannedCarry]
+"""(plant, kinematics, trial, sensed poses) -> planned trial."""
 
 
 def _supervisor(inputs: MethodInputs) -> Supervisor:
@@ -41,7 +36,7 @@ def _supervisor(inputs: MethodInputs) -> Supervisor:
     task = make_task(config)
     return trial_supervisor(
         config.supervisor,
-        task.scene.physics.timestep_s,
+        inputs.period_s,
         robot_from(config.robot),
         shapes=[thing_of(_object_in(side, task)).shape for side in SIDES],
     )
@@ -62,15 +57,17 @@ def impedance(inputs: MethodInputs) -> Factory:
     config = inputs.config
     supervisor = _supervisor(inputs)
 
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> ImpedanceCarry:
+    senses = inputs.sensed
+
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> ImpedanceCarry:
+        rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
         return ImpedanceCarry(
-            world,
+            plant,
             kinematics,
-            config.carry,
+            config,
             trial,
-            seed=inputs.seed,
+            sensors=senses.of_object(config.carry.sensing, rng),
             supervisor=supervisor,
-            arbiter=config.arbiter,
         )
 
     return make
@@ -82,14 +79,14 @@ def _plans(inputs: MethodInputs, task: Task, kind: type[PlannedCarry] = PlannedC
     planner = Planner(config=config.plan.planner, robot=robot_from(config.robot))
 
     def plan(
-        world: World,
+        plant: Plant,
         kinematics: Kinematics,
         trial: Trial,
         poses: Mapping[str, Array],
     ) -> PlannedCarry:
-        stack = ControlStack(world, kinematics, config.arbiter, supervisor=supervisor)
+        stack = ControlStack(plant, kinematics, config.arbiter, supervisor=supervisor)
         seed = subseed(inputs.seed, f"planner/{trial.purpose}", trial.index)
-        return kind(stack, planner, task, trial, seed, poses=poses)
+        return kind(stack, planner, task, trial, seed, poses)
 
     return plan
 
@@ -99,19 +96,20 @@ def planned(inputs: MethodInputs, kind: type[PlannedCarry] = PlannedCarry) -> Fa
     config = inputs.config
     task = make_task(config)
     plan = _plans(inputs, task, kind)
+    senses = inputs.sensed
 
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
         # Same sensor, noise and stream as object impedance: both start from the same reading.
         rng = stream(inputs.seed, f"sensing/{trial.purpose}", trial.index)
         poses: dict[str, Array] = {}
-        sensors: dict[str, Sensors] = {}
+        sensors: dict[str, ObjectSensors] = {}
         for name in task.objects:
-            sensors[name] = Sensors(world, config.carry.sensing, rng, name)
+            sensors[name] = senses.of_object(config.carry.sensing, rng, name)
             sample = sensors[name].sense().pose
             if sample is None:
                 raise RuntimeError(f"the first reading of the sensors holds no pose of '{name}'")
             poses[name] = sample.T_world_object
-        carry = plan(world, kinematics, trial, poses)
+        carry = plan(plant, kinematics, trial, poses)
         if isinstance(carry, CompliantCarry):
             carry.sensors = sensors
         return carry
@@ -129,8 +127,8 @@ def replayed(inputs: MethodInputs) -> Factory:
         name: pose_of(task.objects[name].body, start) for name, start in demonstrated.start.items()
     }
 
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
-        return plan(world, kinematics, demonstrated, poses)
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> PlannedCarry:
+        return plan(plant, kinematics, demonstrated, poses)
 
     return make
 
@@ -138,9 +136,8 @@ def replayed(inputs: MethodInputs) -> Factory:
 class Rest(Drive):
     """Holds the arms at home."""
 
-    def __init__(self, stack: ControlStack[World]) -> None:
-        self.world = stack.plant
-        super().__init__(stack, [still("hold", self.world.q, _REST_S, (OPEN, OPEN))])
+    def __init__(self, stack: ControlStack[Plant]) -> None:
+        super().__init__(stack, [still("hold", stack.plant.q, _REST_S, (OPEN, OPEN))])
 
 
 def resting(inputs: MethodInputs) -> Factory:
@@ -148,8 +145,8 @@ def resting(inputs: MethodInputs) -> Factory:
     config = inputs.config
     supervisor = _supervisor(inputs)
 
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> Rest:
-        return Rest(ControlStack(world, kinematics, config.arbiter, supervisor=supervisor))
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> Rest:
+        return Rest(ControlStack(plant, kinematics, config.arbiter, supervisor=supervisor))
 
     return make
 
@@ -168,15 +165,12 @@ def policy(inputs: MethodInputs) -> Factory:
     place = Place((pictures.height_px, pictures.width_px), config.teleop.rate_hz)
     runtime = load_runtime(inputs.checkpoint, config.deploy, robot, place)
     runtime.policy.instruct(make_task(config).instruction)
-    supervisor = trial_supervisor(config.supervisor, config.scene.physics.timestep_s, robot)
+    supervisor = trial_supervisor(config.supervisor, inputs.period_s, robot)
+    senses = inputs.sensed
 
-    @functools.cache  # one a model: an OpenGL context is slow to create
-    def camera(model: mujoco.MjModel) -> Camera:
-        return Camera.recorded(model, config.scene.camera)
-
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> PolicyPilot:
         stack = ControlStack(
-            world,
+            plant,
             kinematics,
             config.arbiter,
             rate_hz=config.teleop.rate_hz,
@@ -184,10 +178,6 @@ def policy(inputs: MethodInputs) -> Factory:
         )
         if follows_swiftly(config.teleop):  # as its demonstrations were led
             stack.anticipate(config.teleop.rate_hz)
-
-        def picture(name: str) -> StampedImage:
-            return camera(world.model).stamped(world.data, name)
-
-        return PolicyPilot(stack, runtime, picture)
+        return PolicyPilot(stack, runtime, senses.picture)
 
     return make

@@ -14,7 +14,9 @@ from minidual.demos.quality import MIN_DURATION_S, rms_jerk
 from minidual.robot.pair import Array
 
 LOG_RATE_HZ = 250
-_IMPULSE_ROWS = 5
+_IMPULSE_S = 0.02
+_JERK_RATE = 4.0
+"""Least rate of samples over the cutoff of a jerk."""
 _PUT_M_PER_S = 4.0  # no hand and no fall is that fast
 _HELD_N = 1.0
 """Pinch of a hand that holds."""
@@ -100,9 +102,10 @@ class Sample(NamedTuple):
 
 @dataclass
 class TrialLog:
-    """Time series at 250 Hz.
+    """Time series, at 250 Hz where the control runs that fast.
 
     Attributes:
+        rate_hz: Of the samples.
         t: (T,) [s].
         q: (T, n) measured [rad].
         tau: (T, n) motor torques [Nm].
@@ -123,20 +126,21 @@ class TrialLog:
     pinch: Array
     internal_force: Array
     airborne: npt.NDArray[np.bool_]
+    rate_hz: float = LOG_RATE_HZ
 
     @classmethod
-    def of(cls, samples: Sequence[Sample]) -> TrialLog:
+    def of(cls, samples: Sequence[Sample], rate_hz: float = LOG_RATE_HZ) -> TrialLog:
         """Return the log of one or more samples."""
         columns = zip(*samples, strict=True)
-        return cls(*map(np.array, columns))
+        return cls(*map(np.array, columns), rate_hz=rate_hz)
 
 
-def jerk(q: Array, cutoff_hz: float) -> float:
-    """Return `rms_jerk` of a log's joints (T, n), or NaN if it is too short."""
-    duration_s = (len(q) - 1) / LOG_RATE_HZ
-    if duration_s < MIN_DURATION_S:
+def jerk(log: TrialLog, cutoff_hz: float) -> float:
+    """Return `rms_jerk` of a log's joints, or NaN if it is too short or too slow for the cutoff."""
+    duration_s = (len(log.q) - 1) / log.rate_hz
+    if duration_s < MIN_DURATION_S or log.rate_hz < _JERK_RATE * cutoff_hz:
         return math.nan
-    return rms_jerk(q, LOG_RATE_HZ, cutoff_hz)
+    return rms_jerk(log.q, log.rate_hz, cutoff_hz)
 
 
 def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
@@ -148,9 +152,9 @@ def measure(log: TrialLog, mass_kg: float, wanted_n: float) -> dict[str, float]:
     return {
         "sync_error_m": _sync_error_m(log.tcp[held]),
         "internal_force_error_n": _rms(log.internal_force[held] - wanted_n),
-        "impulse_max_ns": mass_kg * _velocity_change_max(log.position),
+        "impulse_max_ns": mass_kg * _velocity_change_max(log.position, log.rate_hz),
         "energy_j": float(np.abs(log.tau[1:] * np.diff(log.q, axis=0)).sum()),
-        "jerk_50_hz_rms": jerk(log.q, 50.0),
+        "jerk_50_hz_rms": jerk(log, 50.0),
     }
 
 
@@ -168,12 +172,13 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _velocity_change_max(position: Array) -> float:
+def _velocity_change_max(position: Array, rate_hz: float) -> float:
     """Return the largest change of velocity [m/s] within 20 ms; NaN if the log is too short."""
-    velocity = np.diff(position, axis=0) * LOG_RATE_HZ
+    velocity = np.diff(position, axis=0) * rate_hz
+    rows = round(_IMPULSE_S * rate_hz)
     # Faster than any contact: somebody put the object there.
     velocity[np.linalg.norm(velocity, axis=1) > _PUT_M_PER_S] = math.nan
-    change = np.linalg.norm(velocity[_IMPULSE_ROWS:] - velocity[:-_IMPULSE_ROWS], axis=1)
+    change = np.linalg.norm(velocity[rows:] - velocity[:-rows], axis=1)
     if len(change) == 0:
         return math.nan
     return float(np.nanmax(change))

@@ -15,6 +15,7 @@ from minidual.config.base import StrictModel
 from minidual.config.methods import RlConfig
 from minidual.config.root import Config, changed
 from minidual.errors import UsageError
+from minidual.plant.lifecycle import CommandKind
 from minidual.policies.rl.lesson import LESSONS, title_of
 from minidual.registry import Deferred, Registry
 from minidual.tasks.catalogue import TASKS, make_task
@@ -22,7 +23,8 @@ from minidual.tasks.task import Task, Trial
 from minidual.trials.trainer import Trainer
 
 if TYPE_CHECKING:  # the table must be readable without importing MuJoCo
-    from minidual.plant.world import World
+    from minidual.plant.protocol import Plant
+    from minidual.plant.senses import Senses
     from minidual.robot.kinematics import Kinematics
 
 SENSES: dict[str, str] = {
@@ -35,11 +37,6 @@ SENSES: dict[str, str] = {
 
 class Method(Protocol):
     """One trial."""
-
-    @property
-    def world(self) -> World:
-        """The plant."""
-        ...
 
     @property
     def aborted(self) -> str | None:
@@ -60,8 +57,8 @@ class Method(Protocol):
         """Run one control step."""
 
 
-type Factory = Callable[[World, Kinematics, Trial], Method]
-"""Makes the method of one trial."""
+type Factory = Callable[[Plant, Kinematics, Trial], Method]
+"""Makes the method of one trial, which drives a plant."""
 
 
 class TrainedPolicy(NamedTuple):
@@ -78,6 +75,8 @@ class MethodInputs(NamedTuple):
         checkpoint: Its policy, if it has one.
         trained: The task of the checkpoint, empty for any.
         policies: {learned method: its policy}, where several run; `of` chooses.
+        senses: Of objects and pictures, where the trials take place.
+        dt_s: Control period there; None: that of the simulator.
     """
 
     config: Config
@@ -85,6 +84,27 @@ class MethodInputs(NamedTuple):
     checkpoint: Path | None = None
     trained: str = ""
     policies: Mapping[str, TrainedPolicy] = MappingProxyType({})
+    senses: Senses | None = None
+    dt_s: float | None = None
+
+    @property
+    def period_s(self) -> float:
+        """Control period."""
+        return self.config.scene.physics.timestep_s if self.dt_s is None else self.dt_s
+
+    @property
+    def sensed(self) -> Senses:
+        """What senses objects and takes pictures.
+
+        Raises:
+            UsageError: Nothing does.
+        """
+        if self.senses is None:
+            raise UsageError(
+                "the method senses objects or takes pictures, and its inputs have no senses",
+                remedy="MethodInputs(..., senses=SimulatedSenses(world, world.dt))",
+            )
+        return self.senses
 
     def of(self, method: str) -> MethodInputs:
         """Return the inputs of one method: `checkpoint` and `trained` are those of its policy."""
@@ -141,6 +161,7 @@ class MethodSpec(NamedTuple):
         learned: Whether it drives a trained policy.
         trainer: Trains its policy from an environment; that of `act` is the stage train-act.
         title: Task -> what drives there, where the name of the method says too much, or "".
+        kinds: Kinds of command that it can give.
     """
 
     build: Build
@@ -155,6 +176,7 @@ class MethodSpec(NamedTuple):
     learned: bool = False
     trainer: Deferred[Trainer] | None = None
     title: Title = _drives_it_all
+    kinds: Collection[CommandKind] = tuple(CommandKind)
 
     def reads(self, task: Task) -> Collection[str]:
         """Return the rows of SENSES that it reads in a task."""
@@ -225,6 +247,7 @@ IMPEDANCE = MethodSpec(
     demands=("squeezed",),
     senses=("pose", "feedback"),
     senses_apart=("pose",),
+    kinds=(CommandKind.TORQUE,),
 )
 IMPEDANCE_OPEN = IMPEDANCE._replace(
     summary="impedance without feedback of the internal force",
@@ -253,6 +276,7 @@ RL = MethodSpec(
     learned=True,
     trainer=_rl_trainer,
     title=title_of,
+    kinds=(CommandKind.TORQUE,),
 )
 REPLAY = MethodSpec(_replayed, "the plan of one demonstration, driven blind", senses=())
 HOLD = MethodSpec(_resting, "the arms rest", senses=())

@@ -202,7 +202,7 @@ def trial_metrics(
         failed_at_s=cause.at_s,
         duration_s=outcome.duration_s if outcome.success else math.nan,
         torque_ratio_max=torque_ratio_max,
-        jerk_rms=jerk(log.q, CUTOFF_HZ),
+        jerk_rms=jerk(log, CUTOFF_HZ),
         tilt_max_rad=outcome.number("tilt_max_rad"),
         path_length_m=float(path_length(log.tcp).mean()),
         internal_force_min_n=outcome.number("internal_force_min_n"),

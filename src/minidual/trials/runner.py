@@ -21,7 +21,7 @@ from minidual.plant.world import SimulationDivergedError, World
 from minidual.robot.kinematics import Hands, Kinematics
 from minidual.robot.pair import Array, Robot, robot_from
 from minidual.tasks.catalogue import make_task
-from minidual.tasks.judge import Failure, Outcome, begin
+from minidual.tasks.judge import Failure, Outcome
 from minidual.tasks.task import Task, Trial
 from minidual.trials.compared import name_policies
 from minidual.trials.condition import Disturbance
@@ -36,6 +36,7 @@ from minidual.trials.methods import (
     check_able,
 )
 from minidual.trials.metrics import TrialMetrics, trial_metrics
+from minidual.trials.site import SimulatedSite, Site
 from minidual.trials.strain import strain
 from minidual.workers import in_workers
 
@@ -62,16 +63,19 @@ def _watch_nothing(world: World, method: Method) -> None:
 
 
 class Bench:
-    """A world and a method for many trials under one condition, with its settings.
+    """A site and a method for many trials under one condition, with its settings.
 
     Attributes:
         ran: The method of the latest trial.
+        plant: What the method drives.
+        world: What the judge sees.
 
     Args:
         method: Row of METHODS.
         inputs: With the configuration, to which the condition's settings are added.
-        condition: Row of CONDITIONS.
+        condition: Row of CONDITIONS; CLEAN at any site but the simulator's.
         visuals: Whether to compile visual meshes even if the method needs none.
+        site: Where; by default a simulated world of its own.
 
     Raises:
         UsageError: The condition sets a value out of bounds.
@@ -86,6 +90,7 @@ class Bench:
         condition: str = CLEAN,
         *,
         visuals: bool = False,
+        site: Site | None = None,
     ) -> None:
         name_policies((method,), inputs.policies.keys() & {method})  # a worker has its own table
         inputs = inputs.of(method)
@@ -96,11 +101,20 @@ class Bench:
         self.task: Task = make_task(self.condition.config_under(inputs.config))
         check_able(method, [self.task], inputs.trained)
         robot = robot_from(inputs.config.robot)
-        model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
-        self.world = World(self.task.scene, robot, model=model)
+        if site is None:
+            model = build_model(self.task.scene, robot, visuals=visuals or self.spec.needs_images)
+            site = SimulatedSite(World(self.task.scene, robot, model=model))
+        self.site = site
+        self.plant = site.plant
+        self.world = site.world
         self.kinematics = Kinematics(robot)
         self.hands = Hands(self.kinematics)
-        self.factory = self.spec.factory(inputs._replace(config=self.task.config))
+        there = inputs._replace(
+            config=self.task.config,
+            senses=site.senses,
+            dt_s=site.plant.dt,
+        )
+        self.factory = self.spec.factory(there)
 
     def run(self, trial: Trial, *, on_step: StepHook = _watch_nothing) -> Judged:
         """Run and judge one trial.
@@ -155,26 +169,30 @@ class _TrialRun:
     ) -> None:
         self._bench = bench
         self._world = bench.world
+        self._plant = bench.plant
         self._trial = trial
+        self._log_every = max(1, round(1.0 / (LOG_RATE_HZ * bench.plant.dt)))
+        self._log_rate_hz = 1.0 / (self._log_every * bench.plant.dt)
         self._disturbance = disturbance
         self._on_step = on_step
-        self._judge = begin(bench.world, bench.task, trial, bench.spec.demands)
+        self._judge = bench.site.begin(bench.task, trial, bench.spec.demands)
         began_s = time.process_time()
-        self.method = bench.factory(bench.world, bench.kinematics, trial)
+        self.method = bench.factory(bench.plant, bench.kinematics, trial)
         self._planning_s = time.process_time() - began_s
+        bench.site.start(self._judge)
         self._carried = self._judge.truth[bench.task.carried]
         self._samples: list[Sample] = []
         self._phases: list[str] = []
-        self._strain = _MotorStrain(bench.world.robot)
+        self._strain = _MotorStrain(bench.plant.robot)
         self._complete = _CompleteState(bench.world)
         self._broken: Failure | None = None
 
     def simulate(self) -> None:
         """Run the method until it is done, the task is finished, the time is over, or it breaks."""
         world = self._world
-        log_every = round(1.0 / (LOG_RATE_HZ * world.dt))
+        dt_s = self._plant.dt
         finished_s = 0.0
-        for step in range(round(self._bench.task.time_limit_s / world.dt)):
+        for step in range(round(self._bench.task.time_limit_s / dt_s)):
             try:
                 self.method.step()
             except tuple(_BROKEN) as error:
@@ -182,13 +200,13 @@ class _TrialRun:
                 return
             self._complete.remember()
             self._judge.observe(world)
-            self._strain.update(world.tau)
-            if step % log_every == 0:
+            self._strain.update(self._plant.tau)
+            if step % self._log_every == 0:
                 self._samples.append(self._sample())
                 self._phases.append(self.method.phase)
             self._disturb()
             self._on_step(world, self.method)
-            finished_s = finished_s + world.dt if self._judge.finished else 0.0
+            finished_s = finished_s + dt_s if self._judge.finished else 0.0
             if self.method.done or finished_s > SETTLED_S:
                 return
 
@@ -204,21 +222,21 @@ class _TrialRun:
 
     def _end_broken(self, error: MinidualError) -> None:
         self._complete.restore()
-        self._broken = Failure(_BROKEN[type(error)], self._world.time, error.message)
         self._judge.truth.refresh(self._world)
+        self._broken = Failure(_BROKEN[type(error)], self._judge.truth.time, error.message)
         if not self._samples:
             self._samples.append(self._sample())
 
     def _sample(self) -> Sample:
-        world = self._world
-        q = world.q
+        plant = self._plant
+        q = plant.q
         hands = self._bench.hands
         hands.update(q)
         carried = self._carried
         return Sample(
-            t=world.time,
+            t=self._judge.truth.time,
             q=q,
-            tau=world.tau,
+            tau=plant.tau,
             tcp=[p.copy() for p in hands.p],
             position=carried.xyz,
             tilt=carried.tilt_rad,
@@ -229,14 +247,14 @@ class _TrialRun:
 
     def judged(self) -> Judged:
         """Return the result and the log."""
-        log = TrialLog.of(self._samples)
+        log = TrialLog.of(self._samples, self._log_rate_hz)
         result = trial_metrics(
             self._bench.method,
             self._trial.index,
             self._outcome(log),
             log,
             torque_ratio_max=self._strain.ratio_max,
-            saturated_max_s=self._strain.saturated_ticks_max * self._world.dt,
+            saturated_max_s=self._strain.saturated_ticks_max * self._plant.dt,
             aborted=self.method.aborted or "",
             wall={
                 "planning_s": self._planning_s,
@@ -267,7 +285,7 @@ class _TrialRun:
 
     def _phase_at(self, time_s: float) -> str:
         """Return the method's phase at a time; the last one before it stopped."""
-        logged_n = int(time_s * LOG_RATE_HZ) + 1
+        logged_n = int(time_s * self._log_rate_hz) + 1
         for phase in reversed(self._phases[:logged_n]):
             if phase not in _ENDED_PHASES:
                 return phase
@@ -340,10 +358,11 @@ def run_trials(
     workers: int,
     condition: str = CLEAN,
     watch: Watch | None = None,
+    site: Site | None = None,
 ) -> Iterator[TrialMetrics]:
-    """Run trials in parallel, or watched in this process; yield results in order."""
-    if watch is not None:
-        yield from _run_watched(Bench(method, inputs, condition), trials, watch)
+    """Run trials in parallel, or in this process if they are watched or at a site; yield in order."""
+    if watch is not None or site is not None:
+        yield from _run_here(Bench(method, inputs, condition, site=site), trials, watch)
         return
     yield from in_workers(
         lambda trial: _bench(method, inputs, condition).run(trial)[0],
@@ -352,9 +371,14 @@ def run_trials(
     )
 
 
-def _run_watched(bench: Bench, trials: Sequence[Trial], watch: Watch) -> Iterator[TrialMetrics]:
+def _run_here(
+    bench: Bench,
+    trials: Sequence[Trial],
+    watch: Watch | None,
+) -> Iterator[TrialMetrics]:
     under = "" if bench.condition.name == CLEAN else f", {bench.condition.name}"
     for number, trial in enumerate(trials, start=1):
         title = f"{bench.method}, trial {number} of {len(trials)}{under}"
-        result, _ = bench.run(trial, on_step=watch(bench, title))
+        on_step = _watch_nothing if watch is None else watch(bench, title)
+        result, _ = bench.run(trial, on_step=on_step)
         yield result

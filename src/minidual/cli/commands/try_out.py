@@ -43,6 +43,20 @@ def try_out(
         bool | None,
         typer.Option("--video", help="Film the first start, all methods side by side."),
     ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="sim, sim-position, franka://HOST,HOST or MODULE:FACTORY (default: sim).",
+        ),
+    ] = None,
+    placed_by: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Who has put the objects at their start, on a plant that nothing can score.",
+        ),
+    ] = None,
     view_options: ViewOptions,
     session: Session,
 ) -> ExitCode:
@@ -54,6 +68,7 @@ def try_out(
     Examples:
         minidual try pot_lift --trials 10
         minidual try handover --method moveit --condition randomised --video
+        minidual try rod_carry --method moveit --trials 10 --plant franka://127.0.0.1,127.0.0.2
         minidual try rod_carry --method impedance --set carry.impedance.stiffness_n_per_m=300
     """
     options = {
@@ -64,5 +79,7 @@ def try_out(
         "first": first,
         "checkpoint": checkpoint,
         "video": video,
+        "plant": plant,
+        "placed-by": placed_by,
     }
     return run_tool(session, session.tools["try"], options, view_options)

@@ -8,6 +8,7 @@ import numpy as np
 from minidual.errors import UsageError
 from minidual.plant.connect import PlantRequest
 from minidual.plant.franka.link import ArmLink, HandLink, client_library
+from minidual.plant.franka.twin import EmulatorTwin
 from minidual.plant.franka.wire import JOINTS_N
 from minidual.plant.lifecycle import ArmHealth, CommandKind, Sent
 from minidual.robot.pair import SIDES, Array
@@ -35,11 +36,13 @@ class FrankaPlant:
     kinds = (CommandKind.POSITION,)
     kind = CommandKind.POSITION
     why_not: ClassVar[dict[CommandKind, str]] = {CommandKind.TORQUE: WHY_NO_TORQUE}
-    grip_max_n = 70.0
 
     def __init__(self, request: PlantRequest) -> None:
         self.robot = request.robot
         self.hosts = request.hosts
+        self.grip_max_n = request.config.grip_n  # hands close with this force, no other
+        self._scene = request.scene
+        self._twin: EmulatorTwin | None = None
         self.dt = 1.0 / request.config.rate_hz
         self._config = request.config
         self._arms: list[ArmLink] = []
@@ -85,6 +88,12 @@ class FrankaPlant:
         left, right = self._arms
         self.time = left.time_s
         self._skew_s = right.time_s - left.time_s
+
+    def twin(self) -> EmulatorTwin | None:
+        """Return the emulator's world, None on hardware; from now on steps refresh it."""
+        if self._twin is None and self.place == "emulator":
+            self._twin = EmulatorTwin(self.hosts[0], self._scene, self.robot)
+        return self._twin
 
     def activate(self, kind: CommandKind) -> None:
         """Clear errors of an earlier motion."""
@@ -199,6 +208,16 @@ class FrankaPlant:
         self.time = max(due_s, self.stamp_s)
         drift_s = right.time_s - left.time_s - self._skew_s
         self._skew_s += _SKEW_GAIN * drift_s
+        if self._twin is not None:
+            self._twin.refresh()
+
+    def catch_up(self) -> None:
+        """Read the newest states: the controllers' time goes on while nobody steps."""
+        for arm in self._arms:
+            arm.read()
+        self.time = max(self.time, self.stamp_s)
+        if self._twin is not None:
+            self._twin.refresh()
 
     # Ends --------------------------------------------------------------------------------------
 
@@ -206,7 +225,7 @@ class FrankaPlant:
         """Clear what the controllers can clear; see `healths` for the rest."""
         for arm in self._arms:
             arm.recover()
-        self.time = max(self.time, self.stamp_s)  # the controllers' clocks went on
+        self.catch_up()
 
     def close(self) -> None:
         """Stop both arms, and let go of the hands."""
@@ -216,6 +235,9 @@ class FrankaPlant:
             hand.close()
         self._hands = []
         self._arms = []
+        if self._twin is not None:
+            self._twin.close()
+            self._twin = None
 
 
 def franka(request: PlantRequest) -> FrankaPlant:

@@ -13,6 +13,7 @@ from minidual import emergency
 from minidual.errors import EnvironmentMissingError, UsageError
 from minidual.plant.franka.cell import EmulatedCell
 from minidual.plant.franka.served import ServedArm, ServedHand
+from minidual.plant.franka.twin_port import TwinPort
 from minidual.robot.pair import SIDES
 
 HOSTS = ("127.0.0.1", "127.0.0.2")
@@ -68,10 +69,12 @@ class EmulatorServer:
         self.late_ticks = 0
         self.arms: list[ServedArm] = []
         self.hands: list[ServedHand] = []
+        self._twin: TwinPort | None = None
         try:
             for index, host in enumerate(hosts):
                 self.arms.append(ServedArm(host, cell, index))
                 self.hands.append(ServedHand(host, cell, index))
+            self._twin = TwinPort(hosts[0], cell.world)
         except EnvironmentMissingError:
             self.close()
             raise
@@ -89,6 +92,8 @@ class EmulatorServer:
         self.cell.step((left.take(), right.take()))
         for served in (*self.arms, *self.hands):
             served.send()
+        if self._twin is not None:
+            self._twin.serve()
         self._wait()
 
     def _await_commands(self) -> None:
@@ -128,3 +133,5 @@ class EmulatorServer:
         """Let go of all clients and ports."""
         for served in (*self.arms, *self.hands):
             served.channel.close()
+        if self._twin is not None:
+            self._twin.close()

@@ -23,6 +23,7 @@ from minidual.trials.conditions import CLEAN
 from minidual.trials.methods import Method, MethodInputs
 from minidual.trials.metrics import TrialMetrics
 from minidual.trials.runner import Bench
+from minidual.trials.site import Site
 
 FPS = 12
 _PANE_SIZES = {1: (848, 480), 2: (640, 360)}
@@ -109,14 +110,18 @@ class _Sampler:
     """Step hook that samples moments at FPS."""
 
     moments: list[Moment] = field(default_factory=list)
+    began_s: float | None = None
 
     def __call__(self, world: World, method: Method) -> None:
-        if world.time < len(self.moments) / FPS - 1e-9:
+        if self.began_s is None:
+            self.began_s = world.time
+        time_s = world.time - self.began_s
+        if time_s < len(self.moments) / FPS - 1e-9:
             return
         truths = [world.truth(name) for name in world.objects]
         left_n, right_n = np.max([truth.pinch() for truth in truths], axis=0).tolist()
         moment = Moment(
-            time_s=world.time,
+            time_s=time_s,
             qpos=world.data.qpos.copy(),
             phase=method.phase,
             pinch_n=(left_n, right_n),
@@ -133,9 +138,10 @@ def take(
     *,
     condition: str = CLEAN,
     fine: bool = False,
+    site: Site | None = None,
 ) -> Take:
     """Run a trial and keep what a film shows of it; `fine` shows the arms in full detail."""
-    bench = Bench(method, inputs, condition)
+    bench = Bench(method, inputs, condition, site=site)
     sampler = _Sampler()
     models: list[mujoco.MjModel] = []
 

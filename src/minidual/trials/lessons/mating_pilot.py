@@ -25,7 +25,7 @@ from minidual.environments.mating import (
     observe_mating,
 )
 from minidual.errors import UsageError
-from minidual.plant.world import World
+from minidual.plant.protocol import Plant
 from minidual.policies.rl.network import Description, RlNetwork
 from minidual.robot.kinematics import Kinematics
 from minidual.robot.pair import Array
@@ -72,7 +72,7 @@ class LearnedMating:
         parts: Parts,
         policy: Policy,
     ) -> None:
-        self._world = carry.world
+        self._plant = carry.plant
         self._observer = carry.stack.supervisor.observer
         self._law = meeting.law
         self._senses = MatingSenses(parts, meeting)
@@ -99,7 +99,7 @@ class LearnedMating:
 
     def sense(self, q: Array, q_ref: Array, now_s: float) -> MatingSensed:
         """Return what is known at this moment; to be called once an action."""
-        gaps_m = 2.0 * self._world.fingers
+        gaps_m = 2.0 * self._plant.fingers
         torque = self._observer.external.copy()
         readings = MatingReadings(q, q_ref, gaps_m, torque, now_s)
         return self._senses.read(readings, self.actions)
@@ -174,8 +174,8 @@ def learned_insertions(
     """Return the factory of trials in which a policy mates the parts."""
     planned = factories.planned(MethodInputs(config, seed), LearnedInsertion)
 
-    def make(world: World, kinematics: Kinematics, trial: Trial) -> LearnedInsertion:
-        carry = planned(world, kinematics, trial)
+    def make(plant: Plant, kinematics: Kinematics, trial: Trial) -> LearnedInsertion:
+        carry = planned(plant, kinematics, trial)
         if not isinstance(carry, LearnedInsertion):
             raise TypeError(f"a planned trial is a {type(carry).__name__}")
         carry.policy = make_policy()

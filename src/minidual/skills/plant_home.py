@@ -1,0 +1,52 @@
+"""Bring the arms of any plant home, by planned motions."""
+
+import numpy as np
+
+from minidual.config.root import Config
+from minidual.motion.api import Planner
+from minidual.plant.lifecycle import Connection
+from minidual.robot.pair import Array
+from minidual.robot.trajectory import Trajectory
+from minidual.skills.plant_drive import PlantDrive
+
+_AT_HOME_RAD = 0.005
+_OPENING_S = 1.0
+_GROUPS = ("left_arm", "right_arm")
+
+
+def bring_home(link: Connection, config: Config, planner: Planner, seed: int) -> None:
+    """Clear errors, open the hands, and move one arm after the other home.
+
+    Raises:
+        PlanningError: There is no way.
+        ReflexError, DriveError: The plant did not get there.
+        UsageError: The plant reports a fault that it cannot clear.
+    """
+    if link.plant.health:
+        link.recover()
+    robot = link.plant.robot
+    q = link.plant.q
+    motions: list[tuple[Array, Trajectory]] = []
+    if float(np.abs(q - robot.home).max()) > _AT_HOME_RAD:
+        for group in _GROUPS:
+            joints = robot.groups[group]
+            result = planner.plan_to_joints(group, q, robot.home[joints], seed=seed)
+            motions.append((q.copy(), result.trajectory))
+            q[joints] = robot.home[joints]
+    drive = PlantDrive(link, config, config.arbiter.speed_override, source="moveit")
+    drive.begin()
+    drive.openings[:] = 1.0
+    drive.hold(_OPENING_S)
+    for (start, motion), group in zip(motions, _GROUPS, strict=False):
+        drive.follow(_postures(motion, start, robot.groups[group], link.plant.dt))
+    drive.move(robot.home)
+
+
+def _postures(motion: Trajectory, start: Array, joints: slice, dt_s: float) -> Array:
+    """Return postures (T, n) of both arms, one a control step; the other arm stays."""
+    times = np.arange(1, round(motion.duration_s / dt_s) + 2) * dt_s
+    samples = motion.sample_many(times).q
+    postures = np.tile(start, (len(times), 1))
+    own = samples if samples.shape[1] < postures.shape[1] else samples[:, joints]
+    postures[:, joints] = own
+    return postures
